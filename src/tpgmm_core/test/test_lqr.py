@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from tpgmm_core.lqr import double_integrator_gains, riccati_gains
+
+
+@st.composite
+def precisions(draw: st.DrawFn, max_dimensions: int = 7) -> np.ndarray:
+    """Symmetric positive definite with a condition number that the Riccati solver can still take."""
+    D = draw(st.integers(1, max_dimensions))
+    X = draw(arrays(float, (D, D), elements=st.floats(-1, 1)))
+    scale = draw(st.sampled_from([1e-2, 1.0, 1e4]))
+    return scale * (X @ X.T + 0.1 * np.eye(D))
+
+
+@settings(deadline=None)
+@given(precisions(), st.sampled_from([1e-2, 0.3, 5.0]))
+def test_closed_form_solves_the_riccati_equation(precision: np.ndarray, control_cost: float) -> None:
+    gains = double_integrator_gains(precision, control_cost)
+    exact = riccati_gains(precision, np.zeros_like(precision), control_cost)
+    np.testing.assert_allclose(
+        gains.stiffness, exact.stiffness, rtol=1e-9, atol=1e-9 * np.abs(exact.stiffness).max()
+    )
+    np.testing.assert_allclose(
+        gains.damping, exact.damping, rtol=1e-9, atol=1e-9 * np.abs(exact.damping).max()
+    )
+
+
+def test_control_cost_may_differ_between_dimensions() -> None:
+    rng = np.random.default_rng(3)
+    X = rng.normal(size=(6, 6))
+    precision, cost = X @ X.T + np.eye(6), np.array([0.1, 0.1, 0.1, 2.0, 3.0, 4.0])
+    gains = double_integrator_gains(precision, cost)
+    exact = riccati_gains(precision, np.zeros((6, 6)), np.diag(cost))
+    np.testing.assert_allclose(gains.stiffness, exact.stiffness, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(gains.damping, exact.damping, rtol=1e-9, atol=1e-9)
+
+
+def test_stacked_precisions_give_the_gains_of_each() -> None:
+    X = np.random.default_rng(0).normal(size=(2, 5, 3, 3))
+    stack = X @ X.swapaxes(-1, -2)
+    gains = double_integrator_gains(stack, 0.5)
+    assert gains.stiffness.shape == stack.shape
+    np.testing.assert_array_equal(gains.damping[1, 4], double_integrator_gains(stack[1, 4], 0.5).damping)
+
+
+def test_bounds_hold_in_every_direction_and_keep_the_damping_ratio() -> None:
+    Q, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(4, 4)))
+    precision = (Q * [0.0, 1.0, 100.0, 1e12]) @ Q.T
+    gains = double_integrator_gains(precision, 1.0, min_stiffness=2.0, max_stiffness=50.0)
+    np.testing.assert_allclose(np.linalg.eigvalsh(gains.stiffness), [2.0, 2.0, 10.0, 50.0], rtol=1e-3)
+    np.testing.assert_allclose(gains.damping @ gains.damping, 2.0 * gains.stiffness, rtol=1e-9, atol=1e-9)
+
+
+def test_direction_without_cost_gets_no_gain() -> None:
+    gains = double_integrator_gains(np.diag([4.0, 0.0]))
+    np.testing.assert_allclose(gains.stiffness, np.diag([2.0, 0.0]), atol=1e-12)
+
+
+def test_velocity_cost_adds_damping() -> None:
+    plain = riccati_gains(np.eye(2), np.zeros((2, 2)), 1.0)
+    damped = riccati_gains(np.eye(2), np.eye(2), 1.0)
+    np.testing.assert_allclose(damped.damping, np.sqrt(3.0) * np.eye(2), rtol=1e-9)
+    assert (np.diag(damped.damping) > np.diag(plain.damping)).all()
+
+
+@pytest.mark.parametrize(
+    ("precision", "control_cost", "bounds", "message"),
+    [
+        (np.ones((2, 3)), 1.0, {}, "square"),
+        (np.full((2, 2), np.nan), 1.0, {}, "not finite"),
+        (np.diag([1.0, -1.0]), 1.0, {}, "semidefinite"),
+        (np.eye(2), 0.0, {}, "positive"),
+        (np.eye(2), [1.0, 1.0, 1.0], {}, "shape"),
+        (np.eye(2), 1.0, {"min_stiffness": 3.0, "max_stiffness": 1.0}, "min_stiffness"),
+    ],
+)
+def test_bad_input_is_refused(
+    precision: np.ndarray, control_cost: object, bounds: dict, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        double_integrator_gains(precision, control_cost, **bounds)
+    if message == "square":
+        with pytest.raises(ValueError, match="shape"):
+            riccati_gains(np.eye(2), np.eye(3), 1.0)
+
+
+def test_riccati_without_position_cost_is_refused() -> None:
+    with pytest.raises(ValueError, match="stabilising"):
+        riccati_gains(np.zeros((2, 2)), np.zeros((2, 2)), 1.0)
