@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`Frame`: one affine map xi = A x + b of an observer, or one per time step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tpgmm_core import quaternion
+from tpgmm_core.quaternion import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """Task parameters of one frame: xi = A x + b.
+
+    Parameters
+    ----------
+    A : shape (D, D_j), or (T, D, D_j) when it changes with time; any matrix
+    b : shape (D,), or (T, D)
+
+    When one of them varies with time and the other does not, the constant one is repeated.
+    Raises ValueError for shapes that do not fit and for non-finite numbers.
+    """
+
+    A: Array
+    b: Array
+
+    def __post_init__(self) -> None:
+        A, b = np.asarray(self.A, dtype=float), np.asarray(self.b, dtype=float)
+        if A.ndim not in (2, 3) or b.ndim not in (1, 2) or A.shape[-2] != b.shape[-1] or 0 in A.shape:
+            raise ValueError(
+                f"a frame has A (D, D_j) or (T, D, D_j) and b (D,) or (T, D), got {A.shape} and {b.shape}"
+            )
+        if A.ndim == 3 or b.ndim == 2:
+            steps = len(A) if A.ndim == 3 else len(b)
+            if (A.ndim == 3 and b.ndim == 2) and len(b) != steps:
+                raise ValueError(f"A has {len(A)} time steps, b has {len(b)}")
+            A = np.broadcast_to(A, (steps, *A.shape[-2:]))
+            b = np.broadcast_to(b, (steps, b.shape[-1]))
+        if not (np.all(np.isfinite(A)) and np.all(np.isfinite(b))):
+            raise ValueError("the A and b of a frame must be finite")
+        object.__setattr__(self, "A", A)
+        object.__setattr__(self, "b", b)
+
+    @classmethod
+    def from_pose(cls, position: ArrayLike, orientation: ArrayLike) -> Frame:
+        """Frame of an object at a position (3,) or (T, 3) in m, turned by a quaternion (4,) or (T, 4).
+
+        Acts on poses [x, y, z, qx, qy, qz, qw] by A = blkdiag(R, L(q)), b = [position, 0]; the quaternion is
+        normalised.
+        """
+        position, orientation = np.asarray(position, dtype=float), quaternion.normalize(orientation)
+        if position.shape[-1:] != (3,) or orientation.shape[-1:] != (4,):
+            raise ValueError(
+                f"a pose has a position (3,) and a quaternion (4,), got {position.shape}, {orientation.shape}"
+            )
+        steps = np.broadcast_shapes(position.shape[:-1], orientation.shape[:-1])
+        A = np.zeros((*steps, 7, 7))
+        A[..., :3, :3] = quaternion.rotation_matrix(orientation)
+        A[..., 3:, 3:] = quaternion.left_matrix(orientation)
+        b = np.zeros((*steps, 7))
+        b[..., :3] = position
+        return cls(A, b)
+
+    def with_time(self) -> Frame:
+        """The same frame for data whose first dimension is time, which no frame changes."""
+        A = np.zeros((*self.A.shape[:-2], self.A.shape[-2] + 1, self.A.shape[-1] + 1))
+        A[..., 0, 0] = 1.0
+        A[..., 1:, 1:] = self.A
+        b = np.concatenate([np.zeros((*self.b.shape[:-1], 1)), self.b], axis=-1)
+        return Frame(A, b)
+
+    @property
+    def is_time_varying(self) -> bool:
+        """Whether A and b hold one map per time step."""
+        return self.A.ndim == 3
+
+    def at(self, t_index: int) -> Frame:
+        """The map at one time step; a constant frame is the same at all of them."""
+        return Frame(self.A[t_index], self.b[t_index]) if self.is_time_varying else self
+
+    def project(self, xi: ArrayLike) -> Array:
+        """Data xi (D,) or (T, D) as seen from the frame, (D_j,) or (T, D_j): x = A^+ (xi - b), Eq. (4).
+
+        The pseudo-inverse serves any A; for a pose frame it is the exact inverse, since L(q)^-1 = L(q)^T.
+        """
+        xi = np.asarray(xi, dtype=float)
+        if xi.ndim not in (1, 2) or xi.shape[-1] != self.b.shape[-1]:
+            raise ValueError(f"data for this frame has shape (T, {self.b.shape[-1]}), got {xi.shape}")
+        if self.is_time_varying and xi.ndim == 2 and len(xi) != len(self.A):
+            raise ValueError(f"the frame has {len(self.A)} time steps, the data {len(xi)}")
+        return np.einsum("...ij,...j->...i", np.linalg.pinv(self.A), xi - self.b)
