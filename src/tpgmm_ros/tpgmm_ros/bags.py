@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags to demonstrations: one clock, every frame at every sample of the movement, one common duration."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core import Demonstration, Frame
+from tpgmm_ros.pose_streams import Array, BagError, Nanoseconds, PoseStream, read_pose_streams
+from tpgmm_ros.task import Task
+
+__all__ = ["BagError", "Recording", "align", "find_bags", "read_demonstration", "read_demonstrations",
+           "read_recording", "read_recordings"]
+
+MIN_SAMPLES = 10
+"""Fewer samples of a movement are no demonstration of one."""
+
+START_TOLERANCE_S = 0.5
+"""Topics start in any order when a recorder is switched on: a frame seen within this time was there all along."""
+
+_CLOCK_AHEAD_S = 1.0
+_CLOCK_BEHIND_S = 3600.0
+"""A stamp may be old (a latched pose), but not from the future, nor from another clock such as simulated time."""
+
+_STORAGE_SUFFIXES = (".mcap", ".db3")
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What one bag holds of a task, sampled where the movement was.
+
+    Attributes:
+        path: the bag.
+        times: (T,) s from the first sample, strictly increasing.
+        movement: (T, 7) poses of what is demonstrated, in the base frame: x, y, z in m, qx, qy, qz, qw.
+        frames: poses (T, 7) of every frame of the task: the latest observation at or before each sample.
+        visible: masks (T,), False where a frame had not been seen yet.
+        notes: what was put right or left out while reading, in words.
+    """
+
+    path: Path
+    times: Array
+    movement: Array
+    frames: dict[str, Array]
+    visible: dict[str, NDArray[np.bool_]]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample in s."""
+        return float(self.times[-1])
+
+    def to_demonstration(self, duration: float | None = None) -> Demonstration:
+        """Demonstration on "R1 x R3 x S3": rows [time, x, y, z, qx, qy, qz, qw], frames that leave time as it is.
+
+        With a `duration` (s), time is stretched linearly to it.
+        """
+        times = self.times if duration is None else self.times * (duration / self.duration)
+        return Demonstration(
+            times=times,
+            data=np.column_stack([times, self.movement]),
+            frames={name: _frame(poses).with_time() for name, poses in self.frames.items()},
+            visible=self.visible,
+        )
+
+
+def _frame(poses: Array) -> Frame:
+    """Frame of poses (T, 7); one constant map where the pose never changes."""
+    if (poses == poses[0]).all():
+        return Frame.from_pose(poses[0, :3], poses[0, 3:])
+    return Frame.from_pose(poses[:, :3], poses[:, 3:])
+
+
+def find_bags(paths: Iterable[str | Path]) -> list[Path]:
+    """Bags among the given paths: each is a bag, or a directory with bags directly inside (in order of name).
+
+    Raises:
+        BagError: a path does not exist, or is neither.
+    """
+    bags: list[Path] = []
+    for path in map(Path, paths):
+        if not path.exists():
+            raise BagError(path, "does not exist; expected a bag, or a directory of bags")
+        found = [path] if _is_bag(path) else sorted(filter(_is_bag, path.iterdir())) if path.is_dir() else []
+        if not found:
+            raise BagError(path, "is no bag and holds none; expected a rosbag2 directory (metadata.yaml and .mcap "
+                                 "or .db3), a .bag, .mcap or .db3 file, or a directory of such bags")
+        bags += (bag for bag in found if bag not in bags)
+    return bags
+
+
+def _is_bag(path: Path) -> bool:
+    if path.is_dir():
+        # Without its metadata.yaml it is a bag all the same: a damaged one, which the reader will name.
+        return (path / "metadata.yaml").exists() or any(
+            child.suffix in _STORAGE_SUFFIXES for child in path.iterdir())
+    return path.suffix in (".bag", *_STORAGE_SUFFIXES)
+
+
+def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
+    """Read one bag.
+
+    Times are the header stamps when those of all topics are sane (not zero, never backwards, of one clock), else the
+    times of the recorder for all topics; a note says when. Messages that repeat a stamp are dropped, and counted in a
+    note. A frame holds its latest pose, however long ago that was seen. Before its first observation a frame is not
+    visible, unless that observation comes within 0.5 s of the first sample: then the frame counts as seen from the start.
+
+    Args:
+        path: a bag.
+        task: names the topics, the frames and the base frame.
+        every: keep every n-th sample of the movement, and the last one.
+
+    Raises:
+        BagError: anything that is wrong with the bag.
+    """
+    path = Path(path)
+    streams = read_pose_streams(path, [task.movement, *task.topics.values()], task.base_frame)
+    complaint = _complaint_about_stamps(streams[task.movement], streams.values())
+    notes = [f"{complaint}: times of the recorder used"] if complaint else []
+    series: dict[str, tuple[Nanoseconds, Array]] = {}
+    for topic, stream in streams.items():
+        ns = stream.recorded if complaint else stream.stamps
+        fresh = np.diff(ns, prepend=ns[0] - 1) > 0
+        if not fresh.all():
+            notes.append(f"{stream.topic}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
+        series[topic] = ns[fresh], stream.poses[fresh]
+
+    ns, movement = series[task.movement]
+    if len(ns) < MIN_SAMPLES:
+        raise BagError(path, f"{streams[task.movement].topic} has {len(ns)} samples, expected at least {MIN_SAMPLES}; "
+                             "record the whole movement")
+    kept = np.unique(np.append(np.arange(0, len(ns), every), len(ns) - 1))
+    ns, movement = ns[kept], movement[kept]
+
+    frames: dict[str, Array] = {}
+    visible: dict[str, NDArray[np.bool_]] = {}
+    for name, spec in task.frames.items():
+        if spec.topic is None:
+            frames[name], visible[name] = np.tile(np.array(spec.pose), (len(ns), 1)), np.ones(len(ns), bool)
+            continue
+        frames[name], visible[name] = _hold(*series[spec.topic], ns)
+        if not visible[name].any():
+            raise BagError(path, f"{streams[spec.topic].topic} was first seen after the movement had ended; publish the "
+                                 f"frame {name!r} before the demonstration starts")
+        unseen = np.count_nonzero(~visible[name])
+        if unseen:
+            notes.append(f"{name}: not seen in the first {unseen} of {len(ns)} samples")
+    return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes))
+
+
+def _complaint_about_stamps(movement: PoseStream, streams: Iterable[PoseStream]) -> str | None:
+    """What forbids to use the header stamps of a bag, or None."""
+    if movement.stamps[0] == movement.stamps[-1]:
+        return f"{movement.topic} has stamps that never change"
+    for stream in streams:
+        if (stream.stamps <= 0).any():
+            return f"{stream.topic} has stamps of zero"
+        if (np.diff(stream.stamps) < 0).any():
+            return f"{stream.topic} has stamps that run backwards"
+        ahead = (np.median(stream.stamps - stream.recorded) - np.median(movement.stamps - movement.recorded)) * 1e-9
+        if not -_CLOCK_BEHIND_S < ahead < _CLOCK_AHEAD_S:
+            return f"{stream.topic} is stamped {ahead:+.1f} s away from {movement.topic}"
+    return None
+
+
+def _hold(seen: Nanoseconds, poses: Array, at: Nanoseconds) -> tuple[Array, NDArray[np.bool_]]:
+    """Latest of the poses (S, 7) seen (S,) at or before each time (T,): poses (T, 7), and where there was one (T,)."""
+    latest = np.searchsorted(seen, at, side="right") - 1
+    visible = latest >= 0
+    if seen[0] - at[0] <= START_TOLERANCE_S * 1e9:
+        visible[:] = True
+    return poses[np.maximum(latest, 0)], visible
+
+
+def read_recordings(
+    paths: Sequence[str | Path], task: Task, every: int = 1, progress: Callable[[Path], None] | None = None
+) -> tuple[list[Recording], list[BagError]]:
+    """Read several bags: those that are good, and what is wrong with the others. `progress` is called after each."""
+    good: list[Recording] = []
+    bad: list[BagError] = []
+    for path in map(Path, paths):
+        try:
+            good.append(read_recording(path, task, every))
+        except BagError as error:
+            bad.append(error)
+        if progress is not None:
+            progress(path)
+    return good, bad
+
+
+def align(recordings: Sequence[Recording]) -> tuple[list[Demonstration], float]:
+    """Demonstrations with their times stretched linearly to the mean duration, and that duration in s.
+
+    Raises:
+        ValueError: there are no recordings.
+    """
+    if not recordings:
+        raise ValueError("there are no recordings to align; expected at least one")
+    duration = float(np.mean([recording.duration for recording in recordings]))
+    return [recording.to_demonstration(duration) for recording in recordings], duration
+
+
+def read_demonstration(path: str | Path, task: Task) -> Demonstration:
+    """Read one bag as a demonstration with its own duration; see `read_recording`."""
+    return read_recording(path, task).to_demonstration()
+
+
+def read_demonstrations(
+    paths: Sequence[str | Path], task: Task, progress: Callable[[Path], None] | None = None
+) -> tuple[list[Demonstration], float]:
+    """Read bags as demonstrations of one duration (their mean, in s, returned too); see `read_recording`, `align`.
+
+    Raises:
+        BagError: the first bad bag; the others stand in its notes.
+    """
+    good, bad = read_recordings(paths, task, progress=progress)
+    if bad:
+        for other in bad[1:]:
+            bad[0].add_note(str(other))
+        raise bad[0]
+    return align(good)
