@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tpgmm_core.tracking import FrameStatus, FrameTracker, TrackingConfig
+
+POSE = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0]
+CONFIG = TrackingConfig(visible_timeout=0.2, hold_time=1.0, fade_time=0.5)
+SECOND = 1_000_000_000
+
+
+def ns(seconds: float) -> int:
+    return round(seconds * SECOND)
+
+
+def tracker() -> FrameTracker:
+    return FrameTracker(["object"], fixed={"robot": [0, 0, 0, 0, 0, 0, 1]}, config=CONFIG)
+
+
+def see(frames: FrameTracker, seconds: float, pose=POSE) -> str | None:
+    return frames.observe("object", pose, ns(100 + seconds), ns(100 + seconds), ns(seconds))
+
+
+def state(frames: FrameTracker, seconds: float):
+    return {item.name: item for item in frames.update(ns(seconds))}
+
+
+def test_a_frame_that_was_never_seen_is_missing_and_a_fixed_one_never_is():
+    now = state(tracker(), 1.0)
+    assert now["object"].status is FrameStatus.MISSING
+    assert now["object"].pose is None and now["object"].confidence == 0.0
+    assert now["robot"].status is FrameStatus.VISIBLE and now["robot"].confidence == 1.0
+
+
+def test_a_lost_frame_is_held_at_its_last_pose_then_fades_then_is_missing():
+    frames = tracker()
+    assert see(frames, 0.0) is None
+    course = [state(frames, t)["object"] for t in np.arange(0.0, 2.5, 0.01)]
+    by_time = dict(zip(np.arange(0.0, 2.5, 0.01).round(2).tolist(), course, strict=True))
+    assert by_time[0.1].status is FrameStatus.VISIBLE
+    assert by_time[0.5].status is FrameStatus.HELD and by_time[0.5].confidence == 1.0
+    assert by_time[1.45].status is FrameStatus.HELD and 0.3 < by_time[1.45].confidence < 0.7
+    assert by_time[2.0].status is FrameStatus.MISSING
+    np.testing.assert_array_equal(by_time[2.0].pose, POSE)
+
+
+def test_confidence_never_jumps_however_observations_come():
+    frames = tracker()
+    rng = np.random.default_rng(0)
+    last = None
+    for step in range(3000):
+        t = step * 0.01
+        if rng.random() < (0.002 if (step // 500) % 2 else 0.3):
+            see(frames, t)
+        confidence = state(frames, t)["object"].confidence
+        if last is not None:
+            assert abs(confidence - last) <= 0.01 / CONFIG.fade_time + 1e-12
+        last = confidence
+
+
+def test_a_frame_seen_before_the_first_update_is_trusted_at_once():
+    frames = tracker()
+    see(frames, 0.0)
+    assert state(frames, 0.01)["object"].confidence == 1.0
+
+
+@pytest.mark.parametrize(
+    ("pose", "words"),
+    [
+        ([np.nan, 0, 0, 0, 0, 0, 1], "not finite"),
+        ([np.inf, 0, 0, 0, 0, 0, 1], "not finite"),
+        ([0, 0, 0, 0, 0, 0, 0], "zero quaternion"),
+        ([0, 0, 0, 1], "wrong size"),
+    ],
+)
+def test_what_is_no_pose_is_refused_and_the_last_good_one_stays(pose, words):
+    frames = tracker()
+    see(frames, 0.0)
+    assert words in see(frames, 0.1, pose)
+    np.testing.assert_array_equal(state(frames, 0.1)["object"].pose, POSE)
+    assert sum(frames.refusals("object").values()) == 1
+
+
+@pytest.mark.parametrize(
+    ("stamp", "words"),
+    [(0.5, "future"), (-1.5, "too old"), (-0.01, "repeated"), (-0.05, "out of order")],
+)
+def test_a_stamp_that_lies_is_refused(stamp, words):
+    frames = tracker()
+    assert frames.observe("object", POSE, ns(99.99), ns(100.0), ns(0.0)) is None
+    assert words in frames.observe("object", POSE, ns(100.0 + stamp), ns(100.0), ns(0.01))
+
+
+def test_a_frozen_stamp_does_not_keep_a_frame_visible():
+    frames = tracker()
+    see(frames, 0.0)
+    for step in range(1, 50):
+        frames.observe("object", POSE, ns(100.0), ns(100.0 + step * 0.01), ns(step * 0.01))
+    assert state(frames, 0.5)["object"].status is FrameStatus.HELD
+
+
+def test_time_that_jumps_back_is_forgotten_and_tracking_goes_on():
+    frames = tracker()
+    see(frames, 50.0)
+    state(frames, 50.0)
+    frames.forget()
+    assert state(frames, 50.1)["object"].status is FrameStatus.MISSING
+    assert frames.observe("object", POSE, ns(1.0), ns(1.0), ns(50.2)) is None
+    assert state(frames, 50.2)["object"].status is FrameStatus.VISIBLE
+
+
+def test_a_fixed_frame_takes_no_observations_and_must_be_a_pose():
+    assert "fixed" in tracker().observe("robot", POSE, ns(100), ns(100), 0)
+    with pytest.raises(ValueError, match="zero quaternion"):
+        FrameTracker([], fixed={"robot": [0] * 7})
+    with pytest.raises(ValueError, match="no frames"):
+        FrameTracker([])
+
+
+@given(st.lists(st.floats(width=32), min_size=7, max_size=7))
+def test_whatever_comes_poses_stay_finite_with_unit_quaternions(pose):
+    frames = tracker()
+    see(frames, 0.0, pose)
+    known = state(frames, 0.0)["object"].pose
+    assert known is None or (np.isfinite(known).all() and abs(np.linalg.norm(known[3:]) - 1) < 1e-9)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), "soon"])
+def test_a_bad_timeout_is_refused_by_name(value):
+    with pytest.raises(ValueError, match="hold_time"):
+        TrackingConfig(hold_time=value)

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""frame_tracker: PoseStamped topics in, task parameters out, frames that are not seen tolerated."""
+
+from __future__ import annotations
+
+import sys
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.clock import JumpThreshold
+from rclpy.duration import Duration
+from rclpy.node import Node
+from tpgmm_core.tracking import FrameStatus, FrameTracker, TrackedFrame, TrackingConfig
+from tpgmm_msgs.msg import TaskParameters
+
+from tpgmm_ros import conversions
+from tpgmm_ros.executor import run
+from tpgmm_ros.monitor import Monitor
+from tpgmm_ros.parameters import Declared, declare
+from tpgmm_ros.qos import LATCHED, STREAM
+from tpgmm_ros.task import Task
+from tpgmm_ros.timing import loop_clock
+
+PARAMETERS = [
+    Declared("task_file", "", "Task file (YAML): frames, their topics, time-outs", fixed=True),
+    Declared("rate", 100.0, "Task parameters are published this often, Hz", 1.0, 1000.0, fixed=True),
+]
+
+#: Changes are published at once, but a flood of poses must not become a flood of task parameters.
+MIN_INTERVAL_NS = 1_000_000
+
+
+class FrameTrackerNode(Node):
+    def __init__(self) -> None:
+        super().__init__("frame_tracker")
+        values = declare(self, PARAMETERS)
+        self.task = Task.load(values["task_file"])
+        self.tracker = FrameTracker(
+            self.task.topics,
+            fixed={name: spec.pose for name, spec in self.task.frames.items() if spec.pose is not None},
+            config=TrackingConfig(**self.task.tracking),
+        )
+        self._clock = loop_clock(self)
+        self._known: list[TrackedFrame] = []
+        self._published_ns = 0
+        self._publisher = self.create_publisher(TaskParameters, "task_parameters", LATCHED)
+        for name, topic in self.task.topics.items():
+            self.create_subscription(
+                PoseStamped, topic, lambda message, frame=name: self._observe(frame, message), STREAM
+            )
+        self.create_timer(1.0 / values["rate"], self._publish, clock=self._clock)
+        backwards = JumpThreshold(
+            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
+        )
+        self._jump = self.get_clock().create_jump_callback(
+            backwards, post_callback=lambda _: self._forget()
+        )
+        self.monitor = Monitor(self, self._status)
+
+    def _observe(self, name: str, message: PoseStamped) -> None:
+        if message.header.frame_id != self.task.base_frame:
+            self._warn(
+                f"frame '{name}': pose is expressed in '{message.header.frame_id}', expected "
+                f"'{self.task.base_frame}'; transform it before it is published"
+            )
+            return
+        steady = self._clock.now().nanoseconds
+        refusal = self.tracker.observe(
+            name,
+            conversions.pose_to_array(message.pose),
+            conversions.time_to_ns(message.header.stamp),
+            self.get_clock().now().nanoseconds,
+            steady,
+        )
+        if refusal:
+            self._warn(refusal)
+        elif steady - self._published_ns >= MIN_INTERVAL_NS:
+            self._publish()
+
+    def _publish(self) -> None:
+        self.monitor.asked += 1
+        steady = self._clock.now().nanoseconds
+        before = {frame.name: frame.status for frame in self._known}
+        self._known = self.tracker.update(steady)
+        for frame in self._known:
+            if before.get(frame.name, frame.status) is not frame.status:
+                self.get_logger().info(f"frame '{frame.name}' is {frame.status.name}")
+        self._publisher.publish(
+            conversions.task_parameters_message(
+                self._known, self.get_clock().now().nanoseconds, self.task.base_frame
+            )
+        )
+        self._published_ns = steady
+        self.monitor.done += 1
+
+    def _forget(self) -> None:
+        self.get_logger().warning("time jumped backwards: all observations are forgotten")
+        self.tracker.forget()
+        self._published_ns = 0
+
+    def _warn(self, text: str) -> None:
+        self.get_logger().warning(text, throttle_duration_sec=2.0)
+
+    def _status(self) -> tuple[bytes, str, dict[str, str]]:
+        lost = [frame.name for frame in self._known if frame.status is FrameStatus.MISSING]
+        values = {f"status_{frame.name}": frame.status.name for frame in self._known}
+        for name in self.tracker.names:
+            for kind, count in self.tracker.refusals(name).items():
+                values[f"refused_{name}: {kind}"] = str(count)
+        if lost:
+            return DiagnosticStatus.WARN, f"missing: {', '.join(lost)}", values
+        return DiagnosticStatus.OK, "all frames are known", values
+
+
+def main() -> int:
+    return run(FrameTrackerNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

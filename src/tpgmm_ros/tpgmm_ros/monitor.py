@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well a node keeps up: ticks asked and done, time per step, age of what it used; published once a second."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from tpgmm_ros.qos import EVENTS
+
+
+class Samples:
+    """The last ``size`` values of a quantity, in seconds; recording one is a store."""
+
+    def __init__(self, size: int = 1 << 16) -> None:
+        self._values = np.zeros(size)
+        self.count = 0
+
+    def add(self, value: float) -> None:
+        self._values[self.count % len(self._values)] = value
+        self.count += 1
+
+    def percentile_ms(self, *percents: float) -> list[float]:
+        """Percentiles in ms; zeros where nothing was recorded yet."""
+        if not self.count:
+            return [0.0] * len(percents)
+        values = self._values[: min(self.count, len(self._values))]
+        return (1e3 * np.percentile(values, percents)).tolist()
+
+
+class Monitor:
+    """Counts and times the steps of one node and publishes them on ``/diagnostics``.
+
+    Args:
+        node: the node.
+        status: called once a second, returns (level, message, further key-value pairs).
+    """
+
+    def __init__(self, node: Node, status: Callable[[], tuple[bytes, str, dict[str, str]]]) -> None:
+        self.asked = 0
+        self.done = 0
+        self.step = Samples()
+        self.age = Samples()
+        self._node = node
+        self._status = status
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", EVENTS)
+        # A timer on ROS time would stall with a paused simulation, just when one wants to know.
+        self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def publish(self) -> None:
+        level, message, extra = self._status()
+        step_p50, step_p99, step_max = self.step.percentile_ms(50, 99, 100)
+        age_p50, age_p99 = self.age.percentile_ms(50, 99)
+        values = {
+            "ticks_asked": str(self.asked),
+            "ticks_done": str(self.done),
+            "step_p50_ms": f"{step_p50:.4f}",
+            "step_p99_ms": f"{step_p99:.4f}",
+            "step_max_ms": f"{step_max:.4f}",
+            "age_p50_ms": f"{age_p50:.4f}",
+            "age_p99_ms": f"{age_p99:.4f}",
+            **extra,
+        }
+        array = DiagnosticArray()
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        array.status = [
+            DiagnosticStatus(
+                level=level,
+                name=self._node.get_fully_qualified_name().lstrip("/"),
+                message=message,
+                hardware_id="",
+                values=[KeyValue(key=key, value=value) for key, value in values.items()],
+            )
+        ]
+        self._publisher.publish(array)

@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One quality of service per kind of topic."""
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+#: Streams (references, joint states, torques, poses): only the newest counts, and a late one is worth nothing.
+STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+#: State that a node which starts later must get too (task parameters, controller state).
+LATCHED = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+
+#: Everything counts and nobody waits for it (diagnostics, the simulation's clock).
+EVENTS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)

@@ -1,0 +1,14 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which clock watches over time-outs and loops."""
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+
+def loop_clock(node: Node) -> Clock:
+    """The steady clock, which no step of the system's clock can stall; the simulation's clock under ``use_sim_time``,
+    so that a simulation that runs faster or slower than real time meets the same time-outs.
+    """
+    if node.get_parameter("use_sim_time").value:
+        return node.get_clock()
+    return Clock(clock_type=ClockType.STEADY_TIME)
