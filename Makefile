@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+# Every target sets up what it needs; a second call does only what has changed. `make help` lists the targets.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+VENV := .venv
+BIN := $(VENV)/bin
+PYTHON := $(BIN)/python
+# Executables of tpgmm_ros
+PROGRAMS := $(VENV)/lib/tpgmm_ros
+# One empty file for each finished step of the set-up
+DONE := $(VENV)/.done
+
+SEED ?= 1
+
+# The libraries of a sourced ROS installation or of another environment must not mix with those of the wheels
+unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+say = @printf '\033[1m==> %s\033[0m\n' "$(1)"
+
+.PHONY: help setup lint format test demo bags results bench lock clean
+
+help: ## list the targets
+	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
+
+setup: $(DONE)/packages $(DONE)/kernels ## virtual environment, ROS wheels, interface package, kernels
+
+lint: setup ## style and types: ruff, mypy
+	$(PYTHON) -m ruff check
+	$(PYTHON) -m ruff format --check
+	$(PYTHON) -m mypy
+
+format: setup ## bring the code into the project's style
+	$(PYTHON) -m ruff check --fix
+	$(PYTHON) -m ruff format
+
+test: lint ## lint, then all tests
+	$(PYTHON) -m pytest
+
+demo: setup ## train, start the nodes, do the task: out/demo/ (SEED=7 for another situation)
+	$(PROGRAMS)/demo --seed $(SEED)
+
+bags: setup ## record the demonstrations in bags/ again
+	$(PROGRAMS)/teach
+
+results: setup ## compute the numbers of docs/results.md again
+	$(PYTHON) benchmarks/results.py
+
+bench: setup ## benchmarks: tables, and JSON in out/bench/
+	$(PYTHON) benchmarks/run.py
+
+lock: $(DONE)/venv ## resolve requirements.in into requirements.txt
+	$(PYTHON) -m pip install --quiet uv
+	$(BIN)/uv pip compile --quiet --upgrade --no-header --no-emit-index-url --no-emit-find-links --generate-hashes \
+		--python-version 3.12 requirements.in --output-file requirements.txt
+
+clean: ## remove everything that the other targets made
+	rm -rf $(VENV) build install log out
+
+# --- the steps of the set-up ---
+
+$(DONE)/venv: .python-version
+	$(call say,virtual environment)
+	@python=$$(tools/check_system) && $$python -m venv --clear $(VENV)
+	@mkdir -p $(DONE) && touch $@
+
+$(DONE)/requirements: requirements.txt tools/relocate_wheels.py $(DONE)/venv
+	$(call say,requirements: about 190 wheels and 1.2 GB at the first time)
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements.txt
+	@$(PYTHON) tools/relocate_wheels.py
+	@touch $@
+
+# The wheels make the environment a ROS prefix. What is built here joins them, so that every process of the environment
+# finds it without a setup.bash: libraries, interfaces, and executables in lib/tpgmm_ros, where `ros2 run` looks too
+colcon_build = PATH="$(CURDIR)/$(BIN):$$PATH" AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" CMAKE_PREFIX_PATH="$(CURDIR)/$(VENV)" \
+	$(BIN)/colcon --log-level error build --base-paths src --metas colcon.meta --packages-select $(1) \
+	--merge-install --install-base $(VENV) --symlink-install --event-handlers console_direct- summary-
+
+$(DONE)/interfaces: colcon.meta $(DONE)/requirements $(shell find src/tpgmm_msgs -type f)
+	$(call say,interface package)
+	@$(call colcon_build,tpgmm_msgs)
+	@touch $@
+
+PACKAGE_FILES := $(foreach package,tpgmm_core tpgmm_ros,$(addprefix src/$(package)/,setup.py setup.cfg package.xml))
+INSTALLED_DATA := $(wildcard src/tpgmm_ros/launch/*.launch.py config/*.yaml)
+$(DONE)/packages: tools/activate_workspace.py $(DONE)/interfaces $(PACKAGE_FILES) $(INSTALLED_DATA)
+	$(call say,Python packages)
+	@$(call colcon_build,tpgmm_core tpgmm_ros)
+	@$(PYTHON) tools/activate_workspace.py build/tpgmm_core build/tpgmm_ros
+	@touch $@
+
+$(DONE)/kernels: $(DONE)/packages $(wildcard src/tpgmm_core/tpgmm_core/*.py)
+	$(call say,compiled kernels)
+	@if [ -f src/tpgmm_core/tpgmm_core/warm_up.py ]; then $(PYTHON) -m tpgmm_core.warm_up; fi
+	@touch $@

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = "tpgmm_ros"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    description="Nodes and programs for task-parameterized Gaussian mixture models",
+    maintainer="tpgmm maintainers",
+    maintainer_email="maintainers@users.noreply.h-seed-91c8a9ef.example",
+    license="Apache-2.0",
+    packages=find_packages(include=[package_name, f"{package_name}.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+        (f"share/{package_name}/launch", glob("launch/*.launch.py")),
+        # config is a link to the top of the repository, where tasks, robots and node parameters are written
+        (f"share/{package_name}/config", glob("config/*.yaml")),
+    ],
+    python_requires=">=3.12",
+    install_requires=["tpgmm_core[robot]", "rosbags", "matplotlib", "tqdm"],
+    entry_points={
+        "console_scripts": [
+            "frame_tracker = tpgmm_ros.frame_tracker_node:main",
+            "reproduction = tpgmm_ros.reproduction_node:main",
+            "impedance_controller = tpgmm_ros.impedance_controller_node:main",
+            "baxter_simulator = tpgmm_ros.baxter_simulator_node:main",
+            "teach = tpgmm_ros.teach:main",
+            "train = tpgmm_ros.train:main",
+            "demo = tpgmm_ros.demo:main",
+        ]
+    },
+    zip_safe=True,
+)

@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Make the built workspace part of this virtual environment, as sourcing a setup.bash does for a shell.
+
+Every Python process of the environment then imports the given directories' packages and, through AMENT_PREFIX_PATH,
+finds what is installed in the environment (`get_package_share_directory`), whatever shell or service has started it.
+"""
+
+import sys
+import sysconfig
+from pathlib import Path
+
+
+def main() -> None:
+    if sys.prefix == sys.base_prefix or not sys.argv[1:]:
+        sys.exit("usage: .venv/bin/python tools/activate_workspace.py DIRECTORY...")
+    lines = ['import os, sys; os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)']
+    lines += [str(Path(directory).resolve(strict=True)) for directory in sys.argv[1:]]
+    Path(sysconfig.get_path("purelib"), "tpgmm_workspace.pth").write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
