@@ -2,9 +2,9 @@
 """Linear quadratic regulation of a double integrator: stiffness and damping from a precision (Section 5).
 
 The state is `[x, xdot]`, the control `u = xddot`, and the cost the integral of
-`(x - x_ref)^T Q (x - x_ref) + u^T R u`, where Q is the precision of the reference's Gaussian: what varied little in
-the demonstrations is held firmly, what varied much is left soft. The control law is
-`u = K_P (x_ref - x) + K_V (xdot_ref - xdot)`.
+`(x - x_ref)^T Q (x - x_ref) + u^T R u`, where Q is the precision of the reference's Gaussian: what varied
+little in the demonstrations is held firmly, what varied much is left soft. The control law is `u = K_P (x_ref
+- x) + K_V (xdot_ref - xdot)`.
 """
 
 from __future__ import annotations
@@ -44,20 +44,21 @@ def double_integrator_gains(
     """Infinite-horizon gains in closed form, for a cost on position and control.
 
     For `R = r I` the Riccati equation is solved by `K_P = (Q / r)^(1/2)`, `K_V = (2 K_P)^(1/2)`: every
-    eigenvector of Q is a mode with damping ratio 1 / sqrt(2). A diagonal R is the same problem in the coordinates
-    `R^(1/2) x`. Either way `K_P = K_V^2 / 2`, with or without the bounds.
+    eigenvector of Q is a mode with damping ratio 1 / sqrt(2). A diagonal R is the same problem in the
+    coordinates `R^(1/2) x`. Either way `K_P = K_V^2 / 2`, with or without the bounds.
 
     Parameters
     ----------
     precision : (..., D, D), symmetric, semidefinite allowed (a direction without cost gets `min_stiffness`)
     control_cost : scalar r > 0, or (D,) the diagonal of R, all > 0
-    min_stiffness, max_stiffness : bounds of the eigenvalues of K_P, in 1/s^2. What no frame constrains needs a
-        weak floor (or a push carries the arm away for ever), what varied hardly at all needs a ceiling (or delays
-        make the loop unstable).
+    min_stiffness, max_stiffness : bounds of the eigenvalues of K_P, in 1/s^2. What no frame constrains needs
+        a weak floor (or a push carries the arm away for ever), what varied hardly at all needs a ceiling (or
+        delays make the loop unstable).
 
     Raises
     ------
-    ValueError : precision not square, not finite or indefinite; control cost not positive; bounds out of order.
+    ValueError : precision not square, not finite or indefinite; control cost not positive; bounds out of
+        order.
     """
     Q = np.asarray(precision, dtype=np.float64)
     if Q.ndim < 2 or Q.shape[-1] != Q.shape[-2]:
@@ -77,7 +78,7 @@ def double_integrator_gains(
     outputs = stiffness.reshape(-1, D, D), damping.reshape(-1, D, D)
     status = _closed_form(stacked, diagonal, min_stiffness, max_stiffness, *outputs)
     if status == _BAD_CONTROL_COST:
-        raise ValueError(f"control_cost must be positive and finite, got {control_cost}")
+        raise ValueError(f"control_cost must be positive and finite, got {diagonal}")
     if status == _NOT_FINITE:
         raise ValueError("precision has entries that are not finite")
     if status == _NOT_SEMIDEFINITE:

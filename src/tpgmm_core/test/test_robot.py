@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+import copy
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("pinocchio")
+
+import pinocchio as pin
+
+from tpgmm_core import quaternion
+from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot_description import RobotFileError
+
+BAXTER = Path(__file__).resolve().parents[3] / "config" / "baxter.yaml"
+
+# A turned base on a pedestal, two joints, and a tool: small enough to know every answer
+ARM_URDF = """<robot name="arm"><link name="world"/><link name="base"/>
+<joint name="mount" type="fixed"><parent link="world"/><child link="base"/>
+  <origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/></joint>
+<link name="upper"><inertial><mass value="1"/><origin xyz="0.5 0 0"/>
+  <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="turn" type="{turn}"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
+  <limit lower="-2" upper="2" effort="{effort}" velocity="2"/><dynamics damping="0.3"/></joint>
+<link name="tool"><inertial><mass value="0.5"/><origin xyz="0.1 0 0"/>
+  <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="slide" type="prismatic"><parent link="upper"/><child link="tool"/><axis xyz="1 0 0"/>
+  <origin xyz="1 0 0"/><limit lower="0" upper="0.5" effort="20" velocity="1"/></joint></robot>"""
+ARM: dict[str, Any] = {
+    "urdf": "arm.urdf",
+    "base_frame": "base",
+    "joint_groups": {"all": ["turn", "slide"]},
+    "endpoints": {"tool": {"frame": "tool", "joints": "all"}},
+    "friction": {"all": {"coulomb": 0.2}, "slide": {"coulomb": 1.0, "viscous": 0.1}},
+    "home": {"slide": 0.25, "turn": 0.0},
+}
+
+
+def write_arm(
+    folder: Path, changes: dict[str, Any] | None = None, effort: float = 10, turn: str = "revolute"
+) -> Path:
+    (folder / "arm.urdf").write_text(ARM_URDF.format(effort=effort, turn=turn))
+    content = {**copy.deepcopy(ARM), **(changes or {})}
+    path = folder / "arm.yaml"
+    path.write_text(yaml.safe_dump({key: value for key, value in content.items() if value is not None}))
+    return path
+
+
+@pytest.fixture(scope="module")
+def baxter() -> RobotModel:
+    return RobotModel.from_file(BAXTER)
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> RobotModel:
+    return RobotModel.from_file(write_arm(tmp_path))
+
+
+def test_baxter_has_the_limits_of_its_specification(baxter: RobotModel) -> None:
+    assert baxter.nv == 19
+    for side in ("left_arm", "right_arm"):
+        np.testing.assert_array_equal(
+            baxter.effort_limits[baxter.indices(side)], [50, 50, 50, 50, 15, 15, 15]
+        )
+    assert baxter.effort_limits.max() == 50.0
+    np.testing.assert_array_equal(baxter.viscous_friction, 0.7)
+
+
+def test_baxter_at_home_holds_its_hands_down_in_front_of_it(baxter: RobotModel) -> None:
+    data = baxter.create_data()
+    data.update(baxter.home)
+    for side, y in (("left", 0.183), ("right", -0.183)):
+        pose = data.pose(side)
+        np.testing.assert_allclose(pose[:3], [0.58, y, 0.114], atol=1e-3)
+        assert quaternion.rotation_matrix(pose[3:])[2, 2] < -0.99  # z of the hand points down
+
+
+def test_pose_and_twist_are_expressed_in_the_base_frame(arm: RobotModel) -> None:
+    data = arm.create_data()
+    q, v = arm.ordered(["slide", "turn"], [0.25, np.pi / 2]), arm.ordered(["slide", "turn"], [0.0, 2.0])
+    data.update(q, v)
+    np.testing.assert_allclose(data.pose("tool")[:3], [0.0, 1.25, 0.0], atol=1e-9)
+    np.testing.assert_allclose(quaternion.log(data.pose("tool")[3:]), [0, 0, np.pi / 2], atol=1e-9)
+    np.testing.assert_allclose(data.twist("tool"), [-2.5, 0, 0, 0, 0, 2.0], atol=1e-9)
+    np.testing.assert_allclose(data.bias_acceleration("tool")[:3], [0.0, -5.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["baxter", "arm"])
+def test_jacobian_and_bias_agree_with_finite_differences(name: str, request: pytest.FixtureRequest) -> None:
+    robot: RobotModel = request.getfixturevalue(name)
+    endpoint = next(iter(robot.endpoints))
+    rng = np.random.default_rng(0)
+    q, v = robot.home + 0.1 * rng.normal(size=robot.nv), rng.normal(size=robot.nv)
+    data, moved, h = robot.create_data(), robot.create_data(), 1e-6
+    data.update(q, v)
+    data.mass_matrix(q), data.nonlinear_effects(q, v)  # must not disturb the kinematics
+    moved.update(q + h * v, v)
+    p0, p1 = data.pose(endpoint), moved.pose(endpoint)
+    turned = quaternion.log(quaternion.multiply(p1[3:], quaternion.conjugate(p0[3:])))
+    twist = np.concatenate([p1[:3] - p0[:3], turned]) / h
+    np.testing.assert_allclose(data.jacobian(endpoint) @ v, twist, atol=1e-4)
+    np.testing.assert_allclose(data.twist(endpoint), data.jacobian(endpoint) @ v, atol=1e-12)
+    jacobian_rate = (moved.jacobian(endpoint) - data.jacobian(endpoint)) / h
+    np.testing.assert_allclose(data.bias_acceleration(endpoint), jacobian_rate @ v, atol=1e-3)
+
+
+def test_dynamics_satisfy_the_equation_of_motion(baxter: RobotModel) -> None:
+    rng = np.random.default_rng(1)
+    q, v, a = baxter.home, rng.normal(size=19), rng.normal(size=19)
+    data = baxter.create_data()
+    tau = data.mass_matrix(q) @ a + data.nonlinear_effects(q, v)
+    np.testing.assert_allclose(
+        tau, pin.rnea(baxter.pinocchio, baxter.pinocchio.createData(), q, v, a), atol=1e-9
+    )
+
+
+def test_joints_are_matched_by_name(baxter: RobotModel) -> None:
+    shuffled = list(np.random.default_rng(0).permutation(baxter.joint_names))
+    values = [baxter.home[baxter.indices([name])[0]] for name in shuffled]
+    np.testing.assert_array_equal(baxter.ordered(shuffled, values), baxter.home)
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "message"),
+    [
+        (["turn"], [0.0], "missing .*slide"),
+        (["turn", "slide", "head"], [0.0] * 3, "unknown .*head"),
+        (["turn", "slide", "turn"], [0.0] * 3, "twice .*turn"),
+        (["turn", "slide"], [0.0], "shape"),
+    ],
+)
+def test_wrong_joint_names_are_refused(
+    arm: RobotModel, names: list[str], values: list[float], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        arm.ordered(names, values)
+    with pytest.raises(ValueError, match="wheel"):
+        arm.indices("wheel")
+    with pytest.raises(ValueError, match="wheel"):
+        arm.frame_id("wheel")
+
+
+def test_friction_of_a_joint_replaces_that_of_its_group(arm: RobotModel) -> None:
+    np.testing.assert_array_equal(arm.coulomb_friction[arm.indices(["turn", "slide"])], [0.2, 1.0])
+    np.testing.assert_array_equal(arm.viscous_friction[arm.indices(["turn", "slide"])], [0.3, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"urdf": "other.urdf"}, "no URDF"),
+        ({"urdf": "package://nowhere/a.urdf"}, "no URDF"),
+        ({"home": None}, "missing keys .*home"),
+        ({"colour": "red"}, "unknown keys .*colour"),
+        ({"home": {"turn": 0.0}}, "home lacks .*slide"),
+        ({"home": {"turn": 3.0, "slide": 0.1}}, "home of 'turn' is 3"),
+        ({"home": {"turn": "left", "slide": 0.1}}, "home of turn must be a finite number"),
+        ({"home": {"turn": 0.0, "slide": 0.1, "wheel": 0.0}}, "home names the unknown joints .*wheel"),
+        ({"joint_groups": {"all": ["turn", "wheel"]}}, "unknown joints .*wheel"),
+        ({"joint_groups": {"all": "turn"}}, "list of joint names"),
+        ({"joint_groups": {"all": ["turn", "turn"]}}, "twice"),
+        ({"endpoints": {"tool": {"frame": "tool", "joints": "legs"}}}, "unknown joint group 'legs'"),
+        ({"endpoints": {"tool": {"frame": "claw", "joints": "all"}}}, "no frames .*claw"),
+        ({"endpoints": {"tool": "tool"}}, "must be a mapping"),
+        ({"endpoints": {"tool": {"frame": "tool"}}}, "'frame' and 'joints'"),
+        ({"base_frame": "upper"}, "moves with a joint"),
+        ({"base_frame": "floor"}, "no frames .*floor"),
+        ({"limits": {"turn": {"power": 3}}}, "unknown keys .*power"),
+        ({"limits": {"turn": {"velocity": 1e6}}}, "velocity limit .* not credible"),
+        ({"friction": {"wheel": {"coulomb": 1}}}, "friction names the unknown joints"),
+        ({"friction": {"turn": {"coulomb": -1}}}, "friction of 'turn'"),
+    ],
+)
+def test_a_wrong_robot_file_is_refused_with_the_reason(tmp_path: Path, changes: dict, message: str) -> None:
+    with pytest.raises(RobotFileError, match=message) as error:
+        RobotModel.from_file(write_arm(tmp_path, changes))
+    assert "arm.yaml" in str(error.value)
+
+
+def test_an_incredible_effort_limit_needs_an_override(tmp_path: Path) -> None:
+    with pytest.raises(RobotFileError, match="effort limit 50000 of 'turn' is not credible"):
+        RobotModel.from_file(write_arm(tmp_path, effort=50000))
+    robot = RobotModel.from_file(write_arm(tmp_path, {"limits": {"turn": {"effort": 5.0}}}, effort=50000))
+    assert robot.effort_limits[robot.indices(["turn"])] == 5.0
+
+
+def test_joints_without_end_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(RobotFileError, match="'turn' is "):
+        RobotModel.from_file(write_arm(tmp_path, turn="continuous"))
+
+
+@pytest.mark.parametrize("content", [None, "[1, 2", "- a list", "\xff"])
+def test_unreadable_robot_files_are_refused(tmp_path: Path, content: str | None) -> None:
+    path = tmp_path / "robot.yaml"
+    if content is not None:
+        path.write_bytes(content.encode("latin-1"))
+    with pytest.raises(RobotFileError, match="robot.yaml"):
+        RobotModel.from_file(path)
+
+
+def test_importing_the_core_does_not_import_pinocchio() -> None:
+    code = "import sys, tpgmm_core; sys.exit('pinocchio' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)

@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`RobotModel`: a URDF and a robot file, and its kinematics and dynamics through Pinocchio.
+
+As in Pinocchio the model is constant and the scratch memory is apart: `RobotModel` may be shared, every loop
+makes its own `RobotData`. Joint vectors (nv,) are in the order of `joint_names`; messages are brought into
+that order by name.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from tpgmm_core.robot_description import Endpoint, RobotDescription, RobotFileError
+
+Array = NDArray[np.float64]
+
+# No joint of an arm has more (N m or N; rad/s or m/s): URDFs hold such numbers where nobody knew the limit.
+CREDIBLE_EFFORT = 1000.0
+CREDIBLE_VELOCITY = 100.0
+
+AXES = pin.LOCAL_WORLD_ALIGNED
+
+
+class RobotModel:
+    """A robot with a fixed base and joints of one degree of freedom each (nq = nv).
+
+    Attributes
+    ----------
+    pinocchio : the Pinocchio model, with the limits of the robot file; do not change it
+    joint_names : (nv,) names in model order
+    base_frame : name of the frame in whose axes poses, Jacobians and wrenches are expressed
+    endpoints : name -> Endpoint(frame, joints)
+    joint_groups : name -> joint names
+    effort_limits, velocity_limits, lower_limits, upper_limits : (nv,), N m and N, rad and m, and per second
+    viscous_friction, coulomb_friction : (nv,), N m s/rad and N m (N s/m and N for prismatic joints)
+    home : (nv,) posture, rad and m
+    """
+
+    def __init__(self, description: RobotDescription) -> None:
+        """Load the URDF. Raises RobotFileError where the robot file and the URDF do not fit each other."""
+        model = _load_urdf(description)
+        self.pinocchio = model
+        self.nv: int = model.nv
+        self.joint_names: tuple[str, ...] = tuple(model.names[1:])
+        self._index = {name: i for i, name in enumerate(self.joint_names)}
+        self.base_frame = description.base_frame
+        self.endpoints: Mapping[str, Endpoint] = dict(description.endpoints)
+        self.joint_groups: Mapping[str, tuple[str, ...]] = dict(description.joint_groups)
+        self._orders: dict[tuple[str, ...], NDArray[np.intp]] = {}
+
+        self._check_names(description)
+        self.effort_limits = self._limits(description, "effort", model.effortLimit)
+        self.velocity_limits = self._limits(description, "velocity", model.velocityLimit)
+        self.lower_limits = self._limits(description, "lower", model.lowerPositionLimit)
+        self.upper_limits = self._limits(description, "upper", model.upperPositionLimit)
+        self.viscous_friction = self._spread(model.damping, description.friction, "viscous")
+        self.coulomb_friction = self._spread(np.zeros(self.nv), description.friction, "coulomb")
+        self.home = self.ordered(tuple(description.home), tuple(description.home.values()))
+        self._check_values(description)
+        model.effortLimit, model.velocityLimit = self.effort_limits, self.velocity_limits
+        model.lowerPositionLimit, model.upperPositionLimit = self.lower_limits, self.upper_limits
+
+        self.endpoint_frame_ids = {name: self.frame_id(end.frame) for name, end in self.endpoints.items()}
+        base = model.frames[self.frame_id(self.base_frame)]
+        if base.parentJoint != 0:
+            raise RobotFileError(f"{description.path}: base_frame {self.base_frame!r} moves with a joint")
+        self.world_to_base: pin.SE3 = base.placement.inverse()
+
+    @classmethod
+    def from_file(cls, path: str | os.PathLike[str]) -> RobotModel:
+        """Read a robot file (see `robot_description`) and the URDF that it names. Raises RobotFileError."""
+        return cls(RobotDescription.from_file(path))
+
+    def create_data(self) -> RobotData:
+        """Scratch memory for one loop."""
+        return RobotData(self)
+
+    def indices(self, joints: str | Sequence[str]) -> NDArray[np.intp]:
+        """Places in joint vectors of a group, or of joints by name. Raises ValueError for unknown names."""
+        names = self.joint_groups.get(joints, (joints,)) if isinstance(joints, str) else joints
+        unknown = [name for name in names if name not in self._index]
+        if unknown:
+            known = f"joints {list(self.joint_names)} and groups {list(self.joint_groups)}"
+            raise ValueError(f"unknown joints {unknown}; known are {known}")
+        return np.array([self._index[name] for name in names], dtype=np.intp)
+
+    def frame_id(self, frame: str) -> int:
+        """Pinocchio's index of a frame of the URDF. Raises ValueError when there is none of that name."""
+        if not self.pinocchio.existFrame(frame):
+            bodies = [f.name for f in self.pinocchio.frames if f.type == pin.FrameType.BODY]
+            raise ValueError(f"the URDF has no frame {frame!r}; its links are {bodies}")
+        return int(self.pinocchio.getFrameId(frame))
+
+    def ordered(self, names: Sequence[str], values: ArrayLike) -> Array:
+        """Values (nv,) in model order from names and values in any order, as in a JointState.
+
+        Raises ValueError when a joint is missing, unknown or named twice, or the lengths differ.
+        """
+        key = tuple(names)
+        order = self._orders.get(key)
+        if order is None:
+            order = self._orders[key] = self._order(key)
+        array = np.asarray(values, dtype=np.float64)
+        if array.shape != (self.nv,):
+            raise ValueError(f"got {len(key)} joint names but values of shape {array.shape}")
+        return array[order]
+
+    def _order(self, names: tuple[str, ...]) -> NDArray[np.intp]:
+        missing = [name for name in self.joint_names if name not in names]
+        unknown = [name for name in names if name not in self._index]
+        if missing or unknown or len(names) != self.nv:
+            twice = sorted({name for name in names if names.count(name) > 1})
+            raise ValueError(
+                f"joint names do not fit the robot: missing {missing}, unknown {unknown}, twice {twice}"
+            )
+        return np.array([names.index(name) for name in self.joint_names], dtype=np.intp)
+
+    def _check_names(self, description: RobotDescription) -> None:
+        groups = [joint for joints in self.joint_groups.values() for joint in joints]
+        for key, names in (
+            ("joint_groups", groups),
+            ("limits", list(description.limits)),
+            ("friction", list(description.friction)),
+            ("home", list(description.home)),
+        ):
+            unknown = sorted({name for name in names if name not in self._index})
+            if unknown:
+                raise RobotFileError(
+                    f"{description.path}: {key} names the unknown joints {unknown}; "
+                    f"the URDF has {list(self.joint_names)}"
+                )
+        missing = [name for name in self.joint_names if name not in description.home]
+        if missing:
+            raise RobotFileError(f"{description.path}: home lacks the joints {missing}")
+        frames = [self.base_frame, *(end.frame for end in self.endpoints.values())]
+        absent = [frame for frame in frames if not self.pinocchio.existFrame(frame)]
+        if absent:
+            raise RobotFileError(
+                f"{description.path}: the URDF {description.urdf.name} has no frames {absent}"
+            )
+
+    def _spread(self, default: ArrayLike, entries: Mapping[str, Mapping[str, float]], word: str) -> Array:
+        values = np.array(default, dtype=np.float64)
+        for joint, entry in entries.items():
+            values[self._index[joint]] = entry.get(word, values[self._index[joint]])
+        return values
+
+    def _limits(self, description: RobotDescription, word: str, urdf: ArrayLike) -> Array:
+        values = self._spread(urdf, description.limits, word)
+        if word in ("effort", "velocity"):
+            bound = CREDIBLE_EFFORT if word == "effort" else CREDIBLE_VELOCITY
+            for joint, value in zip(self.joint_names, values, strict=True):
+                if not 0.0 < value <= bound:
+                    raise RobotFileError(
+                        f"{description.path}: {word} limit {value:g} of {joint!r} is not credible (expected "
+                        f"above 0, up to {bound:g}); give the real one: limits: {{{joint}: {{{word}: ...}}}}"
+                    )
+        return values
+
+    def _check_values(self, description: RobotDescription) -> None:
+        for i, joint in enumerate(self.joint_names):
+            lower, upper, home = self.lower_limits[i], self.upper_limits[i], self.home[i]
+            if not lower <= home <= upper:
+                raise RobotFileError(
+                    f"{description.path}: home of {joint!r} is {home:g}, outside {lower:g} to {upper:g}"
+                )
+            if self.viscous_friction[i] < 0.0 or self.coulomb_friction[i] < 0.0:
+                raise RobotFileError(f"{description.path}: friction of {joint!r} must not be negative")
+
+
+class RobotData:
+    """Kinematics and dynamics at one state; call `update` first. Not for two threads at once."""
+
+    def __init__(self, robot: RobotModel) -> None:
+        self.robot = robot
+        self._model = robot.pinocchio
+        # Apart, since the dynamics algorithms overwrite velocities and accelerations of the kinematics
+        self._data = self._model.createData()
+        self._dynamics = self._model.createData()
+        self._frame_ids = robot.endpoint_frame_ids
+        self._zero = np.zeros(robot.nv)
+        rotation = robot.world_to_base.rotation
+        # blkdiag(R, R) turns motions and forces from world to base axes; most robots have the same axes for
+        # both
+        aligned = np.allclose(rotation, np.eye(3), rtol=0.0, atol=1e-12)
+        self._turn = None if aligned else np.kron(np.eye(2), rotation)
+
+    def update(self, q: Array, v: Array | None = None) -> None:
+        """Kinematics at joint positions q and velocities v (nv,), zero if not given."""
+        pin.forwardKinematics(self._model, self._data, q, self._zero if v is None else v, self._zero)
+        pin.computeJointJacobians(self._model, self._data)
+        pin.updateFramePlacements(self._model, self._data)
+
+    def pose(self, endpoint: str) -> Array:
+        """Pose [x, y, z, qx, qy, qz, qw] of an end point in the base frame, m."""
+        placement = self.robot.world_to_base.act(self._data.oMf[self._frame_ids[endpoint]])
+        return pin.SE3ToXYZQUAT(placement)
+
+    def twist(self, endpoint: str) -> Array:
+        """Velocity (6,) of an end point in base axes: linear m/s, then angular rad/s."""
+        motion = pin.getFrameVelocity(self._model, self._data, self._frame_ids[endpoint], AXES)
+        return self._in_base(motion.vector)
+
+    def jacobian(self, endpoint: str) -> Array:
+        """Jacobian (6, nv) with `twist = J v`."""
+        return self.frame_jacobian(self._frame_ids[endpoint])
+
+    def frame_jacobian(self, frame_id: int) -> Array:
+        """Jacobian (6, nv) of any frame of the URDF: motion of its origin, in base axes."""
+        return self._in_base(pin.getFrameJacobian(self._model, self._data, frame_id, AXES))
+
+    def bias_acceleration(self, endpoint: str) -> Array:
+        """`Jdot v` (6,): the acceleration of an end point when no joint accelerates, in base axes."""
+        motion = pin.getFrameClassicalAcceleration(self._model, self._data, self._frame_ids[endpoint], AXES)
+        return self._in_base(motion.vector)
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Joint-space inertia M(q), (nv, nv). The array is overwritten by the next call."""
+        return pin.crba(self._model, self._dynamics, q)
+
+    def nonlinear_effects(self, q: Array, v: Array) -> Array:
+        """Gravity, Coriolis and centrifugal torques (nv,). The array is overwritten by the next call."""
+        return pin.nonLinearEffects(self._model, self._dynamics, q, v)
+
+    def _in_base(self, motion: Array) -> Array:
+        return motion if self._turn is None else self._turn @ motion
+
+
+def _load_urdf(description: RobotDescription) -> pin.Model:
+    try:
+        model = pin.buildModelFromUrdf(str(description.urdf))
+    except ValueError as error:
+        raise RobotFileError(
+            f"{description.path}: cannot load the URDF {description.urdf}: {error}"
+        ) from error
+    for i in range(1, model.njoints):
+        if (model.joints[i].nq, model.joints[i].nv) != (1, 1):
+            raise RobotFileError(
+                f"{description.path}: joint {model.names[i]!r} is {model.joints[i].shortname()}; only joints "
+                "of one degree of freedom with limits are supported (revolute, prismatic)"
+            )
+    return model

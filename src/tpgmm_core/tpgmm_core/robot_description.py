@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot file: a YAML that says what a URDF does not, with every joint called by its name.
+
+    urdf: package://example-robot-data/robots/baxter_description/urdf/baxter.urdf   # or a path from this file
+    base_frame: base                      # poses, Jacobians and wrenches are expressed in its axes
+    joint_groups: {left_arm: [left_s0, ...], ...}
+    endpoints: {left: {frame: left_gripper, joints: left_arm}, ...}
+    limits: {head_pan: {effort: 5.0, velocity: 1.5}}       # optional; these replace the URDF's
+    friction: {left_arm: {coulomb: 0.2}, ...}              # optional; `viscous` replaces the URDF's damping
+    home: {left_s0: 0.0, ...}                              # every joint
+
+Keys of `limits` and `friction` are joints or groups; where both are given, the joint's own entry counts.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+PACKAGE_SCHEME = "package://"
+REQUIRED_KEYS = ("urdf", "base_frame", "joint_groups", "endpoints", "home")
+OPTIONAL_KEYS = ("limits", "friction")
+LIMIT_KEYS = ("effort", "velocity", "lower", "upper")
+FRICTION_KEYS = ("viscous", "coulomb")
+
+
+class RobotFileError(ValueError):
+    """A robot file that cannot be used; the message says which, why, and what was expected."""
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """A frame of the URDF that is controlled, and the group of joints that moves it."""
+
+    frame: str
+    joints: str
+
+
+@dataclass(frozen=True, slots=True)
+class RobotDescription:
+    """What a robot file says, checked for its form; whether the joints exist is checked against the URDF."""
+
+    path: Path
+    urdf: Path
+    base_frame: str
+    joint_groups: Mapping[str, tuple[str, ...]]
+    endpoints: Mapping[str, Endpoint]
+    limits: Mapping[str, Mapping[str, float]]
+    friction: Mapping[str, Mapping[str, float]]
+    home: Mapping[str, float]
+
+    @classmethod
+    def from_file(cls, path: str | os.PathLike[str]) -> RobotDescription:
+        """Read a robot file. Raises RobotFileError with the file, the key and what was expected."""
+        path = Path(path)
+        try:
+            content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise RobotFileError(f"cannot read the robot file {path}: {error}") from error
+        try:
+            return cls._from_mapping(path, _mapping(content, "the robot file"))
+        except RobotFileError as error:
+            raise RobotFileError(f"{path}: {error}") from error
+
+    @classmethod
+    def _from_mapping(cls, path: Path, content: Mapping[str, Any]) -> RobotDescription:
+        missing = [key for key in REQUIRED_KEYS if key not in content]
+        unknown = [key for key in content if key not in REQUIRED_KEYS + OPTIONAL_KEYS]
+        if missing or unknown:
+            raise RobotFileError(
+                f"missing keys {missing}, unknown keys {unknown}; required are {REQUIRED_KEYS}"
+            )
+        groups = {name: _names(joints, name) for name, joints in _items(content, "joint_groups")}
+        endpoints = {name: _endpoint(value, name, groups) for name, value in _items(content, "endpoints")}
+        return cls(
+            path=path,
+            urdf=resolve_urdf(str(content["urdf"]), path.parent),
+            base_frame=str(content["base_frame"]),
+            joint_groups=groups,
+            endpoints=endpoints,
+            limits=_per_joint(content, "limits", groups, LIMIT_KEYS),
+            friction=_per_joint(content, "friction", groups, FRICTION_KEYS),
+            home={name: _number(value, f"home of {name}") for name, value in _items(content, "home")},
+        )
+
+
+def resolve_urdf(reference: str, folder: Path) -> Path:
+    """File of `package://NAME/path` (in wheels and ROS workspaces), or of a path relative to `folder`."""
+    if not reference.startswith(PACKAGE_SCHEME):
+        candidates = [folder / reference]
+    else:
+        candidates = [share / reference.removeprefix(PACKAGE_SCHEME) for share in _share_folders()]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate.resolve()
+    places = ", ".join(map(str, candidates))
+    raise RobotFileError(
+        f"no URDF {reference!r} in {places}. Is its package installed (pip install example-robot-data)?"
+    )
+
+
+def _share_folders() -> Iterator[Path]:
+    """Folders that hold packages' data: of the Python wheels, and of a sourced ROS installation."""
+    for entry in sys.path:
+        yield Path(entry) / "cmeel.prefix" / "share"
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield Path(prefix) / "share"
+
+
+def _mapping(value: Any, what: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise RobotFileError(f"{what} must be a mapping, got {type(value).__name__}")
+    return value
+
+
+def _items(content: Mapping[str, Any], key: str) -> Iterator[tuple[str, Any]]:
+    return ((str(name), value) for name, value in _mapping(content[key], key).items())
+
+
+def _number(value: Any, what: str) -> float:
+    # bool is an int to Python, but `yes` is no number to the author of a file
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < float("inf"):
+        raise RobotFileError(f"{what} must be a finite number, got {value!r}")
+    return float(value)
+
+
+def _names(value: Any, group: str) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value) or not value:
+        raise RobotFileError(f"joint group {group!r} must be a list of joint names, got {value!r}")
+    if len(set(value)) != len(value):
+        raise RobotFileError(f"joint group {group!r} names a joint twice: {value}")
+    return tuple(value)
+
+
+def _endpoint(value: Any, name: str, groups: Mapping[str, tuple[str, ...]]) -> Endpoint:
+    entry = _mapping(value, f"end point {name!r}")
+    if set(entry) != {"frame", "joints"}:
+        raise RobotFileError(f"end point {name!r} needs the keys 'frame' and 'joints', got {sorted(entry)}")
+    if entry["joints"] not in groups:
+        raise RobotFileError(
+            f"end point {name!r} names the unknown joint group {entry['joints']!r}; {list(groups)}"
+        )
+    return Endpoint(frame=str(entry["frame"]), joints=str(entry["joints"]))
+
+
+def _per_joint(
+    content: Mapping[str, Any], key: str, groups: Mapping[str, tuple[str, ...]], allowed: tuple[str, ...]
+) -> dict[str, dict[str, float]]:
+    """Entries by joint or by group, spread over the joints."""
+    spread: dict[str, dict[str, float]] = {}
+    entries = [
+        (name, _mapping(value, f"{key} of {name}")) for name, value in _items({key: {}, **content}, key)
+    ]
+    # groups first, so that a joint's own entry replaces what its group says
+    for name, entry in sorted(entries, key=lambda item: item[0] not in groups):
+        unknown = [word for word in entry if word not in allowed]
+        if unknown:
+            raise RobotFileError(f"{key} of {name} has the unknown keys {unknown}; allowed are {allowed}")
+        values = {word: _number(value, f"{key} of {name}, {word},") for word, value in entry.items()}
+        for joint in groups.get(name, (name,)):
+            spread.setdefault(joint, {}).update(values)
+    return spread
