@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make the built workspace part of this virtual environment, as sourcing a setup.bash does for a shell.
 
-Every Python process of the environment then imports the given directories' packages and, through AMENT_PREFIX_PATH,
-finds what is installed in the environment (`get_package_share_directory`), whatever shell or service has started it.
+Every Python process of the environment, whatever has started it, then imports the packages of the given
+directories and finds what is installed (`get_package_share_directory` looks in AMENT_PREFIX_PATH).
 """
 
 import sys

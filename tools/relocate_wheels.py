@@ -2,7 +2,8 @@
 """Point the CMake files of the ROS wheels to this virtual environment.
 
 The wheels carry two paths of the machine that built them. `find_package` of any interface package fails until
-they are the include directory and the site-packages of the interpreter that runs here. Running it again is harmless.
+they are the include directory and the site-packages of the interpreter that runs here.
+Running it again is harmless.
 """
 
 import sys

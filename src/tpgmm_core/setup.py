@@ -6,7 +6,7 @@ package_name = "tpgmm_core"
 setup(
     name=package_name,
     version="0.1.0",
-    description="Task-parameterized Gaussian mixture models: learning, retrieval and optimal control, without ROS",
+    description="Task-parameterized Gaussian mixture models: learning, retrieval, control; no ROS",
     maintainer="tpgmm maintainers",
     maintainer_email="maintainers@users.noreply.h-seed-91c8a9ef.example",
     license="Apache-2.0",

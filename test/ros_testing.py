@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tests on the level of topics: real processes on a ROS domain of their own, polled with deadlines.
+
+The fixtures of this module are there for every test of the repository. A test that asks for `ros_domain`,
+`ros_node` or `start_process` is alone on its domain, also when several test runs share the machine.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+# Processes start Python twice and import much; a busy machine takes long for both
+STARTUP_TIMEOUT = 30.0
+# Time from one signal to the next, stronger one [s]
+STOP_TIMEOUT = 5.0
+
+
+class RunningProcess:
+    """A process in a process group of its own, with standard output and error going to a file."""
+
+    def __init__(self, command: list[str], output_path: Path, env: dict[str, str] | None = None) -> None:
+        self.command = command
+        self._output_path = output_path
+        with output_path.open("wb") as output:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, "PYTHONUNBUFFERED": "1", **(env or {})},
+                start_new_session=True,
+            )
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    @property
+    def returncode(self) -> int | None:
+        """Exit status, None while the process runs."""
+        return self._process.poll()
+
+    @property
+    def output(self) -> str:
+        """What the process has written so far."""
+        return self._output_path.read_text(errors="replace")
+
+    def wait(self, timeout: float) -> int:
+        """Exit status of a process that ends by itself; AssertionError after `timeout` seconds."""
+        try:
+            return self._process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"{self} still runs after {timeout} s; its output:\n{self.output}") from None
+
+    def send_signal(self, number: signal.Signals) -> None:
+        """Send a signal to the process alone, as a user or a supervisor would."""
+        self._process.send_signal(number)
+
+    def stop(self) -> int:
+        """End the process group by SIGINT, SIGTERM, SIGKILL in turn; return the exit status."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            if self._process.poll() is not None:
+                break
+            self._signal_group(number)
+            try:
+                self._process.wait(STOP_TIMEOUT)
+            except subprocess.TimeoutExpired:
+                continue
+        # Also after an orderly end: children may have outlived their parent
+        self._signal_group(signal.SIGKILL)
+        return self._process.wait()
+
+    def _signal_group(self, number: signal.Signals) -> None:
+        try:
+            os.killpg(self.pid, number)
+        except ProcessLookupError:
+            pass
+
+    def __str__(self) -> str:
+        return shlex.join(self.command)[:200]
+
+
+StartProcess = Callable[..., RunningProcess]
+
+
+def executable(name: str) -> str:
+    """Path of an executable of tpgmm_ros: in the virtual environment, or where `ros2 run` finds it."""
+    candidates = [Path(sys.prefix) / "bin" / name]
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        candidates.append(Path(prefix) / "lib" / "tpgmm_ros" / name)
+    for candidate in candidates:
+        if os.access(candidate, os.X_OK):
+            return str(candidate)
+    raise FileNotFoundError(f"no executable {name!r} at {', '.join(map(str, candidates))}: run `make setup`")
+
+
+def spin_until(
+    node: Node,
+    condition: Callable[[], Any],
+    timeout: float = STARTUP_TIMEOUT,
+    message: str = "",
+    processes: tuple[RunningProcess, ...] = (),
+) -> None:
+    """Serve the callbacks of `node` until `condition()` is true.
+
+    AssertionError with `message` after `timeout` seconds, or at once when one of `processes` has ended.
+    """
+    from rclpy.executors import SingleThreadedExecutor
+
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    deadline = time.monotonic() + timeout
+    try:
+        while not condition():
+            for process in processes:
+                if process.returncode is not None:
+                    raise AssertionError(f"{process} ended with {process.returncode}:\n{process.output}")
+            if time.monotonic() > deadline:
+                raise AssertionError(f"not within {timeout} s: {message or condition}")
+            executor.spin_once(timeout_sec=0.02)
+    finally:
+        executor.remove_node(node)
+        executor.shutdown()
+
+
+@pytest.fixture
+def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]:
+    """A ROS domain of this test's own, set in the environment of this process and its children."""
+    from domain_coordinator import domain_id
+
+    with domain_id() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+        yield domain
+
+
+@pytest.fixture
+def ros_node(ros_domain: int) -> Iterator[Node]:
+    """A node in the test's own process, on the test's own domain; serve its callbacks with `spin_until`."""
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.node import Node
+
+    context = Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    node = Node("test", context=context)
+    yield node
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+@pytest.fixture
+def start_process(ros_domain: int, tmp_path: Path) -> Iterator[StartProcess]:
+    """Starts processes on the test's domain: `start_process("frame_tracker", "--ros-args", ..., env={...})`.
+
+    The first argument is an executable of tpgmm_ros, or a path. All processes and their children
+    are ended with the test; what they wrote is shown when the test fails.
+    """
+    started: list[RunningProcess] = []
+
+    def start(program: str, *arguments: str, env: dict[str, str] | None = None) -> RunningProcess:
+        path = program if os.sep in program else executable(program)
+        output_path = tmp_path / f"{len(started)}-{Path(program).name}.log"
+        started.append(RunningProcess([path, *arguments], output_path, env))
+        return started[-1]
+
+    yield start
+
+    for process in reversed(started):
+        process.stop()
+    for process in started:
+        # pytest shows this for failed tests only
+        print(f"--- {process} (exit status {process.returncode})\n{process.output}")
