@@ -4,9 +4,8 @@
 ros2 launch tpgmm_ros baxter_demo.launch.py model:=/path/to/model.tpgmm
 """
 
-from launch import LaunchDescription
+from launch import LaunchDescription, LaunchDescriptionEntity
 from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
-from launch.entity import Entity
 from launch.events import matches_action
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import LifecycleNode, Node
@@ -17,7 +16,7 @@ from launch_ros.substitutions import FindPackageShare
 from lifecycle_msgs.msg import Transition
 
 
-def activated(node: LifecycleNode) -> list[Entity]:
+def activated(node: LifecycleNode) -> list[LaunchDescriptionEntity]:
     """Start a lifecycle node, then configure and activate it."""
 
     def change_state(transition: int) -> EmitEvent:
