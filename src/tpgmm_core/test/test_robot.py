@@ -1,54 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-import copy
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 pytest.importorskip("pinocchio")
 
 import pinocchio as pin
+from robots import BAXTER, write_arm
 
 from tpgmm_core import quaternion
 from tpgmm_core.robot import RobotModel
 from tpgmm_core.robot_description import RobotFileError
-
-BAXTER = Path(__file__).resolve().parents[3] / "config" / "baxter.yaml"
-
-# A turned base on a pedestal, two joints, and a tool: small enough to know every answer
-ARM_URDF = """<robot name="arm"><link name="world"/><link name="base"/>
-<joint name="mount" type="fixed"><parent link="world"/><child link="base"/>
-  <origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/></joint>
-<link name="upper"><inertial><mass value="1"/><origin xyz="0.5 0 0"/>
-  <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="turn" type="{turn}"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
-  <limit lower="-2" upper="2" effort="{effort}" velocity="2"/><dynamics damping="0.3"/></joint>
-<link name="tool"><inertial><mass value="0.5"/><origin xyz="0.1 0 0"/>
-  <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="slide" type="prismatic"><parent link="upper"/><child link="tool"/><axis xyz="1 0 0"/>
-  <origin xyz="1 0 0"/><limit lower="0" upper="0.5" effort="20" velocity="1"/></joint></robot>"""
-ARM: dict[str, Any] = {
-    "urdf": "arm.urdf",
-    "base_frame": "base",
-    "joint_groups": {"all": ["turn", "slide"]},
-    "endpoints": {"tool": {"frame": "tool", "joints": "all"}},
-    "friction": {"all": {"coulomb": 0.2}, "slide": {"coulomb": 1.0, "viscous": 0.1}},
-    "home": {"slide": 0.25, "turn": 0.0},
-}
-
-
-def write_arm(
-    folder: Path, changes: dict[str, Any] | None = None, effort: float = 10, turn: str = "revolute"
-) -> Path:
-    (folder / "arm.urdf").write_text(ARM_URDF.format(effort=effort, turn=turn))
-    content = {**copy.deepcopy(ARM), **(changes or {})}
-    path = folder / "arm.yaml"
-    path.write_text(yaml.safe_dump({key: value for key, value in content.items() if value is not None}))
-    return path
 
 
 @pytest.fixture(scope="module")
