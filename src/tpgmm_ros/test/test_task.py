@@ -77,39 +77,45 @@ def test_a_missing_key_is_named(key: str) -> None:
         Task.from_text(without(key), source="here.yaml")
 
 
-@pytest.mark.parametrize(("text", "complaint"), [
-    (changed(mvoement="x"), "unknown key 'mvoement'.*did you mean 'movement'"),
-    (changed(name=3), "'name' is 3, expected a name"),
-    (changed(base_frame="/base"), "'base_frame'.*without a leading slash"),
-    (changed(movement="/endpoint/pose"), "'movement'.*relative topic"),
-    (changed(frames={}), "'frames' is empty"),
-    (changed(frames=["object"]), r"'frames' is \['object'\], expected a mapping"),
-    (changed(frames={"an object": {"topic": "a"}}), "frame name 'an object'"),
-    (changed(frames={"object": {"topics": "a"}}), r"'frames\.object' has the unknown key 'topics'.*'topic'"),
-    (changed(frames={"object": {}}), "either 'topic'"),
-    (changed(frames={"object": {"topic": "a", "pose": [0, 0, 0, 0, 0, 0, 1]}}), "not both"),
-    (changed(frames={"object": {"topic": "a"}, "cup": {"topic": "a"}}), "already that of the frame"),
-    (changed(frames={"object": {"topic": "endpoint/left/pose"}}), "already that of the movement"),
-    (changed(frames={"table": {"pose": [0, 0, 0, 0, 0, 0, 0]}}), r"'frames\.table\.pose'.*norm 1"),
-    (changed(frames={"table": {"pose": [0, 0, 0, 1]}}), "seven finite numbers"),
-    (changed(frames={"table": {"pose": [float("nan"), 0, 0, 0, 0, 0, 1]}}), "seven finite numbers"),
-    (changed(frames={"table": {"pose": "here"}}), "seven finite numbers"),
-    (changed(tracking={"hold_time": -1}), r"'tracking\.hold_time' is -1.*at least 0"),
-    (changed(model={"components": 3}), "unknown key 'components'.*did you mean 'n_components'"),
-    (changed(model={"n_components": 0}), r"'model\.n_components' is 0.*at least 1"),
-    (changed(model={"n_components": True}), "whole number"),
-    (changed(model={"init": "random"}), "one of time, kmeans, bins"),
-    (changed(model={"reg_covar": "tiny"}), "finite number"),
-    ("on: 1", "quote them"),
-    ("name: a\nname: b", "stands here twice"),
-    ("a: &x 1\nb: *x", "aliases"),
-    ("a: [", "is not a YAML file"),
-    ("!!python/object/apply:os.getcwd []", "is not a YAML file"),
-    ("!!bool maybe", "is not a YAML file"),
-    ("[" * 20_000, "nested too deeply|not a YAML file"),
-    ("", "the file is None, expected a mapping"),
-    ("1" * 5000, "expected a mapping|not a YAML file"),
-])
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (changed(mvoement="x"), "unknown key 'mvoement'.*did you mean 'movement'"),
+        (changed(name=3), "'name' is 3, expected a name"),
+        (changed(base_frame="/base"), "'base_frame'.*without a leading slash"),
+        (changed(movement="/endpoint/pose"), "'movement'.*relative topic"),
+        (changed(frames={}), "'frames' is empty"),
+        (changed(frames=["object"]), r"'frames' is \['object'\], expected a mapping"),
+        (changed(frames={"an object": {"topic": "a"}}), "frame name 'an object'"),
+        (
+            changed(frames={"object": {"topics": "a"}}),
+            r"'frames\.object' has the unknown key 'topics'.*'topic'",
+        ),
+        (changed(frames={"object": {}}), "either 'topic'"),
+        (changed(frames={"object": {"topic": "a", "pose": [0, 0, 0, 0, 0, 0, 1]}}), "not both"),
+        (changed(frames={"object": {"topic": "a"}, "cup": {"topic": "a"}}), "already that of the frame"),
+        (changed(frames={"object": {"topic": "endpoint/left/pose"}}), "already that of the movement"),
+        (changed(frames={"table": {"pose": [0, 0, 0, 0, 0, 0, 0]}}), r"'frames\.table\.pose'.*norm 1"),
+        (changed(frames={"table": {"pose": [0, 0, 0, 1]}}), "seven finite numbers"),
+        (changed(frames={"table": {"pose": [float("nan"), 0, 0, 0, 0, 0, 1]}}), "seven finite numbers"),
+        (changed(frames={"table": {"pose": "here"}}), "seven finite numbers"),
+        (changed(tracking={"hold_time": -1}), r"'tracking\.hold_time' is -1.*at least 0"),
+        (changed(model={"components": 3}), "unknown key 'components'.*did you mean 'n_components'"),
+        (changed(model={"n_components": 0}), r"'model\.n_components' is 0.*at least 1"),
+        (changed(model={"n_components": True}), "whole number"),
+        (changed(model={"init": "random"}), "one of time, kmeans, bins"),
+        (changed(model={"reg_covar": "tiny"}), "finite number"),
+        ("on: 1", "quote them"),
+        ("name: a\nname: b", "stands here twice"),
+        ("a: &x 1\nb: *x", "aliases"),
+        ("a: [", "is not a YAML file"),
+        ("!!python/object/apply:os.getcwd []", "is not a YAML file"),
+        ("!!bool maybe", "is not a YAML file"),
+        ("[" * 20_000, "nested too deeply|not a YAML file"),
+        ("", "the file is None, expected a mapping"),
+        ("1" * 5000, "expected a mapping|not a YAML file"),
+    ],
+)
 def test_what_is_wrong_is_said(text: str, complaint: str) -> None:
     with pytest.raises(TaskError, match=f"here.yaml.*(?s:{complaint})"):
         Task.from_text(text, source="here.yaml")
@@ -136,8 +142,9 @@ def test_garbage_ends_in_a_task_error(text: str) -> None:
 
 _VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8) | st.dates(),
-    lambda inner: (st.lists(inner, max_size=8)
-                   | st.dictionaries(st.text(max_size=8) | st.integers(), inner, max_size=4)),
+    lambda inner: (
+        st.lists(inner, max_size=8) | st.dictionaries(st.text(max_size=8) | st.integers(), inner, max_size=4)
+    ),
     max_leaves=8,
 )
 

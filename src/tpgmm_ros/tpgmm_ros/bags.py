@@ -12,18 +12,26 @@ from tpgmm_core import Demonstration, Frame
 from tpgmm_ros.pose_streams import Array, BagError, Nanoseconds, PoseStream, read_pose_streams
 from tpgmm_ros.task import Task
 
-__all__ = ["BagError", "Recording", "align", "find_bags", "read_demonstration", "read_demonstrations",
-           "read_recording", "read_recordings"]
+__all__ = [
+    "BagError",
+    "Recording",
+    "align",
+    "find_bags",
+    "read_demonstration",
+    "read_demonstrations",
+    "read_recording",
+    "read_recordings",
+]
 
 MIN_SAMPLES = 10
 """Fewer samples of a movement are no demonstration of one."""
 
 START_TOLERANCE_S = 0.5
-"""Topics start in any order when a recorder is switched on: a frame seen within this time was there all along."""
+"""Topics start in any order when a recorder is switched on: a frame seen so soon was there all along."""
 
 _CLOCK_AHEAD_S = 1.0
 _CLOCK_BEHIND_S = 3600.0
-"""A stamp may be old (a latched pose), but not from the future, nor from another clock such as simulated time."""
+"""A stamp may be old (a latched pose), but not from the future or from another clock (simulated time)."""
 
 _STORAGE_SUFFIXES = (".mcap", ".db3")
 
@@ -54,7 +62,7 @@ class Recording:
         return float(self.times[-1])
 
     def to_demonstration(self, duration: float | None = None) -> Demonstration:
-        """Demonstration on "R1 x R3 x S3": rows [time, x, y, z, qx, qy, qz, qw], frames that leave time as it is.
+        """Demonstration on "R1 x R3 x S3": rows [time, x, y, z, qx, qy, qz, qw]; frames leave time as it is.
 
         With a `duration` (s), time is stretched linearly to it.
         """
@@ -86,8 +94,11 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
             raise BagError(path, "does not exist; expected a bag, or a directory of bags")
         found = [path] if _is_bag(path) else sorted(filter(_is_bag, path.iterdir())) if path.is_dir() else []
         if not found:
-            raise BagError(path, "is no bag and holds none; expected a rosbag2 directory (metadata.yaml and .mcap "
-                                 "or .db3), a .bag, .mcap or .db3 file, or a directory of such bags")
+            raise BagError(
+                path,
+                "is no bag and holds none; expected a rosbag2 directory (metadata.yaml and .mcap "
+                "or .db3), a .bag, .mcap or .db3 file, or a directory of such bags",
+            )
         bags += (bag for bag in found if bag not in bags)
     return bags
 
@@ -96,17 +107,19 @@ def _is_bag(path: Path) -> bool:
     if path.is_dir():
         # Without its metadata.yaml it is a bag all the same: a damaged one, which the reader will name.
         return (path / "metadata.yaml").exists() or any(
-            child.suffix in _STORAGE_SUFFIXES for child in path.iterdir())
+            child.suffix in _STORAGE_SUFFIXES for child in path.iterdir()
+        )
     return path.suffix in (".bag", *_STORAGE_SUFFIXES)
 
 
 def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
     """Read one bag.
 
-    Times are the header stamps when those of all topics are sane (not zero, never backwards, of one clock), else the
-    times of the recorder for all topics; a note says when. Messages that repeat a stamp are dropped, and counted in a
-    note. A frame holds its latest pose, however long ago that was seen. Before its first observation a frame is not
-    visible, unless that observation comes within 0.5 s of the first sample: then the frame counts as seen from the start.
+    Times are the header stamps when those of all topics are sane (not zero, never backwards, of one clock),
+    else the times of the recorder for all topics; a note says when. Messages that repeat a stamp are dropped,
+    and counted in a note. A frame holds its latest pose, however long ago that was seen. Before its first
+    observation a frame is not visible, unless that observation comes within 0.5 s of the first sample: then
+    the frame counts as seen from the start.
 
     Args:
         path: a bag.
@@ -130,8 +143,11 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
 
     ns, movement = series[task.movement]
     if len(ns) < MIN_SAMPLES:
-        raise BagError(path, f"{streams[task.movement].topic} has {len(ns)} samples, expected at least {MIN_SAMPLES}; "
-                             "record the whole movement")
+        raise BagError(
+            path,
+            f"{streams[task.movement].topic} has {len(ns)} samples, expected at least {MIN_SAMPLES}; "
+            "record the whole movement",
+        )
     kept = np.unique(np.append(np.arange(0, len(ns), every), len(ns) - 1))
     ns, movement = ns[kept], movement[kept]
 
@@ -143,8 +159,11 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
             continue
         frames[name], visible[name] = _hold(*series[spec.topic], ns)
         if not visible[name].any():
-            raise BagError(path, f"{streams[spec.topic].topic} was first seen after the movement had ended; publish the "
-                                 f"frame {name!r} before the demonstration starts")
+            raise BagError(
+                path,
+                f"{streams[spec.topic].topic} was first seen after the movement had ended; publish the "
+                f"frame {name!r} before the demonstration starts",
+            )
         unseen = np.count_nonzero(~visible[name])
         if unseen:
             notes.append(f"{name}: not seen in the first {unseen} of {len(ns)} samples")
@@ -160,14 +179,16 @@ def _complaint_about_stamps(movement: PoseStream, streams: Iterable[PoseStream])
             return f"{stream.topic} has stamps of zero"
         if (np.diff(stream.stamps) < 0).any():
             return f"{stream.topic} has stamps that run backwards"
-        ahead = (np.median(stream.stamps - stream.recorded) - np.median(movement.stamps - movement.recorded)) * 1e-9
+        ahead = (
+            np.median(stream.stamps - stream.recorded) - np.median(movement.stamps - movement.recorded)
+        ) * 1e-9
         if not -_CLOCK_BEHIND_S < ahead < _CLOCK_AHEAD_S:
             return f"{stream.topic} is stamped {ahead:+.1f} s away from {movement.topic}"
     return None
 
 
 def _hold(seen: Nanoseconds, poses: Array, at: Nanoseconds) -> tuple[Array, NDArray[np.bool_]]:
-    """Latest of the poses (S, 7) seen (S,) at or before each time (T,): poses (T, 7), and where there was one (T,)."""
+    """Latest of the poses (S, 7) seen (S,) at or before each time (T,): poses (T, 7), and mask (T,) where."""
     latest = np.searchsorted(seen, at, side="right") - 1
     visible = latest >= 0
     if seen[0] - at[0] <= START_TOLERANCE_S * 1e9:
@@ -178,7 +199,7 @@ def _hold(seen: Nanoseconds, poses: Array, at: Nanoseconds) -> tuple[Array, NDAr
 def read_recordings(
     paths: Sequence[str | Path], task: Task, every: int = 1, progress: Callable[[Path], None] | None = None
 ) -> tuple[list[Recording], list[BagError]]:
-    """Read several bags: those that are good, and what is wrong with the others. `progress` is called after each."""
+    """Read several bags: the good ones, and what is wrong with the others; calls `progress` after each."""
     good: list[Recording] = []
     bad: list[BagError] = []
     for path in map(Path, paths):
@@ -211,7 +232,7 @@ def read_demonstration(path: str | Path, task: Task) -> Demonstration:
 def read_demonstrations(
     paths: Sequence[str | Path], task: Task, progress: Callable[[Path], None] | None = None
 ) -> tuple[list[Demonstration], float]:
-    """Read bags as demonstrations of one duration (their mean, in s, returned too); see `read_recording`, `align`.
+    """Read bags as demonstrations of one duration: their mean, in s, returned too. See `read_recording`.
 
     Raises:
         BagError: the first bad bag; the others stand in its notes.

@@ -131,8 +131,10 @@ def _frames(section: "_Section", movement: str) -> dict[str, TaskFrameSpec]:
             continue
         topic = entry.required("topic", _topic)
         if topic in taken:
-            raise entry.error(f"has the topic {topic!r}, which is already that of {taken[topic]}: "
-                              "each frame has a topic of its own")
+            raise entry.error(
+                f"has the topic {topic!r}, which is already that of {taken[topic]}: "
+                "each frame has a topic of its own"
+            )
         taken[topic] = f"the frame {name!r}"
         frames[name] = TaskFrameSpec(name, topic=topic)
     return frames
@@ -144,8 +146,13 @@ def _tracking(section: "_Section") -> dict[str, float]:
 
 def _model(section: "_Section") -> dict[str, Any]:
     readers: dict[str, Callable[[Any], Any]] = {
-        "n_components": _integer(1), "init": _choice("time", "kmeans", "bins"), "reg_covar": _number(0.0),
-        "tol": _number(0.0), "max_iter": _integer(1), "random_state": _integer(0), "regularization": _name,
+        "n_components": _integer(1),
+        "init": _choice("time", "kmeans", "bins"),
+        "reg_covar": _number(0.0),
+        "tol": _number(0.0),
+        "max_iter": _integer(1),
+        "random_state": _integer(0),
+        "regularization": _name,
     }
     section.refuse_others(*readers)
     return {key: section.required(key, readers[key]) for key in section.values}
@@ -160,8 +167,10 @@ class _Section:
             raise self.error(f"is {_shown(values)}, expected a mapping of keys to values")
         for key in values:
             if not isinstance(key, str):
-                raise self.error(f"has the key {_shown(key)}, expected a word "
-                                 "(YAML reads bare on, off, yes, no and numbers as other things: quote them)")
+                raise self.error(
+                    f"has the key {_shown(key)}, expected a word "
+                    "(YAML reads bare on, off, yes, no and numbers as other things: quote them)"
+                )
         self.values: Mapping[str, Any] = values
 
     def error(self, text: str) -> TaskError:
@@ -193,6 +202,7 @@ class _Section:
 
 
 # Readers turn one YAML value into what the task holds, or raise ValueError(what was expected).
+
 
 def _name(value: Any) -> str:
     if not isinstance(value, str) or not _NAME.fullmatch(value):
@@ -238,6 +248,7 @@ def _number(least: float = -math.inf) -> Callable[[Any], float]:
         if not math.isfinite(number) or number < least:
             raise ValueError(what)
         return number
+
     return read
 
 
@@ -246,6 +257,7 @@ def _integer(least: int) -> Callable[[Any], int]:
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value < 2**32:
             raise ValueError(f"a whole number of at least {least}")
         return value
+
     return read
 
 
@@ -254,6 +266,7 @@ def _choice(*choices: str) -> Callable[[Any], str]:
         if not isinstance(value, str) or value not in choices:
             raise ValueError("one of " + ", ".join(choices))
         return value
+
     return read
 
 
@@ -280,16 +293,18 @@ class _Loader(yaml.SafeLoader):
         for key_node, _ in node.value:
             key = key_node.value
             if isinstance(key, str) and key in seen:
-                raise yaml.MarkedYAMLError(problem=f"the key {_shown(key)} stands here twice",
-                                           problem_mark=key_node.start_mark)
+                raise yaml.MarkedYAMLError(
+                    problem=f"the key {_shown(key)} stands here twice", problem_mark=key_node.start_mark
+                )
             if isinstance(key, str):
                 seen.add(key)
         return super().construct_mapping(node, deep)
 
 
 # YAML 1.1 reads 1e-6 as text, since it has no point; YAML 1.2 and people read a number.
-_Loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+[eE][-+]?[0-9]+$"),
-                              list("-+0123456789"))
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
+)
 
 
 def _read(path: Path) -> str:

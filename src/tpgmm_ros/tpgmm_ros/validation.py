@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Leave-one-out: how well a model tells what was done in a situation that it has not seen."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tpgmm_core import TPGMM, Demonstration, Frame, quaternion
+from tpgmm_ros.bags import Recording, align
+from tpgmm_ros.pose_streams import Array
+
+_METRES_PER_RADIAN = 0.1
+"""How far apart two situations are: a turn by 0.1 rad counts as a centimetre."""
+
+
+@dataclass(frozen=True, slots=True)
+class PathErrors:
+    """How far a path is from the one that was shown, at the same phase. The sign of a quaternion is no error.
+
+    Attributes:
+        position_rmse_m: root of the mean squared distance.
+        position_end_m: distance at the last sample.
+        orientation_mean_deg: mean angle.
+        orientation_end_deg: angle at the last sample.
+    """
+
+    position_rmse_m: float
+    position_end_m: float
+    orientation_mean_deg: float
+    orientation_end_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """One demonstration left out.
+
+    Attributes:
+        recording: what was left out.
+        model: errors of the reproduction by a model of the others.
+        nearest: errors of replaying the most similar of the others, as seen from the anchor; for comparison.
+        iterations: number of EM iterations.
+    """
+
+    recording: Recording
+    model: PathErrors
+    nearest: PathErrors
+    iterations: int
+
+
+def leave_one_out(
+    recordings: Sequence[Recording], make_model: Callable[[], TPGMM], anchor: str
+) -> Iterator[Fold]:
+    """Train on all recordings but one, reproduce in the situation of that one; each in turn.
+
+    The frames are those of the recording left out, over time. Its duration is not used: both paths are
+    compared at the same phase.
+
+    Args:
+        recordings: at least two.
+        make_model: makes an estimator that is not fitted yet.
+        anchor: frame from which the nearest demonstration is replayed.
+
+    Raises:
+        ValueError: fewer than two recordings.
+    """
+    if len(recordings) < 2:
+        raise ValueError(
+            f"leave-one-out needs at least two demonstrations, {len(recordings)} given: record more"
+        )
+    for left_out in recordings:
+        others = [recording for recording in recordings if recording is not left_out]
+        demonstrations, duration = align(others)
+        model = make_model().fit(demonstrations)
+        yield Fold(
+            left_out,
+            path_errors(reproduce(model, left_out.to_demonstration(duration)), left_out.movement),
+            path_errors(replay_nearest(others, left_out, anchor), left_out.movement),
+            int(model.n_iter_),
+        )
+
+
+def reproduce(model: TPGMM, situation: Demonstration) -> Array:
+    """Poses (T, 7) that the model expects at the times and with the frames of a demonstration: Eqs. (5), (6).
+
+    As long as no frame is visible the movement stays where it starts.
+    """
+    moving = any(frame.is_time_varying for frame in situation.frames.values())
+    visible = np.array([situation.is_visible(name) for name in situation.frames])
+    poses = np.tile(situation.data[0, 1:], (len(situation.times), 1))
+    for i, time in enumerate(situation.times):
+        if not visible[:, i].any():
+            continue
+        if i == 0 or moving or (visible[:, i] != visible[:, i - 1]).any():
+            frames: dict[str, Frame] = {
+                name: frame.at(i) for j, (name, frame) in enumerate(situation.frames.items()) if visible[j, i]
+            }
+            mixture = model.adapt(frames)
+        poses[i] = mixture.condition([0], [time]).mean
+    return poses
+
+
+def replay_nearest(others: Sequence[Recording], situation: Recording, anchor: str) -> Array:
+    """Poses (T, 7) of the recording whose frames were most like these at the start, moved with `anchor`."""
+
+    def distance(other: Recording) -> float:
+        return sum(_distance(other.frames[name][0], pose[0]) for name, pose in situation.frames.items())
+
+    other = min(others, key=distance)
+    # The sample nearest in phase: dense recordings need no interpolation of poses.
+    phase = situation.times / situation.duration * other.duration
+    index = np.abs(other.times[:, None] - phase).argmin(axis=0)
+    here, there, moved = situation.frames[anchor], other.frames[anchor][index], other.movement[index]
+    turn = quaternion.multiply(here[:, 3:], quaternion.conjugate(there[:, 3:]))
+    lever = (quaternion.rotation_matrix(turn) @ (moved[:, :3] - there[:, :3])[..., None])[..., 0]
+    return np.hstack([here[:, :3] + lever, quaternion.multiply(turn, moved[:, 3:])])
+
+
+def path_errors(path: Array, shown: Array) -> PathErrors:
+    """Errors of a path (T, 7) against the one that was shown (T, 7)."""
+    distances = np.linalg.norm(path[:, :3] - shown[:, :3], axis=1)
+    angles = np.degrees(quaternion.angle_between(path[:, 3:], shown[:, 3:]))
+    return PathErrors(
+        float(np.sqrt(np.mean(distances**2))), float(distances[-1]), float(angles.mean()), float(angles[-1])
+    )
+
+
+def _distance(p: Array, q: Array) -> float:
+    return float(np.linalg.norm(p[:3] - q[:3]) + _METRES_PER_RADIAN * quaternion.angle_between(p[3:], q[3:]))
