@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from tpgmm_core import Frame, Gaussian
 from tpgmm_core.manifold import Manifold
-from tpgmm_core.reproduction import Reference
+from tpgmm_core.reference import Reference
 from tpgmm_core.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import Gaussian as GaussianMessage
 from tpgmm_msgs.msg import Reference as ReferenceMessage

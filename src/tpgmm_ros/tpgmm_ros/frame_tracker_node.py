@@ -16,7 +16,7 @@ from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros import conversions
 from tpgmm_ros.executor import run
 from tpgmm_ros.monitor import Monitor
-from tpgmm_ros.parameters import Declared, declare
+from tpgmm_ros.parameters import Declared, Parameters
 from tpgmm_ros.qos import LATCHED, STREAM
 from tpgmm_ros.task import Task
 from tpgmm_ros.timing import loop_clock
@@ -33,14 +33,14 @@ MIN_INTERVAL_NS = 1_000_000
 class FrameTrackerNode(Node):
     def __init__(self) -> None:
         super().__init__("frame_tracker")
-        values = declare(self, PARAMETERS)
-        self.task = Task.load(values["task_file"])
+        parameters = Parameters(self, PARAMETERS)
+        self.task = Task.load(parameters["task_file"])
         self.tracker = FrameTracker(
             self.task.topics,
             fixed={name: spec.pose for name, spec in self.task.frames.items() if spec.pose is not None},
             config=TrackingConfig(**self.task.tracking),
         )
-        self._clock = loop_clock(self)
+        self._loop_clock = loop_clock(self)
         self._known: list[TrackedFrame] = []
         self._published_ns = 0
         self._publisher = self.create_publisher(TaskParameters, "task_parameters", LATCHED)
@@ -48,7 +48,7 @@ class FrameTrackerNode(Node):
             self.create_subscription(
                 PoseStamped, topic, lambda message, frame=name: self._observe(frame, message), STREAM
             )
-        self.create_timer(1.0 / values["rate"], self._publish, clock=self._clock)
+        self.create_timer(1.0 / parameters["rate"], self._publish, clock=self._loop_clock)
         backwards = JumpThreshold(
             min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
         )
@@ -64,7 +64,7 @@ class FrameTrackerNode(Node):
                 f"'{self.task.base_frame}'; transform it before it is published"
             )
             return
-        steady = self._clock.now().nanoseconds
+        steady = self._loop_clock.now().nanoseconds
         refusal = self.tracker.observe(
             name,
             conversions.pose_to_array(message.pose),
@@ -79,7 +79,7 @@ class FrameTrackerNode(Node):
 
     def _publish(self) -> None:
         self.monitor.asked += 1
-        steady = self._clock.now().nanoseconds
+        steady = self._loop_clock.now().nanoseconds
         before = {frame.name: frame.status for frame in self._known}
         self._known = self.tracker.update(steady)
         for frame in self._known:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,25 +42,48 @@ class Declared:
         return descriptor
 
 
-def declare(node: Node, declared: Sequence[Declared]) -> dict[str, Any]:
-    """Declare parameters and return their values by name.
+class Parameters:
+    """The declared parameters of a node and their present values, ``parameters["name"]``.
+
+    Args:
+        node: the node.
+        declared: what it takes.
+        check: called with all values as they would be after a change; a ``ValueError`` from it refuses the whole set
+            of changes, with its text as the reason.
 
     Raises:
         rclpy.exceptions.InvalidParameterValueException: a value given at start is out of its range.
+        ValueError: from ``check``, for the values given at start.
     """
-    for item in declared:
-        node.declare_parameter(item.name, item.default, item.descriptor())
-    return {item.name: node.get_parameter(item.name).value for item in declared}
 
+    def __init__(
+        self,
+        node: Node,
+        declared: Sequence[Declared],
+        check: Callable[[Mapping[str, Any]], object] | None = None,
+    ) -> None:
+        for item in declared:
+            node.declare_parameter(item.name, item.default, item.descriptor())
+        self._values: dict[str, Any] = {item.name: node.get_parameter(item.name).value for item in declared}
+        self._check = check
+        if check is not None:
+            check(self._values)
+        node.add_on_set_parameters_callback(self._refuse)
+        node.add_post_set_parameters_callback(self._take)
 
-def on_change(node: Node, apply: Callable[[dict[str, Any]], None]) -> None:
-    """Call ``apply(changes)`` when parameters are set; a ``ValueError`` from it refuses the whole set."""
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
 
-    def callback(parameters: list[Parameter]) -> SetParametersResult:
+    def _refuse(self, parameters: list[Parameter]) -> SetParametersResult:
+        changed = {**self._values, **{item.name: item.value for item in parameters if item.name in self._values}}
         try:
-            apply({parameter.name: parameter.value for parameter in parameters})
+            if self._check is not None:
+                self._check(changed)
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    node.add_on_set_parameters_callback(callback)
+    def _take(self, parameters: list[Parameter]) -> None:
+        for item in parameters:
+            if item.name in self._values:
+                self._values[item.name] = item.value

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One request to reproduce a movement, carried out: wait for the frames, move, settle, judge the end.
+
+A reproduction says where to be; an execution knows what was asked, when it may begin and when it is done. It goes on
+giving references after its end, so that the robot holds what it has reached.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from tpgmm_core.frame import Frame
+from tpgmm_core.quaternion import Array
+from tpgmm_core.reference import Reference
+from tpgmm_core.reproduction import Reproduction
+
+_SECOND = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExecutionConfig:
+    """What counts as begun and as done.
+
+    start_timeout: all frames of the model must be known within this time, s.
+    settle_time: after the movement's end the robot has this long to arrive, s.
+    position_tolerance, orientation_tolerance: how near the end of the reference is near enough, m and rad.
+    """
+
+    start_timeout: float = 5.0
+    settle_time: float = 2.0
+    position_tolerance: float = 0.01
+    orientation_tolerance: float = math.radians(5.0)
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{item.name} is {value!r}; give a positive number")
+
+
+class Stage(enum.Enum):
+    """How far an execution has come."""
+
+    STARTING = "starting"
+    MOVING = "moving"
+    SETTLING = "settling"
+    ENDED = "ended"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How it ended. Errors are those of the robot's pose against the end of the reference, m and rad; NaN if unknown."""
+
+    success: bool
+    reason: str
+    position_error: float = math.nan
+    orientation_error: float = math.nan
+
+
+class Execution:
+    """Steps a reproduction from the request to its end.
+
+    Args:
+        reproduction: a fresh one of the model that was asked for.
+        config: what counts as begun and as done.
+    """
+
+    def __init__(self, reproduction: Reproduction, config: ExecutionConfig | None = None) -> None:
+        self.reproduction = reproduction
+        self.config = config or ExecutionConfig()
+        self.stage = Stage.STARTING
+        self.outcome: Outcome | None = None
+        self.reference: Reference | None = None
+        self._asked_ns: int | None = None
+        self._settling_ns = 0
+        self._stopped_ns: int | None = None
+
+    def step(
+        self,
+        time_ns: int,
+        frames: Mapping[str, Frame],
+        weights: Mapping[str, float],
+        pose: Array | None,
+    ) -> Reference | None:
+        """The reference at a time (ns), None before the movement may begin or while no frame is known.
+
+        Args:
+            frames, weights: as ``Reproduction.step`` takes them.
+            pose: (7,), where the robot is, as far as that is known.
+        """
+        if self._asked_ns is None:
+            self._asked_ns = time_ns
+        if self.stage is Stage.STARTING and not self._begin(time_ns, frames):
+            return None
+        if self.stage is Stage.ENDED and self.reference is None:
+            return None
+        if not frames:
+            return None
+        at = time_ns if self._stopped_ns is None else self._stopped_ns
+        self.reference = self.reproduction.step(at, frames, weights)
+        if self.stage is Stage.MOVING and self.reference.phase >= 1.0:
+            self.stage = Stage.SETTLING
+            self._settling_ns = time_ns
+        if self.stage is Stage.SETTLING:
+            self._judge(time_ns, self.reference, pose)
+        return self.reference
+
+    def stop(self, time_ns: int, reason: str) -> None:
+        """End it here: the reference stays where it is now."""
+        if self.stage is not Stage.ENDED:
+            self._stopped_ns = time_ns
+            self._end(False, reason)
+
+    def _begin(self, time_ns: int, frames: Collection[str]) -> bool:
+        assert self._asked_ns is not None
+        missing = [name for name in self.reproduction.model.frame_names_ if name not in frames]
+        if not missing:
+            self.reproduction.start(time_ns)
+            self.stage = Stage.MOVING
+            return True
+        if time_ns - self._asked_ns > self.config.start_timeout * _SECOND:
+            self._end(
+                False,
+                f"frames not seen within {self.config.start_timeout:g} s: {', '.join(missing)}; "
+                "check that their poses are published and accepted",
+            )
+        return False
+
+    def _judge(self, time_ns: int, reference: Reference, pose: Array | None) -> None:
+        late = time_ns - self._settling_ns > self.config.settle_time * _SECOND
+        if pose is None:
+            if late:
+                self._end(False, "the robot's pose is not known: nothing came on the movement's topic")
+            return
+        error = reference.gaussian.manifold.log(reference.gaussian.mean, pose)
+        position, orientation = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+        near = (
+            position <= self.config.position_tolerance and orientation <= self.config.orientation_tolerance
+        )
+        if near and late:
+            self._end(True, "reached", position, orientation)
+        elif late:
+            self._end(
+                False,
+                f"{1e3 * position:.1f} mm and {math.degrees(orientation):.1f} deg from the end "
+                f"after {self.config.settle_time:g} s",
+                position,
+                orientation,
+            )
+
+    def _end(
+        self, success: bool, reason: str, position: float = math.nan, orientation: float = math.nan
+    ) -> None:
+        self.stage = Stage.ENDED
+        self.outcome = Outcome(success, reason, position, orientation)

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`Reference`: what a reproduction hands on and a controller follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.quaternion import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """One step of a reproduction.
+
+    phase: 0 at the start of the movement, 1 at its end.
+    gaussian: where to be and how much it matters, without the time dimension.
+    horizon_time_step: s between the Gaussians of the horizon; 0 where there is none.
+    horizon: the Gaussians ahead, the first one ``horizon_time_step`` after this step.
+    activations: (K,), the weights of the components at this time.
+    frames: names of the frames that took part.
+    """
+
+    phase: float
+    gaussian: Gaussian
+    horizon_time_step: float
+    horizon: tuple[Gaussian, ...]
+    activations: Array
+    frames: tuple[str, ...]

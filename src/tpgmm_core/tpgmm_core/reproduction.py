@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A learned movement, step by step: where to be and how much it matters, for the frames as they are right now.
+
+Frames move, disappear and come back while the movement runs, and each time the adapted mixture is another one at once.
+What is handed on must not jump: the difference between the movement as it was and as it is now is taken over as an
+*offset* that dies out as a critically damped spring does, with continuous velocity. While the frames stay, the
+reference is exactly what the model says.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core.adaptation import Adapter
+from tpgmm_core.frame import Frame
+from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.reference import Reference
+from tpgmm_core.tpgmm import TPGMM
+
+Array = NDArray[np.float64]
+_SECOND = 1_000_000_000
+
+
+class Reproduction:
+    """Reproduces a model whose first dimension is time, by regression on the adapted mixture (Eqs. 5, 6, GMR).
+
+    Args:
+        model: a fitted model; its first dimension is time in s.
+        duration: how long the movement is to take, s; as demonstrated where None.
+        horizon_steps: how many Gaussians ahead each reference holds.
+        horizon_time_step: their distance in time, s.
+        blend_time: time constant with which a change of the frames is taken over, s.
+
+    Raises:
+        ValueError: a model that was not learned over time, or a time that is not positive.
+    """
+
+    def __init__(
+        self,
+        model: TPGMM,
+        *,
+        duration: float | None = None,
+        horizon_steps: int = 2,
+        horizon_time_step: float = 0.05,
+        blend_time: float = 0.15,
+    ) -> None:
+        self.model_duration = demonstrated_duration(model)
+        self.duration = self.model_duration if duration is None else duration
+        for name, value in (
+            ("duration", self.duration),
+            ("horizon_time_step", horizon_time_step),
+            ("blend_time", blend_time),
+        ):
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} is {value!r}; give a positive number of seconds")
+        self.model = model
+        self.manifold: Manifold = model.manifold_.subset(range(1, model.manifold_.dim))
+        self._adapter = Adapter(model)
+        self._horizon_time_step = horizon_time_step if horizon_steps else 0.0
+        self._ahead = horizon_time_step * np.arange(1 + horizon_steps)
+        self._blend_time = blend_time
+        self._start_ns: int | None = None
+
+    def start(self, time_ns: int) -> None:
+        """Begin at this time, ns; whatever was going on is forgotten."""
+        self._start_ns = time_ns
+        self._last_ns = time_ns
+        self._frames: Mapping[str, Frame] | None = None
+        self._weights: Mapping[str, float] | None = None
+        self._offset = np.zeros(self.manifold.tangent_dim)
+        self._offset_rate = np.zeros(self.manifold.tangent_dim)
+        self._covariance: Array | None = None
+
+    def step(
+        self,
+        time_ns: int,
+        frames: Mapping[str, Frame],
+        weights: Mapping[str, float] | None = None,
+        state: Array | None = None,
+    ) -> Reference:
+        """The reference at a time.
+
+        Args:
+            time_ns: the time, ns, on the clock that ``start`` was given.
+            frames: the frames that are known, by name, with the model's dimensions (``Frame.with_time``). Pass the same
+                mapping as long as nothing has changed: a new one is taken as a change.
+            weights: how far each frame is trusted, 0..1; fully where not named.
+            state: (D,), where the robot is; what no frame constrains stays there.
+
+        Raises:
+            ValueError: no frames, unknown ones, or ``start`` was never called.
+        """
+        if self._start_ns is None:
+            raise ValueError("the reproduction has not been started: call start(time_ns)")
+        elapsed = max(0.0, (time_ns - self._start_ns) / _SECOND)
+        since = max(0.0, (time_ns - self._last_ns) / _SECOND)
+        self._last_ns = time_ns
+        self._advance_offset(since)
+        phase = min(1.0, elapsed / self.duration)
+        times = np.minimum((elapsed + self._ahead) / self.duration, 1.0) * self.model_duration
+        means, covariances, activations = self._adapter.adapt_and_condition(frames, times, weights, state)
+        if self._frames is not None and (frames is not self._frames or weights is not self._weights):
+            self._take_over(times[:1], means[0], state)
+        self._frames, self._weights = frames, weights
+        covariance = self._blend_covariance(covariances[0], since)
+        gaussians = [
+            Gaussian(self.manifold.exp(mean, self._offset_after(ahead)[0]), cov, self.manifold)
+            for mean, cov, ahead in zip(means, [covariance, *covariances[1:]], self._ahead, strict=True)
+        ]
+        return Reference(
+            phase=phase,
+            gaussian=gaussians[0],
+            horizon_time_step=self._horizon_time_step,
+            horizon=tuple(gaussians[1:]),
+            activations=activations,
+            frames=tuple(frames),
+        )
+
+    def _take_over(self, times: Array, mean: Array, state: Array | None) -> None:
+        """Make the offset such that the reference stays where the former frames had it."""
+        assert self._frames is not None
+        former, _, _ = self._adapter.adapt_and_condition(self._frames, times, self._weights, state)
+        self._offset = self.manifold.log(mean, self.manifold.exp(former[0], self._offset))
+
+    def _offset_after(self, seconds: float) -> tuple[Array, Array]:
+        """Offset and its rate after a time: the exact solution of the critically damped spring."""
+        rate = 1.0 / self._blend_time
+        slope = self._offset_rate + rate * self._offset
+        decay = math.exp(-rate * seconds)
+        return decay * (self._offset + seconds * slope), decay * (self._offset_rate - rate * seconds * slope)
+
+    def _advance_offset(self, seconds: float) -> None:
+        self._offset, self._offset_rate = self._offset_after(seconds)
+
+    def _blend_covariance(self, covariance: Array, seconds: float) -> Array:
+        """Covariances form a convex cone: a first-order low-pass never leaves it."""
+        if self._covariance is None:
+            self._covariance = covariance.copy()
+        else:
+            share = 1.0 - math.exp(-seconds / self._blend_time)
+            self._covariance = self._covariance + share * (covariance - self._covariance)
+        return self._covariance
+
+
+def demonstrated_duration(model: TPGMM) -> float:
+    """How long the demonstrations of a model took on average, s.
+
+    Raises:
+        ValueError: the model's metadata do not say.
+    """
+    duration = model.metadata_.get("duration_s")
+    if not isinstance(duration, int | float) or not duration > 0.0:
+        raise ValueError(
+            f"the model's metadata say duration_s = {duration!r}; expected the demonstrations' mean duration in s: "
+            "a model that is to be reproduced over time is trained by 'train'"
+        )
+    return float(duration)

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""teach: record demonstrations of a task, from the topics of a robot that is led by hand, or all by itself.
+
+Without ``--scripted`` it records what is on the topics of the task file until Ctrl-C: lead the arm of your robot.
+With ``--scripted`` it starts ``baxter_simulator`` and ``impedance_controller`` (gravity compensation), and a scripted
+teacher leads the simulated hand by forces through pick-and-place situations, one recording each.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from domain_coordinator import domain_id
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from tpgmm_core.robot import RobotModel
+from tqdm import tqdm
+
+from tpgmm_ros import conversions
+from tpgmm_ros.bag_recorder import BagRecorder
+from tpgmm_ros.executor import StopFlag
+from tpgmm_ros.pick_place import Array, Grasp, Situation, random_situation
+from tpgmm_ros.processes import Graph, GraphError, NodeProcesses
+from tpgmm_ros.qos import STREAM
+from tpgmm_ros.resources import config_file
+from tpgmm_ros.task import Task, TaskError
+from tpgmm_ros.teacher import Intention, Teacher, TeacherConfig
+
+#: Joint states come at up to 1 kHz; a demonstration needs no more than the poses' rate.
+KEEP_EVERY_JOINT_STATE = 20
+#: Perception sees the objects this often, in ticks of the end point's pose.
+TICKS_PER_OBSERVATION = 3
+#: The arm comes to rest before the teacher takes the hand, s.
+SETTLE = 0.3
+
+
+def topics_of(task: Task) -> dict[str, type]:
+    """The topics that a recording of a task holds."""
+    return {task.movement: PoseStamped, **dict.fromkeys(task.topics.values(), PoseStamped), "joint_states": JointState}
+
+
+class ScriptedLesson:
+    """One demonstration: the teacher's forces and the objects' poses, answered to each pose of the hand.
+
+    The object is seen as long as it lies; in the hand it is hidden.
+    """
+
+    def __init__(self, node: Node, task: Task, link: str, situation: Situation, random: np.random.Generator) -> None:
+        self.done = False
+        self._node = node
+        self._task = task
+        self._link = link
+        self._situation = situation
+        self._random = random
+        self._grasp = Grasp(situation.object)
+        self._start: float | None = None
+        self._teacher: Teacher | None = None
+        self._ticks = 0
+        self._wrenches = node.create_publisher(WrenchStamped, "external_wrench", STREAM)
+        self._places = {
+            name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()
+        }
+        self._subscription = node.create_subscription(PoseStamped, task.movement, self._answer, STREAM)
+        self.duration = 0.0
+        self.time = 0.0
+
+    @property
+    def grasped(self) -> bool:
+        return self._grasp.holds
+
+    def close(self) -> None:
+        self._node.destroy_subscription(self._subscription)
+        for publisher in (self._wrenches, *self._places.values()):
+            self._node.destroy_publisher(publisher)
+
+    def _answer(self, message: PoseStamped) -> None:
+        stamp_ns = conversions.time_to_ns(message.header.stamp)
+        now = 1e-9 * stamp_ns
+        hand = conversions.pose_to_array(message.pose)
+        self._start = now if self._start is None else self._start
+        self.time = now - self._start - SETTLE
+        self._grasp.update(hand, now)
+        if self._ticks % TICKS_PER_OBSERVATION == 0:
+            self._show("target", self._situation.target, stamp_ns)
+            if not self._grasp.holds:
+                self._show("object", self._grasp.object, stamp_ns)
+        self._ticks += 1
+        if self.time < 0.0 or self.done:
+            return
+        if self._teacher is None:
+            config = TeacherConfig()
+            self._teacher = Teacher(Intention(hand, self._situation, config, self._random), config)
+            self.duration = self._teacher.intention.duration
+        wrench = self._teacher.wrench(self.time, hand)
+        self._wrenches.publish(conversions.wrench_from_array(wrench, stamp_ns, self._link))
+        self.done = self.time >= self.duration
+
+    def _show(self, name: str, place: Array, stamp_ns: int) -> None:
+        self._places[name].publish(conversions.pose_stamped(place, stamp_ns, self._task.base_frame))
+
+
+def record_scripted(task: Task, robot_file: Path, output: Path, count: int, seed: int) -> list[Path]:
+    """Record ``count`` demonstrations of pick-and-place; existing ones are kept and not made again.
+
+    Raises:
+        GraphError: a node failed, or the scripted teacher did not manage to grasp the object.
+    """
+    robot = RobotModel.from_file(robot_file)
+    link = robot.endpoints[task.endpoint].frame
+    made = []
+    with domain_id() as domain, tempfile.TemporaryDirectory() as logs:
+        # Nodes started here talk to each other and to nobody else.
+        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", ROS_LOG_DIR=logs)
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        stop = StopFlag()
+        with tqdm(total=count, unit="demonstration", desc="teaching") as progress:
+            for index in range(count):
+                path = output / f"demo_{index + 1:02d}"
+                if path.exists():
+                    progress.write(f"{path}: exists, kept")
+                else:
+                    random = np.random.default_rng([seed, index])
+                    words = _record_lesson(task, robot_file, link, path, random, Path(logs), stop)
+                    progress.write(f"{path}: {words}")
+                    made.append(path)
+                progress.update()
+        rclpy.shutdown()
+    return made
+
+
+def _record_lesson(
+    task: Task,
+    robot_file: Path,
+    link: str,
+    path: Path,
+    random: np.random.Generator,
+    logs: Path,
+    stop: StopFlag,
+) -> str:
+    node = Node("teach", parameter_overrides=[Parameter("use_sim_time", value=True)])
+    executor = EventsExecutor()
+    executor.add_node(node)
+    with NodeProcesses(logs) as processes:
+        processes.start(
+            "impedance_controller",
+            robot_file=robot_file,
+            endpoint=task.endpoint,
+            use_sim_time=True,
+            autostart=True,
+            posture_stiffness=0.0,
+        )
+        processes.start("baxter_simulator", robot_file=robot_file, lockstep=True)
+        graph = Graph(node, executor, processes)
+        graph.wait_for(lambda: node.count_publishers("joint_torques") > 0, 30.0, "the controller")
+        with BagRecorder(
+            node, path, topics_of(task), keep_every={"joint_states": KEEP_EVERY_JOINT_STATE}
+        ) as recorder:
+            lesson = ScriptedLesson(node, task, link, random_situation(random), random)
+            graph.wait_for(lambda: lesson.done or stop.set, 300.0, "the end of the demonstration")
+            lesson.close()
+            if stop.set:
+                raise GraphError(f"interrupted; the unfinished recording of {path} is not kept")
+            if not lesson.grasped:
+                raise GraphError(f"{path}: the scripted teacher did not bring the hand to the object")
+    executor.remove_node(node)
+    node.destroy_node()
+    return f"{lesson.duration:.1f} s, {recorder.counts[task.movement]} poses"
+
+
+def record_live(task: Task, output: Path) -> dict[str, int]:
+    """Record the task's topics until SIGINT or SIGTERM; returns the number of messages by topic."""
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    stop = StopFlag()
+    node = Node("teach")
+    executor = EventsExecutor()
+    executor.add_node(node)
+    told = time.monotonic()
+    with BagRecorder(node, output, topics_of(task)) as recorder:
+        print(f"recording {', '.join(topics_of(task))}\nCtrl-C ends the demonstration", file=sys.stderr)
+        while not stop.set:
+            executor.spin_once(timeout_sec=0.1)
+            if time.monotonic() - told > 1.0:
+                told = time.monotonic()
+                counts = ", ".join(f"{topic} {count}" for topic, count in recorder.counts.items())
+                print(f"\r{counts} ", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    rclpy.shutdown()
+    return recorder.counts
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        prog="teach",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="examples:\n"
+        "  teach --task config/pick_place.yaml --output bags/mine/demo_01\n"
+        "  teach --scripted --count 12 --output bags/pick_place",
+    )
+    parser.add_argument("--task", type=Path, default=config_file("pick_place.yaml"), help="task file (default: %(default)s)")
+    parser.add_argument("--output", type=Path, required=True, help="the new bag; with --scripted, the directory of the bags")
+    parser.add_argument("--scripted", action="store_true", help="a scripted teacher on a simulated Baxter")
+    parser.add_argument("--count", type=int, default=12, help="demonstrations to record with --scripted (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the scripted teacher's variation (default: %(default)s)")
+    parser.add_argument(
+        "--robot", type=Path, default=config_file("baxter.yaml"), help="robot file, with --scripted (default: %(default)s)"
+    )
+    arguments = parser.parse_args()
+    if arguments.count < 1:
+        parser.error(f"--count {arguments.count}: give 1 or more")
+    try:
+        task = Task.load(arguments.task)
+        if arguments.scripted:
+            made = record_scripted(task, arguments.robot, arguments.output, arguments.count, arguments.seed)
+            print(f"{len(made)} demonstrations recorded in {arguments.output}")
+        else:
+            counts = record_live(task, arguments.output)
+            silent = [topic for topic, count in counts.items() if not count]
+            if silent:
+                print(f"warning: nothing came on {', '.join(silent)}", file=sys.stderr)
+            print(f"{arguments.output}: " + ", ".join(f"{topic} {count}" for topic, count in counts.items()))
+    except (TaskError, GraphError, OSError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
