@@ -15,6 +15,8 @@ PROGRAMS := $(VENV)/lib/tpgmm_ros
 DONE := $(VENV)/.done
 
 SEED ?= 1
+# Data sets of others, which are no part of the repository
+DATA ?= ../shared/data
 
 # The libraries of a sourced ROS installation or of another environment must not mix with those of the wheels
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
@@ -45,13 +47,15 @@ demo: setup ## train, start the nodes, do the task: out/demo/ (SEED=7 for anothe
 	$(PROGRAMS)/demo --seed $(SEED)
 
 bags: setup ## record the demonstrations in bags/ again
-	$(PROGRAMS)/teach
+	rm -rf bags/pick_place
+	$(PROGRAMS)/teach --scripted --output bags/pick_place
 
-results: setup ## compute the numbers of docs/results.md again
-	$(PYTHON) benchmarks/results.py
+results: setup ## the numbers of docs/results.md: leave-one-out on real demonstrations (DATA=directory of the data sets)
+	$(PROGRAMS)/train --task config/baxter_valve.yaml --leave-one-out --report out/results/baxter_valve \
+		$(DATA)/baxter_valve
 
 bench: setup ## benchmarks: tables, and JSON in out/bench/
-	$(PYTHON) benchmarks/run.py
+	@for benchmark in $$(grep -l __main__ benchmarks/*.py); do PYTHONPATH=. $(PYTHON) "$$benchmark"; done
 
 lock: $(DONE)/venv ## resolve requirements.in into requirements.txt
 	$(PYTHON) -m pip install --quiet uv
