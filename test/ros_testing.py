@@ -11,7 +11,6 @@ import os
 import shlex
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -97,14 +96,13 @@ StartProcess = Callable[..., RunningProcess]
 
 
 def executable(name: str) -> str:
-    """Path of an executable of tpgmm_ros: in the virtual environment, or where `ros2 run` finds it."""
-    candidates = [Path(sys.prefix) / "bin" / name]
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        candidates.append(Path(prefix) / "lib" / "tpgmm_ros" / name)
-    for candidate in candidates:
-        if os.access(candidate, os.X_OK):
-            return str(candidate)
-    raise FileNotFoundError(f"no executable {name!r} at {', '.join(map(str, candidates))}: run `make setup`")
+    """Path of an executable of tpgmm_ros, where `ros2 run` finds it too."""
+    from ament_index_python.packages import get_package_prefix
+
+    path = Path(get_package_prefix("tpgmm_ros")) / "lib" / "tpgmm_ros" / name
+    if not os.access(path, os.X_OK):
+        raise FileNotFoundError(f"no executable {name!r} at {path}: is it in setup.py? run `make setup`")
+    return str(path)
 
 
 def spin_until(
