@@ -27,12 +27,12 @@ class ExecutionConfig:
     """What counts as begun and as done.
 
     start_timeout: all frames of the model must be known within this time, s.
-    settle_time: after the movement's end the robot has this long to arrive, s.
+    settle_time: the robot's error is judged this long after the movement's end, s.
     position_tolerance, orientation_tolerance: how near the end of the reference is near enough, m and rad.
     """
 
     start_timeout: float = 5.0
-    settle_time: float = 2.0
+    settle_time: float = 1.0
     position_tolerance: float = 0.01
     orientation_tolerance: float = math.radians(5.0)
 
@@ -132,26 +132,17 @@ class Execution:
         return False
 
     def _judge(self, time_ns: int, reference: Reference, pose: Array | None) -> None:
-        late = time_ns - self._settling_ns > self.config.settle_time * _SECOND
+        config = self.config
+        if time_ns - self._settling_ns < config.settle_time * _SECOND:
+            return
         if pose is None:
-            if late:
-                self._end(False, "the robot's pose is not known: nothing came on the movement's topic")
+            self._end(False, "the robot's pose is not known: nothing came on the movement's topic")
             return
         error = reference.gaussian.manifold.log(reference.gaussian.mean, pose)
         position, orientation = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
-        near = (
-            position <= self.config.position_tolerance and orientation <= self.config.orientation_tolerance
-        )
-        if near and late:
-            self._end(True, "reached", position, orientation)
-        elif late:
-            self._end(
-                False,
-                f"{1e3 * position:.1f} mm and {math.degrees(orientation):.1f} deg from the end "
-                f"after {self.config.settle_time:g} s",
-                position,
-                orientation,
-            )
+        words = f"{1e3 * position:.1f} mm and {math.degrees(orientation):.1f} deg from the end of the movement"
+        near = position <= config.position_tolerance and orientation <= config.orientation_tolerance
+        self._end(near, words, position, orientation)
 
     def _end(
         self, success: bool, reason: str, position: float = math.nan, orientation: float = math.nan

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.quaternion import Array
 
@@ -27,3 +29,10 @@ class Reference:
     horizon: tuple[Gaussian, ...]
     activations: Array
     frames: tuple[str, ...]
+
+    def velocity(self) -> Array:
+        """Velocity (D_tangent,) of the mean towards the next Gaussian of the horizon; zero where there is none."""
+        mean, manifold = self.gaussian.mean, self.gaussian.manifold
+        if not self.horizon:
+            return np.zeros(manifold.tangent_dim)
+        return manifold.log(mean, self.horizon[0].mean) / self.horizon_time_step

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Callable
 
 import numpy as np
@@ -11,6 +12,10 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from tpgmm_ros.qos import EVENTS
+
+_GAPS_TO_LEARN = 51
+#: A longer silence is a pause, not lost ticks.
+_PAUSE_NS = 1_000_000_000
 
 
 class Samples:
@@ -47,9 +52,25 @@ class Monitor:
         self.age = Samples()
         self._node = node
         self._status = status
+        self._last_tick_ns = 0
+        self._gaps: list[int] = []
+        self._period_ns = 1.0
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", EVENTS)
         # A timer on ROS time would stall with a paused simulation, just when one wants to know.
         self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def tick(self, stamp_ns: int) -> None:
+        """A tick that another node gives, by the stamp of its message: ticks that never came count as asked too."""
+        gap = stamp_ns - self._last_tick_ns
+        self._last_tick_ns = stamp_ns
+        if not 0 < gap < _PAUSE_NS:
+            self.asked += 1
+            return
+        if len(self._gaps) < _GAPS_TO_LEARN:
+            self._gaps.append(gap)
+            # The usual distance of two stamps is the period; only a gap of about twice that is a lost tick.
+            self._period_ns = statistics.median(self._gaps)
+        self.asked += max(1, round(gap / self._period_ns))
 
     def publish(self) -> None:
         level, message, extra = self._status()

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+
+ConfigT = TypeVar("ConfigT")
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +75,14 @@ class Parameters:
 
     def __getitem__(self, name: str) -> Any:
         return self._values[name]
+
+    def fill(self, config: type[ConfigT]) -> ConfigT:
+        """A dataclass whose fields are parameters of the same names.
+
+        Raises:
+            ValueError: from the dataclass.
+        """
+        return config(**{item.name: self[item.name] for item in fields(config)})  # type: ignore[arg-type]
 
     def _refuse(self, parameters: list[Parameter]) -> SetParametersResult:
         changed = {**self._values, **{item.name: item.value for item in parameters if item.name in self._values}}

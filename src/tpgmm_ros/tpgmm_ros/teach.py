@@ -158,7 +158,6 @@ def _record_lesson(
             endpoint=task.endpoint,
             use_sim_time=True,
             autostart=True,
-            posture_stiffness=0.0,
         )
         processes.start("baxter_simulator", robot_file=robot_file, lockstep=True)
         graph = Graph(node, executor, processes)

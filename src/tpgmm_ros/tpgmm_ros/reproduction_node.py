@@ -1,0 +1,322 @@
+# SPDX-License-Identifier: Apache-2.0
+"""reproduction: task parameters and a model in, at every step a Gaussian out: where to be and how much it matters.
+
+A lifecycle node. The action ``reproduce`` starts a movement; its references follow the joint states tick by tick (or
+a timer, where no robot publishes them), and go on after the end, so that the robot holds what it has reached.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from tpgmm_core import TPGMM, Frame
+from tpgmm_core.execution import Execution, ExecutionConfig, Outcome, Stage
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.reproduction import Reproduction
+from tpgmm_msgs.action import Reproduce
+from tpgmm_msgs.msg import Reference as ReferenceMessage
+from tpgmm_msgs.msg import TaskParameters
+from tpgmm_msgs.srv import LoadModel
+from visualization_msgs.msg import MarkerArray
+
+from tpgmm_ros import conversions
+from tpgmm_ros.conversions import MessageError
+from tpgmm_ros.executor import run
+from tpgmm_ros.markers import markers
+from tpgmm_ros.monitor import Monitor
+from tpgmm_ros.parameters import Declared, Parameters
+from tpgmm_ros.qos import LATCHED, STREAM
+from tpgmm_ros.task import DIMENSIONS, MANIFOLD, Task
+from tpgmm_ros.timing import loop_clock
+
+PARAMETERS = [
+    Declared("task_file", "", "Task file (YAML): frames and the movement's topic", fixed=True),
+    Declared("model_file", "", "Model file (.tpgmm) that is loaded when the node is configured", fixed=True),
+    Declared("autostart", False, "Configure and activate at start, without a lifecycle manager", fixed=True),
+    Declared("rate", 0.0, "References on a timer, Hz; 0: one for each joint state", 0.0, 2000.0, fixed=True),
+    Declared("horizon_steps", 1, "Gaussians ahead in each reference", 0, 50),
+    Declared("horizon_time_step", 0.02, "Time between them, s", 0.001, 1.0),
+    Declared("blend_time", 0.15, "Time constant with which moved or lost frames are taken over, s", 0.001, 5.0),
+    Declared("start_timeout", 5.0, "All frames must be seen within this time after a request, s", 0.1, 600.0),
+    Declared("settle_time", 1.0, "The robot's error is judged this long after the movement's end, s", 0.01, 60.0),
+    Declared("position_tolerance", 0.01, "Largest error at the end that is a success, m", 1e-4, 1.0),
+    Declared("orientation_tolerance", 0.0873, "Largest error at the end that is a success, rad", 1e-3, 3.2),
+]
+FEEDBACK_PERIOD_NS = 100_000_000
+POSE_PERIOD_NS = 33_000_000
+MARKER_PERIOD_NS = 100_000_000
+
+
+class ReproductionNode(LifecycleNode):
+    def __init__(self) -> None:
+        super().__init__("reproduction")
+        self.parameters = Parameters(self, PARAMETERS)
+        self.monitor = Monitor(self, self._status)
+        self.model: TPGMM | None = None
+        self.execution: Execution | None = None
+        self._active = False
+        self._goal: ServerGoalHandle | None = None
+        self._ended: Future[Outcome] | None = None
+        self._received: TaskParameters | None = None
+        self._known: dict[str, tuple[Frame, float]] = {}
+        self._frames: dict[str, Frame] = {}
+        self._weights: dict[str, float] = {}
+        self._pose: Any = None
+        self._last_ns = 0
+        self._due: dict[str, int] = {}
+        if self.parameters["autostart"]:
+            self.trigger_configure()
+            self.trigger_activate()
+
+    # -- lifecycle ----------------------------------------------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            self.task = Task.load(self.parameters["task_file"])
+            if self.parameters["model_file"]:
+                self.model = load_model(self.parameters["model_file"], self.task)
+        except (ValueError, OSError) as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        self._references = self.create_lifecycle_publisher(ReferenceMessage, "reference", STREAM)
+        self._reference_poses = self.create_lifecycle_publisher(
+            PoseWithCovarianceStamped, "reference_pose", STREAM
+        )
+        self._markers = self.create_lifecycle_publisher(MarkerArray, "markers", STREAM)
+        self.create_subscription(TaskParameters, "task_parameters", self._take_task_parameters, LATCHED)
+        self.create_subscription(PoseStamped, self.task.movement, self._take_pose, STREAM)
+        if self.parameters["rate"] > 0.0:
+            self.create_timer(
+                1.0 / self.parameters["rate"],
+                lambda: self._step(self.get_clock().now().nanoseconds),
+                clock=loop_clock(self),
+            )
+        else:
+            self.create_subscription(
+                JointState,
+                "joint_states",
+                lambda message: self._step(conversions.time_to_ns(message.header.stamp)),
+                STREAM,
+            )
+        self.create_service(LoadModel, "load_model", self._load_model)
+        self._action = ActionServer(
+            self,
+            Reproduce,
+            "reproduce",
+            self._reproduce,
+            goal_callback=lambda _: GoalResponse.ACCEPT,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._active = True
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._active = False
+        self._end("the node was deactivated")
+        self.execution = None
+        return super().on_deactivate(state)
+
+    # -- inputs -------------------------------------------------------------------------------------------------------
+
+    def _take_task_parameters(self, message: TaskParameters) -> None:
+        # The same frames again are no change: the reproduction need not adapt to them anew.
+        if self._received is not None and message.frames == self._received.frames:
+            return
+        try:
+            states = conversions.task_parameters(message)
+            frames = {name: item.frame.with_time() for name, item in states.items() if item.frame is not None}
+            check_frames(frames)
+        except (MessageError, ValueError) as error:
+            self.get_logger().error(f"task parameters refused: {error}", throttle_duration_sec=1.0)
+            return
+        self._received = message
+        self._known = {name: (frame, states[name].weight) for name, frame in frames.items()}
+        self._choose_frames()
+
+    def _choose_frames(self) -> None:
+        """Of the frames that are known, those that the model has learned from."""
+        if self.execution is None:
+            return
+        names = [name for name in self.execution.reproduction.model.frame_names_ if name in self._known]
+        self._frames = {name: self._known[name][0] for name in names}
+        self._weights = {name: self._known[name][1] for name in names}
+
+    def _take_pose(self, message: PoseStamped) -> None:
+        self._pose = conversions.pose_to_array(message.pose)
+
+    def _load_model(self, request: LoadModel.Request, response: LoadModel.Response) -> LoadModel.Response:
+        if self.execution is not None and self.execution.stage is not Stage.ENDED:
+            response.success, response.reason = False, "a movement is being reproduced: cancel it or wait for its end"
+            return response
+        try:
+            self.model = load_model(request.path, self.task)
+        except (ValueError, OSError) as error:
+            response.success, response.reason = False, str(error)
+            return response
+        response.success, response.reason = True, f"loaded {request.path}"
+        return response
+
+    # -- the action ---------------------------------------------------------------------------------------------------
+
+    async def _reproduce(self, goal: ServerGoalHandle) -> Reproduce.Result:
+        try:
+            execution = self._prepare(goal.request)
+        except (ValueError, OSError) as error:
+            goal.abort()
+            return Reproduce.Result(success=False, reason=str(error))
+        self._end("another movement was asked for")
+        self.execution, self._goal, self._ended = execution, goal, Future()
+        self._choose_frames()
+        outcome = await self._ended
+        assert outcome is not None
+        if goal.is_cancel_requested:
+            goal.canceled()
+        elif outcome.success:
+            goal.succeed()
+        else:
+            goal.abort()
+        return Reproduce.Result(
+            success=outcome.success,
+            reason=outcome.reason,
+            final_position_error=outcome.position_error,
+            final_orientation_error=outcome.orientation_error,
+        )
+
+    def _prepare(self, request: Reproduce.Goal) -> Execution:
+        if not self._active:
+            raise ValueError("the node is not active: activate it first")
+        model = load_model(request.model, self.task) if request.model else self.model
+        if model is None:
+            raise ValueError("no model is loaded: name a model file in the goal, or set the parameter model_file")
+        reproduction = Reproduction(
+            model,
+            duration=request.duration or None,
+            horizon_steps=self.parameters["horizon_steps"],
+            horizon_time_step=self.parameters["horizon_time_step"],
+            blend_time=self.parameters["blend_time"],
+        )
+        return Execution(reproduction, self.parameters.fill(ExecutionConfig))
+
+    def _end(self, reason: str) -> None:
+        """Stop the movement that is going on, if one is."""
+        if self.execution is not None:
+            self.execution.stop(self._last_ns, reason)
+            self._report_end()
+
+    def _report_end(self) -> None:
+        if self.execution is not None and self.execution.outcome is not None and self._ended is not None:
+            self.get_logger().info(f"movement ended: {self.execution.outcome.reason}")
+            self._ended.set_result(self.execution.outcome)
+            self._goal = self._ended = None
+
+    # -- one step -----------------------------------------------------------------------------------------------------
+
+    def _step(self, stamp_ns: int) -> None:
+        execution = self.execution
+        if execution is None or not self._active:
+            return
+        start = time.perf_counter()
+        if stamp_ns < self._last_ns:
+            self.get_logger().warning("time jumped backwards")
+            self._end("time jumped backwards")
+        self._last_ns = stamp_ns
+        self.monitor.tick(stamp_ns)
+        if self._goal is not None and self._goal.is_cancel_requested:
+            self._end("canceled")
+        reference = execution.step(stamp_ns, self._frames, self._weights, self._pose)
+        self._report_end()
+        if reference is None:
+            return
+        self._references.publish(
+            conversions.reference_message(reference, DIMENSIONS[1:], stamp_ns, self.task.base_frame)
+        )
+        self.monitor.done += 1
+        self.monitor.step.add(time.perf_counter() - start)
+        self._show(stamp_ns, execution)
+
+    def _show(self, stamp_ns: int, execution: Execution) -> None:
+        """What is published more rarely, for people and for the action's client."""
+        reference = execution.reference
+        assert reference is not None
+        frame_id = self.task.base_frame
+        if self._goal is not None and self._is_due("feedback", stamp_ns, FEEDBACK_PERIOD_NS):
+            self._goal.publish_feedback(
+                Reproduce.Feedback(phase=reference.phase, frames=list(reference.frames))
+            )
+        if self._is_due("pose", stamp_ns, POSE_PERIOD_NS):
+            self._reference_poses.publish(
+                conversions.pose_with_covariance(reference.gaussian, stamp_ns, frame_id)
+            )
+        if self._markers.get_subscription_count() and self._is_due("markers", stamp_ns, MARKER_PERIOD_NS):
+            mixture = execution.reproduction.model.adapt(self._frames, weights=self._weights)
+            shown = {name: self._known[name][0] for name in self._frames}
+            self._markers.publish(markers(mixture, reference.activations, shown, stamp_ns, frame_id))
+
+    def _is_due(self, what: str, stamp_ns: int, period_ns: int) -> bool:
+        if stamp_ns - self._due.get(what, 0) < period_ns:
+            return False
+        self._due[what] = stamp_ns
+        return True
+
+    def _status(self) -> tuple[bytes, str, dict[str, str]]:
+        if self.execution is None:
+            return DiagnosticStatus.OK, "waiting for a request", {}
+        reference = self.execution.reference
+        values = {"stage": self.execution.stage.value, "frames": ", ".join(self._frames)}
+        if reference is not None:
+            values["phase"] = f"{reference.phase:.3f}"
+        missing = [name for name in self.execution.reproduction.model.frame_names_ if name not in self._frames]
+        if missing:
+            return DiagnosticStatus.WARN, f"reproducing without {', '.join(missing)}", values
+        return DiagnosticStatus.OK, "reproducing", values
+
+
+def load_model(path: str, task: Task) -> TPGMM:
+    """A model that fits a task.
+
+    Raises:
+        ValueError: the file is no model, or the model encodes something else than the task describes.
+        OSError: the file cannot be read.
+    """
+    model = TPGMM.load(path)
+    if str(model.manifold_) != MANIFOLD or tuple(model.dimensions_ or ()) != DIMENSIONS:
+        raise ValueError(
+            f"{path} encodes {model.dimensions_} on {model.manifold_}; task '{task.name}' needs {DIMENSIONS} on {MANIFOLD}"
+        )
+    unknown = [name for name in model.frame_names_ if name not in task.frames]
+    if unknown:
+        raise ValueError(
+            f"{path} was learned from the frames {', '.join(model.frame_names_)}; task '{task.name}' "
+            f"names {', '.join(task.frames)} and lacks {', '.join(unknown)}"
+        )
+    return model
+
+
+def check_frames(frames: dict[str, Frame]) -> None:
+    """Raises ValueError: a frame that does not act on [time, pose]."""
+    manifold = Manifold.parse(MANIFOLD)
+    for name, frame in frames.items():
+        try:
+            manifold.tangent_map(frame.A)
+        except ValueError as error:
+            raise ValueError(f"frame '{name}': {error}") from error
+
+
+def main() -> int:
+    return run(ReproductionNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
