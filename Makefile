@@ -63,7 +63,8 @@ lock: $(DONE)/venv ## resolve requirements.in into requirements.txt
 		--python-version 3.12 requirements.in --output-file requirements.txt
 
 clean: ## remove everything that the other targets made
-	rm -rf $(VENV) build install log out
+	rm -rf $(VENV) out .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find src test benchmarks tools -name __pycache__ -prune -exec rm -rf {} +
 
 # --- the steps of the set-up ---
 
@@ -81,8 +82,9 @@ $(DONE)/requirements: requirements.txt tools/relocate_wheels.py $(DONE)/venv
 # The wheels make the environment a ROS prefix. What is built here joins them, so that every process of the environment
 # finds it without a setup.bash: libraries, interfaces, and executables in lib/tpgmm_ros, where `ros2 run` looks too
 colcon_build = PATH="$(CURDIR)/$(BIN):$$PATH" AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" CMAKE_PREFIX_PATH="$(CURDIR)/$(VENV)" \
-	$(BIN)/colcon --log-level error build --base-paths src --metas colcon.meta --packages-select $(1) \
-	--merge-install --install-base $(VENV) --symlink-install --event-handlers console_direct- summary-
+	$(BIN)/colcon --log-level error --log-base $(VENV)/log build --base-paths src --metas colcon.meta \
+	--packages-select $(1) --build-base $(VENV)/build --install-base $(VENV) --merge-install --symlink-install \
+	--event-handlers console_direct- summary-
 
 $(DONE)/interfaces: colcon.meta $(DONE)/requirements $(shell find src/tpgmm_msgs -type f)
 	$(call say,interface package)
@@ -94,7 +96,7 @@ INSTALLED_DATA := $(wildcard src/tpgmm_ros/launch/*.launch.py config/*.yaml)
 $(DONE)/packages: tools/activate_workspace.py $(DONE)/interfaces $(PACKAGE_FILES) $(INSTALLED_DATA)
 	$(call say,Python packages)
 	@$(call colcon_build,tpgmm_core tpgmm_ros)
-	@$(PYTHON) tools/activate_workspace.py build/tpgmm_core build/tpgmm_ros
+	@$(PYTHON) tools/activate_workspace.py $(VENV)/build/tpgmm_core $(VENV)/build/tpgmm_ros
 	@touch $@
 
 $(DONE)/kernels: $(DONE)/packages $(wildcard src/tpgmm_core/tpgmm_core/*.py)
