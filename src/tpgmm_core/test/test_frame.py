@@ -39,9 +39,7 @@ def test_a_pose_frame_composes_poses() -> None:
     frame = Frame.from_pose(p, q)
     x = np.concatenate([rng.normal(size=(5, 3)), random_quaternion(rng, 5)], axis=1)
     xi = np.einsum("tij,tj->ti", frame.A, x) + frame.b
-    np.testing.assert_allclose(
-        xi[:, :3], np.einsum("tij,tj->ti", quaternion.rotation_matrix(q), x[:, :3]) + p
-    )
+    np.testing.assert_allclose(xi[:, :3], np.einsum("tij,tj->ti", quaternion.rotation_matrix(q), x[:, :3]) + p)
     np.testing.assert_allclose(xi[:, 3:], quaternion.multiply(q, x[:, 3:]))
     np.testing.assert_allclose(frame.project(xi), x, atol=1e-12)
     with_time = frame.with_time()

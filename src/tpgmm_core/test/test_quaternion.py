@@ -34,9 +34,7 @@ def test_log_does_not_depend_on_the_sign() -> None:
 
 
 def test_from_matrix_inverts_rotation_matrix_also_for_half_turns() -> None:
-    half_turns = np.concatenate(
-        [np.eye(4), qt.normalize([[1.0, 1.0, 0, 0], [0, 1.0, -1.0, 0], [1e-9, 1.0, 0, 1e-9]])]
-    )
+    half_turns = np.concatenate([np.eye(4), qt.normalize([[1.0, 1.0, 0, 0], [0, 1.0, -1.0, 0], [1e-9, 1.0, 0, 1e-9]])])
     q = np.concatenate([random_quaternion(rng, 100), half_turns])
     back = qt.from_matrix(qt.rotation_matrix(q))
     np.testing.assert_allclose(np.abs(np.sum(q * back, axis=1)), 1.0, atol=1e-12)

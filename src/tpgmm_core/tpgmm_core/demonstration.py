@@ -20,9 +20,9 @@ class Demonstration:
     Parameters
     ----------
     times : shape (T,), s, strictly increasing
-    data : shape (T, D), in the common frame; all that the model is to encode (put time first where it is wanted)
+    data : shape (T, D), in the common frame; all that the model is to encode (time first where it is wanted)
     frames : name → Frame, constant or with T time steps
-    visible : name → mask (T,), False where the frame was not seen; frames that are not named were always seen.
+    visible : name → mask (T,), False where the frame was not seen; frames not named were always seen.
         Where a time-varying frame is not seen its A and b may hold anything finite.
 
     Raises ValueError that says what does not fit.
@@ -43,9 +43,7 @@ class Demonstration:
             raise ValueError("times must be finite")
         bad = np.flatnonzero(~np.all(np.isfinite(data), axis=1))
         if len(bad):
-            raise ValueError(
-                f"data must be finite, sample {bad[0]} is {data[bad[0]]} ({len(bad)} such samples)"
-            )
+            raise ValueError(f"data must be finite, sample {bad[0]} is {data[bad[0]]} ({len(bad)} such samples)")
         bad = np.flatnonzero(np.diff(times) <= 0.0)
         if len(bad):
             i = bad[0]
@@ -56,21 +54,15 @@ class Demonstration:
             raise ValueError("a demonstration needs at least one frame")
         for name, frame in self.frames.items():
             if frame.b.shape[-1] != data.shape[1]:
-                raise ValueError(
-                    f"frame {name!r} maps to {frame.b.shape[-1]} dimensions, the data has {data.shape[1]}"
-                )
+                raise ValueError(f"frame {name!r} maps to {frame.b.shape[-1]} dimensions, the data has {data.shape[1]}")
             if frame.is_time_varying and len(frame.A) != len(times):
-                raise ValueError(
-                    f"frame {name!r} has {len(frame.A)} time steps, the demonstration {len(times)}"
-                )
+                raise ValueError(f"frame {name!r} has {len(frame.A)} time steps, the demonstration {len(times)}")
         visible = {name: np.asarray(mask) for name, mask in (self.visible or {}).items()}
         for name, mask in visible.items():
             if name not in self.frames:
                 raise ValueError(f"visible names the unknown frame {name!r}; known are {sorted(self.frames)}")
             if mask.shape != times.shape or mask.dtype != np.bool_:
-                raise ValueError(
-                    f"visible[{name!r}] is a bool mask {times.shape}, got {mask.dtype} {mask.shape}"
-                )
+                raise ValueError(f"visible[{name!r}] is a bool mask {times.shape}, got {mask.dtype} {mask.shape}")
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "data", data)
         object.__setattr__(self, "frames", dict(self.frames))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tpgmm_core import quaternion
+from tpgmm_core.kernels import RANK_TOLERANCE
 from tpgmm_core.quaternion import Array
 
 
@@ -31,9 +32,7 @@ class Frame:
     def __post_init__(self) -> None:
         A, b = np.asarray(self.A, dtype=float), np.asarray(self.b, dtype=float)
         if A.ndim not in (2, 3) or b.ndim not in (1, 2) or A.shape[-2] != b.shape[-1] or 0 in A.shape:
-            raise ValueError(
-                f"a frame has A (D, D_j) or (T, D, D_j) and b (D,) or (T, D), got {A.shape} and {b.shape}"
-            )
+            raise ValueError(f"a frame has A (D, D_j) or (T, D, D_j) and b (D,) or (T, D), got {A.shape} and {b.shape}")
         if A.ndim == 3 or b.ndim == 2:
             steps = len(A) if A.ndim == 3 else len(b)
             if (A.ndim == 3 and b.ndim == 2) and len(b) != steps:
@@ -92,4 +91,4 @@ class Frame:
             raise ValueError(f"data for this frame has shape (T, {self.b.shape[-1]}), got {xi.shape}")
         if self.is_time_varying and xi.ndim == 2 and len(xi) != len(self.A):
             raise ValueError(f"the frame has {len(self.A)} time steps, the data {len(xi)}")
-        return np.einsum("...ij,...j->...i", np.linalg.pinv(self.A), xi - self.b)
+        return np.einsum("...ij,...j->...i", np.linalg.pinv(self.A, rcond=RANK_TOLERANCE), xi - self.b)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core import quaternion
 from tpgmm_core.quaternion import Array
@@ -45,7 +45,7 @@ class Manifold:
     def parse(cls, text: str, dim: int | None = None) -> Manifold:
         """Manifold of a text such as "R1 x R3 x S3", or "euclidean", which is R^dim.
 
-        Raises ValueError when the text is not understood or does not have `dim` ambient dimensions (where given).
+        Raises ValueError when the text is not understood, or has not `dim` ambient dimensions (where given).
         """
         if text.strip().lower() == "euclidean":
             if dim is None:
@@ -55,9 +55,7 @@ class Manifold:
         for part in text.split("x"):
             match = re.fullmatch(r"\s*([RS])(\d+)\s*", part)
             if match is None:
-                raise ValueError(
-                    f'a manifold is "euclidean" or a product such as "R1 x R3 x S3", got {text!r}'
-                )
+                raise ValueError(f'a manifold is "euclidean" or a product such as "R1 x R3 x S3", got {text!r}')
             factors.append((match[1], int(match[2])))
         manifold = cls(tuple(factors))
         if dim is not None and manifold.dim != dim:
@@ -100,19 +98,33 @@ class Manifold:
         return tuple(spheres)
 
     @cached_property
-    def flat_ambient(self) -> Array:
-        """Ambient indices of the Euclidean coordinates, in order; integers."""
+    def flat_ambient(self) -> NDArray[np.intp]:
+        """Ambient indices of the Euclidean coordinates, in order."""
         spherical = [i for s in self.spheres for i in range(s.ambient.start, s.ambient.stop)]
         return np.setdiff1d(np.arange(self.dim), spherical)
 
     @cached_property
-    def flat_tangent(self) -> Array:
-        """Tangent indices of the Euclidean coordinates, in order; integers."""
+    def flat_tangent(self) -> NDArray[np.intp]:
+        """Tangent indices of the Euclidean coordinates, in order."""
         spherical = [i for s in self.spheres for i in range(s.tangent.start, s.tangent.stop)]
         return np.setdiff1d(np.arange(self.tangent_dim), spherical)
 
+    @cached_property
+    def ambient_of_tangent(self) -> NDArray[np.int64]:
+        """Ambient index of each tangent dimension, or -1 on S³: the arrangement that the compiled kernels
+        take.
+        """
+        indices = np.full(self.tangent_dim, -1, dtype=np.int64)
+        indices[self.flat_tangent] = self.flat_ambient
+        return indices
+
+    @cached_property
+    def sphere_starts(self) -> NDArray[np.int64]:
+        """First ambient and first tangent index of each S³ factor, (S, 2), for the compiled kernels."""
+        return np.array([[s.ambient.start, s.tangent.start] for s in self.spheres], dtype=np.int64).reshape(-1, 2)
+
     def log(self, base: ArrayLike, x: ArrayLike) -> Array:
-        """Tangent vectors (..., tangent_dim) that lead from base (..., dim) to x (..., dim); q and -q agree."""
+        """Tangent vectors (..., tangent_dim) from base (..., dim) to x (..., dim); q and -q agree."""
         base, x = np.asarray(base, dtype=float), np.asarray(x, dtype=float)
         if self.is_euclidean:
             return x - base
@@ -138,8 +150,26 @@ class Manifold:
         """Length (...,) of the shortest way from x to y (..., dim)."""
         return np.linalg.norm(self.log(x, y), axis=-1)
 
+    def mean(self, x: ArrayLike, weights: ArrayLike | None = None) -> Array:
+        """Weighted mean (dim,) of points x (N, dim): where the weighted tangent vectors to the points
+        cancel out.
+        """
+        x = np.asarray(x, dtype=float)
+        w = np.full(len(x), 1.0 / len(x)) if weights is None else np.asarray(weights) / np.sum(weights)
+        mean = np.asarray(w @ x)
+        for s in self.spheres:
+            # the main axis of q q^T does not depend on signs, and lies near the mean
+            q = x[:, s.ambient]
+            mean[s.ambient] = np.linalg.eigh((w[:, None] * q).T @ q)[1][:, -1]
+        for _ in range(50 if self.spheres else 0):
+            step = w @ self.log(mean, x)
+            mean = self.exp(mean, step)
+            if np.abs(step).max() < 1e-13:
+                break
+        return mean
+
     def transport(self, base: ArrayLike, to: ArrayLike) -> Array:
-        """Matrices (..., tangent_dim, tangent_dim) of the parallel transport along the shortest way base → to.
+        """Matrices (..., tangent_dim, tangent_dim) of parallel transport along the shortest way base → to.
 
         In fixed axes the transport over a rotation w is the rotation by half of it.
         """
@@ -149,25 +179,21 @@ class Manifold:
         if not self.is_euclidean:
             v = self.log(base, to)
             for s in self.spheres:
-                T[..., s.tangent, s.tangent] = quaternion.rotation_matrix(
-                    quaternion.exp(0.5 * v[..., s.tangent])
-                )
+                T[..., s.tangent, s.tangent] = quaternion.rotation_matrix(quaternion.exp(0.5 * v[..., s.tangent]))
         return T
 
     def tangent_map(self, A: ArrayLike) -> Array:
         """How an ambient frame matrix A (..., D, D_j) acts on tangent vectors, (..., D_tangent, D_j_tangent).
 
         A quaternion block L(q) becomes the rotation R(q), whatever the point; Euclidean blocks stay.
-        On a Euclidean manifold A may have any number of columns. Raises ValueError when the block of an S³ factor
-        is not L(q), or when A mixes it with other coordinates.
+        On a Euclidean manifold A may have any number of columns. Raises ValueError when the block of an S³
+        factor is not L(q), or when A mixes it with other coordinates.
         """
         A = np.asarray(A, dtype=float)
         if self.is_euclidean:
             return A
         if A.shape[-2:] != (self.dim, self.dim):
-            raise ValueError(
-                f"a frame on {self} has a matrix of shape {(self.dim, self.dim)}, got {A.shape[-2:]}"
-            )
+            raise ValueError(f"a frame on {self} has a matrix of shape {(self.dim, self.dim)}, got {A.shape[-2:]}")
         tangent = np.zeros(A.shape[:-2] + (self.tangent_dim, self.tangent_dim))
         tangent[..., self.flat_tangent[:, None], self.flat_tangent] = A[
             ..., self.flat_ambient[:, None], self.flat_ambient
@@ -182,20 +208,17 @@ class Manifold:
                 np.abs(off_diagonal[..., :, s.ambient]).max(initial=0.0),
             )
             is_left = np.allclose(block, quaternion.left_matrix(q), rtol=0.0, atol=1e-9)
-            if (
-                mixed > 0.0
-                or not is_left
-                or not np.allclose(np.sum(q * q, axis=-1), 1.0, rtol=0.0, atol=1e-6)
-            ):
+            if mixed > 0.0 or not is_left or not np.allclose(np.sum(q * q, axis=-1), 1.0, rtol=0.0, atol=1e-6):
                 raise ValueError(
-                    f"the block of an S3 factor (rows {s.ambient.start} to {s.ambient.stop - 1} on {self}) must be the "
-                    "left multiplication L(q) by a unit quaternion and mix with nothing else: see Frame.from_pose"
+                    f"the block of an S3 factor (rows {s.ambient.start} to {s.ambient.stop - 1} on {self}) "
+                    "must be the left multiplication L(q) by a unit quaternion, mixing with nothing else: "
+                    "see Frame.from_pose"
                 )
             tangent[..., s.tangent, s.tangent] = quaternion.rotation_matrix(q)
         return tangent
 
-    def tangent_indices(self, dims: Sequence[int]) -> Array:
-        """Tangent indices that belong to the ambient indices `dims`; integers. Raises like `subset`."""
+    def tangent_indices(self, dims: Sequence[int]) -> NDArray[np.intp]:
+        """Tangent indices that belong to the ambient indices `dims`. Raises like `subset`."""
         return self._select(dims)[1]
 
     def subset(self, dims: Sequence[int]) -> Manifold:
@@ -209,7 +232,7 @@ class Manifold:
         """The ambient indices that are not in `dims`."""
         return [i for i in range(self.dim) if i not in set(dims)]
 
-    def _select(self, dims: Sequence[int]) -> tuple[tuple[tuple[str, int], ...], Array]:
+    def _select(self, dims: Sequence[int]) -> tuple[tuple[tuple[str, int], ...], NDArray[np.intp]]:
         dims = [int(i) for i in dims]
         if not dims or len(set(dims)) != len(dims) or not all(0 <= i < self.dim for i in dims):
             raise ValueError(f"dimensions of {self} are distinct indices 0 to {self.dim - 1}, got {dims}")
@@ -220,9 +243,7 @@ class Manifold:
         i = 0
         while i < len(dims):
             sphere = sphere_of.get(dims[i])
-            if sphere is not None and dims[i : i + 4] == list(
-                range(sphere.ambient.start, sphere.ambient.stop)
-            ):
+            if sphere is not None and dims[i : i + 4] == list(range(sphere.ambient.start, sphere.ambient.stop)):
                 factors.append(("S", 3))
                 tangent += range(sphere.tangent.start, sphere.tangent.stop)
                 i += 4
@@ -232,7 +253,5 @@ class Manifold:
                 tangent.append(tangent_of[dims[i]])
                 i += 1
             else:
-                raise ValueError(
-                    f"the dimensions {dims} of {self} split a quaternion; take its four numbers together"
-                )
-        return tuple(factors), np.array(tangent)
+                raise ValueError(f"the dimensions {dims} of {self} split a quaternion; take its four numbers together")
+        return tuple(factors), np.array(tangent, dtype=np.intp)

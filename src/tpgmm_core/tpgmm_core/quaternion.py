@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Unit quaternions as in ROS messages: x, y, z, w, Hamilton product, shape (..., 4).
 
-All functions are batched over the leading axes and broadcast. Rotation vectors (..., 3) are in radians about the
-*fixed* axes: `exp(w)` turns by |w| about w, and `multiply(exp(w), q)` turns q by w about the axes of the world.
+All functions are batched over the leading axes and broadcast. Rotation vectors (..., 3) are in radians about
+the *fixed* axes: `exp(w)` turns by |w| about w, and `multiply(exp(w), q)` turns q by w about fixed axes.
 """
 
 from __future__ import annotations
@@ -42,9 +42,7 @@ def normalize(q: ArrayLike) -> Array:
     q = np.asarray(q, dtype=float)
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     if not (np.all(np.isfinite(norm)) and np.all(norm > 1e-9)):
-        raise ValueError(
-            f"a quaternion needs a finite norm above zero to be an orientation, got norm {norm.min()}"
-        )
+        raise ValueError(f"a quaternion needs a finite norm above zero to be an orientation, got norm {norm.min()}")
     return q / norm
 
 
@@ -92,14 +90,12 @@ def from_matrix(R: ArrayLike) -> Array:
         raise ValueError("not a rotation matrix: it must be orthogonal with determinant +1")
     trace = np.trace(R, axis1=-2, axis2=-1)
     diagonal = np.diagonal(R, axis1=-2, axis2=-1)
-    # 4 q q^T holds four multiples of q as its rows; the one with the largest diagonal entry is well conditioned
+    # 4 q q^T holds four multiples of q as its rows; that with the largest diagonal entry is well conditioned
     outer = np.empty(R.shape[:-2] + (4, 4))
     outer[..., :3, :3] = R + np.swapaxes(R, -1, -2)
     outer[..., range(3), range(3)] = 1.0 + 2.0 * diagonal - trace[..., None]
     outer[..., 3, 3] = 1.0 + trace
-    axial = np.stack(
-        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1
-    )
+    axial = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
     outer[..., 3, :3] = axial
     outer[..., :3, 3] = axial
     best = np.argmax(outer[..., range(4), range(4)], axis=-1)
@@ -119,9 +115,7 @@ def continuous(q: ArrayLike) -> Array:
     """Sequence (T, 4) with signs chosen such that neighbours lie on the same half of the sphere."""
     q = np.asarray(q, dtype=float)
     flips = np.sum(q[1:] * q[:-1], axis=-1) < 0.0
-    signs = np.where(
-        np.concatenate([[False], np.logical_xor.accumulate(flips)]) if len(q) > 1 else False, -1.0, 1.0
-    )
+    signs = np.where(np.concatenate([[False], np.logical_xor.accumulate(flips)]) if len(q) > 1 else False, -1.0, 1.0)
     return q * signs[..., None] if len(q) else q.copy()
 
 

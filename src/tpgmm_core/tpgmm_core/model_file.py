@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Model files: one file of numbers and text, versioned; loading executes nothing.
+
+A file is a zip archive in numpy's npz format: `model.json` as an array of bytes with the names, texts and
+settings, and plain numeric arrays. It is written beside its place and then moved there, so that an
+interrupted save loses nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.quaternion import Array
+
+FORMAT = "tpgmm model"
+VERSION = 1
+MAX_BYTES = 100_000_000  # unpacked; a model of 100 components, 20 frames and 20 dimensions has 7 MB
+
+
+class ModelFileError(ValueError):
+    """The file is damaged, or no model file, or from a later version."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelContents:
+    """What a model file holds: see the attributes of `TPGMM`. settings are constructor arguments."""
+
+    manifold: Manifold
+    priors: Array
+    means: Mapping[str, Array]
+    covariances: Mapping[str, Array]
+    log_likelihoods: Array
+    objectives: Array
+    converged: bool
+    settings: Mapping[str, str | float]
+    dimensions: tuple[str, ...] | None = None
+    metadata: Mapping[str, str | float] = field(default_factory=dict)
+
+
+def write(path: str | PathLike[str], contents: ModelContents) -> None:
+    """Write a model file, replacing an older one only when the new one is complete.
+
+    Raises ValueError when the metadata hold something else than texts and finite numbers, OSError when the
+    disk refuses.
+    """
+    path = Path(path)
+    _check_metadata(contents.metadata)
+    names = list(contents.means)
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "frames": names,
+        "manifold": str(contents.manifold),
+        "dimensions": None if contents.dimensions is None else list(contents.dimensions),
+        "converged": contents.converged,
+        "settings": dict(contents.settings),
+        "metadata": dict(contents.metadata),
+    }
+    arrays: dict[str, Any] = {
+        "model.json": np.frombuffer(json.dumps(header, allow_nan=False).encode(), dtype=np.uint8),
+        "priors": contents.priors,
+        "log_likelihoods": contents.log_likelihoods,
+        "objectives": contents.objectives,
+    }
+    for j, name in enumerate(names):
+        arrays[f"means_{j}"] = contents.means[name]
+        arrays[f"covariances_{j}"] = contents.covariances[name]
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            np.savez_compressed(stream, **arrays)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def read(path: str | PathLike[str]) -> ModelContents:
+    """Read a model file.
+
+    Raises ModelFileError for anything but a complete model file of a known version, FileNotFoundError where
+    there is none.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+        if size > MAX_BYTES:
+            raise ModelFileError(f"{path}: {size} bytes unpacked, a model file has at most {MAX_BYTES}")
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        return _contents(json.loads(arrays.pop("model.json").tobytes()), arrays)
+    except (FileNotFoundError, IsADirectoryError, PermissionError):
+        raise
+    except ModelFileError as error:
+        raise ModelFileError(f"{path}: {error}") from None
+    except Exception as error:  # whatever zip, numpy and json raise on damaged bytes: to the caller it is one thing
+        raise ModelFileError(
+            f"{path}: damaged, or no model file ({type(error).__name__}: {error}); train the model again"
+        ) from error
+
+
+def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise ModelFileError("no model file: it does not say so in its header")
+    if header.get("version") != VERSION:
+        raise ModelFileError(f"version {header.get('version')!r}, this software reads version {VERSION}")
+    names = header["frames"]
+    if not names or len(set(names)) != len(names) or not all(isinstance(name, str) for name in names):
+        raise ModelFileError(f"frames are distinct names, got {names!r}")
+    manifold = Manifold.parse(header["manifold"])
+    means = {name: _numbers(arrays, f"means_{j}", 2) for j, name in enumerate(names)}
+    covariances = {name: _numbers(arrays, f"covariances_{j}", 3) for j, name in enumerate(names)}
+    priors = _numbers(arrays, "priors", 1)
+    K = len(priors)
+    if K == 0 or priors.min() < 0.0 or not math.isclose(priors.sum(), 1.0, abs_tol=1e-6):
+        raise ModelFileError("priors must be from 0 and sum to 1")
+    for name in names:
+        D = means[name].shape[1]
+        space = Manifold.euclidean(D) if manifold.is_euclidean and D else manifold
+        n = space.tangent_dim
+        if means[name].shape != (K, space.dim) or covariances[name].shape != (K, n, n):
+            raise ModelFileError(
+                f"frame {name!r} has means {means[name].shape} and covariances {covariances[name].shape}, "
+                f"expected {(K, space.dim)} and {(K, n, n)}"
+            )
+        np.linalg.cholesky(covariances[name])
+    dimensions = header["dimensions"]
+    if dimensions is not None and (len(dimensions) != manifold.dim or not all(isinstance(d, str) for d in dimensions)):
+        raise ModelFileError(f"dimensions are {manifold.dim} names, got {dimensions!r}")
+    _check_metadata(header["metadata"])
+    return ModelContents(
+        manifold=manifold,
+        priors=priors,
+        means=means,
+        covariances=covariances,
+        log_likelihoods=_numbers(arrays, "log_likelihoods", 1),
+        objectives=_numbers(arrays, "objectives", 1),
+        converged=bool(header["converged"]),
+        settings=dict(header["settings"]),
+        dimensions=None if dimensions is None else tuple(dimensions),
+        metadata=dict(header["metadata"]),
+    )
+
+
+def _numbers(arrays: dict[str, Any], name: str, ndim: int) -> Array:
+    array = arrays[name]
+    if array.dtype != np.float64 or array.ndim != ndim or not np.all(np.isfinite(array)):
+        raise ModelFileError(f"{name} must be finite float64 numbers of {ndim} axes")
+    return np.asarray(array)
+
+
+def _check_metadata(metadata: Any) -> None:
+    if not isinstance(metadata, Mapping):
+        raise ValueError(f"metadata is a mapping from names to texts and numbers, got {metadata!r}")
+    for key, value in metadata.items():
+        is_number = isinstance(value, int | float) and math.isfinite(value)
+        if not isinstance(key, str) or not (isinstance(value, str) or is_number):
+            raise ValueError(f"metadata maps names to texts and finite numbers, got {key!r}: {value!r}")

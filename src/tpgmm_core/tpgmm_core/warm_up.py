@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`python -m tpgmm_core.warm_up`: compiles all kernels once; numba keeps the result on disk."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tpgmm_core import TPGMM, Adapter
+
+
+def warm_up() -> None:
+    """Run every compiled path on a small problem, so that neither a fit nor a control step waits for the
+    compiler.
+    """
+    rng = np.random.default_rng(0)
+    time = np.linspace(0.0, 1.0, 40)[:, None]
+    pose = np.concatenate([rng.normal(size=(40, 3)), 0.1 * rng.normal(size=(40, 3)), np.ones((40, 1))], axis=1)
+    pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+    X = np.concatenate([time, pose], axis=1)
+    model = TPGMM(n_components=2, manifold="R1 x R3 x S3", max_iter=1).fit_projected({"frame": X})
+    Adapter(model)
+
+
+if __name__ == "__main__":
+    warm_up()
