@@ -126,8 +126,10 @@ class BaxterSimulatorNode(Node):
         self._states.publish(
             conversions.joint_state_message(self._names, self._stamp_ns, state.q, state.v, state.tau)
         )
+
+    def _publish_poses(self) -> None:
         if self._steps % self._steps_per_pose == 0:
-            self._data.update(state.q)
+            self._data.update(self.simulator.state.q)
             for name, publisher in self._poses.items():
                 pose = self._data.pose(name)
                 publisher.publish(conversions.pose_stamped(pose, self._stamp_ns, self.robot.base_frame))
@@ -156,6 +158,7 @@ class BaxterSimulatorNode(Node):
             for _ in range(min(1 + behind, MAX_CATCH_UP)):
                 self._step()
             self._publish_state()
+            self._publish_poses()
             self.monitor.asked += 1 + behind
             self.monitor.done += 1
             self.monitor.step.add(time.perf_counter() - start)
@@ -167,6 +170,7 @@ class BaxterSimulatorNode(Node):
             self._stamp_ns = SECOND + round(self._steps * self.time_step * SECOND)
             self._clock_publisher.publish(Clock(clock=conversions.time_from_ns(self._stamp_ns)))
             self._publish_state()
+            self._publish_poses()
             repeat_at = time.perf_counter() + REPEAT_AFTER
             while self._torque_stamp_ns != self._stamp_ns and not stop.set:
                 executor.spin_once(timeout_sec=0.01)

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The demo's program: train, start, disturb, report."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from action_msgs.msg import GoalStatus
+from domain_coordinator import domain_id
+from rclpy.action import ActionClient
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from tpgmm_core import TPGMM, Frame
+from tpgmm_core.reproduction import demonstrated_duration
+from tpgmm_core.robot import RobotModel
+from tpgmm_msgs.action import Reproduce
+
+import tpgmm_ros.demo as package
+from tpgmm_ros import train
+from tpgmm_ros.demo.pictures import draw
+from tpgmm_ros.demo.recording import Recording
+from tpgmm_ros.demo.report import evaluate, table
+from tpgmm_ros.demo.world import Disturbances, World
+from tpgmm_ros.pick_place import random_situation
+from tpgmm_ros.processes import Graph, GraphError, NodeProcesses
+from tpgmm_ros.reporting import write_report
+from tpgmm_ros.resources import config_file
+from tpgmm_ros.task import Task
+
+START_TIMEOUT = 60.0
+
+
+def main() -> int:
+    arguments = _parser().parse_args()
+    model_file = arguments.output / "pick_place.tpgmm"
+    print(f"1. training from {arguments.bags}")
+    if train.main(["--task", str(arguments.task), "--output", str(model_file), str(arguments.bags)]) != 0:
+        return 1
+    try:
+        passed = _run(arguments, model_file)
+    except (GraphError, OSError, ValueError) as error:
+        # A report of an earlier success must not stand beside a failure.
+        write_report(arguments.output, {"passed": False, "error": str(error)})
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        write_report(arguments.output, {"passed": False, "error": "interrupted"})
+        print("interrupted", file=sys.stderr)
+        return 130
+    return 0 if passed else 1
+
+
+def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
+    task = Task.load(arguments.task)
+    robot = RobotModel.from_file(arguments.robot)
+    model = TPGMM.load(model_file)
+    # The seeds of the demonstrations are drawn otherwise: no situation here was in one of them.
+    random = np.random.default_rng([arguments.seed, 0xDE, 0x40])
+    situation = random_situation(random)
+    disturbances = Disturbances.random(random, demonstrated_duration(model))
+    with _domain(arguments.domain):
+        rclpy.init(args=[])
+        node = Node("demo", parameter_overrides=[Parameter("use_sim_time", value=arguments.lockstep)])
+        executor = EventsExecutor()
+        executor.add_node(node)
+        recording = Recording(node, task, list(robot.joint_names))
+        world = World(node, task, situation, disturbances)
+        with NodeProcesses(arguments.output / "log") as processes:
+            graph = Graph(node, executor, processes)
+            print(f"2. starting the nodes (logs: {processes.log_directory})")
+            _start(graph, arguments, model_file)
+            print("3. reproducing in a new situation; the object is pushed and the target hidden on the way")
+            outcome = _reproduce(graph, recording, world)
+        executor.remove_node(node)
+        node.destroy_node()
+        rclpy.shutdown()
+    report = evaluate(recording, world, robot.effort_limits, outcome)
+    pushed = disturbances.pushed(situation.object, np.inf)
+    frames = {name: spec.pose for name, spec in task.frames.items() if spec.pose is not None}
+    frames |= {"object": pushed, "target": situation.target}
+    mixture = model.adapt(
+        {name: Frame.from_pose(pose[:3], pose[3:]).with_time() for name, pose in frames.items()}
+    )
+    draw(recording, world, mixture, robot.effort_limits, arguments.output)
+    path = write_report(arguments.output, report)
+    print(table(report))
+    print(f"report and pictures: {path.parent}")
+    return bool(report["passed"])
+
+
+@contextlib.contextmanager
+def _domain(given: int | None) -> Iterator[None]:
+    """A ROS domain that nobody else on this machine uses, and that no other machine sees; or the one that was given."""
+    with contextlib.ExitStack() as stack:
+        if given is None:
+            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+            given = stack.enter_context(domain_id())
+        os.environ["ROS_DOMAIN_ID"] = str(given)
+        yield
+
+
+def _start(graph: Graph, arguments: argparse.Namespace, model_file: Path) -> None:
+    processes, simulated = graph.processes, arguments.lockstep
+    processes.start("frame_tracker", task_file=arguments.task, use_sim_time=simulated)
+    processes.start(
+        "reproduction", task_file=arguments.task, model_file=model_file, use_sim_time=simulated
+    )
+    processes.start(
+        "impedance_controller", robot_file=arguments.robot, lockstep=simulated, use_sim_time=simulated
+    )
+    processes.start("baxter_simulator", robot_file=arguments.robot, lockstep=simulated)
+    graph.bring_up("impedance_controller", START_TIMEOUT)
+    graph.bring_up("reproduction", START_TIMEOUT)
+
+
+def _reproduce(graph: Graph, recording: Recording, world: World) -> tuple[bool, str]:
+    client = ActionClient(graph.node, Reproduce, "reproduce")
+    graph.wait_for(client.server_is_ready, START_TIMEOUT, "the action 'reproduce'")
+    graph.wait_for(lambda: len(recording.hand().stamps_ns) > 0, START_TIMEOUT, "the hand's pose")
+    goal = graph.result(client.send_goal_async(Reproduce.Goal()), START_TIMEOUT, "the goal to be accepted")
+    if not goal.accepted:
+        raise GraphError("reproduction refused the goal")
+    result = goal.get_result_async()
+
+    def ended() -> bool:
+        started = recording.first_reference_ns()
+        if started is not None:
+            world.start(started)
+        return result.done()
+
+    graph.wait_for(ended, 180.0, "the end of the movement")
+    if world.started_ns is None:
+        raise GraphError(f"the movement never started: {result.result().result.reason}")
+    response = result.result()
+    assert response is not None
+    return response.status == GoalStatus.STATUS_SUCCEEDED, response.result.reason
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="demo", description=package.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seed", type=int, default=1, help="another number, another situation (default: %(default)s)")
+    parser.add_argument(
+        "--bags", type=Path, default=Path("bags/pick_place"), help="the demonstrations (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path("out/demo"), help="report, pictures, model, logs (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--task", type=Path, default=config_file("pick_place.yaml"), help="task file (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--robot", type=Path, default=config_file("baxter.yaml"), help="robot file (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--lockstep", action="store_true", help="as fast as possible on simulated time, not in real time"
+    )
+    parser.add_argument(
+        "--domain", type=int, help="ROS domain to run on, to watch with RViz (default: a free one, this machine only)"
+    )
+    return parser

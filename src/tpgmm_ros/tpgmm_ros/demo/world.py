@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The world around the robot in the demo: objects that are seen, pushed, hidden, grasped and carried."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+
+from tpgmm_ros import conversions
+from tpgmm_ros.pick_place import POSE, Array, Grasp, Situation
+from tpgmm_ros.qos import STREAM
+from tpgmm_ros.task import Task
+
+#: Perception sees the objects at this share of the rate of the hand's pose.
+TICKS_PER_OBSERVATION = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbances:
+    """What happens while the arm moves; times in s since the start of the movement.
+
+    push_start, push_duration: someone pushes the object on, smoothly ...
+    push: ... by this much (6,): m, and rad about the fixed axes.
+    hide_frame, hide_start, hide_duration: nobody sees this frame for a while.
+    """
+
+    push_start: float
+    push_duration: float
+    push: Array
+    hide_frame: str
+    hide_start: float
+    hide_duration: float
+
+    @classmethod
+    def random(cls, random: np.random.Generator, duration: float) -> Disturbances:
+        """A push of 4 to 6 cm and up to 15 deg on the way to the object; the target hidden for 1 s on the way to it."""
+        direction = random.uniform(0.0, 2.0 * np.pi)
+        reach = random.uniform(0.04, 0.06)
+        turn = random.uniform(-0.26, 0.26)
+        push = np.array([reach * np.cos(direction), reach * np.sin(direction), 0.0, 0.0, 0.0, turn])
+        return cls(
+            push_start=0.06 * duration,
+            push_duration=1.0,
+            push=push,
+            hide_frame="target",
+            hide_start=0.6 * duration,
+            hide_duration=1.0,
+        )
+
+    def pushed(self, place: Array, time: float) -> Array:
+        """Where an object that lay at ``place`` lies at a time."""
+        s = float(np.clip((time - self.push_start) / self.push_duration, 0.0, 1.0))
+        return POSE.exp(place, s**3 * (10.0 - 15.0 * s + 6.0 * s**2) * self.push)
+
+    def hides(self, frame: str, time: float) -> bool:
+        return (
+            frame == self.hide_frame and 0.0 <= time - self.hide_start < self.hide_duration
+        )
+
+
+class World:
+    """Publishes the poses of object and target as a camera would, and answers to what the hand does.
+
+    Args:
+        node: publishes and subscribes.
+        task: the topics.
+        situation: where things lie at first.
+        disturbances: what happens on the way.
+    """
+
+    def __init__(self, node: Node, task: Task, situation: Situation, disturbances: Disturbances) -> None:
+        self.situation = situation
+        self.disturbances = disturbances
+        self.grasp = Grasp(situation.object)
+        self.started_ns: int | None = None
+        self._task = task
+        self._ticks = 0
+        self._publishers = {
+            name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()
+        }
+        node.create_subscription(PoseStamped, task.movement, self._answer, STREAM)
+
+    def start(self, time_ns: int) -> None:
+        """The movement starts at this time, ns: from it the disturbances are counted."""
+        if self.started_ns is None:
+            self.started_ns = time_ns
+
+    def _answer(self, message: PoseStamped) -> None:
+        stamp_ns = conversions.time_to_ns(message.header.stamp)
+        hand = conversions.pose_to_array(message.pose)
+        time = -np.inf if self.started_ns is None else 1e-9 * (stamp_ns - self.started_ns)
+        self.grasp.move_object(self.disturbances.pushed(self.situation.object, time))
+        self.grasp.update(hand, 1e-9 * stamp_ns)
+        if self._ticks % TICKS_PER_OBSERVATION == 0:
+            self._see("target", self.situation.target, stamp_ns, time)
+            if not self.grasp.holds:
+                self._see("object", self.grasp.object, stamp_ns, time)
+        self._ticks += 1
+
+    def _see(self, name: str, place: Array, stamp_ns: int, time: float) -> None:
+        if not self.disturbances.hides(name, time):
+            self._publishers[name].publish(
+                conversions.pose_stamped(place, stamp_ns, self._task.base_frame)
+            )
