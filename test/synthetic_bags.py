@@ -28,7 +28,7 @@ endpoint: left
 frames:
   object: {topic: object/pose}
   robot: {pose: [0, 0, 0, 0, 0, 0, 1]}
-model: {n_components: 3, reg_covar: 1.0e-4, max_iter: 50}
+model: {n_components: 5, reg_covar: 1.0e-4, max_iter: 50}
 """
 
 
@@ -80,9 +80,7 @@ def write_bag(path: Path, topics: Mapping[str, Topic], storage: Storage = "mcap"
         return _write_ros1(path, topics, messages)
     typestore = get_typestore(Stores.ROS2_JAZZY)
     with Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
-        connections = {
-            name: writer.add_connection(name, POSE_STAMPED, typestore=typestore) for name in topics
-        }
+        connections = {name: writer.add_connection(name, POSE_STAMPED, typestore=typestore) for name in topics}
         for at, name, i in messages:
             message = _message(typestore, topics[name], i)
             writer.write(connections[name], _nanoseconds(at), typestore.serialize_cdr(message, POSE_STAMPED))
@@ -92,9 +90,7 @@ def write_bag(path: Path, topics: Mapping[str, Topic], storage: Storage = "mcap"
 def _write_ros1(path: Path, topics: Mapping[str, Topic], messages: Sequence[tuple[float, str, int]]) -> Path:
     typestore = get_typestore(Stores.ROS1_NOETIC)
     with Ros1Writer(path) as writer:
-        connections = {
-            name: writer.add_connection(name, POSE_STAMPED, typestore=typestore) for name in topics
-        }
+        connections = {name: writer.add_connection(name, POSE_STAMPED, typestore=typestore) for name in topics}
         for at, name, i in messages:
             message = _message(typestore, topics[name], i, seq=i)
             writer.write(connections[name], _nanoseconds(at), typestore.serialize_ros1(message, POSE_STAMPED))

@@ -152,7 +152,7 @@ def _model(section: "_Section") -> dict[str, Any]:
         "tol": _number(0.0),
         "max_iter": _integer(1),
         "random_state": _integer(0),
-        "regularization": _name,
+        "regularization": _choice("add", "prior"),
     }
     section.refuse_others(*readers)
     return {key: section.required(key, readers[key]) for key in section.values}

@@ -16,7 +16,7 @@ from tpgmm_core import TPGMM
 from tpgmm_ros.bags import Recording, align, find_bags, read_recordings
 from tpgmm_ros.reporting import format_table, write_atomically, write_report
 from tpgmm_ros.task import DIMENSIONS, MANIFOLD, Task
-from tpgmm_ros.validation import Fold, PathErrors, leave_one_out
+from tpgmm_ros.validation import Fold, PathErrors, leave_one_out, mean_errors
 
 EXAMPLES = """\
 examples:
@@ -47,9 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit status."""
     options = _parser().parse_args(arguments)
     if options.output is None and not options.leave_one_out:
-        _parser().error(
-            "nothing to do: give --output to save a model, --leave-one-out to measure one, or both"
-        )
+        _parser().error("nothing to do: give --output to save a model, --leave-one-out to measure one, or both")
     report: dict[str, Any] = {"passed": False}
     try:
         _run(options, report)
@@ -72,9 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace, report: dict[str, Any]) -> None:
     if options.output is not None and options.output.is_dir():
-        raise TrainingError(
-            f"{options.output} is a directory; give the name of a model file, such as model.tpgmm"
-        )
+        raise TrainingError(f"{options.output} is a directory; give the name of a model file, such as model.tpgmm")
     task = Task.load(options.task)
     recordings = _read(options, task, report)
     training = _train(task, recordings, options)
@@ -92,8 +88,7 @@ def _read(options: argparse.Namespace, task: Task, report: dict[str, Any]) -> li
     with _bar(total=len(bags), desc="reading bags", unit="bag") as bar:
         good, bad = read_recordings(bags, task, options.every, progress=lambda _: bar.update())
     report["bags"] = [
-        {"bag": str(r.path), "samples": len(r.times), "duration_s": r.duration, "notes": list(r.notes)}
-        for r in good
+        {"bag": str(r.path), "samples": len(r.times), "duration_s": r.duration, "notes": list(r.notes)} for r in good
     ]
     report["bad_bags"] = [{"bag": str(error.path), "error": str(error)} for error in bad]
     for recording in good:
@@ -141,12 +136,12 @@ def _train(task: Task, recordings: list[Recording], options: argparse.Namespace)
         raise TrainingError(
             "the log-likelihood is not finite; raise reg_covar in the task file, or use fewer components"
         )
+    model.dimensions_ = DIMENSIONS
     model.metadata_ = {
         "task": task.name,
         "base_frame": task.base_frame,
         "movement": task.movement,
         "endpoint": task.endpoint,
-        "dimensions": " ".join(DIMENSIONS),
         "duration_s": duration,
         "demonstrations": len(recordings),
         "samples": sum(len(recording.times) for recording in recordings),
@@ -191,14 +186,24 @@ def _validate(task: Task, recordings: list[Recording], options: argparse.Namespa
         for fold in leave_one_out(recordings, lambda: _estimator(task, options), anchor):
             folds.append(fold)
             bar.update()
-    mean = _mean([fold.model for fold in folds])
-    mean_nearest = _mean([fold.nearest for fold in folds])
+    mean = mean_errors([fold.model for fold in folds])
+    mean_nearest = mean_errors([fold.nearest for fold in folds])
 
     columns = ("RMSE m", "end m", "mean deg", "end deg")
     rows = [(fold.recording.path.name, *_cells(fold.model), *_cells(fold.nearest)) for fold in folds]
     rows.append(("mean", *_cells(mean), *_cells(mean_nearest)))
     print(f"\nleave one out: the model, and the nearest demonstration moved with the frame {anchor!r} (n.)")
     print(format_table(("left out", *columns, *(f"n. {column}" for column in columns)), rows))
+    print("\nmean position error in each tenth of the movement, m")
+    print(
+        format_table(
+            ("", *(f"{tenth}0 %" for tenth in range(1, 11))),
+            [
+                (name, *(f"{value:.3f}" for value in errors.position_by_tenth_m))
+                for name, errors in (("model", mean), ("nearest", mean_nearest))
+            ],
+        )
+    )
     return {
         "anchor": anchor,
         "mean": asdict(mean),
@@ -224,11 +229,6 @@ def _cells(errors: PathErrors) -> tuple[str, ...]:
     )
 
 
-def _mean(errors: Sequence[PathErrors]) -> PathErrors:
-    values = [asdict(error) for error in errors]
-    return PathErrors(**{key: float(np.mean([value[key] for value in values])) for key in values[0]})
-
-
 def _bar(**settings: Any) -> "tqdm[Any]":
     """Progress bar on stderr; silent when that is no terminal."""
     return tqdm(disable=None, file=sys.stderr, leave=True, **settings)
@@ -248,21 +248,15 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         help="rosbag2 (MCAP, sqlite3) or ROS 1 bag, or a directory with several bags",
     )
-    parser.add_argument(
-        "--task", required=True, type=Path, help="task file: topics, frames and settings of the model"
-    )
-    parser.add_argument(
-        "--output", type=Path, metavar="FILE", help="where the model is saved, such as task.tpgmm"
-    )
+    parser.add_argument("--task", required=True, type=Path, help="task file: topics, frames and settings of the model")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="where the model is saved, such as task.tpgmm")
     parser.add_argument(
         "--components",
         type=_positive,
         metavar="K",
         help="number of Gaussians, instead of n_components of the task file",
     )
-    parser.add_argument(
-        "--seed", type=int, help="seed of random choices, instead of random_state of the task file"
-    )
+    parser.add_argument("--seed", type=int, help="seed of random choices, instead of random_state of the task file")
     parser.add_argument(
         "--every",
         type=_positive,

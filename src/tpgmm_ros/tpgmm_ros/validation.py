@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Demonstration, Frame, quaternion
+from tpgmm_core import TPGMM, Adapter, Demonstration, quaternion
 from tpgmm_ros.bags import Recording, align
 from tpgmm_ros.pose_streams import Array
 
@@ -23,12 +23,14 @@ class PathErrors:
         position_end_m: distance at the last sample.
         orientation_mean_deg: mean angle.
         orientation_end_deg: angle at the last sample.
+        position_by_tenth_m: mean distance in each tenth of the movement, (10,): where the errors lie.
     """
 
     position_rmse_m: float
     position_end_m: float
     orientation_mean_deg: float
     orientation_end_deg: float
+    position_by_tenth_m: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +50,7 @@ class Fold:
     iterations: int
 
 
-def leave_one_out(
-    recordings: Sequence[Recording], make_model: Callable[[], TPGMM], anchor: str
-) -> Iterator[Fold]:
+def leave_one_out(recordings: Sequence[Recording], make_model: Callable[[], TPGMM], anchor: str) -> Iterator[Fold]:
     """Train on all recordings but one, reproduce in the situation of that one; each in turn.
 
     The frames are those of the recording left out, over time. Its duration is not used: both paths are
@@ -65,9 +65,7 @@ def leave_one_out(
         ValueError: fewer than two recordings.
     """
     if len(recordings) < 2:
-        raise ValueError(
-            f"leave-one-out needs at least two demonstrations, {len(recordings)} given: record more"
-        )
+        raise ValueError(f"leave-one-out needs at least two demonstrations, {len(recordings)} given: record more")
     for left_out in recordings:
         others = [recording for recording in recordings if recording is not left_out]
         demonstrations, duration = align(others)
@@ -85,18 +83,13 @@ def reproduce(model: TPGMM, situation: Demonstration) -> Array:
 
     As long as no frame is visible the movement stays where it starts.
     """
-    moving = any(frame.is_time_varying for frame in situation.frames.values())
-    visible = np.array([situation.is_visible(name) for name in situation.frames])
+    adapter = Adapter(model)
+    visible = {name: situation.is_visible(name) for name in situation.frames}
     poses = np.tile(situation.data[0, 1:], (len(situation.times), 1))
     for i, time in enumerate(situation.times):
-        if not visible[:, i].any():
-            continue
-        if i == 0 or moving or (visible[:, i] != visible[:, i - 1]).any():
-            frames: dict[str, Frame] = {
-                name: frame.at(i) for j, (name, frame) in enumerate(situation.frames.items()) if visible[j, i]
-            }
-            mixture = model.adapt(frames)
-        poses[i] = mixture.condition([0], [time]).mean
+        frames = {name: frame.at(i) for name, frame in situation.frames.items() if visible[name][i]}
+        if frames:
+            poses[i] = adapter.adapt_and_condition(frames, time)[0][0]
     return poses
 
 
@@ -121,7 +114,22 @@ def path_errors(path: Array, shown: Array) -> PathErrors:
     distances = np.linalg.norm(path[:, :3] - shown[:, :3], axis=1)
     angles = np.degrees(quaternion.angle_between(path[:, 3:], shown[:, 3:]))
     return PathErrors(
-        float(np.sqrt(np.mean(distances**2))), float(distances[-1]), float(angles.mean()), float(angles[-1])
+        position_rmse_m=float(np.sqrt(np.mean(distances**2))),
+        position_end_m=float(distances[-1]),
+        orientation_mean_deg=float(angles.mean()),
+        orientation_end_deg=float(angles[-1]),
+        position_by_tenth_m=tuple(float(part.mean()) for part in np.array_split(distances, 10)),
+    )
+
+
+def mean_errors(errors: Sequence[PathErrors]) -> PathErrors:
+    """Mean of each error over several paths."""
+    return PathErrors(
+        position_rmse_m=float(np.mean([e.position_rmse_m for e in errors])),
+        position_end_m=float(np.mean([e.position_end_m for e in errors])),
+        orientation_mean_deg=float(np.mean([e.orientation_mean_deg for e in errors])),
+        orientation_end_deg=float(np.mean([e.orientation_end_deg for e in errors])),
+        position_by_tenth_m=tuple(np.mean([e.position_by_tenth_m for e in errors], axis=0).tolist()),
     )
 
 
