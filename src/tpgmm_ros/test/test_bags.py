@@ -86,9 +86,7 @@ def test_stamps_go_before_the_times_of_the_recorder(tmp_path: Path) -> None:
     stamps = hand.recorded.copy()
     hand.recorded = stamps + np.random.default_rng(0).uniform(0.0, 0.02, len(stamps)).cumsum() * 0.1
     hand.stamps = stamps
-    np.testing.assert_allclose(
-        read_recording(write_bag(tmp_path / "demo", topics), TASK).times, stamps, atol=1e-8
-    )
+    np.testing.assert_allclose(read_recording(write_bag(tmp_path / "demo", topics), TASK).times, stamps, atol=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -187,9 +185,7 @@ def refused(path: Path, complaint: str, task: Task = TASK) -> None:
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3", "ros1"])
 @pytest.mark.parametrize("absent", ["/endpoint/pose", "/object/pose"])
-def test_an_absent_topic_is_named_with_those_that_are_there(
-    absent: str, storage: Storage, tmp_path: Path
-) -> None:
+def test_an_absent_topic_is_named_with_those_that_are_there(absent: str, storage: Storage, tmp_path: Path) -> None:
     topics = reach(0)
     topics["/other/pose"] = topics.pop(absent)
     path = write_bag(tmp_path / ("demo.bag" if storage == "ros1" else "demo"), topics, storage)
@@ -350,15 +346,11 @@ def test_what_holds_no_bag_is_refused(tmp_path: Path) -> None:
 # Recordings that nobody here made
 
 
-@pytest.mark.skipif(
-    not VALVE.is_dir(), reason="the recordings of a real Baxter are not beside the repository"
-)
+@pytest.mark.skipif(not VALVE.is_dir(), reason="the recordings of a real Baxter are not beside the repository")
 def test_the_recordings_of_a_real_baxter_are_read() -> None:
     recordings, bad = read_recordings(find_bags([VALVE]), Task.load(ROOT / "config" / "baxter_valve.yaml"))
     assert not bad and len(recordings) == 6
     for recording in recordings:
-        assert (
-            len(recording.times) == 200 and recording.duration == pytest.approx(19.9) and not recording.notes
-        )
+        assert len(recording.times) == 200 and recording.duration == pytest.approx(19.9) and not recording.notes
         assert (np.sum(recording.movement[1:, 3:] * recording.movement[:-1, 3:], axis=1) > 0.0).all()
         np.testing.assert_array_equal(recording.frames["valve"][0], recording.frames["valve"][-1])

@@ -106,9 +106,7 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
 def _is_bag(path: Path) -> bool:
     if path.is_dir():
         # Without its metadata.yaml it is a bag all the same: a damaged one, which the reader will name.
-        return (path / "metadata.yaml").exists() or any(
-            child.suffix in _STORAGE_SUFFIXES for child in path.iterdir()
-        )
+        return (path / "metadata.yaml").exists() or any(child.suffix in _STORAGE_SUFFIXES for child in path.iterdir())
     return path.suffix in (".bag", *_STORAGE_SUFFIXES)
 
 
@@ -179,9 +177,7 @@ def _complaint_about_stamps(movement: PoseStream, streams: Iterable[PoseStream])
             return f"{stream.topic} has stamps of zero"
         if (np.diff(stream.stamps) < 0).any():
             return f"{stream.topic} has stamps that run backwards"
-        ahead = (
-            np.median(stream.stamps - stream.recorded) - np.median(movement.stamps - movement.recorded)
-        ) * 1e-9
+        ahead = (np.median(stream.stamps - stream.recorded) - np.median(movement.stamps - movement.recorded)) * 1e-9
         if not -_CLOCK_BEHIND_S < ahead < _CLOCK_AHEAD_S:
             return f"{stream.topic} is stamped {ahead:+.1f} s away from {movement.topic}"
     return None

@@ -76,9 +76,7 @@ def read_pose_streams(path: Path, topics: Iterable[str], base_frame: str) -> dic
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
             chosen = _connections(path, list(messages), reader.connections)
             names = {connection.id: topic for topic, several in chosen.items() for connection in several}
-            counts = {
-                topic: sum(connection.msgcount for connection in several) for topic, several in chosen.items()
-            }
+            counts = {topic: sum(connection.msgcount for connection in several) for topic, several in chosen.items()}
             bag_topics = {topic: several[0].topic for topic, several in chosen.items()}
             selected = [connection for several in chosen.values() for connection in several]
             for connection, recorded, raw in reader.messages(connections=selected):
@@ -99,9 +97,7 @@ def read_pose_streams(path: Path, topics: Iterable[str], base_frame: str) -> dic
                 f"lost messages: {bag_topics[topic]} holds {len(messages[topic])} of the {count} that "
                 "were recorded; the file is damaged, record it again",
             )
-    return {
-        topic: _stream(path, bag_topics[topic], several, base_frame) for topic, several in messages.items()
-    }
+    return {topic: _stream(path, bag_topics[topic], several, base_frame) for topic, several in messages.items()}
 
 
 def _connections(path: Path, topics: list[str], connections: list[Connection]) -> dict[str, list[Connection]]:
@@ -111,9 +107,7 @@ def _connections(path: Path, topics: list[str], connections: list[Connection]) -
         by_name.setdefault(connection.topic.strip("/"), []).append(connection)
     poses = sorted(connection.topic for connection in connections if connection.msgtype == POSE_STAMPED)
     there = (
-        ("its PoseStamped topics are " + ", ".join(dict.fromkeys(poses)))
-        if poses
-        else "it has no PoseStamped topics"
+        ("its PoseStamped topics are " + ", ".join(dict.fromkeys(poses))) if poses else "it has no PoseStamped topics"
     )
 
     prefixes = {name.removesuffix(topics[0]) for name in by_name if f"/{name}".endswith(f"/{topics[0]}")}
@@ -127,9 +121,7 @@ def _connections(path: Path, topics: list[str], connections: list[Connection]) -
             )
         prefix = min(prefixes, default="")
         absent = ", ".join(topic for topic in topics if prefix + topic not in by_name)
-        raise BagError(
-            path, f"lacks the topic {absent}; {there}. Record it, or correct the topics of the task file"
-        )
+        raise BagError(path, f"lacks the topic {absent}; {there}. Record it, or correct the topics of the task file")
 
     prefix = "" if "" in complete else complete[0]
     chosen = {topic: by_name[prefix + topic] for topic in topics}
@@ -142,9 +134,7 @@ def _connections(path: Path, topics: list[str], connections: list[Connection]) -
                     f"{there}. Correct the topic in the task file",
                 )
         if not any(connection.msgcount for connection in several):
-            raise BagError(
-                path, f"{topic} is there, but without a message; nothing published it while recording"
-            )
+            raise BagError(path, f"{topic} is there, but without a message; nothing published it while recording")
     return chosen
 
 
@@ -173,9 +163,7 @@ def _stream(path: Path, topic: str, messages: list[tuple[int, Any]], base_frame:
     poses[:, 3:] = quaternion.continuous(quaternion.normalize(poses[:, 3:]))
     return PoseStream(
         topic,
-        stamps=np.array(
-            [m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for _, m in messages], np.int64
-        ),
+        stamps=np.array([m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for _, m in messages], np.int64),
         recorded=np.array([recorded for recorded, _ in messages], np.int64),
         poses=poses,
     )

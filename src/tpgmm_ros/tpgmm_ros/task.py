@@ -132,8 +132,7 @@ def _frames(section: "_Section", movement: str) -> dict[str, TaskFrameSpec]:
         topic = entry.required("topic", _topic)
         if topic in taken:
             raise entry.error(
-                f"has the topic {topic!r}, which is already that of {taken[topic]}: "
-                "each frame has a topic of its own"
+                f"has the topic {topic!r}, which is already that of {taken[topic]}: each frame has a topic of its own"
             )
         taken[topic] = f"the frame {name!r}"
         frames[name] = TaskFrameSpec(name, topic=topic)
