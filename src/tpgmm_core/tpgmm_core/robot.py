@@ -115,9 +115,7 @@ class RobotModel:
         unknown = [name for name in names if name not in self._index]
         if missing or unknown or len(names) != self.nv:
             twice = sorted({name for name in names if names.count(name) > 1})
-            raise ValueError(
-                f"joint names do not fit the robot: missing {missing}, unknown {unknown}, twice {twice}"
-            )
+            raise ValueError(f"joint names do not fit the robot: missing {missing}, unknown {unknown}, twice {twice}")
         return np.array([names.index(name) for name in self.joint_names], dtype=np.intp)
 
     def _check_names(self, description: RobotDescription) -> None:
@@ -140,9 +138,7 @@ class RobotModel:
         frames = [self.base_frame, *(end.frame for end in self.endpoints.values())]
         absent = [frame for frame in frames if not self.pinocchio.existFrame(frame)]
         if absent:
-            raise RobotFileError(
-                f"{description.path}: the URDF {description.urdf.name} has no frames {absent}"
-            )
+            raise RobotFileError(f"{description.path}: the URDF {description.urdf.name} has no frames {absent}")
 
     def _spread(self, default: ArrayLike, entries: Mapping[str, Mapping[str, float]], word: str) -> Array:
         values = np.array(default, dtype=np.float64)
@@ -227,6 +223,10 @@ class RobotData:
         """Gravity, Coriolis and centrifugal torques (nv,). The array is overwritten by the next call."""
         return pin.nonLinearEffects(self._model, self._dynamics, q, v)
 
+    def gravity(self, q: Array) -> Array:
+        """Torques (nv,) that hold the robot at q. The array is overwritten by the next call."""
+        return pin.computeGeneralizedGravity(self._model, self._dynamics, q)
+
     def _in_base(self, motion: Array) -> Array:
         return motion if self._turn is None else self._turn @ motion
 
@@ -235,9 +235,7 @@ def _load_urdf(description: RobotDescription) -> pin.Model:
     try:
         model = pin.buildModelFromUrdf(str(description.urdf))
     except ValueError as error:
-        raise RobotFileError(
-            f"{description.path}: cannot load the URDF {description.urdf}: {error}"
-        ) from error
+        raise RobotFileError(f"{description.path}: cannot load the URDF {description.urdf}: {error}") from error
     for i in range(1, model.njoints):
         if (model.joints[i].nq, model.joints[i].nv) != (1, 1):
             raise RobotFileError(
