@@ -18,9 +18,9 @@ from tpgmm_core.manifold import Manifold
 Array = NDArray[np.float64]
 POSE = Manifold.parse("R3 x S3")
 
-#: The hand at an object: upside down above its middle, the hand's x axis along the object's. This is a choice of the
-#: task, made so that an unturned object is grasped near the middle of the wrist's range.
-GRASP = np.array([0.0, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0])
+#: The hand at an object: upside down above its middle, the hand's x axis against the object's, so that an object that
+#: is not turned is grasped in the middle of the wrist's range.
+GRASP = np.array([0.0, 0.0, 0.02, 0.0, 1.0, 0.0, 0.0])
 #: The height above a place from which the hand comes down and to which it goes up, m.
 CLEARANCE = 0.10
 

@@ -205,12 +205,12 @@ def main() -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="examples:\n"
         "  teach --task config/pick_place.yaml --output bags/mine/demo_01\n"
-        "  teach --scripted --count 12 --output bags/pick_place",
+        "  teach --scripted --count 16 --output bags/pick_place",
     )
     parser.add_argument("--task", type=Path, default=config_file("pick_place.yaml"), help="task file (default: %(default)s)")
     parser.add_argument("--output", type=Path, required=True, help="the new bag; with --scripted, the directory of the bags")
     parser.add_argument("--scripted", action="store_true", help="a scripted teacher on a simulated Baxter")
-    parser.add_argument("--count", type=int, default=12, help="demonstrations to record with --scripted (default: %(default)s)")
+    parser.add_argument("--count", type=int, default=16, help="demonstrations to record with --scripted (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the scripted teacher's variation (default: %(default)s)")
     parser.add_argument(
         "--robot", type=Path, default=config_file("baxter.yaml"), help="robot file, with --scripted (default: %(default)s)"

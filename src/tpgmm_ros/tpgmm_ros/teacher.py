@@ -33,9 +33,9 @@ class TeacherConfig:
     aim_noise: float = 0.0015
     aim_turn_noise: float = 0.008
     overshoot: float = 0.02
-    stiffness: tuple[float, float] = (600.0, 25.0)
-    damping: tuple[float, float] = (70.0, 2.5)
-    correction: float = 2.5
+    stiffness: tuple[float, float] = (600.0, 35.0)
+    damping: tuple[float, float] = (70.0, 3.0)
+    correction: float = 3.0
     max_force: float = 40.0
     max_torque: float = 8.0
 
