@@ -31,9 +31,7 @@ ARM: dict[str, Any] = {
 }
 
 
-def write_arm(
-    folder: Path, changes: dict[str, Any] | None = None, effort: float = 10, turn: str = "revolute"
-) -> Path:
+def write_arm(folder: Path, changes: dict[str, Any] | None = None, effort: float = 10, turn: str = "revolute") -> Path:
     (folder / "arm.urdf").write_text(ARM_URDF.format(effort=effort, turn=turn))
     content = {**copy.deepcopy(ARM), **(changes or {})}
     path = folder / "arm.yaml"

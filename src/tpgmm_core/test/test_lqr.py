@@ -22,12 +22,8 @@ def precisions(draw: st.DrawFn, max_dimensions: int = 7) -> np.ndarray:
 def test_closed_form_solves_the_riccati_equation(precision: np.ndarray, control_cost: float) -> None:
     gains = double_integrator_gains(precision, control_cost)
     exact = riccati_gains(precision, np.zeros_like(precision), control_cost)
-    np.testing.assert_allclose(
-        gains.stiffness, exact.stiffness, rtol=1e-9, atol=1e-9 * np.abs(exact.stiffness).max()
-    )
-    np.testing.assert_allclose(
-        gains.damping, exact.damping, rtol=1e-9, atol=1e-9 * np.abs(exact.damping).max()
-    )
+    np.testing.assert_allclose(gains.stiffness, exact.stiffness, rtol=1e-9, atol=1e-9 * np.abs(exact.stiffness).max())
+    np.testing.assert_allclose(gains.damping, exact.damping, rtol=1e-9, atol=1e-9 * np.abs(exact.damping).max())
 
 
 def test_control_cost_may_differ_between_dimensions() -> None:
@@ -79,9 +75,7 @@ def test_velocity_cost_adds_damping() -> None:
         (np.eye(2), 1.0, {"min_stiffness": 3.0, "max_stiffness": 1.0}, "min_stiffness"),
     ],
 )
-def test_bad_input_is_refused(
-    precision: np.ndarray, control_cost: object, bounds: dict, message: str
-) -> None:
+def test_bad_input_is_refused(precision: np.ndarray, control_cost: object, bounds: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         double_integrator_gains(precision, control_cost, **bounds)
     if message == "square":

@@ -29,9 +29,7 @@ def arm(tmp_path: Path) -> RobotModel:
 def test_baxter_has_the_limits_of_its_specification(baxter: RobotModel) -> None:
     assert baxter.nv == 19
     for side in ("left_arm", "right_arm"):
-        np.testing.assert_array_equal(
-            baxter.effort_limits[baxter.indices(side)], [50, 50, 50, 50, 15, 15, 15]
-        )
+        np.testing.assert_array_equal(baxter.effort_limits[baxter.indices(side)], [50, 50, 50, 50, 15, 15, 15])
     assert baxter.effort_limits.max() == 50.0
     np.testing.assert_array_equal(baxter.viscous_friction, 0.7)
 
@@ -79,9 +77,7 @@ def test_dynamics_satisfy_the_equation_of_motion(baxter: RobotModel) -> None:
     q, v, a = baxter.home, rng.normal(size=19), rng.normal(size=19)
     data = baxter.create_data()
     tau = data.mass_matrix(q) @ a + data.nonlinear_effects(q, v)
-    np.testing.assert_allclose(
-        tau, pin.rnea(baxter.pinocchio, baxter.pinocchio.createData(), q, v, a), atol=1e-9
-    )
+    np.testing.assert_allclose(tau, pin.rnea(baxter.pinocchio, baxter.pinocchio.createData(), q, v, a), atol=1e-9)
 
 
 def test_joints_are_matched_by_name(baxter: RobotModel) -> None:
@@ -99,9 +95,7 @@ def test_joints_are_matched_by_name(baxter: RobotModel) -> None:
         (["turn", "slide"], [0.0], "shape"),
     ],
 )
-def test_wrong_joint_names_are_refused(
-    arm: RobotModel, names: list[str], values: list[float], message: str
-) -> None:
+def test_wrong_joint_names_are_refused(arm: RobotModel, names: list[str], values: list[float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         arm.ordered(names, values)
     with pytest.raises(ValueError, match="wheel"):

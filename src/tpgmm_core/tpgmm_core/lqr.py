@@ -64,9 +64,7 @@ def double_integrator_gains(
     if Q.ndim < 2 or Q.shape[-1] != Q.shape[-2]:
         raise ValueError(f"precision has shape {Q.shape}, expected square matrices (..., D, D)")
     if not 0.0 <= min_stiffness <= max_stiffness:
-        raise ValueError(
-            f"expected 0 <= min_stiffness <= max_stiffness, got {min_stiffness} and {max_stiffness}"
-        )
+        raise ValueError(f"expected 0 <= min_stiffness <= max_stiffness, got {min_stiffness} and {max_stiffness}")
     D = Q.shape[-1]
     diagonal = np.asarray(control_cost, dtype=np.float64)
     if diagonal.shape != (D,):
@@ -83,9 +81,7 @@ def double_integrator_gains(
         raise ValueError("precision has entries that are not finite")
     if status == _NOT_SEMIDEFINITE:
         smallest = np.linalg.eigvalsh(Q).min()
-        raise ValueError(
-            f"precision must be positive semidefinite, its smallest eigenvalue is {smallest:.3g}"
-        )
+        raise ValueError(f"precision must be positive semidefinite, its smallest eigenvalue is {smallest:.3g}")
     return Gains(stiffness, damping)
 
 

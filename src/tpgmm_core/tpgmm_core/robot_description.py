@@ -73,9 +73,7 @@ class RobotDescription:
         missing = [key for key in REQUIRED_KEYS if key not in content]
         unknown = [key for key in content if key not in REQUIRED_KEYS + OPTIONAL_KEYS]
         if missing or unknown:
-            raise RobotFileError(
-                f"missing keys {missing}, unknown keys {unknown}; required are {REQUIRED_KEYS}"
-            )
+            raise RobotFileError(f"missing keys {missing}, unknown keys {unknown}; required are {REQUIRED_KEYS}")
         groups = {name: _names(joints, name) for name, joints in _items(content, "joint_groups")}
         endpoints = {name: _endpoint(value, name, groups) for name, value in _items(content, "endpoints")}
         return cls(
@@ -144,9 +142,7 @@ def _endpoint(value: Any, name: str, groups: Mapping[str, tuple[str, ...]]) -> E
     if set(entry) != {"frame", "joints"}:
         raise RobotFileError(f"end point {name!r} needs the keys 'frame' and 'joints', got {sorted(entry)}")
     if entry["joints"] not in groups:
-        raise RobotFileError(
-            f"end point {name!r} names the unknown joint group {entry['joints']!r}; {list(groups)}"
-        )
+        raise RobotFileError(f"end point {name!r} names the unknown joint group {entry['joints']!r}; {list(groups)}")
     return Endpoint(frame=str(entry["frame"]), joints=str(entry["joints"]))
 
 
@@ -155,9 +151,7 @@ def _per_joint(
 ) -> dict[str, dict[str, float]]:
     """Entries by joint or by group, spread over the joints."""
     spread: dict[str, dict[str, float]] = {}
-    entries = [
-        (name, _mapping(value, f"{key} of {name}")) for name, value in _items({key: {}, **content}, key)
-    ]
+    entries = [(name, _mapping(value, f"{key} of {name}")) for name, value in _items({key: {}, **content}, key)]
     # groups first, so that a joint's own entry replaces what its group says
     for name, entry in sorted(entries, key=lambda item: item[0] not in groups):
         unknown = [word for word in entry if word not in allowed]

@@ -104,9 +104,7 @@ class RobotSimulator:
         acceleration = self._solve(friction, 0.0, force)
         v_new = v + dt * acceleration
         v_new = self._within_limits(q, v, v_new, friction, force)
-        self.state = RobotState(
-            self.state.time + dt, q + dt * v_new, v_new, applied, bool((applied != command).any())
-        )
+        self.state = RobotState(self.state.time + dt, q + dt * v_new, v_new, applied, bool((applied != command).any()))
         return self.state
 
     def _solve(self, damping: Array, stiffness: Array | float, force: Array) -> Array:
