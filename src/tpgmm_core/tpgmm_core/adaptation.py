@@ -65,15 +65,19 @@ class Adapter:
         P, D_max, K = self._means.shape
         n = manifold.tangent_dim
         self.manifold = manifold
-        self._layout = manifold.ambient_of_tangent, manifold.sphere_starts
         self._A = np.zeros((P, manifold.dim, D_max))
-        self._b = np.zeros((P, manifold.dim))
+        b = np.zeros((P, manifold.dim))
+        self._A_of = [A[:, :D_j] for A, (D_j, _) in zip(self._A, self._sizes, strict=True)]
+        self._b_of = list(b)
         self._weights = np.zeros(P)
         self._origin = np.zeros(manifold.dim)
         for s in manifold.spheres:
             self._origin[s.ambient] = [0.0, 0.0, 0.0, 1.0]
-        self._adapted_means = np.zeros((K, manifold.dim))
-        self._adapted_covariances = np.zeros((K, n, n))
+        self._means_out = np.zeros((K, manifold.dim))
+        self._covariances_out = np.zeros((K, n, n))
+        layout = self._sizes, manifold.ambient_of_tangent, manifold.sphere_starts
+        self._situation = self._means, self._precisions, *layout, self._A, b, self._weights
+        self._result = 1.0 / UNCONSTRAINED_VARIANCE, self._means_out, self._covariances_out
 
     def _compile(self) -> None:
         """One step with identity frames."""
@@ -102,8 +106,9 @@ class Adapter:
         Raises ValueError for unknown names, matrices that do not fit, time-varying frames, and weights
         outside 0..1.
         """
-        self._run(frames, state, weights)
-        return GaussianMixture(self.priors, self._adapted_means.copy(), self._adapted_covariances.copy(), self.manifold)
+        where = self._set(frames, state, weights)
+        self._check(kernels_adapt.adapt(*self._situation, where, *self._result))
+        return GaussianMixture(self.priors, self._means_out.copy(), self._covariances_out.copy(), self.manifold)
 
     def adapt_and_condition(
         self,
@@ -117,65 +122,61 @@ class Adapter:
         Returns means (H, D - 1), covariances (H, n - 1, n - 1) and the components' activations (K,) at the
         first of the times, the same as `adapt(...).condition([0], [t])`. Raises like `adapt`.
         """
-        times = np.atleast_1d(np.asarray(times, dtype=float))
-        self._run(frames, state, weights)
-        manifold = self.manifold
+        where = self._set(frames, state, weights)
+        times = np.asarray(times, dtype=float)
+        manifold, H = self.manifold, len(times)
         if manifold.ambient_of_tangent[0] != 0 or manifold.tangent_dim < 2:
-            raise ValueError(
-                f"regression over time needs time as the first dimension, followed by others, got {manifold}"
-            )
+            raise ValueError(f"regression over time needs time as the first dimension, then others, got {manifold}")
         n = manifold.tangent_dim - 1
-        means = np.empty((len(times), manifold.dim - 1))
-        covariances = np.empty((len(times), n, n))
-        activations = np.empty((len(times), len(self.priors)))
-        kernels_adapt.regress_all(
-            self._log_priors, self._adapted_means, self._adapted_covariances, times, *self._layout,
-            means, covariances, activations,
-        )  # fmt: skip
+        means, covariances = np.empty((H, manifold.dim - 1)), np.empty((H, n, n))
+        activations = np.empty((H, len(self.priors)))
+        failed = kernels_adapt.adapt_and_regress(
+            *self._situation, where, *self._result, self._log_priors, times, means, covariances, activations
+        )
+        self._check(failed)
         return means, covariances, activations[0]
 
-    def _run(self, frames: Mapping[str, Frame], state: ArrayLike | None, weights: Mapping[str, float] | None) -> None:
+    def _set(self, frames: Mapping[str, Frame], state: ArrayLike | None, weights: Mapping[str, float] | None) -> Array:
+        """Copy the situation to where the kernels read it; returns the state."""
         if not frames:
             raise ValueError(f"adapt needs at least one of the frames {list(self.frame_names)}")
         self._weights[:] = 0.0
         for name, frame in frames.items():
-            self._place(name, frame)
+            j = self._index.get(name)
+            if j is None:
+                raise ValueError(f"unknown frame {name!r}; the model knows {list(self.frame_names)}")
+            if frame.A.shape != self._A_of[j].shape:
+                self._reshape(name, frame, j)
+            self._A_of[j][...] = frame.A
+            self._b_of[j][...] = frame.b
+            self._weights[j] = 1.0
         for name, weight in (weights or {}).items():
+            if name not in self._index:
+                raise ValueError(f"weights name the unknown frame {name!r}; the model knows {list(self.frame_names)}")
             if not 0.0 <= weight <= 1.0:
                 raise ValueError(f"the weight of a frame is 0 to 1, {name!r} has {weight!r}")
             if name in frames:
                 self._weights[self._index[name]] = weight
-            elif name not in self._index:
-                raise ValueError(f"weights name the unknown frame {name!r}; the model knows {list(self.frame_names)}")
         if state is None:
-            where = self._origin
-        else:
-            where = np.array(state, dtype=float)
-            if where.shape != self._origin.shape or not np.all(np.isfinite(where)):
-                raise ValueError(f"the state has shape {self._origin.shape} and is finite, got {state!r}")
-        failed = kernels_adapt.adapt(
-            self._means, self._precisions, self._sizes, *self._layout, self._A, self._b, self._weights, where,
-            1.0 / UNCONSTRAINED_VARIANCE, self._adapted_means, self._adapted_covariances,
-        )  # fmt: skip
-        if failed >= 0:
-            self.manifold.tangent_map(self._A[failed])  # raises, and says why
-            raise ValueError(f"frame {self.frame_names[failed]!r} does not fit the manifold {self.manifold}")
+            return self._origin
+        where = np.array(state, dtype=float)
+        if where.shape != self._origin.shape or not np.all(np.isfinite(where)):
+            raise ValueError(f"the state has shape {self._origin.shape} and is finite, got {state!r}")
+        return where
 
-    def _place(self, name: str, frame: Frame) -> None:
-        j = self._index.get(name)
-        if j is None:
-            raise ValueError(f"unknown frame {name!r}; the model knows {list(self.frame_names)}")
+    def _reshape(self, name: str, frame: Frame, j: int) -> None:
+        """Make place for frames that map to another R^D than the former ones, or say why this one does not fit."""
         if frame.is_time_varying:
             raise ValueError(f"frame {name!r} varies with time: choose one time step with frame.at(t_index)")
         D, D_j = frame.A.shape
         if D_j != self._sizes[j, 0]:
-            raise ValueError(
-                f"frame {name!r} has A of {D_j} columns, the model has {self._sizes[j, 0]} dimensions there"
-            )
-        if D != self.manifold.dim:
-            if not self.manifold.is_euclidean or self._weights.any():
-                raise ValueError(f"frame {name!r} maps to {D} dimensions, the others to {self.manifold.dim}")
-            self._shape(Manifold.euclidean(D))
-        self._A[j, :, :D_j] = frame.A
-        self._b[j] = frame.b
-        self._weights[j] = 1.0
+            raise ValueError(f"frame {name!r} has A of {D_j} columns, the model has {self._sizes[j, 0]} dimensions")
+        if not self.manifold.is_euclidean or self._weights.any():
+            raise ValueError(f"frame {name!r} maps to {D} dimensions, the others to {self.manifold.dim}")
+        self._shape(Manifold.euclidean(D))
+
+    def _check(self, failed: int) -> None:
+        if failed >= 0:
+            D_j = self._sizes[failed, 0]
+            self.manifold.tangent_map(self._A[failed, :, :D_j])  # raises, and says why
+            raise ValueError(f"frame {self.frame_names[failed]!r} does not fit the manifold {self.manifold}")

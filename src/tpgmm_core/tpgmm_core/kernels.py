@@ -24,31 +24,36 @@ LOG_2PI = math.log(2.0 * math.pi)
 
 @compiled
 def cholesky(S: Array, n: int, L: Array) -> bool:
-    """Lower factor L of the leading n x n block of S, S = L L^T; False when S is not positive definite."""
-    for i in range(n):
-        for j in range(i + 1):
+    """Lower factor L of the leading n x n block of S, S = L L^T, from its lower triangle.
+
+    The diagonal of L holds reciprocals, since only these are needed. False when S is not positive definite.
+    """
+    for j in range(n):
+        pivot = S[j, j]
+        for m in range(j):
+            pivot -= L[j, m] * L[j, m]
+        if not pivot > 0.0:
+            return False
+        reciprocal = 1.0 / math.sqrt(pivot)
+        L[j, j] = reciprocal
+        for i in range(j + 1, n):
             total = S[i, j]
             for m in range(j):
                 total -= L[i, m] * L[j, m]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                L[i, i] = math.sqrt(total)
-            else:
-                L[i, j] = total / L[j, j]
+            L[i, j] = total * reciprocal
     return True
 
 
 @compiled
 def invert_lower(L: Array, n: int, inverse: Array) -> None:
-    """Inverse of the leading n x n lower triangle, itself lower triangular; zeros above."""
+    """Inverse of the leading n x n factor of `cholesky`, itself lower triangular; zeros above."""
     for i in range(n):
-        inverse[i, i] = 1.0 / L[i, i]
+        inverse[i, i] = L[i, i]
         for j in range(i):
             total = 0.0
             for m in range(j, i):
                 total -= L[i, m] * inverse[m, j]
-            inverse[i, j] = total / L[i, i]
+            inverse[i, j] = total * L[i, i]
             inverse[j, i] = 0.0
 
 
@@ -161,10 +166,26 @@ def transport(C: Array, t: int, x: float, y: float, z: float) -> None:
 
 
 @compiled
+def is_orthogonal(A: Array) -> bool:
+    """Whether A^T A = I to rounding."""
+    n = len(A)
+    for i in range(n):
+        for m in range(i + 1):
+            total = 0.0
+            for c in range(n):
+                total += A[i, c] * A[m, c]
+            if not abs(total - (1.0 if i == m else 0.0)) < 1e-14:
+                return False
+    return True
+
+
+@compiled
 def pseudo_inverse(A: Array, tolerance: float) -> Array:
-    """A^+ (n_j, n) of A (n, n_j): by elimination where A is square and regular, else by singular values."""
+    """A^+ (n_j, n) of A (n, n_j): A^T of a rotation, by elimination where A is regular, else by singular values."""
     n, n_j = A.shape
     if n == n_j:
+        if is_orthogonal(A):
+            return A.T.copy()
         W = A.copy()
         inverse = np.eye(n)
         regular = True

@@ -56,29 +56,52 @@ def tangent_matrix(A: Array, flat: Array, spheres: Array, out: Array) -> bool:
 
 
 @compiled
-def frame_precisions(M: Array, precisions: Array, K: int, weight: float, T: Array, out: Array) -> None:
-    """out[i, o K + k] = weight (M^T Lambda_k M)[i, o] for all components, lower triangle.
-
-    M = A^+ (n_j, n); precisions (n_j, n_j K) holds Lambda_k[l, m] at [l, m K + k]; T (n, n_j K) is scratch.
-    """
-    n_j, n = M.shape
-    width = n_j * K
-    for i in range(n):
+def multiply(F: Array, rows: Array, width: int, out: Array) -> None:
+    """out[o, c] = sum over i of F[o, i] rows[i, c], for c < width."""
+    n, count = F.shape
+    for o in range(n):
         for c in range(width):
-            T[i, c] = 0.0
-        for m in range(n_j):
-            factor = weight * M[m, i]
-            if factor != 0.0:  # frames are full of zeros: time, position and orientation do not mix
+            out[o, c] = 0.0
+        # four rows at once, since the rows are short; beyond the last one the factor is zero
+        for i in range(0, count, 4):
+            i1, i2, i3 = min(i + 1, count - 1), min(i + 2, count - 1), min(i + 3, count - 1)
+            f0 = F[o, i]
+            f1 = F[o, i1] if i + 1 < count else 0.0
+            f2 = F[o, i2] if i + 2 < count else 0.0
+            f3 = F[o, i3] if i + 3 < count else 0.0
+            if f0 != 0.0 or f1 != 0.0 or f2 != 0.0 or f3 != 0.0:  # frames are full of zeros
                 for c in range(width):
-                    T[i, c] += factor * precisions[m, c]
-        for o in range(i + 1):
+                    out[o, c] += f0 * rows[i, c] + f1 * rows[i1, c] + f2 * rows[i2, c] + f3 * rows[i3, c]
+
+
+@compiled
+def view_frame(
+    means: Array, precisions: Array, size: Array, flat: Array, spheres: Array, A: Array, b: Array, weight: float,
+    half: Array, turned: Array, targets: Array, terms: Array,
+) -> bool:  # fmt: skip
+    """Eq. (5) for one frame and all components; False when A does not fit the manifold.
+
+    means (D_j, K); precisions (n_j, n_j K) of the model. Writes targets (D, K), A mu + b, and terms (n, n K),
+    weight M^T Lambda_k M with M = A^+. half (n, n_j K) and turned (n_j, n K) are scratch.
+    """
+    D, K = targets.shape
+    D_j, n_j = size
+    n = len(flat)
+    tangent = np.empty((n, n_j))
+    if not tangent_matrix(A[:, :D_j], flat, spheres, tangent):
+        return False
+    M = np.ascontiguousarray(pseudo_inverse(tangent, RANK_TOLERANCE).T)
+    multiply(M, precisions, n_j * K, half)
+    for i in range(n):
+        for m in range(n_j):
             for k in range(K):
-                out[i, o * K + k] = 0.0
-            for m in range(n_j):
-                factor = M[m, o]
-                if factor != 0.0:
-                    for k in range(K):
-                        out[i, o * K + k] += factor * T[i, m * K + k]
+                turned[m, i * K + k] = weight * half[i, m * K + k]
+    multiply(M, turned, n * K, terms)
+    multiply(A[:, :D_j], means, K, targets)
+    for i in range(D):
+        for k in range(K):
+            targets[i, k] += b[i]
+    return True
 
 
 @compiled
@@ -243,56 +266,85 @@ def fuse(
 
 @compiled
 def adapt(
-    means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, weights:
-    Array, state: Array, min_precision: float, out_means: Array, out_covariances: Array,
+    means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, weights: Array,
+    state: Array, min_precision: float, out_means: Array, out_covariances: Array,
 ) -> int:  # fmt: skip
     """Eqs. (5) and (6) for all components; writes out_means (K, D) and out_covariances (K, n, n).
 
-    means (P, D_max, K), precisions (P, n_max, n_max K) as in `frame_precisions`; A (P, D, D_max), b (P, D),
-    weights (P,), state (D,). Returns -1, or -2 without convergence, or the frame whose matrix does not fit
-    S³.
+    means (P, D_max, K); precisions (P, n_max, n_max K), where entry (l, m) of component k lies at [l, m K + k];
+    A (P, D, D_max), b (P, D), weights (P,), state (D,). Returns -1, or the frame whose matrix does not fit S³.
     """
     P, K = means.shape[0], means.shape[2]
     D, n = len(state), len(flat)
-    n_max = precisions.shape[1]
-    T = np.empty((n, n_max * K))
-    spread = np.empty((n, n * K))
-    targets = np.zeros((K, P, D))
-    terms = np.zeros((K, P, n, n))
+    half, turned = np.empty((n, precisions.shape[2])), np.empty((precisions.shape[1], n * K))
+    targets, terms = np.empty((P, D, K)), np.empty((P, n, n * K))
+    for j in range(P):
+        if weights[j] > 0.0 and not view_frame(
+            means[j], precisions[j], sizes[j], flat, spheres, A[j], b[j], weights[j],
+            half, turned, targets[j], terms[j],
+        ):  # fmt: skip
+            return j
+    if len(spheres) == 0:
+        add_up(weights, targets, terms, state, min_precision, flat, spheres, out_means, out_covariances)
+        return -1
+    component_targets, component_terms = np.empty((P, D)), np.empty((P, n, n))
+    for k in range(K):
+        for j in range(P):
+            for i in range(D):
+                component_targets[j, i] = targets[j, i, k]
+            for o in range(n):
+                for i in range(o, n):
+                    component_terms[j, i, o] = terms[j, o, i * K + k]
+        fuse(
+            component_targets, component_terms, weights, state, min_precision, flat, spheres,
+            out_means[k], out_covariances[k],
+        )  # fmt: skip
+    return -1
+
+
+@compiled
+def add_up(
+    weights: Array, targets: Array, terms: Array, state: Array, min_precision: float, flat: Array, spheres: Array,
+    out_means: Array, out_covariances: Array,
+) -> None:  # fmt: skip
+    """Eq. (6) on R^n, for all components at once: precisions add up, means are weighted by them.
+
+    targets (P, n, K) and terms (P, n, n K) as `view_frame` writes them. Sums are taken about one frame's means, so that
+    a world far from its origin costs no digits.
+    """
+    P, n, K = targets.shape
+    H, pull, base, d = np.zeros((n, n * K)), np.zeros((n, K)), np.empty((n, K)), np.empty((n, K))
+    for i in range(n):
+        base[i] = state[i]
+    is_first = True
     for j in range(P):
         if not weights[j] > 0.0:
             continue
-        D_j, n_j = sizes[j]
-        tangent = np.empty((n, n_j))
-        if not tangent_matrix(A[j, :, :D_j], flat, spheres, tangent):
-            return j
-        M = pseudo_inverse(tangent, RANK_TOLERANCE)
-        frame_precisions(M, precisions[j], K, weights[j], T, spread)
+        for o in range(n):
+            for c in range(n * K):
+                H[o, c] += terms[j, o, c]
+        if is_first:
+            base[:] = targets[j]
+            is_first = False
+            continue
         for i in range(n):
-            for m in range(i + 1):
-                for k in range(K):
-                    terms[k, j, i, m] = spread[i, m * K + k]
-        for i in range(D):
             for k in range(K):
-                targets[k, j, i] = b[j, i]
-            for m in range(D_j):
-                if A[j, i, m] != 0.0:
-                    for k in range(K):
-                        targets[k, j, i] += A[j, i, m] * means[j, m, k]
+                d[i, k] = targets[j, i, k] - base[i, k]
+        for o in range(n):
+            for i in range(n):
+                for k in range(K):
+                    pull[o, k] += terms[j, o, i * K + k] * d[i, k]
+    S, gradient, e, J, B = np.empty((n, n)), np.empty(n), np.empty((n, n)), np.empty((3, 3)), np.empty((n, n))
     for k in range(K):
-        if not fuse(
-            targets[k],
-            terms[k],
-            weights,
-            state,
-            min_precision,
-            flat,
-            spheres,
-            out_means[k],
-            out_covariances[k],
-        ):
-            return -2
-    return -1
+        for o in range(n):
+            gradient[o] = -pull[o, k]
+            out_means[k, o] = base[o, k]
+            for i in range(n):
+                S[o, i] = H[o, i * K + k]
+        invert_precision(S, gradient, out_means[k], state, min_precision, flat, spheres, e, J, B, out_covariances[k])
+        for i in range(n):
+            for m in range(n):
+                out_means[k, i] -= out_covariances[k, i, m] * gradient[m]
 
 
 @compiled
@@ -365,20 +417,20 @@ def regress(
 
 
 @compiled
-def regress_all(
-    log_priors: Array, means: Array, covariances: Array, times: Array, flat: Array, spheres: Array,
-    out_means: Array, out_covariances: Array, out_activations: Array,
-) -> None:  # fmt: skip
-    """`regress` at all times (H,)."""
-    for i in range(len(times)):
-        regress(
-            log_priors,
-            means,
-            covariances,
-            times[i],
-            flat,
-            spheres,
-            out_means[i],
-            out_covariances[i],
-            out_activations[i],
-        )
+def adapt_and_regress(
+    means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, weights: Array,
+    state: Array, min_precision: float, adapted_means: Array, adapted_covariances: Array, log_priors: Array,
+    times: Array, out_means: Array, out_covariances: Array, out_activations: Array,
+) -> int:  # fmt: skip
+    """`adapt`, then `regress` at all times (H,)."""
+    failed: int = adapt(
+        means, precisions, sizes, flat, spheres, A, b, weights, state, min_precision,
+        adapted_means, adapted_covariances,
+    )  # fmt: skip
+    if failed < 0:
+        for i in range(len(times)):
+            regress(
+                log_priors, adapted_means, adapted_covariances, times[i], flat, spheres,
+                out_means[i], out_covariances[i], out_activations[i],
+            )  # fmt: skip
+    return failed
