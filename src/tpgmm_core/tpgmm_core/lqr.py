@@ -2,9 +2,9 @@
 """Linear quadratic regulation of a double integrator: stiffness and damping from a precision (Section 5).
 
 The state is `[x, xdot]`, the control `u = xddot`, and the cost the integral of
-`(x - x_ref)^T Q (x - x_ref) + u^T R u`, where Q is the precision of the reference's Gaussian: what varied
-little in the demonstrations is held firmly, what varied much is left soft. The control law is `u = K_P (x_ref
-- x) + K_V (xdot_ref - xdot)`.
+`(x - x_ref)^T Q (x - x_ref) + u^T R u`, where Q is the precision of the reference's Gaussian: what varied little in the
+demonstrations is held firmly, what varied much is left soft. The control law is
+`u = K_P (x_ref - x) + K_V (xdot_ref - xdot)`.
 """
 
 from __future__ import annotations
