@@ -34,10 +34,6 @@ from tpgmm_ros.timing import loop_clock
 _CONFIG = {item.name: item.default for item in fields(ImpedanceConfig)}
 
 
-def _config(name: str, description: str, lower: float, upper: float) -> Declared:
-    return Declared(name, float(_CONFIG[name]), description, lower, upper)
-
-
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
     Declared("endpoint", "left", "The end point that follows the reference", fixed=True),
@@ -47,21 +43,7 @@ PARAMETERS = [
     ),
     Declared("reference_timeout", 0.1, "Older references are not followed but held, s", 0.002, 10.0),
     Declared("hold_time", 1.0, "The last reference is held for this long, then let go of, s", 0.0, 600.0),
-    _config("control_cost", "Cost of an acceleration against the distance to the reference", 1e-6, 1e3),
-    _config("characteristic_length", "Turning by 1 rad/s2 costs as much as moving this many m/s2", 1e-3, 10.0),
-    _config("min_stiffness", "Lowest eigenvalue of the stiffness, 1/s2", 1e-3, 1e4),
-    _config("max_stiffness", "Highest eigenvalue of the stiffness, 1/s2", 1e-3, 1e4),
-    _config("max_linear_speed", "Speed at which an error is worked off, m/s", 1e-3, 5.0),
-    _config("max_angular_speed", "Speed at which an error is worked off, rad/s", 1e-3, 20.0),
-    _config("max_inertia", "Bounds the inertia that a stretched arm is thought to have, kg", 1.0, 1e4),
-    _config("gain_time", "Time constant with which the gains follow the reference, s", 1e-3, 5.0),
-    _config("posture_stiffness", "Stiffness of the null space towards home, 1/s2", 1e-3, 1e3),
-    _config("posture_damping", "Damping of the null space, 1/s", 1e-3, 1e3),
-    _config("hold_frequency", "Bandwidth with which the other joints hold their posture, rad/s", 0.1, 100.0),
-    _config("leading_damping", "Damping of an arm without reference, N m s/rad", 1e-3, 50.0),
-    _config("blend_time", "Time over which a reference takes hold and lets go, s", 1e-3, 60.0),
-    _config("torque_rate", "Largest change of a torque, effort limits per second", 0.1, 1e3),
-    _config("max_time_step", "A longer pause between two joint states counts as this long, s", 1e-3, 1.0),
+    *(Declared(name, float(value), name, 1e-6, 1e6) for name, value in _CONFIG.items()),
 ]
 STATE_PERIOD_NS = 100_000_000
 SECOND = 1_000_000_000

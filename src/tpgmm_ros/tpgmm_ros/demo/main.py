@@ -124,16 +124,15 @@ def _start(graph: Graph, arguments: argparse.Namespace, model_file: Path) -> Non
 def _reproduce(graph: Graph, recording: Recording, world: World) -> tuple[bool, str]:
     client = ActionClient(graph.node, Reproduce, "reproduce")
     graph.wait_for(client.server_is_ready, START_TIMEOUT, "the action 'reproduce'")
-    graph.wait_for(lambda: len(recording.hand().stamps_ns) > 0, START_TIMEOUT, "the hand's pose")
+    graph.wait_for(recording.hand_is_known, START_TIMEOUT, "the hand's pose")
     goal = graph.result(client.send_goal_async(Reproduce.Goal()), START_TIMEOUT, "the goal to be accepted")
     if not goal.accepted:
         raise GraphError("reproduction refused the goal")
     result = goal.get_result_async()
 
     def ended() -> bool:
-        started = recording.first_reference_ns()
-        if started is not None:
-            world.start(started)
+        if world.started_ns is None:
+            world.started_ns = recording.first_reference_ns()
         return result.done()
 
     graph.wait_for(ended, 180.0, "the end of the movement")

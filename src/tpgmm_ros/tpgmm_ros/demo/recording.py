@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
-from tpgmm_core.tracking import FrameStatus
 from tpgmm_msgs.msg import Reference, TaskParameters
 
 from tpgmm_ros import conversions
@@ -20,6 +23,8 @@ from tpgmm_ros.conversions import JointReader
 from tpgmm_ros.pick_place import Array
 from tpgmm_ros.qos import EVENTS, LATCHED
 from tpgmm_ros.task import Task
+
+MessageT = TypeVar("MessageT")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +46,9 @@ class Series:
 class Recording:
     """Records torques, references, hand poses, frames and diagnostics of the running graph.
 
+    What comes is kept as bytes and read when it is asked for: reading a 1 kHz stream while it runs would take the
+    cores from those who need them.
+
     Args:
         node: subscribes.
         task: the movement's topic and the frames.
@@ -49,69 +57,66 @@ class Recording:
 
     def __init__(self, node: Node, task: Task, joints: list[str]) -> None:
         self.joints = joints
-        self._reader = JointReader(joints)
-        self._rows: dict[str, list[tuple[int, Array]]] = {"torque": [], "reference": [], "hand": []}
-        self._frames: dict[str, list[tuple[int, Array]]] = {name: [] for name in task.frames}
-        self.diagnostics: dict[str, list[tuple[int, dict[str, str]]]] = {}
-        node.create_subscription(JointState, "joint_torques", self._take_torque, RECORD)
-        node.create_subscription(Reference, "reference", self._take_reference, RECORD)
-        node.create_subscription(PoseStamped, task.movement, self._take_hand, RECORD)
-        node.create_subscription(TaskParameters, "task_parameters", self._take_frames, LATCHED)
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, EVENTS)
+        self._frame_names = list(task.frames)
+        self._raw: dict[type, list[bytes]] = {}
+        self._subscribe(node, JointState, "joint_torques", RECORD)
+        self._subscribe(node, Reference, "reference", RECORD)
+        self._subscribe(node, PoseStamped, task.movement, RECORD)
+        self._subscribe(node, TaskParameters, "task_parameters", LATCHED)
+        self._subscribe(node, DiagnosticArray, "/diagnostics", EVENTS)
+
+    def _subscribe(self, node: Node, kind: type, topic: str, qos: QoSProfile) -> None:
+        rows = self._raw[kind] = []
+        node.create_subscription(kind, topic, rows.append, qos, raw=True)
+
+    def _messages(self, kind: type[MessageT]) -> Iterator[MessageT]:
+        return (deserialize_message(data, kind) for data in self._raw[kind])
 
     def first_reference_ns(self) -> int | None:
         """Stamp of the first reference: the start of the movement."""
-        return self._rows["reference"][0][0] if self._rows["reference"] else None
+        first = next(self._messages(Reference), None)
+        return None if first is None else conversions.time_to_ns(first.header.stamp)
+
+    def hand_is_known(self) -> bool:
+        """Whether the hand's pose came at least once."""
+        return bool(self._raw[PoseStamped])
 
     def torque(self) -> Series:
         """Torques (T, nv), N m."""
-        return _series(self._rows["torque"])
+        reader = JointReader(self.joints)
+        return _series((message, reader.read(message, "effort")[0]) for message in self._messages(JointState))
 
     def reference(self) -> Series:
         """Means of the references (T, 7)."""
-        return _series(self._rows["reference"])
+        return _series((message, np.array(message.gaussian.mean)) for message in self._messages(Reference))
 
     def hand(self) -> Series:
         """Poses of the hand (T, 7)."""
-        return _series(self._rows["hand"])
+        return _series(
+            (message, conversions.pose_to_array(message.pose)) for message in self._messages(PoseStamped)
+        )
 
     def frames(self) -> dict[str, Series]:
         """Status and confidence (T, 2) of each frame."""
-        return {name: _series(rows) for name, rows in self._frames.items()}
+        rows: dict[str, list[tuple[TaskParameters, Array]]] = {name: [] for name in self._frame_names}
+        for message in self._messages(TaskParameters):
+            for item in message.frames:
+                rows[item.name].append((message, np.array([item.status, item.confidence])))
+        return {name: _series(values) for name, values in rows.items()}
 
-    def diagnostic(self, node: str, since_ns: int) -> list[dict[str, str]]:
-        """What a node has published about itself since a stamp, oldest first; without one since then, the last one."""
-        rows = self.diagnostics.get(node, [])
+    def diagnostics(self, node: str, since_ns: int) -> list[dict[str, str]]:
+        """What a node has published about itself since a stamp, oldest first; without any since then, the last one."""
+        rows = [
+            (conversions.time_to_ns(message.header.stamp), {item.key: item.value for item in status.values})
+            for message in self._messages(DiagnosticArray)
+            for status in message.status
+            if status.name == node
+        ]
         return [values for stamp, values in rows if stamp >= since_ns] or [values for _, values in rows[-1:]]
 
-    def _take_torque(self, message: JointState) -> None:
-        self._rows["torque"].append(
-            (conversions.time_to_ns(message.header.stamp), self._reader.read(message, "effort")[0])
-        )
 
-    def _take_reference(self, message: Reference) -> None:
-        # Only the mean: converting every Gaussian of a 1 kHz stream would take the cores from those who need them.
-        self._rows["reference"].append(
-            (conversions.time_to_ns(message.header.stamp), np.array(message.gaussian.mean))
-        )
-
-    def _take_hand(self, message: PoseStamped) -> None:
-        self._rows["hand"].append(
-            (conversions.time_to_ns(message.header.stamp), conversions.pose_to_array(message.pose))
-        )
-
-    def _take_frames(self, message: TaskParameters) -> None:
-        stamp = conversions.time_to_ns(message.header.stamp)
-        for item in message.frames:
-            confidence = 0.0 if item.status == FrameStatus.MISSING else item.confidence
-            self._frames[item.name].append((stamp, np.array([item.status, confidence])))
-
-    def _take_diagnostics(self, message: DiagnosticArray) -> None:
-        stamp = conversions.time_to_ns(message.header.stamp)
-        for status in message.status:
-            values = {item.key: item.value for item in status.values}
-            self.diagnostics.setdefault(status.name, []).append((stamp, values))
-
-
-def _series(rows: list[tuple[int, Array]]) -> Series:
-    return Series(np.array([stamp for stamp, _ in rows], dtype=np.int64), np.array([value for _, value in rows]))
+def _series(rows: Iterable[tuple[Any, Array]]) -> Series:
+    listed = [(conversions.time_to_ns(message.header.stamp), values) for message, values in rows]
+    return Series(
+        np.array([stamp for stamp, _ in listed], dtype=np.int64), np.array([values for _, values in listed])
+    )

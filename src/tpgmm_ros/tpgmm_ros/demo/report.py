@@ -20,6 +20,8 @@ LARGEST_POSITION_ERROR = 0.01
 LARGEST_ORIENTATION_ERROR = 5.0
 LARGEST_TORQUE_SHARE = 1.0
 JUMP = 0.5
+#: s from one command to the next.
+TICK = 0.001
 
 
 def evaluate(recording: Recording, world: World, effort_limits: np.ndarray, outcome: tuple[bool, str]) -> dict[str, Any]:
@@ -48,7 +50,7 @@ def evaluate(recording: Recording, world: World, effort_limits: np.ndarray, outc
         "no jump when a frame was lost": lost <= JUMP,
         "no jump when it came back": back <= JUMP,
     }
-    diagnostics = {node: recording.diagnostic(node, world.started_ns) for node in NODES}
+    diagnostics = {node: recording.diagnostics(node, world.started_ns) for node in NODES}
     simulator = diagnostics["baxter_simulator"][-1]
     reproduction = diagnostics["reproduction"][-1]
     return {
@@ -70,10 +72,17 @@ def evaluate(recording: Recording, world: World, effort_limits: np.ndarray, outc
 
 
 def _largest_step(torque: Series, origin_ns: int, start: float, end: float) -> float:
-    """Largest change of any joint's torque from one command to the next, N m, between two times."""
+    """Largest change of any joint's torque from one tick to the next, N m, between two times.
+
+    Where the machine was late and commands are missing, their change is shared out over the ticks they cover.
+    """
     times = torque.times(origin_ns)
-    chosen = torque.values[(times >= start) & (times <= end)]
-    return float(np.abs(np.diff(chosen, axis=0)).max()) if len(chosen) > 1 else 0.0
+    chosen = (times >= start) & (times <= end)
+    if chosen.sum() < 2:
+        return 0.0
+    change = np.abs(np.diff(torque.values[chosen], axis=0)).max(axis=1)
+    ticks = np.maximum(1, np.rint(np.diff(times[chosen]) / TICK))
+    return float((change / ticks).max())
 
 
 def _path_deviation(recording: Recording, origin_ns: int) -> float:

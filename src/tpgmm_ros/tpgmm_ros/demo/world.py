@@ -69,6 +69,9 @@ class World:
         task: the topics.
         situation: where things lie at first.
         disturbances: what happens on the way.
+
+    Attributes:
+        started_ns: stamp of the movement's start, ns; as long as it is None, the disturbances wait.
     """
 
     def __init__(self, node: Node, task: Task, situation: Situation, disturbances: Disturbances) -> None:
@@ -82,11 +85,6 @@ class World:
             name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()
         }
         node.create_subscription(PoseStamped, task.movement, self._answer, STREAM)
-
-    def start(self, time_ns: int) -> None:
-        """The movement starts at this time, ns: from it the disturbances are counted."""
-        if self.started_ns is None:
-            self.started_ns = time_ns
 
     def _answer(self, message: PoseStamped) -> None:
         stamp_ns = conversions.time_to_ns(message.header.stamp)
