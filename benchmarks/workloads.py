@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import Demonstration, Frame
+from tpgmm_core import Demonstration, Frame, quaternion
 
 
 @dataclass(frozen=True)
@@ -55,3 +55,32 @@ def demonstrations(work: Workload, seed: int = 0) -> list[Demonstration]:
 def projected(demos: list[Demonstration]) -> dict[str, np.ndarray]:
     """All samples as seen from each frame, name → (N, D)."""
     return {name: np.concatenate([d.projected()[name] for d in demos]) for name in demos[0].frames}
+
+
+def pose_demonstrations(n_demonstrations: int, n_samples: int = 200, seed: int = 0) -> list[Demonstration]:
+    """Hand poses over time, from above an object to above a target, both placed and turned at random.
+
+    Data is time, position, quaternion (on R1 x R3 x S3), with the quaternions' signs as they come; frames are
+    "object", "target" and "robot".
+    """
+    rng = np.random.default_rng(seed)
+    phase = np.linspace(0.0, 1.0, n_samples)
+    share = 1.0 / (1.0 + np.exp(-12.0 * (phase - 0.5)))
+    lift = np.column_stack([np.zeros((n_samples, 2)), 0.1 + 0.2 * np.sin(np.pi * phase)])
+    down = quaternion.exp([0.95 * np.pi, 0.0, 0.0])
+    result = []
+    for _ in range(n_demonstrations):
+        places = [(0.3 * rng.normal(size=3), quaternion.exp([0.0, 0.0, 0.8 * rng.normal()])) for _ in range(2)]
+        (p_object, q_object), (p_target, q_target) = places
+        position = (1.0 - share)[:, None] * p_object + share[:, None] * p_target + lift
+        position += 0.003 * rng.normal(size=(n_samples, 3))
+        orientation = quaternion.slerp(quaternion.multiply(q_object, down), quaternion.multiply(q_target, down), share)
+        orientation = quaternion.multiply(quaternion.exp(0.02 * rng.normal(size=(n_samples, 3))), orientation)
+        orientation *= rng.choice([-1.0, 1.0], n_samples)[:, None]
+        robot = (np.zeros(3), quaternion.IDENTITY)
+        frames = {
+            name: Frame.from_pose(p, q).with_time()
+            for name, (p, q) in zip(("object", "target", "robot"), (*places, robot), strict=True)
+        }
+        result.append(Demonstration(phase, np.column_stack([phase, position, orientation]), frames))
+    return result

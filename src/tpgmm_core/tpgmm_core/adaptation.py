@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tpgmm_core import kernels_adapt
+from tpgmm_core import kernels_adapt, kernels_regress
 from tpgmm_core.frame import Frame
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.manifold import Manifold
@@ -130,7 +130,7 @@ class Adapter:
         n = manifold.tangent_dim - 1
         means, covariances = np.empty((H, manifold.dim - 1)), np.empty((H, n, n))
         activations = np.empty((H, len(self.priors)))
-        failed = kernels_adapt.adapt_and_regress(
+        failed = kernels_regress.adapt_and_regress(
             *self._situation, where, *self._result, self._log_priors, times, means, covariances, activations
         )
         self._check(failed)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tpgmm_core import kernels_adapt, quaternion
+from tpgmm_core import kernels_product, quaternion
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
 
@@ -104,7 +104,9 @@ class Gaussian:
         precisions = np.stack([g.precision for g in gaussians])
         mean, covariance = means[0].copy(), np.empty_like(precisions[0])
         layout = manifold.ambient_of_tangent, manifold.sphere_starts
-        converged = kernels_adapt.fuse(means, precisions, np.ones(len(means)), means[0], 0.0, *layout, mean, covariance)
+        converged = kernels_product.fuse(
+            means, precisions, np.ones(len(means)), means[0], 0.0, *layout, mean, covariance
+        )
         if not converged:
             raise ValueError("the product did not converge: the orientations of the Gaussians contradict each other")
         return cls(mean, covariance, manifold)

@@ -155,11 +155,8 @@ class Manifold:
         cancel out.
         """
         x = np.asarray(x, dtype=float)
-        w = (
-            np.full(len(x), 1.0 / len(x))
-            if weights is None
-            else np.asarray(weights, dtype=float) / float(np.sum(np.asarray(weights)))
-        )
+        w = np.ones(len(x)) if weights is None else np.asarray(weights, dtype=float)
+        w = w / w.sum()
         mean = np.asarray(w @ x)
         for s in self.spheres:
             # the main axis of q q^T does not depend on signs, and lies near the mean

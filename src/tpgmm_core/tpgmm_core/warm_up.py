@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Adapter
+from tpgmm_core import TPGMM, Adapter, Frame, Gaussian
 
 
 def warm_up() -> None:
@@ -18,7 +18,8 @@ def warm_up() -> None:
     pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
     X = np.concatenate([time, pose], axis=1)
     model = TPGMM(n_components=2, manifold="R1 x R3 x S3", max_iter=1).fit_projected({"frame": X})
-    Adapter(model)
+    mixture = Adapter(model).adapt({"frame": Frame(np.eye(8), np.zeros(8))})
+    Gaussian.product([mixture.component(0), mixture.component(1)])
 
 
 if __name__ == "__main__":

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gaussian mixture regression over time, alone and after adapting, compiled.
+
+`flat[i]` is the ambient index of tangent dimension i, or -1 on S³, and `spheres[s]` = (first ambient, first tangent
+index) of each S³ factor: `Manifold.ambient_of_tangent` and `Manifold.sphere_starts`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tpgmm_core.kernels import compiled, transport
+from tpgmm_core.kernels_adapt import adapt
+from tpgmm_core.kernels_product import MAX_STEPS, STEP_TOLERANCE, difference, longest, move
+from tpgmm_core.quaternion import Array
+
+NEGLIGIBLE = 1e-20  # components with a smaller activation add nothing to a covariance
+
+
+@compiled
+def regress(
+    log_priors: Array, means: Array, covariances: Array, t: float, flat: Array, spheres: Array, mean: Array,
+    covariance: Array, activations: Array,
+) -> None:  # fmt: skip
+    """Gaussian mixture regression on the first dimension at t: mean (D - 1,), covariance (n - 1, n - 1).
+
+    The Gaussian is moment-matched; on S³ its mean is where the weighted tangent vectors cancel out, and the
+    components' covariances move there by parallel transport. activations (K,) sum to 1.
+    """
+    K, D = means.shape
+    n = len(flat)
+    top = -np.inf
+    for k in range(K):
+        variance = covariances[k, 0, 0]
+        d = t - means[k, 0]
+        activations[k] = log_priors[k] - 0.5 * (math.log(variance) + d * d / variance)
+        top = max(top, activations[k])
+    total = 0.0
+    for k in range(K):
+        activations[k] = math.exp(activations[k] - top)
+        total += activations[k]
+    likeliest = 0
+    for k in range(K):
+        activations[k] /= total
+        if activations[k] > activations[likeliest]:
+            likeliest = k
+    conditionals = means.copy()
+    steps = np.empty((K, n))
+    for k in range(K):
+        slope = (t - means[k, 0]) / covariances[k, 0, 0]
+        for i in range(n):
+            steps[k, i] = covariances[k, i, 0] * slope
+        move(conditionals[k], steps[k], flat, spheres)
+    x = conditionals[likeliest].copy()
+    e = np.empty((K, n))
+    step = np.empty(n)
+    for _ in range(MAX_STEPS):
+        step[:] = 0.0
+        for k in range(K):
+            difference(conditionals[k], x, flat, spheres, e[k])
+            for i in range(n):
+                step[i] += activations[k] * e[k, i]
+        move(x, step, flat, spheres)
+        if len(spheres) == 0 or longest(step) < STEP_TOLERANCE:
+            break
+    for i in range(1, D):
+        mean[i - 1] = x[i]
+    covariance[:] = 0.0
+    C = np.empty((n, n))
+    for k in range(K):
+        h = activations[k]
+        if h < NEGLIGIBLE:
+            continue
+        difference(conditionals[k], x, flat, spheres, e[k])
+        for i in range(n):
+            gain = covariances[k, i, 0] / covariances[k, 0, 0]
+            for m in range(i + 1):
+                C[i, m] = covariances[k, i, m] - gain * covariances[k, m, 0]
+                C[m, i] = C[i, m]
+        for s in range(len(spheres)):
+            a = spheres[s, 1]
+            transport(C, a, steps[k, a], steps[k, a + 1], steps[k, a + 2])  # to the component's conditional mean
+            transport(C, a, -e[k, a], -e[k, a + 1], -e[k, a + 2])  # and from there to the mixture's
+        for i in range(1, n):
+            for m in range(1, n):
+                covariance[i - 1, m - 1] += h * (C[i, m] + e[k, i] * e[k, m])
+
+
+@compiled
+def adapt_and_regress(
+    means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, weights: Array,
+    state: Array, min_precision: float, adapted_means: Array, adapted_covariances: Array, log_priors: Array,
+    times: Array, out_means: Array, out_covariances: Array, out_activations: Array,
+) -> int:  # fmt: skip
+    """`adapt`, then `regress` at all times (H,)."""
+    failed: int = adapt(
+        means, precisions, sizes, flat, spheres, A, b, weights, state, min_precision,
+        adapted_means, adapted_covariances,
+    )  # fmt: skip
+    if failed < 0:
+        for i in range(len(times)):
+            regress(
+                log_priors, adapted_means, adapted_covariances, times[i], flat, spheres,
+                out_means[i], out_covariances[i], out_activations[i],
+            )  # fmt: skip
+    return failed
