@@ -48,7 +48,7 @@ class Gaussian:
             )
         if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(covariance))):
             raise ValueError("the mean and the covariance of a Gaussian must be finite")
-        if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-12):
+        if np.abs(covariance - covariance.T).max() > 1e-8 * np.abs(covariance).max():
             raise ValueError("the covariance of a Gaussian must be symmetric")
         for s in manifold.spheres:
             mean[s.ambient] = quaternion.normalize(mean[s.ambient])

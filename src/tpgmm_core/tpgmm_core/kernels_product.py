@@ -126,8 +126,8 @@ def invert_precision(
     missing = (vectors * np.maximum(lowest - values, 0.0)) @ vectors.T
     error = np.empty(n)
     cost = add_quadratic(x, state, missing, flat, spheres, error, J, B, gradient, H)
-    values = np.maximum(values, lowest)
-    covariance[:] = (vectors / values) @ vectors.T
+    roots = vectors / np.sqrt(np.maximum(values, lowest))
+    covariance[:] = roots @ roots.T
     return cost
 
 

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from random_problems import random_covariance, random_rotation
+from scipy.spatial.transform import Rotation
+
+from tpgmm_core import kernels
+
+rng = np.random.default_rng(0)
+
+
+def test_exp_is_exact_to_rounding_where_it_matters() -> None:
+    x = -np.r_[0.0, np.logspace(-18, np.log10(700.0), 5000), 0.5 * np.log(2.0) * np.arange(200)]
+    bits = np.empty(len(x), dtype=np.int64)
+    values = x.copy()
+    kernels.exp_in_place(values, len(x), np.empty(len(x)), bits, bits.view(np.float64))
+    np.testing.assert_allclose(values, np.exp(x), rtol=1e-13)
+    far = np.array([-1e3, -1e300, -np.inf])
+    kernels.exp_in_place(far, 3, np.empty(3), bits, bits.view(np.float64))
+    assert np.all((far >= 0.0) & (far < 1e-300))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (4, 4), (7, 7), (5, 2), (2, 5)])
+def test_pseudo_inverse_is_that_of_numpy(shape: tuple[int, int]) -> None:
+    for _ in range(20):
+        A = rng.normal(size=shape)
+        np.testing.assert_allclose(kernels.pseudo_inverse(A, 1e-10), np.linalg.pinv(A), rtol=1e-7, atol=1e-8)
+
+
+def test_pseudo_inverse_knows_rotations_permutations_and_projections() -> None:
+    R = random_rotation(rng, 5)
+    np.testing.assert_allclose(kernels.pseudo_inverse(R, 1e-10), R.T, atol=1e-14)
+    permuted = np.diag([1.0, 2.0, 3.0, 4.0])[[2, 3, 0, 1]]
+    np.testing.assert_allclose(kernels.pseudo_inverse(permuted, 1e-10), np.linalg.inv(permuted), atol=1e-14)
+    Q = np.linalg.qr(rng.normal(size=(6, 2)))[0]
+    N = np.eye(6) - Q @ Q.T  # a null-space projection is its own pseudo-inverse
+    np.testing.assert_allclose(kernels.pseudo_inverse(N, 1e-10), N, atol=1e-12)
+    assert not kernels.pseudo_inverse(np.zeros((3, 3)), 1e-10).any()
+
+
+def test_cholesky_factors_invert_and_refuse_what_is_not_definite() -> None:
+    S = random_covariance(rng, 6)
+    L, F, P = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((6, 6))
+    assert kernels.cholesky(S, 6, L)
+    kernels.invert_lower(L, 6, F)
+    kernels.gram(F, 6, P)
+    np.testing.assert_allclose(P @ S, np.eye(6), atol=1e-9)
+    for bad in (np.diag([1.0, 0.0]), np.diag([1.0, -1.0]), np.full((2, 2), np.nan)):
+        assert not kernels.cholesky(bad, 2, np.zeros((2, 2)))
+
+
+def test_the_inverse_left_jacobian_is_the_derivative_of_the_logarithm() -> None:
+    J = np.empty((3, 3))
+    for scale in (1e-6, 1e-3, 0.5, 3.0):
+        e = rng.normal(size=3)
+        e *= scale / np.linalg.norm(e)
+        kernels.inverse_left_jacobian(*e, J)
+        h = 1e-6
+        numeric = [
+            (
+                (Rotation.from_rotvec(h * u) * Rotation.from_rotvec(e)).as_rotvec()
+                - (Rotation.from_rotvec(-h * u) * Rotation.from_rotvec(e)).as_rotvec()
+            )
+            / (2.0 * h)
+            for u in np.eye(3)
+        ]
+        np.testing.assert_allclose(J, np.transpose(numeric), atol=1e-8)
