@@ -2,11 +2,13 @@
 """Tests on the level of topics: real processes on a ROS domain of their own, polled with deadlines.
 
 The fixtures of this module are there for every test of the repository. A test that asks for `ros_domain`,
-`ros_node` or `start_process` is alone on its domain, also when several test runs share the machine.
+`ros_node` or `start_process` is alone on its domain, also when several test runs share the machine. Starting a process
+costs seconds: `module_domain`, `module_node` and `start_module_process` are shared by the tests of one file.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shlex
 import signal
@@ -112,67 +114,58 @@ def spin_until(
     message: str = "",
     processes: tuple[RunningProcess, ...] = (),
 ) -> None:
-    """Serve the callbacks of `node` until `condition()` is true.
+    """Serve the callbacks of `node`, one of this module's fixtures, until `condition()` is true.
 
     AssertionError with `message` after `timeout` seconds, or at once when one of `processes` has ended.
     """
-    from rclpy.executors import SingleThreadedExecutor
-
-    executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
+    executor = node.executor
+    assert executor is not None
     deadline = time.monotonic() + timeout
-    try:
-        while not condition():
-            for process in processes:
-                if process.returncode is not None:
-                    raise AssertionError(f"{process} ended with {process.returncode}:\n{process.output}")
-            if time.monotonic() > deadline:
-                raise AssertionError(f"not within {timeout} s: {message or condition}")
-            executor.spin_once(timeout_sec=0.02)
-    finally:
-        executor.remove_node(node)
-        executor.shutdown()
+    while not condition():
+        for process in processes:
+            if process.returncode is not None:
+                raise AssertionError(f"{process} ended with {process.returncode}:\n{process.output}")
+        if time.monotonic() > deadline:
+            raise AssertionError(f"not within {timeout} s: {message or condition}")
+        executor.spin_once(timeout_sec=0.02)
 
 
-@pytest.fixture
-def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]:
-    """A ROS domain of this test's own, set in the environment of this process and its children."""
+@contextlib.contextmanager
+def _own_domain(log_directory: Path) -> Iterator[int]:
     from domain_coordinator import domain_id
 
-    with domain_id() as domain:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+    with domain_id() as domain, pytest.MonkeyPatch.context() as environment:
+        environment.setenv("ROS_DOMAIN_ID", str(domain))
+        environment.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        environment.setenv("ROS_LOG_DIR", str(log_directory))
         yield domain
 
 
-@pytest.fixture
-def ros_node(ros_domain: int) -> Iterator[Node]:
-    """A node in the test's own process, on the test's own domain; serve its callbacks with `spin_until`."""
+@contextlib.contextmanager
+def _node_on(domain: int) -> Iterator[Node]:
     import rclpy
     from rclpy.context import Context
+    from rclpy.experimental import EventsExecutor
     from rclpy.node import Node
 
     context = Context()
-    rclpy.init(context=context, domain_id=ros_domain)
+    rclpy.init(context=context, domain_id=domain)
     node = Node("test", context=context)
+    executor = EventsExecutor(context=context)
+    executor.add_node(node)
     yield node
+    executor.remove_node(node)
     node.destroy_node()
     rclpy.shutdown(context=context)
 
 
-@pytest.fixture
-def start_process(ros_domain: int, tmp_path: Path) -> Iterator[StartProcess]:
-    """Starts processes on the test's domain: `start_process("frame_tracker", "--ros-args", ..., env={...})`.
-
-    The first argument is an executable of tpgmm_ros, or a path. All processes and their children
-    are ended with the test; what they wrote is shown when the test fails.
-    """
+@contextlib.contextmanager
+def _process_starter(directory: Path) -> Iterator[StartProcess]:
     started: list[RunningProcess] = []
 
     def start(program: str, *arguments: str, env: dict[str, str] | None = None) -> RunningProcess:
         path = program if os.sep in program else executable(program)
-        output_path = tmp_path / f"{len(started)}-{Path(program).name}.log"
+        output_path = directory / f"{len(started)}-{Path(program).name}.log"
         started.append(RunningProcess([path, *arguments], output_path, env))
         return started[-1]
 
@@ -183,3 +176,49 @@ def start_process(ros_domain: int, tmp_path: Path) -> Iterator[StartProcess]:
     for process in started:
         # pytest shows this for failed tests only
         print(f"--- {process} (exit status {process.returncode})\n{process.output}")
+
+
+@pytest.fixture
+def ros_domain(tmp_path: Path) -> Iterator[int]:
+    """A ROS domain of this test's own, set in the environment of this process and its children."""
+    with _own_domain(tmp_path / "log") as domain:
+        yield domain
+
+
+@pytest.fixture
+def ros_node(ros_domain: int) -> Iterator[Node]:
+    """A node in the test's own process, on the test's own domain; serve its callbacks with `spin_until`."""
+    with _node_on(ros_domain) as node:
+        yield node
+
+
+@pytest.fixture
+def start_process(ros_domain: int, tmp_path: Path) -> Iterator[StartProcess]:
+    """Starts processes on the test's domain: `start_process("frame_tracker", "--ros-args", ..., env={...})`.
+
+    The first argument is an executable of tpgmm_ros, or a path. All processes and their children
+    are ended with the test; what they wrote is shown when the test fails.
+    """
+    with _process_starter(tmp_path) as start:
+        yield start
+
+
+@pytest.fixture(scope="module")
+def module_domain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    """As `ros_domain`, for all tests of a file."""
+    with _own_domain(tmp_path_factory.mktemp("ros_log")) as domain:
+        yield domain
+
+
+@pytest.fixture(scope="module")
+def module_node(module_domain: int) -> Iterator[Node]:
+    """As `ros_node`, for all tests of a file."""
+    with _node_on(module_domain) as node:
+        yield node
+
+
+@pytest.fixture(scope="module")
+def start_module_process(module_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartProcess]:
+    """As `start_process`, for all tests of a file."""
+    with _process_starter(tmp_path_factory.mktemp("processes")) as start:
+        yield start

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tests do with running nodes: collect messages, call services, change states and parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+
+from ros_testing import STARTUP_TIMEOUT, spin_until
+
+ROOT = Path(__file__).resolve().parents[1]
+ROBOT_FILE = ROOT / "config" / "baxter.yaml"
+TASK_FILE = ROOT / "config" / "pick_place.yaml"
+SECOND = 1_000_000_000
+
+#: Keeps all that comes from a stream, which is best effort.
+ALL = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+#: Keeps all that comes from a latched topic, with what was there before.
+ALL_LATCHED = QoSProfile(
+    depth=1000, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+
+CONFIGURE = Transition.TRANSITION_CONFIGURE
+ACTIVATE = Transition.TRANSITION_ACTIVATE
+DEACTIVATE = Transition.TRANSITION_DEACTIVATE
+CLEANUP = Transition.TRANSITION_CLEANUP
+
+
+class Inbox:
+    """All messages of a topic since the start, or since `clear()`."""
+
+    def __init__(self, node: Node, kind: type, topic: str, qos: QoSProfile = ALL) -> None:
+        self.messages: list[Any] = []
+        node.create_subscription(kind, topic, self.messages.append, qos)
+
+    @property
+    def last(self) -> Any:
+        """The newest message, None without one."""
+        return self.messages[-1] if self.messages else None
+
+    def clear(self) -> None:
+        self.messages.clear()
+
+
+class Diagnostics:
+    """What each node has said last about itself on `/diagnostics`: its message and its values."""
+
+    def __init__(self, node: Node) -> None:
+        self.messages: dict[str, str] = {}
+        self.values: dict[str, dict[str, str]] = {}
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
+
+    def _take(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            self.messages[status.name] = status.message
+            self.values[status.name] = {item.key: item.value for item in status.values}
+
+
+def result_of(node: Node, future: Future[Any], what: str, timeout: float = STARTUP_TIMEOUT) -> Any:
+    """The result of a future, served by `node` until it is there."""
+    spin_until(node, future.done, timeout, what)
+    return future.result()
+
+
+def call(node: Node, kind: type, name: str, request: Any) -> Any:
+    """The response of a service."""
+    client = node.create_client(kind, name)
+    try:
+        spin_until(node, client.service_is_ready, message=f"service {name}")
+        return result_of(node, client.call_async(request), f"{name} to answer")
+    finally:
+        node.destroy_client(client)
+
+
+def change_state(node: Node, target: str, *transitions: int) -> bool:
+    """Ask a lifecycle node for transitions; whether all succeeded."""
+    requests = [ChangeState.Request(transition=Transition(id=transition)) for transition in transitions]
+    return all(call(node, ChangeState, f"{target}/change_state", request).success for request in requests)
+
+
+def set_parameters(node: Node, target: str, **values: bool | int | float | str) -> SetParametersResult:
+    """Set parameters of another node, all or none."""
+    request = SetParametersAtomically.Request(
+        parameters=[Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    )
+    return call(node, SetParametersAtomically, f"{target}/set_parameters_atomically", request).result
+
+
+def ros_arguments(**parameters: object) -> list[str]:
+    """The command line that gives a node its parameters."""
+    arguments = ["--ros-args"]
+    for name, value in parameters.items():
+        arguments += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
+    return arguments
