@@ -89,7 +89,7 @@ def reproduce(model: TPGMM, situation: Demonstration) -> Array:
     for i, time in enumerate(situation.times):
         frames = {name: frame.at(i) for name, frame in situation.frames.items() if visible[name][i]}
         if frames:
-            poses[i] = adapter.adapt_and_condition(frames, time)[0][0]
+            poses[i] = adapter.adapt_and_condition(frames, np.array([time]))[0][0]
     return poses
 
 
