@@ -330,7 +330,7 @@ def test_wrong_shapes_and_settings_are_refused(baxter: RobotModel, home: np.ndar
         ImpedanceController(baxter, "tail")
     with pytest.raises(ValueError, match="rest_posture"):
         ImpedanceController(baxter, rest_posture=[0.0])
-    with pytest.raises(ValueError, match="control_cost must be positive"):
+    with pytest.raises(ValueError, match="control_cost is 0.0, expected"):
         ImpedanceConfig(control_cost=0.0)
     with pytest.raises(ValueError, match="above max_stiffness"):
         ImpedanceConfig(min_stiffness=10.0, max_stiffness=1.0)

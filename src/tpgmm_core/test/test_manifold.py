@@ -6,6 +6,7 @@ import pytest
 from random_problems import random_quaternion
 
 from tpgmm_core import Frame, Manifold, quaternion
+from tpgmm_core.manifold import POSE
 
 rng = np.random.default_rng(1)
 M = Manifold.parse("R1 x R3 x S3")
@@ -89,3 +90,14 @@ def test_subset_keeps_quaternions_whole() -> None:
     for dims in ([4, 5, 6], [5, 4, 6, 7], [0, 0], [8], [-1], []):
         with pytest.raises(ValueError):
             M.subset(dims)
+
+
+def test_single_poses_and_stacks_of_them_go_through_the_same_maps() -> None:
+    rng = np.random.default_rng(2)
+    start, goal = rng.normal(size=(2, 5, 7))
+    start[:, 3:], goal[:, 3:] = quaternion.normalize(start[:, 3:]), quaternion.normalize(goal[:, 3:])
+    v = POSE.log(start, goal)
+    for one_start, one_goal, one_v in zip(start, goal, v, strict=True):
+        np.testing.assert_allclose(POSE.log(one_start, one_goal), one_v, atol=1e-12)
+        np.testing.assert_allclose(POSE.log(one_start, np.r_[one_goal[:3], -one_goal[3:]]), one_v, atol=1e-12)
+        np.testing.assert_allclose(POSE.distance(POSE.exp(one_start, one_v), one_goal), 0.0, atol=1e-7)

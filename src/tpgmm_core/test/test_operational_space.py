@@ -2,8 +2,7 @@
 import numpy as np
 import pytest
 
-from tpgmm_core import quaternion
-from tpgmm_core.operational_space import OperationalSpace, bounded_twist, moved_pose, pose_error
+from tpgmm_core.operational_space import OperationalSpace, bounded_twist
 
 
 @pytest.fixture
@@ -35,18 +34,6 @@ def test_in_a_singular_direction_the_inertia_stays_bounded(arm: tuple[np.ndarray
     hand = OperationalSpace.at(J, M, length=1.0, max_inertia=50.0)
     assert hand.inertia[0, 0] == pytest.approx(50.0)
     assert np.linalg.eigvalsh(hand.inertia)[-1] <= 50.0 * (1 + 1e-9)
-
-
-def test_pose_error_leads_to_the_reference() -> None:
-    rng = np.random.default_rng(2)
-    p, q = quaternion.normalize(rng.normal(size=(2, 4)))
-    start, goal = np.r_[1.0, 2.0, 3.0, p], np.r_[3.0, 2.0, 1.0, q]
-    error = pose_error(goal, start)
-    np.testing.assert_allclose(start[:3] + error[:3], goal[:3])
-    reached = quaternion.multiply(quaternion.exp(error[3:]), p)
-    assert quaternion.angle_between(reached, q) == pytest.approx(0.0, abs=1e-7)
-    np.testing.assert_allclose(pose_error(np.r_[goal[:3], -q], start), error)
-    np.testing.assert_allclose(pose_error(goal, moved_pose(start, error)), 0.0, atol=1e-7)
 
 
 def test_a_twist_is_shortened_in_its_own_direction() -> None:

@@ -89,6 +89,7 @@ class Adapter:
         self.adapt(frames)
         if self.manifold.ambient_of_tangent[0] == 0:
             self.adapt_and_condition(frames, np.zeros(1))
+            self.condition(np.zeros(1))
 
     def adapt(
         self,
@@ -124,17 +125,28 @@ class Adapter:
         """
         where = self._set(frames, state, weights)
         times = np.asarray(times, dtype=float)
-        manifold, H = self.manifold, len(times)
-        if manifold.ambient_of_tangent[0] != 0 or manifold.tangent_dim < 2:
-            raise ValueError(f"regression over time needs time as the first dimension, then others, got {manifold}")
-        n = manifold.tangent_dim - 1
-        means, covariances = np.empty((H, manifold.dim - 1)), np.empty((H, n, n))
-        activations = np.empty((H, len(self.priors)))
+        means, covariances, activations = outputs = self._outputs(len(times))
         failed = kernels_regress.adapt_and_regress(
-            *self._situation, where, *self._result, self._log_priors, times, means, covariances, activations
+            *self._situation, where, *self._result, self._log_priors, times, *outputs
         )
         self._check(failed)
         return means, covariances, activations[0]
+
+    def condition(self, times: ArrayLike) -> tuple[Array, Array, Array]:
+        """Regression at times (H,) in the situation of the last call, without adapting to it again."""
+        times = np.asarray(times, dtype=float)
+        means, covariances, activations = outputs = self._outputs(len(times))
+        layout = self.manifold.ambient_of_tangent, self.manifold.sphere_starts
+        kernels_regress.regress_all(self._log_priors, self._means_out, self._covariances_out, *layout, times, *outputs)
+        return means, covariances, activations[0]
+
+    def _outputs(self, H: int) -> tuple[Array, Array, Array]:
+        """Means, covariances and activations of a regression at H times, still to be filled in."""
+        manifold = self.manifold
+        if manifold.ambient_of_tangent[0] != 0 or manifold.tangent_dim < 2:
+            raise ValueError(f"regression over time needs time as the first dimension, then others, got {manifold}")
+        n = manifold.tangent_dim - 1
+        return np.empty((H, manifold.dim - 1)), np.empty((H, n, n)), np.empty((H, len(self.priors)))
 
     def _set(self, frames: Mapping[str, Frame], state: ArrayLike | None, weights: Mapping[str, float] | None) -> Array:
         """Copy the situation to where the kernels read it; returns the state."""

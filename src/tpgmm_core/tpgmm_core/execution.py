@@ -10,7 +10,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,29 +18,23 @@ from tpgmm_core.frame import Frame
 from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
 from tpgmm_core.reproduction import Reproduction
+from tpgmm_core.settings import check_settings, setting
 
 _SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExecutionConfig:
-    """What counts as begun and as done.
+    """What counts as begun and as done."""
 
-    start_timeout: all frames of the model must be known within this time, s.
-    settle_time: the robot's error is judged this long after the movement's end, s.
-    position_tolerance, orientation_tolerance: how near the end of the reference is near enough, m and rad.
-    """
-
-    start_timeout: float = 5.0
-    settle_time: float = 1.0
-    position_tolerance: float = 0.01
-    orientation_tolerance: float = math.radians(5.0)
+    start_timeout: float = setting(5.0, 0.1, 600.0, "All frames must be seen within this time after a request, s")
+    settle_time: float = setting(1.0, 0.01, 60.0, "The robot's error is judged this long after the movement's end, s")
+    position_tolerance: float = setting(0.01, 1e-4, 1.0, "Largest error at the end that is a success, m")
+    orientation_tolerance: float = setting(0.0873, 1e-3, 3.2, "Largest error at the end that is a success, rad")
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{item.name} is {value!r}; give a positive number")
+        """Raises ValueError for a value out of its range."""
+        check_settings(self)
 
 
 class Stage(enum.Enum):

@@ -9,14 +9,16 @@ way to a push.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.lqr import double_integrator_gains
-from tpgmm_core.operational_space import OperationalSpace, bounded_twist, moved_pose, pose_error
+from tpgmm_core.manifold import POSE
+from tpgmm_core.operational_space import OperationalSpace, bounded_twist
 from tpgmm_core.robot import RobotModel
+from tpgmm_core.settings import check_settings, setting
 from tpgmm_core.torque_limits import all_finite, clamp, fit, limit_rate
 
 Array = NDArray[np.float64]
@@ -24,49 +26,33 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImpedanceConfig:
-    """Parameters of the controller; all positive.
+    """Parameters of the controller.
 
-    control_cost : r, what an acceleration of 1 m/s^2 costs beside the squared Mahalanobis distance to the
-        reference: a standard deviation sigma (m) gives K_P = 1 / (sigma sqrt(r)) in 1/s^2
-    characteristic_length : m; turning by 1 rad/s^2 costs as much as moving by this many m/s^2
-    min_stiffness, max_stiffness : 1/s^2; bounds of the eigenvalues of K_P
-    gain_time : s; time constant with which the gains follow the reference's precision
-    max_linear_speed, max_angular_speed : m/s, rad/s; a reference that is faster, leaps or starts elsewhere is
-        followed at this speed
-    max_linear_acceleration, max_angular_acceleration : m/s^2, rad/s^2; what an error asks for at most
-    max_inertia : kg; what the hand is taken for at most where the arm is stretched out
-    posture_stiffness, posture_damping : 1/s^2, 1/s; of the null space towards the rest posture
-    hold_frequency : rad/s; bandwidth with which the other joints hold their posture, critically damped
-    leading_damping : N m s/rad (N s/m); of the arm while it has no reference and may be led by hand
-    blend_time : s; over which the reference takes hold, and lets go
-    torque_rate : 1/s; largest change of a torque, in effort limits per second
-    max_time_step : s; a longer pause between two steps counts as this long
+    The control cost r is what an acceleration of 1 m/s^2 costs beside the squared Mahalanobis distance to the reference:
+    a standard deviation sigma (m) gives K_P = 1 / (sigma sqrt(r)) in 1/s^2.
     """
 
-    control_cost: float = 0.02
-    characteristic_length: float = 0.3
-    min_stiffness: float = 10.0
-    max_stiffness: float = 2500.0
-    gain_time: float = 0.05
-    max_linear_speed: float = 0.4
-    max_angular_speed: float = 1.2
-    max_linear_acceleration: float = 40.0
-    max_angular_acceleration: float = 120.0
-    max_inertia: float = 100.0
-    posture_stiffness: float = 4.0
-    posture_damping: float = 4.0
-    hold_frequency: float = 20.0
-    leading_damping: float = 0.3
-    blend_time: float = 0.5
-    torque_rate: float = 30.0
-    max_time_step: float = 0.02
+    control_cost: float = setting(0.02, 1e-6, 1e3, "Cost of an acceleration of 1 m/s^2 against the distance")
+    characteristic_length: float = setting(0.3, 0.01, 10.0, "Turning by 1 rad/s^2 costs as moving by this, m/s^2")
+    min_stiffness: float = setting(10.0, 1e-3, 1e4, "Smallest eigenvalue of K_P, 1/s^2")
+    max_stiffness: float = setting(2500.0, 1e-3, 1e4, "Largest eigenvalue of K_P, 1/s^2")
+    gain_time: float = setting(0.05, 1e-3, 5.0, "Time constant with which the gains follow the precision, s")
+    max_linear_speed: float = setting(0.4, 1e-3, 5.0, "A reference that leaps is followed at this speed, m/s")
+    max_angular_speed: float = setting(1.2, 1e-3, 20.0, "A reference that leaps is followed at this speed, rad/s")
+    max_linear_acceleration: float = setting(40.0, 0.1, 1e3, "What an error asks for at most, m/s^2")
+    max_angular_acceleration: float = setting(120.0, 0.1, 1e4, "What an error asks for at most, rad/s^2")
+    max_inertia: float = setting(100.0, 1.0, 1e4, "What a hand is taken for at most where the arm is stretched, kg")
+    posture_stiffness: float = setting(4.0, 1e-3, 1e3, "Stiffness of the null space towards the rest posture, 1/s^2")
+    posture_damping: float = setting(4.0, 1e-3, 1e3, "Damping of the null space, 1/s")
+    hold_frequency: float = setting(20.0, 0.1, 100.0, "Bandwidth with which the other joints hold still, rad/s")
+    leading_damping: float = setting(0.3, 1e-3, 50.0, "Damping of an arm without reference, N m s/rad")
+    blend_time: float = setting(0.5, 1e-3, 60.0, "A reference takes hold, and lets go, over this time, s")
+    torque_rate: float = setting(30.0, 0.1, 1e3, "Largest change of a torque, effort limits per second, 1/s")
+    max_time_step: float = setting(0.02, 1e-3, 1.0, "A longer pause between two steps counts as this long, s")
 
     def __post_init__(self) -> None:
-        """Raises ValueError for values that are not positive and finite, or bounds out of order."""
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if not 0.0 < value < float("inf"):
-                raise ValueError(f"{entry.name} must be positive and finite, got {value}")
+        """Raises ValueError for values out of their range, or bounds out of order."""
+        check_settings(self)
         if self.min_stiffness > self.max_stiffness:
             raise ValueError(f"min_stiffness {self.min_stiffness} is above max_stiffness {self.max_stiffness}")
 
@@ -163,7 +149,7 @@ class ImpedanceController:
         """
         if endpoint not in robot.endpoints:
             raise ValueError(f"the robot has no end point {endpoint!r}; it has {list(robot.endpoints)}")
-        self.robot, self.endpoint, self.config = robot, endpoint, config or ImpedanceConfig()
+        self.robot, self.endpoint = robot, endpoint
         rest = np.array(robot.home if rest_posture is None else rest_posture, dtype=np.float64)
         if rest.shape != (robot.nv,) or not np.isfinite(rest).all():
             raise ValueError(f"rest_posture must be {robot.nv} finite numbers, got {rest}")
@@ -171,11 +157,16 @@ class ImpedanceController:
         self._arm_block = np.ix_(self._arm, self._arm)
         self._others = np.setdiff1d(np.arange(robot.nv), self._arm)
         self._rest = rest[self._arm]
-        length = self.config.characteristic_length
-        self._control_cost = self.config.control_cost * np.array([1.0, 1.0, 1.0, *[length**2] * 3])
-        self._torque_rate = self.config.torque_rate * robot.effort_limits
         self._data = robot.create_data()
+        self.configure(config or ImpedanceConfig())
         self.reset()
+
+    def configure(self, config: ImpedanceConfig) -> None:
+        """Take other parameters, also while a reference is followed: the gains change over `gain_time`."""
+        self.config = config
+        length = config.characteristic_length
+        self._control_cost = config.control_cost * np.array([1.0, 1.0, 1.0, *[length**2] * 3])
+        self._torque_rate = config.torque_rate * self.robot.effort_limits
 
     def reset(self) -> None:
         """Forget the reference, the posture and the last torque; the next step is gravity compensation."""
@@ -252,12 +243,12 @@ class ImpedanceController:
         """The target as far as it may have come since the last one, or from where the hand is."""
         last, config, reference = self._target, self.config, target.reference
         start = self._data.pose(self.endpoint) if last is None else last.reference.pose
-        way = pose_error(reference.pose, start)
+        way = POSE.log(start, reference.pose)
         # it starts slowly: a reference that the arm does not follow yet would be caught up with in a leap
         reach = self._weight() * dt
         step = bounded_twist(way, config.max_linear_speed * reach, config.max_angular_speed * reach)
         twist = bounded_twist(reference.twist, config.max_linear_speed, config.max_angular_speed)
-        pose = reference.pose if step is way else moved_pose(start, step)
+        pose = reference.pose if step is way else POSE.exp(start, step)
         # K_P follows as K_V^2 / 2, which keeps the damping ratio; leaps of the stiffness would feed in energy
         share = min(1.0, dt / config.gain_time)
         K_V = target.K_V if last is None else last.K_V + share * (target.K_V - last.K_V)
@@ -285,7 +276,7 @@ class ImpedanceController:
         jacobian = self._data.jacobian(self.endpoint)[:, self._arm]
         hand = OperationalSpace.at(jacobian, inertia, config.characteristic_length, config.max_inertia)
         to_torque = weight * hand.torques
-        error = pose_error(reference.pose, self._data.pose(self.endpoint))
+        error = POSE.log(self._data.pose(self.endpoint), reference.pose)
         K_P = 0.5 * K_V @ K_V
         pull = bounded_twist(
             K_P @ error + reference.acceleration,

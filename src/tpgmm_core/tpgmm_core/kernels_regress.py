@@ -89,20 +89,32 @@ def regress(
 
 
 @compiled
+def regress_all(
+    log_priors: Array, means: Array, covariances: Array, flat: Array, spheres: Array, times: Array,
+    out_means: Array, out_covariances: Array, out_activations: Array,
+) -> None:  # fmt: skip
+    """`regress` at all times (H,)."""
+    for i in range(len(times)):
+        regress(
+            log_priors, means, covariances, times[i], flat, spheres,
+            out_means[i], out_covariances[i], out_activations[i],
+        )  # fmt: skip
+
+
+@compiled
 def adapt_and_regress(
     means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, weights: Array,
     state: Array, min_precision: float, adapted_means: Array, adapted_covariances: Array, log_priors: Array,
     times: Array, out_means: Array, out_covariances: Array, out_activations: Array,
 ) -> int:  # fmt: skip
-    """`adapt`, then `regress` at all times (H,)."""
+    """`adapt`, then `regress_all`."""
     failed: int = adapt(
         means, precisions, sizes, flat, spheres, A, b, weights, state, min_precision,
         adapted_means, adapted_covariances,
     )  # fmt: skip
     if failed < 0:
-        for i in range(len(times)):
-            regress(
-                log_priors, adapted_means, adapted_covariances, times[i], flat, spheres,
-                out_means[i], out_covariances[i], out_activations[i],
-            )  # fmt: skip
+        regress_all(
+            log_priors, adapted_means, adapted_covariances, flat, spheres, times,
+            out_means, out_covariances, out_activations,
+        )  # fmt: skip
     return failed

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core import quaternion
+from tpgmm_core.kernels_product import difference, move
 from tpgmm_core.quaternion import Array
 
 
@@ -128,6 +129,10 @@ class Manifold:
         base, x = np.asarray(base, dtype=float), np.asarray(x, dtype=float)
         if self.is_euclidean:
             return x - base
+        if base.ndim == x.ndim == 1:  # one pair, as in every control step: compiled (copies have one type of array)
+            v = np.empty(self.tangent_dim)
+            difference(x.copy(), base.copy(), self.ambient_of_tangent, self.sphere_starts, v)
+            return v
         v = np.empty(np.broadcast_shapes(base.shape, x.shape)[:-1] + (self.tangent_dim,))
         v[..., self.flat_tangent] = x[..., self.flat_ambient] - base[..., self.flat_ambient]
         for s in self.spheres:
@@ -140,6 +145,10 @@ class Manifold:
         base, v = np.asarray(base, dtype=float), np.asarray(v, dtype=float)
         if self.is_euclidean:
             return base + v
+        if base.ndim == v.ndim == 1:
+            x = base.copy()
+            move(x, v.copy(), self.ambient_of_tangent, self.sphere_starts)
+            return x
         x = np.empty(np.broadcast_shapes(base.shape[:-1], v.shape[:-1]) + (self.dim,))
         x[..., self.flat_ambient] = base[..., self.flat_ambient] + v[..., self.flat_tangent]
         for s in self.spheres:
@@ -256,3 +265,7 @@ class Manifold:
             else:
                 raise ValueError(f"the dimensions {dims} of {self} split a quaternion; take its four numbers together")
         return tuple(factors), np.array(tangent, dtype=np.intp)
+
+
+#: Poses [x, y, z, qx, qy, qz, qw]: m, and tangent vectors in m and rad about the fixed axes.
+POSE = Manifold.parse("R3 x S3")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hand as a mass in space: pose errors, twists, and the inertia that the hand feels (Khatib 1987).
+"""The hand as a mass in space: bounded motions, and the inertia that the hand feels (Khatib 1987).
 
 Vectors (6,) are linear, then angular, in base axes. A length makes the two comparable: turning by 1 rad
 counts as moving by that many metres.
@@ -12,20 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core import quaternion
-
 Array = NDArray[np.float64]
-
-
-def pose_error(reference: Array, pose: Array) -> Array:
-    """What leads from a pose (7,) to the reference (7,): (6,), m, and the shortest rotation vector, rad."""
-    turn = quaternion.multiply(reference[3:], quaternion.conjugate(pose[3:]))
-    return np.concatenate([reference[:3] - pose[:3], quaternion.log(turn)])
-
-
-def moved_pose(pose: Array, step: Array) -> Array:
-    """Pose (7,) after the small motion (6,), m and rotation vector in rad: the inverse of `pose_error`."""
-    return np.concatenate([pose[:3] + step[:3], quaternion.multiply(quaternion.exp(step[3:]), pose[3:])])
 
 
 def bounded_twist(twist: Array, max_linear: float, max_angular: float) -> Array:

@@ -65,6 +65,15 @@ class Reproduction:
         self._ahead = horizon_time_step * np.arange(1 + horizon_steps)
         self._blend_time = blend_time
         self._start_ns: int | None = None
+        self._compile()
+
+    def _compile(self) -> None:
+        """Two steps with a change of frames, so that no later one waits for the compiler."""
+        D = self.model.manifold_.dim
+        self.start(0)
+        for _ in range(2):
+            self.step(0, {name: Frame(np.eye(D), np.zeros(D)) for name in self.model.frame_names_})
+        self._start_ns = None
 
     def start(self, time_ns: int) -> None:
         """Begin at this time, ns; whatever was going on is forgotten."""
@@ -103,10 +112,15 @@ class Reproduction:
         self._advance_offset(since)
         phase = min(1.0, elapsed / self.duration)
         times = np.minimum((elapsed + self._ahead) / self.duration, 1.0) * self.model_duration
-        means, covariances, activations = self._adapter.adapt_and_condition(frames, times, weights, state)
-        if self._frames is not None and (frames is not self._frames or weights is not self._weights):
-            self._take_over(times[:1], means[0], state)
-        self._frames, self._weights = frames, weights
+        if state is None and frames is self._frames and weights is self._weights:
+            means, covariances, activations = self._adapter.condition(times)
+        else:
+            former = self._former_mean(times[:1])
+            means, covariances, activations = self._adapter.adapt_and_condition(frames, times, weights, state)
+            if former is not None:
+                # The reference stays where the former frames had it; from there the offset dies out.
+                self._offset = self.manifold.log(means[0], former)
+            self._frames, self._weights = frames, weights
         covariance = self._blend_covariance(covariances[0], since)
         gaussians = [
             Gaussian(self.manifold.exp(mean, self._offset_after(ahead)[0]), cov, self.manifold)
@@ -121,11 +135,11 @@ class Reproduction:
             frames=tuple(frames),
         )
 
-    def _take_over(self, times: Array, mean: Array, state: Array | None) -> None:
-        """Make the offset such that the reference stays where the former frames had it."""
-        assert self._frames is not None
-        former, _, _ = self._adapter.adapt_and_condition(self._frames, times, self._weights, state)
-        self._offset = self.manifold.log(mean, self.manifold.exp(former[0], self._offset))
+    def _former_mean(self, times: Array) -> Array | None:
+        """Where the frames of the last step would have the reference now; None at the first step."""
+        if self._frames is None:
+            return None
+        return self.manifold.exp(self._adapter.condition(times)[0][0], self._offset)
 
     def _offset_after(self, seconds: float) -> tuple[Array, Array]:
         """Offset and its rate after a time: the exact solution of the critically damped spring."""

@@ -6,6 +6,8 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass
 
+from tpgmm_core.settings import check_settings, setting
+
 
 class ControllerMode(enum.IntEnum):
     """As in ``tpgmm_msgs/ControllerState``."""
@@ -19,10 +21,14 @@ class ControllerMode(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceTimeouts:
-    """When a reference has to be followed, held and let go of, s since it came."""
+    """When a reference is followed, held and let go of."""
 
-    reference_timeout: float = 0.1
-    hold_time: float = 1.0
+    reference_timeout: float = setting(0.1, 0.002, 10.0, "A reference that is older is not followed but held, s")
+    hold_time: float = setting(1.0, 0.0, 600.0, "It is held for this long and then let go of, s")
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a value out of its range."""
+        check_settings(self)
 
 
 def mode_of(age: float | None, timeouts: ReferenceTimeouts) -> tuple[ControllerMode, str]:

@@ -14,10 +14,12 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from tpgmm_core.settings import check_settings, setting
 
 _SECOND = 1_000_000_000
 
@@ -32,27 +34,22 @@ class FrameStatus(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackingConfig:
-    """When a frame counts as seen, remembered or lost. All in seconds.
+    """When a frame counts as seen, remembered or lost, s.
 
-    visible_timeout: without an observation for this long, a frame is HELD.
-    hold_time: a HELD frame keeps its full confidence for this long ...
-    fade_time: ... and then loses it over this time, after which it is MISSING. A frame that comes back gains its
-        confidence over the same time.
-    max_future: a stamp further ahead of ROS time than this is refused (a camera with a wrong clock).
-    max_age: a stamp further behind ROS time than this is refused (a queue that was held up, an old bag).
+    Without an observation for ``visible_timeout`` a frame is HELD: it keeps its confidence for ``hold_time``, loses it
+    over ``fade_time``, and then is MISSING. Stamps too far from ROS time are refused: a camera with a wrong clock, a
+    queue that was held up, an old bag.
     """
 
-    visible_timeout: float = 0.25
-    hold_time: float = 2.0
-    fade_time: float = 0.5
-    max_future: float = 0.05
-    max_age: float = 1.0
+    visible_timeout: float = setting(0.25, 0.001, 60.0, "A frame is held that was not seen for this long, s")
+    hold_time: float = setting(2.0, 0.0, 3600.0, "A held frame keeps its confidence for this long, s")
+    fade_time: float = setting(0.5, 0.01, 60.0, "Then it loses it, and when seen again gains it, over this time, s")
+    max_future: float = setting(0.05, 0.0, 60.0, "Stamps further ahead of ROS time are refused, s")
+    max_age: float = setting(1.0, 0.001, 3600.0, "Stamps further behind ROS time are refused, s")
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if not (isinstance(value, int | float) and math.isfinite(value) and value > 0.0):
-                raise ValueError(f"tracking: {item.name} is {value!r}; give a positive number of seconds")
+        """Raises ValueError for a value out of its range."""
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,6 @@ from __future__ import annotations
 import sys
 import time
 from array import array
-from dataclasses import fields
-from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -25,14 +23,11 @@ from tpgmm_msgs.msg import Reference as ReferenceMessage
 
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader, MessageError
-from tpgmm_ros.executor import run
+from tpgmm_ros.executor import run, start_itself
 from tpgmm_ros.monitor import Monitor
-from tpgmm_ros.parameters import Declared, Parameters
+from tpgmm_ros.parameters import Declared, Parameters, declared_of, fill
 from tpgmm_ros.qos import LATCHED, STREAM
 from tpgmm_ros.timing import loop_clock
-
-_CONFIG = {item.name: item.default for item in fields(ImpedanceConfig)}
-
 
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
@@ -41,9 +36,8 @@ PARAMETERS = [
     Declared(
         "lockstep", False, "Wait for the reference of the same stamp before a joint state is answered", fixed=True
     ),
-    Declared("reference_timeout", 0.1, "Older references are not followed but held, s", 0.002, 10.0),
-    Declared("hold_time", 1.0, "The last reference is held for this long, then let go of, s", 0.0, 600.0),
-    *(Declared(name, float(value), name, 1e-6, 1e6) for name, value in _CONFIG.items()),
+    *declared_of(ReferenceTimeouts),
+    *declared_of(ImpedanceConfig),
 ]
 STATE_PERIOD_NS = 100_000_000
 SECOND = 1_000_000_000
@@ -52,17 +46,20 @@ SECOND = 1_000_000_000
 class ImpedanceControllerNode(LifecycleNode):
     def __init__(self) -> None:
         super().__init__("impedance_controller")
-        self.parameters = Parameters(self, PARAMETERS, check=self._check)
+        # Every value may be in its range and the whole still make no sense.
+        self.parameters = Parameters(
+            self, PARAMETERS, check=lambda values: fill(ImpedanceConfig, values), changed=self._reconfigure
+        )
+        self.controller: ImpedanceController | None = None
         self.monitor = Monitor(self, self._status)
         self._active = False
         self._mode, self._reason = ControllerMode.WAITING, "not active"
         if self.parameters["autostart"]:
-            self.trigger_configure()
-            self.trigger_activate()
+            start_itself(self)
 
-    def _check(self, values: dict[str, Any]) -> None:
-        """Every value may be in its range and the whole still make no sense."""
-        ImpedanceConfig(**{name: values[name] for name in _CONFIG})
+    def _reconfigure(self) -> None:
+        if self.controller is not None:
+            self.controller.configure(self.parameters.fill(ImpedanceConfig))
 
     # -- lifecycle ----------------------------------------------------------------------------------------------------
 
@@ -86,6 +83,7 @@ class ImpedanceControllerNode(LifecycleNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         result = super().on_activate(state)
+        assert self.controller is not None
         self.controller.reset()
         self._reference: Reference | None = None
         self._reference_stamp_ns = -1
@@ -146,18 +144,20 @@ class ImpedanceControllerNode(LifecycleNode):
         start = time.perf_counter()
         stamp_ns = conversions.time_to_ns(message.header.stamp)
         self.monitor.tick(stamp_ns)
+        dt = 0.0 if self._last_stamp_ns is None else 1e-9 * (stamp_ns - self._last_stamp_ns)
+        self._last_stamp_ns = stamp_ns
         try:
             q, v = self._reader.read(message, "position", "velocity")
+            reference = self._pose_reference()
         except MessageError as error:
             self.get_logger().error(f"joint state refused: {error}", throttle_duration_sec=1.0)
             self._change(ControllerMode.FAULT, f"joint state refused: {error}")
-            return
-        dt = 0.0 if self._last_stamp_ns is None else 1e-9 * (stamp_ns - self._last_stamp_ns)
-        self._last_stamp_ns = stamp_ns
-        command = self.controller.step(q, v, self._pose_reference(), dt)
-        self._torques.publish(
-            conversions.joint_state_message(self._names, stamp_ns, effort=command.tau)
-        )
+            # To a state that is unknown the controller's answer is to carry the weight where the robot was last.
+            q = v = np.full(self.robot.nv, np.nan)
+            reference = None
+        assert self.controller is not None
+        command = self.controller.step(q, v, reference, dt)
+        self._torques.publish(conversions.joint_state_message(self._names, stamp_ns, effort=command.tau))
         self.monitor.done += 1
         self.monitor.step.add(time.perf_counter() - start)
         self._tell(command, stamp_ns)
@@ -191,7 +191,7 @@ class ImpedanceControllerNode(LifecycleNode):
         return message
 
     def _tell(self, command: TorqueCommand, stamp_ns: int) -> None:
-        if command.reason:
+        if command.reason and self._mode is not ControllerMode.FAULT:
             self._change(ControllerMode.FAULT, command.reason)
         if stamp_ns < self._state_due_ns:
             return

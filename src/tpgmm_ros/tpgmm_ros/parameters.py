@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from tpgmm_core.settings import setting_of
 
 ConfigT = TypeVar("ConfigT")
 
@@ -44,6 +45,19 @@ class Declared:
         return descriptor
 
 
+def declared_of(config: type) -> list[Declared]:
+    """One parameter for each setting of a dataclass (see ``tpgmm_core.settings``)."""
+    return [
+        Declared(item.name, float(item.default), known.description, known.lower, known.upper)
+        for item, known in ((item, setting_of(item)) for item in fields(config))
+    ]
+
+
+def fill(config: type[ConfigT], values: Mapping[str, Any]) -> ConfigT:
+    """A dataclass from the values of its fields' names. Raises ValueError: from the dataclass."""
+    return config(**{item.name: values[item.name] for item in fields(config)})  # type: ignore[arg-type]
+
+
 class Parameters:
     """The declared parameters of a node and their present values, ``parameters["name"]``.
 
@@ -52,6 +66,7 @@ class Parameters:
         declared: what it takes.
         check: called with all values as they would be after a change; a ``ValueError`` from it refuses the whole set
             of changes, with its text as the reason.
+        changed: called after values have changed.
 
     Raises:
         rclpy.exceptions.InvalidParameterValueException: a value given at start is out of its range.
@@ -63,11 +78,13 @@ class Parameters:
         node: Node,
         declared: Sequence[Declared],
         check: Callable[[Mapping[str, Any]], object] | None = None,
+        changed: Callable[[], None] | None = None,
     ) -> None:
         for item in declared:
             node.declare_parameter(item.name, item.default, item.descriptor())
         self._values: dict[str, Any] = {item.name: node.get_parameter(item.name).value for item in declared}
         self._check = check
+        self._changed = changed
         if check is not None:
             check(self._values)
         node.add_on_set_parameters_callback(self._refuse)
@@ -77,12 +94,8 @@ class Parameters:
         return self._values[name]
 
     def fill(self, config: type[ConfigT]) -> ConfigT:
-        """A dataclass whose fields are parameters of the same names.
-
-        Raises:
-            ValueError: from the dataclass.
-        """
-        return config(**{item.name: self[item.name] for item in fields(config)})  # type: ignore[arg-type]
+        """A dataclass whose fields are parameters of the same names. Raises ValueError: from the dataclass."""
+        return fill(config, self._values)
 
     def _refuse(self, parameters: list[Parameter]) -> SetParametersResult:
         changed = {**self._values, **{item.name: item.value for item in parameters if item.name in self._values}}
@@ -97,3 +110,5 @@ class Parameters:
         for item in parameters:
             if item.name in self._values:
                 self._values[item.name] = item.value
+        if self._changed is not None:
+            self._changed()

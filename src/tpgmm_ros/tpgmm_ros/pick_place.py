@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from tpgmm_core import quaternion
-from tpgmm_core.manifold import Manifold
+from tpgmm_core.manifold import POSE
 
 Array = NDArray[np.float64]
-POSE = Manifold.parse("R3 x S3")
 
 #: The hand at an object: upside down above its middle, the hand's x axis against the object's, so that an object that
 #: is not turned is grasped in the middle of the wrist's range.

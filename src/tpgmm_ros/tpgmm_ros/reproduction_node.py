@@ -30,10 +30,10 @@ from visualization_msgs.msg import MarkerArray
 
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import MessageError
-from tpgmm_ros.executor import run
+from tpgmm_ros.executor import run, start_itself
 from tpgmm_ros.markers import markers
 from tpgmm_ros.monitor import Monitor
-from tpgmm_ros.parameters import Declared, Parameters
+from tpgmm_ros.parameters import Declared, Parameters, declared_of
 from tpgmm_ros.qos import LATCHED, STREAM
 from tpgmm_ros.task import DIMENSIONS, MANIFOLD, Task
 from tpgmm_ros.timing import loop_clock
@@ -46,10 +46,7 @@ PARAMETERS = [
     Declared("horizon_steps", 1, "Gaussians ahead in each reference", 0, 50),
     Declared("horizon_time_step", 0.02, "Time between them, s", 0.001, 1.0),
     Declared("blend_time", 0.15, "Time constant with which moved or lost frames are taken over, s", 0.001, 5.0),
-    Declared("start_timeout", 5.0, "All frames must be seen within this time after a request, s", 0.1, 600.0),
-    Declared("settle_time", 1.0, "The robot's error is judged this long after the movement's end, s", 0.01, 60.0),
-    Declared("position_tolerance", 0.01, "Largest error at the end that is a success, m", 1e-4, 1.0),
-    Declared("orientation_tolerance", 0.0873, "Largest error at the end that is a success, rad", 1e-3, 3.2),
+    *declared_of(ExecutionConfig),
 ]
 FEEDBACK_PERIOD_NS = 100_000_000
 POSE_PERIOD_NS = 33_000_000
@@ -74,8 +71,7 @@ class ReproductionNode(LifecycleNode):
         self._last_ns = 0
         self._due: dict[str, int] = {}
         if self.parameters["autostart"]:
-            self.trigger_configure()
-            self.trigger_activate()
+            start_itself(self)
 
     # -- lifecycle ----------------------------------------------------------------------------------------------------
 

@@ -10,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from tpgmm_core.manifold import POSE
 
-from tpgmm_ros.pick_place import CLEARANCE, POSE, Array, Situation, hand_at
+from tpgmm_ros.pick_place import CLEARANCE, Array, Situation, hand_at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

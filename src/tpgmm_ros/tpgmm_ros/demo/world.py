@@ -9,8 +9,10 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
+from tpgmm_core.manifold import POSE
+
 from tpgmm_ros import conversions
-from tpgmm_ros.pick_place import POSE, Array, Grasp, Situation
+from tpgmm_ros.pick_place import Array, Grasp, Situation
 from tpgmm_ros.qos import STREAM
 from tpgmm_ros.task import Task
 
