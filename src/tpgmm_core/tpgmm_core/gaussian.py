@@ -92,7 +92,7 @@ class Gaussian:
         """Product of Gaussians: the minimiser of Eq. (3), with the covariance of Eq. (6).
 
         On S³ the minimiser is found by Gauss-Newton with the inverse left Jacobian of SO(3), halving steps
-        that do not lower Eq. (3), until a step is shorter than 1e-11 (m, rad); the covariance is the
+        that do not lower Eq. (3), until a step is shorter than 1e-10 (m, rad); the covariance is the
         inverse of the Gauss-Newton Hessian there, in the fixed axes. Raises ValueError for an empty
         sequence, different manifolds, singular covariances, or orientations so contradictory that the steps
         do not converge.

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from tpgmm_core.kernels import RANK_TOLERANCE, compiled, pseudo_inverse, rotation_of_left_matrix
-from tpgmm_core.kernels_product import fuse, invert_precision
+from tpgmm_core.kernels_product import fuse, invert_precision, scratch_for
 from tpgmm_core.quaternion import Array
 
 
@@ -157,14 +157,14 @@ def add_up(
             for i in range(n):
                 for k in range(K):
                     pull[o, k] += terms[j, o, i * K + k] * d[i, k]
-    S, gradient, e, J, B = np.empty((n, n)), np.empty(n), np.empty((n, n)), np.empty((3, 3)), np.empty((n, n))
+    S, gradient, scratch = np.empty((n, n)), np.empty(n), scratch_for(n)
     for k in range(K):
         for o in range(n):
             gradient[o] = -pull[o, k]
             out_means[k, o] = base[o, k]
             for i in range(n):
                 S[o, i] = H[o, i * K + k]
-        invert_precision(S, gradient, out_means[k], state, min_precision, flat, spheres, e, J, B, out_covariances[k])
+        invert_precision(S, gradient, out_means[k], state, min_precision, flat, spheres, scratch, out_covariances[k])
         for i in range(n):
             for m in range(n):
                 out_means[k, i] -= out_covariances[k, i, m] * gradient[m]

@@ -196,8 +196,8 @@ def expectation(
 
 @compiled
 def recentre(
-    X: Array, seen: Array, layout: Array, flat: Array, spheres: Array, means: Array, counts: Array, first:
-    Array, second: Array, responsibilities: Array,
+    X: Array, seen: Array, layout: Array, flat: Array, spheres: Array, means: Array, counts: Array,
+    first: Array, second: Array, responsibilities: Array,
 ) -> None:  # fmt: skip
     """Move the means by the first moments and take the moments about the moved means; for S³, where a shift
     of the tangent space is not just a subtraction."""
@@ -240,8 +240,8 @@ def move_means(layout: Array, flat: Array, spheres: Array, means: Array, counts:
 
 @compiled
 def maximisation(
-    layout: Array, flat: Array, spheres: Array, log_priors: Array, means: Array, covariances: Array, counts:
-    Array, first: Array, second: Array, added: float, prior_scatter: float,
+    layout: Array, flat: Array, spheres: Array, log_priors: Array, means: Array, covariances: Array, counts: Array,
+    first: Array, second: Array, added: float, prior_scatter: float,
 ) -> None:  # fmt: skip
     """M-step from the moments: priors, means, and covariances (scatter + prior_scatter I) / count + added I.
 

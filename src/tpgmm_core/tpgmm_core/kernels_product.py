@@ -20,8 +20,8 @@ from tpgmm_core.kernels import (
 )
 from tpgmm_core.quaternion import Array
 
-STEP_TOLERANCE = 1e-11  # Gauss-Newton on S³ stops at steps shorter than this
-MAX_STEPS = 100
+STEP_TOLERANCE = 1e-10  # Gauss-Newton on S³ stops at steps shorter than this
+MAX_STEPS = 50
 
 
 @compiled
@@ -58,17 +58,18 @@ def move(x: Array, step: Array, flat: Array, spheres: Array) -> None:
 
 
 @compiled
-def add_quadratic(
-    x: Array, target: Array, precision: Array, flat: Array, spheres: Array, e: Array, J: Array, B: Array,
-    gradient: Array, hessian: Array,
+def add_term(
+    x: Array, target: Array, precision: Array, flat: Array, spheres: Array, scratch: Array, gradient: Array,
+    hessian: Array,
 ) -> float:  # fmt: skip
-    """Add one term of Eq. (3), with its target and precision, at x: gradient and Gauss-Newton Hessian; half
-    its cost.
+    """Add one term of Eq. (3), with its target and precision, at x: gradient (n,) and Gauss-Newton Hessian (n, n);
+    returns half its cost.
 
     On S³ the error e = Log(x ⊗ target^-1) moves with x by the inverse left Jacobian J of SO(3).
-    precision: lower triangle (n, n). e (n,), J (3, 3), B (n, n) are scratch.
+    precision: lower triangle (n, n).
     """
     n = len(flat)
+    e, force, J, B = scratch[0], scratch[1], scratch[2:5], scratch[5:]
     difference(x, target, flat, spheres, e)
     for i in range(n):
         for m in range(i + 1):
@@ -76,18 +77,18 @@ def add_quadratic(
             B[m, i] = precision[i, m]
     cost = 0.0
     for i in range(n):
-        total = 0.0
+        force[i] = 0.0
         for m in range(n):
-            total += B[i, m] * e[m]
-        cost += 0.5 * e[i] * total
+            force[i] += B[i, m] * e[m]
+        cost += 0.5 * e[i] * force[i]
     for s in range(len(spheres)):
         t = spheres[s, 1]
         inverse_left_jacobian(e[t], e[t + 1], e[t + 2], J)
-        for i in range(n):  # columns: B ← B J
+        for i in range(n):  # B ← B J
             b0, b1, b2 = B[i, t], B[i, t + 1], B[i, t + 2]
             for m in range(3):
                 B[i, t + m] = b0 * J[0, m] + b1 * J[1, m] + b2 * J[2, m]
-        for m in range(n):  # rows: B ← J^T B
+        for m in range(n):  # B ← J^T B
             b0, b1, b2 = B[t, m], B[t + 1, m], B[t + 2, m]
             for i in range(3):
                 B[t + i, m] = J[0, i] * b0 + J[1, i] * b1 + J[2, i] * b2
@@ -102,30 +103,38 @@ def add_quadratic(
 
 
 @compiled
-def invert_precision(
-    H: Array, gradient: Array, x: Array, state: Array, min_precision: float, flat: Array, spheres: Array, e:
-    Array, J: Array, B: Array, covariance: Array,
-) -> float:  # fmt: skip
-    """covariance = H^-1, where H is first filled up to min_precision by a term that holds what is free at
-    the state.
+def scratch_for(n: int) -> Array:
+    """Working memory of `add_term` and `invert_precision`."""
+    return np.empty((5 + n, max(n, 3)))
 
-    Returns the cost of that term. e, J and B are scratch.
+
+@compiled
+def invert_precision(
+    H: Array, gradient: Array, x: Array, state: Array, min_precision: float, flat: Array,
+    spheres: Array, scratch: Array, covariance: Array,
+) -> float:  # fmt: skip
+    """covariance = H^-1, where H is first filled up to min_precision by a term that holds what is free at the state.
+
+    Returns the cost of that term.
     """
     n = len(flat)
-    if cholesky(H, n, B):
-        invert_lower(B, n, e)
-        gram(e, n, covariance)
+    L = scratch[5:]
+    if cholesky(H, n, L):
+        invert_lower(L, n, covariance)
+        # the Gram matrix overwrites the factor: entry (i, j) needs rows from max(i, j) on only
+        gram(covariance, n, L)
         trace = 0.0
         for i in range(n):
-            trace += covariance[i, i]
+            trace += L[i, i]
+            for m in range(n):
+                covariance[i, m] = L[i, m]
         if trace * min_precision < 1.0:  # then no eigenvalue of H lies below min_precision
             return 0.0
     values, vectors = np.linalg.eigh(H)
     # rounding of a large precision must not pass for information about the free directions
     lowest = max(min_precision, 1e-13 * values[-1])
     missing = (vectors * np.maximum(lowest - values, 0.0)) @ vectors.T
-    error = np.empty(n)
-    cost = add_quadratic(x, state, missing, flat, spheres, error, J, B, gradient, H)
+    cost = add_term(x, state, missing, flat, spheres, scratch, gradient, H)
     roots = vectors / np.sqrt(np.maximum(values, lowest))
     covariance[:] = roots @ roots.T
     return cost
@@ -133,18 +142,17 @@ def invert_precision(
 
 @compiled
 def fuse(
-    targets: Array, precisions: Array, weights: Array, state: Array, min_precision: float, flat: Array,
-    spheres: Array, mean: Array, covariance: Array,
+    targets: Array, precisions: Array, weights: Array, state: Array, min_precision: float, flat: Array, spheres: Array,
+    mean: Array, covariance: Array,
 ) -> bool:  # fmt: skip
-    """Product of Gaussians (Eqs. 3, 6) by Gauss-Newton, which takes one step on R^n; False without
-    convergence.
+    """Product of Gaussians (Eqs. 3, 6) by Gauss-Newton steps, of which R^n needs one; False without convergence.
 
-    targets (P, D), precisions (P, n, n) lower triangles; terms of weight 0 are left out. Writes mean (D,) and
-    covariance (n, n), the inverse Hessian in fixed axes at the mean.
+    targets (P, D), precisions (P, n, n) lower triangles; terms of weight 0 are left out. Steps that do not lower
+    Eq. (3) are halved. Writes mean (D,) and covariance (n, n), the inverse Gauss-Newton Hessian there in fixed axes.
     """
     n = len(flat)
-    gradient, step, e = np.empty(n), np.zeros(n), np.empty((n, n))
-    H, B, J = np.empty((n, n)), np.empty((n, n)), np.empty((3, 3))
+    gradient, H = np.empty(n), np.empty((n, n))
+    step, scratch = np.zeros(n), scratch_for(n)
     # starting from the surest term keeps the residuals on S³ small
     surest = 0.0
     mean[:] = state
@@ -163,8 +171,8 @@ def fuse(
         cost = 0.0
         for j in range(len(weights)):
             if weights[j] > 0.0:
-                cost += add_quadratic(mean, targets[j], precisions[j], flat, spheres, e[0], J, B, gradient, H)
-        cost += invert_precision(H, gradient, mean, state, min_precision, flat, spheres, e, J, B, covariance)
+                cost += add_term(mean, targets[j], precisions[j], flat, spheres, scratch, gradient, H)
+        cost += invert_precision(H, gradient, mean, state, min_precision, flat, spheres, scratch, covariance)
         if cost > former_cost * (1.0 + 1e-12) and longest(step) > STEP_TOLERANCE:
             for i in range(n):  # too far: half the way back
                 step[i] *= -0.5
@@ -174,10 +182,9 @@ def fuse(
             continue
         former_cost = cost
         for i in range(n):
-            total = 0.0
+            step[i] = 0.0
             for m in range(n):
-                total -= covariance[i, m] * gradient[m]
-            step[i] = total
+                step[i] -= covariance[i, m] * gradient[m]
         move(mean, step, flat, spheres)
         if len(spheres) == 0 or longest(step) < STEP_TOLERANCE:
             return True
