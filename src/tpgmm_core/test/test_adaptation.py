@@ -183,6 +183,8 @@ def test_the_compiled_regression_is_that_of_the_mixture(manifold: str) -> None:
         g = mixture.condition([0], [t])
         assert g.manifold.distance(mean, g.mean) < 1e-9
         np.testing.assert_allclose(covariance, g.covariance, rtol=1e-8, atol=1e-10)
+    for array, again in zip((means, covariances, activations), adapter.condition(times), strict=True):
+        np.testing.assert_allclose(array, again, rtol=1e-9, atol=1e-11)
 
 
 def test_results_are_the_callers_to_keep() -> None:

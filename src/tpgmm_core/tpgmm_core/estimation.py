@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""EM over frames (Section 3): stacks samples and parameters for the compiled iteration, and decides when to
-stop.
-"""
+"""EM over frames (Section 3): stacks samples and parameters for the compiled iteration, and decides when to stop."""
 
 from __future__ import annotations
 
@@ -54,9 +52,7 @@ class Parameters:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """Result of EM, with the course of the log-likelihood and of the objective, per sample, over the
-    iterations.
-    """
+    """Result of EM, with the course of the log-likelihood and of the objective, per sample, over the iterations."""
 
     parameters: Parameters
     log_likelihoods: Array

@@ -106,9 +106,7 @@ def turn(q: Array, wx: float, wy: float, wz: float) -> None:
 
 @compiled
 def inverse_left_jacobian(x: float, y: float, z: float, J: Array) -> None:
-    """Inverse of the left Jacobian of SO(3) at the rotation vector (x, y, z): d Log(Exp(w) Exp(e)) / dw at
-    w = 0.
-    """
+    """Inverse of the left Jacobian of SO(3) at the rotation vector (x, y, z): d Log(Exp(w) Exp(e)) / dw at w = 0."""
     squared = x * x + y * y + z * z
     if squared < 1e-8:
         c = 1.0 / 12.0 + squared / 720.0
@@ -130,9 +128,7 @@ def rotation(x: float, y: float, z: float, w: float, R: Array) -> None:
 
 @compiled
 def rotation_of_left_matrix(L: Array, R: Array) -> bool:
-    """R (3, 3) of the left multiplication L(q) (4, 4); False when L is no left multiplication by a unit
-    quaternion.
-    """
+    """R (3, 3) of the left multiplication L(q) (4, 4); False when L is no left multiplication by a unit quaternion."""
     x, y, z, w = L[0, 3], L[1, 3], L[2, 3], L[3, 3]
     if not abs(x * x + y * y + z * z + w * w - 1.0) < 1e-6:
         return False
@@ -147,9 +143,7 @@ def rotation_of_left_matrix(L: Array, R: Array) -> bool:
 
 @compiled
 def transport(C: Array, t: int, x: float, y: float, z: float) -> None:
-    """Move a covariance along the rotation vector (x, y, z) of the S³ factor at t: C ← R C R^T, R = Exp
-    half of it.
-    """
+    """Move a covariance along the rotation vector (x, y, z) of the S³ factor at t: C ← R C R^T, R = Exp half of it."""
     n = len(C)
     q = np.array([0.0, 0.0, 0.0, 1.0])
     turn(q, 0.5 * x, 0.5 * y, 0.5 * z)

@@ -103,9 +103,7 @@ def add_log_densities(
 
 @compiled
 def add_moments(d: Array, n: int, size: int, weights: Array, weighted: Array, first: Array, second: Array) -> float:
-    """Add the weighted moments of d (n, size): first (n,), second (n, n), lower triangle; returns the
-    weight.
-    """
+    """Add the weighted moments of d (n, size): first (n,), second (n, n), lower triangle; returns the weight."""
     weight = 0.0
     for b in range(size):
         weight += weights[b]

@@ -112,9 +112,7 @@ class Manifold:
 
     @cached_property
     def ambient_of_tangent(self) -> NDArray[np.int64]:
-        """Ambient index of each tangent dimension, or -1 on S³: the arrangement that the compiled kernels
-        take.
-        """
+        """Ambient index of each tangent dimension, or -1 on S³: the arrangement that the compiled kernels take."""
         indices = np.full(self.tangent_dim, -1, dtype=np.int64)
         indices[self.flat_tangent] = self.flat_ambient
         return indices
@@ -160,9 +158,7 @@ class Manifold:
         return np.linalg.norm(self.log(x, y), axis=-1)
 
     def mean(self, x: ArrayLike, weights: ArrayLike | None = None) -> Array:
-        """Weighted mean (dim,) of points x (N, dim): where the weighted tangent vectors to the points
-        cancel out.
-        """
+        """Weighted mean (dim,) of points x (N, dim): where the weighted tangent vectors to the points cancel out."""
         x = np.asarray(x, dtype=float)
         w = np.ones(len(x)) if weights is None else np.asarray(weights, dtype=float)
         w = w / w.sum()
