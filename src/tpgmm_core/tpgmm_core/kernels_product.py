@@ -21,7 +21,7 @@ from tpgmm_core.kernels import (
 from tpgmm_core.quaternion import Array
 
 STEP_TOLERANCE = 1e-10  # Gauss-Newton on S³ stops at steps shorter than this
-MAX_STEPS = 50
+MAX_STEPS = 100
 
 
 @compiled
