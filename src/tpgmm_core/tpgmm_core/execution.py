@@ -48,7 +48,7 @@ class Stage(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How it ended. Errors are those of the robot's pose against the end of the reference, m and rad; NaN if unknown."""
+    """How it ended. Errors of the robot's pose against the end of the reference, m and rad; NaN if unknown."""
 
     success: bool
     reason: str
@@ -138,8 +138,6 @@ class Execution:
         near = position <= config.position_tolerance and orientation <= config.orientation_tolerance
         self._end(near, words, position, orientation)
 
-    def _end(
-        self, success: bool, reason: str, position: float = math.nan, orientation: float = math.nan
-    ) -> None:
+    def _end(self, success: bool, reason: str, position: float = math.nan, orientation: float = math.nan) -> None:
         self.stage = Stage.ENDED
         self.outcome = Outcome(success, reason, position, orientation)

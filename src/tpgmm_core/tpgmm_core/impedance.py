@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 class ImpedanceConfig:
     """Parameters of the controller.
 
-    The control cost r is what an acceleration of 1 m/s^2 costs beside the squared Mahalanobis distance to the reference:
-    a standard deviation sigma (m) gives K_P = 1 / (sigma sqrt(r)) in 1/s^2.
+    The control cost r is what an acceleration of 1 m/s^2 costs beside the squared Mahalanobis distance to the
+    reference: a standard deviation sigma (m) gives K_P = 1 / (sigma sqrt(r)) in 1/s^2.
     """
 
     control_cost: float = setting(0.02, 1e-6, 1e3, "Cost of an acceleration of 1 m/s^2 against the distance")
@@ -159,6 +159,15 @@ class ImpedanceController:
         self._rest = rest[self._arm]
         self._data = robot.create_data()
         self.configure(config or ImpedanceConfig())
+        self.reset()
+        self._compile()
+
+    def _compile(self) -> None:
+        """One step with a reference, so that no later one waits for the compiler."""
+        self._data.update(self.robot.home)
+        here = PoseReference(self._data.pose(self.endpoint), np.eye(6))
+        for _ in range(2):
+            self.step(self.robot.home, np.zeros(self.robot.nv), here, self.config.max_time_step)
         self.reset()
 
     def configure(self, config: ImpedanceConfig) -> None:

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings with a meaning and a range: said once, checked everywhere, and shown to users as they stand here.
 
-    @dataclass(frozen=True, slots=True, kw_only=True)
-    class SomeConfig:
-        hold_time: float = setting(2.0, 0.0, 60.0, "A lost frame keeps its confidence for this long, s")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SomeConfig:
+    hold_time: float = setting(2.0, 0.0, 60.0, "A lost frame keeps its confidence for this long, s")
 
-        def __post_init__(self) -> None:
-            check_settings(self)
+    def __post_init__(self) -> None:
+        check_settings(self)
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What is known of a number beside its value: inclusive bounds and a sentence that ends with its unit."""
+    """What is known of a number: its default, inclusive bounds, and a sentence that ends with its unit."""
 
+    default: float
     lower: float
     upper: float
     description: str
@@ -26,7 +27,7 @@ class Setting:
 
 def setting(default: float, lower: float, upper: float, description: str) -> Any:
     """A dataclass field that is a number with a range and a description."""
-    return field(default=default, metadata={"setting": Setting(lower, upper, description)})
+    return field(default=default, metadata={"setting": Setting(default, lower, upper, description)})
 
 
 def setting_of(item: Field[Any]) -> Setting:

@@ -5,7 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
+import tpgmm_core.finite_horizon
+import tpgmm_core.lqr  # noqa: F401  these two compile on import
 from tpgmm_core import TPGMM, Adapter, Frame, Gaussian
+from tpgmm_core.manifold import POSE
 
 
 def warm_up() -> None:
@@ -20,6 +23,8 @@ def warm_up() -> None:
     model = TPGMM(n_components=2, manifold="R1 x R3 x S3", max_iter=1).fit_projected({"frame": X})
     mixture = Adapter(model).adapt({"frame": Frame(np.eye(8), np.zeros(8))})
     Gaussian.product([mixture.component(0), mixture.component(1)])
+    Adapter(model).condition([0.5])
+    POSE.exp(pose[0], POSE.log(pose[0], pose[1]))
 
 
 if __name__ == "__main__":

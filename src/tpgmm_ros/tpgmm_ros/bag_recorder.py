@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,6 +12,7 @@ from types import TracebackType
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -38,7 +40,7 @@ class BagRecorder:
         self, node: Node, path: Path, topics: Mapping[str, type], keep_every: Mapping[str, int] | None = None
     ) -> None:
         if path.exists():
-            raise FileExistsError(f"{path} exists already; recordings are not overwritten: move it, or give another path")
+            raise FileExistsError(f"{path} exists; recordings are not overwritten: move it, or give another path")
         self.path = path
         self.counts = dict.fromkeys(topics, 0)
         self._node = node
@@ -60,18 +62,11 @@ class BagRecorder:
             connection = self._writer.add_connection(
                 self._node.resolve_topic_name(topic), f"{package}/msg/{kind.__name__}", typestore=store
             )
-            self._subscriptions.append(
-                self._node.create_subscription(
-                    kind,
-                    topic,
-                    lambda data, topic=topic, connection=connection: self._write(topic, connection, data),
-                    RECORD,
-                    raw=True,
-                )
-            )
+            write = functools.partial(self._write, topic, connection)
+            self._subscriptions.append(self._node.create_subscription(kind, topic, write, RECORD, raw=True))
         return self
 
-    def _write(self, topic: str, connection: object, data: bytes) -> None:
+    def _write(self, topic: str, connection: Connection, data: bytes) -> None:
         if self.counts[topic] % self._keep_every.get(topic, 1) == 0:
             self._writer.write(connection, self._node.get_clock().now().nanoseconds, data)
         self.counts[topic] += 1

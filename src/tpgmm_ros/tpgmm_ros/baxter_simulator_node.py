@@ -19,9 +19,9 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+
 from tpgmm_core.robot import RobotModel
 from tpgmm_core.simulation import RobotSimulator
-
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader, MessageError
 from tpgmm_ros.executor import StopFlag, run
@@ -73,8 +73,7 @@ class BaxterSimulatorNode(Node):
         self._pushes: dict[str, _Push] = {}
         self._states = self.create_publisher(JointState, "joint_states", STREAM)
         self._poses = {
-            name: self.create_publisher(PoseStamped, f"endpoint/{name}/pose", STREAM)
-            for name in self.robot.endpoints
+            name: self.create_publisher(PoseStamped, f"endpoint/{name}/pose", STREAM) for name in self.robot.endpoints
         }
         self._clock_publisher = self.create_publisher(Clock, "/clock", EVENTS) if self.lockstep else None
         self.create_subscription(JointState, "joint_torques", self._take_torques, STREAM)
@@ -123,9 +122,7 @@ class BaxterSimulatorNode(Node):
 
     def _publish_state(self) -> None:
         state = self.simulator.state
-        self._states.publish(
-            conversions.joint_state_message(self._names, self._stamp_ns, state.q, state.v, state.tau)
-        )
+        self._states.publish(conversions.joint_state_message(self._names, self._stamp_ns, state.q, state.v, state.tau))
 
     def _publish_poses(self) -> None:
         if self._steps % self._steps_per_pose == 0:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import gc
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from types import FrameType
 
 import rclpy
@@ -44,7 +44,7 @@ def start_itself(node: LifecycleNode) -> None:
             raise ValueError(f"{node.get_name()} cannot be {name}: see above for the reason")
 
 
-def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """Create a node, serve it until it is told to stop, and end it. Returns the process's exit status.
 
     A node with a ``loop(executor, stop)`` method is given the thread; any other one answers events.

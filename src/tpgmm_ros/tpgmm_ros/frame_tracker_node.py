@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -10,9 +11,9 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
+
 from tpgmm_core.tracking import FrameStatus, FrameTracker, TrackedFrame, TrackingConfig
 from tpgmm_msgs.msg import TaskParameters
-
 from tpgmm_ros import conversions
 from tpgmm_ros.executor import run
 from tpgmm_ros.monitor import Monitor
@@ -45,16 +46,10 @@ class FrameTrackerNode(Node):
         self._published_ns = 0
         self._publisher = self.create_publisher(TaskParameters, "task_parameters", LATCHED)
         for name, topic in self.task.topics.items():
-            self.create_subscription(
-                PoseStamped, topic, lambda message, frame=name: self._observe(frame, message), STREAM
-            )
+            self.create_subscription(PoseStamped, topic, functools.partial(self._observe, name), STREAM)
         self.create_timer(1.0 / parameters["rate"], self._publish, clock=self._loop_clock)
-        backwards = JumpThreshold(
-            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
-        )
-        self._jump = self.get_clock().create_jump_callback(
-            backwards, post_callback=lambda _: self._forget()
-        )
+        backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
+        self._jump = self.get_clock().create_jump_callback(backwards, post_callback=lambda _: self._forget())
         self.monitor = Monitor(self, self._status)
 
     def _observe(self, name: str, message: PoseStamped) -> None:
@@ -86,9 +81,7 @@ class FrameTrackerNode(Node):
             if before.get(frame.name, frame.status) is not frame.status:
                 self.get_logger().info(f"frame '{frame.name}' is {frame.status.name}")
         self._publisher.publish(
-            conversions.task_parameters_message(
-                self._known, self.get_clock().now().nanoseconds, self.task.base_frame
-            )
+            conversions.task_parameters_message(self._known, self.get_clock().now().nanoseconds, self.task.base_frame)
         )
         self._published_ns = steady
         self.monitor.done += 1

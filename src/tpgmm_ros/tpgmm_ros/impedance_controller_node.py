@@ -8,19 +8,18 @@ from __future__ import annotations
 
 import sys
 import time
-from array import array
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
+
 from tpgmm_core.impedance import ImpedanceConfig, ImpedanceController, PoseReference, TorqueCommand
 from tpgmm_core.reference import Reference
 from tpgmm_core.robot import RobotModel
 from tpgmm_core.supervision import ControllerMode, ReferenceTimeouts, mode_of
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
-
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader, MessageError
 from tpgmm_ros.executor import run, start_itself
@@ -108,9 +107,7 @@ class ImpedanceControllerNode(LifecycleNode):
         try:
             reference = conversions.reference(message)
             if str(reference.gaussian.manifold) != "R3 x S3":
-                raise MessageError(
-                    f"the reference is on '{reference.gaussian.manifold}'; expected a pose on 'R3 x S3'"
-                )
+                raise MessageError(f"the reference is on '{reference.gaussian.manifold}'; expected a pose on 'R3 x S3'")
         except MessageError as error:
             self.get_logger().error(f"reference refused: {error}", throttle_duration_sec=1.0)
             return
@@ -198,10 +195,10 @@ class ImpedanceControllerNode(LifecycleNode):
         self._state_due_ns = stamp_ns + STATE_PERIOD_NS
         message = self._state_message()
         message.joints = self._names
-        message.stiffness = array("d", command.stiffness.ravel())
-        message.damping = array("d", command.damping.ravel())
-        message.feedforward_torque = array("d", command.feedforward)
-        message.feedback_torque = array("d", command.tau - command.feedforward)
+        message.stiffness = conversions.floats(command.stiffness)
+        message.damping = conversions.floats(command.damping)
+        message.feedforward_torque = conversions.floats(command.feedforward)
+        message.feedback_torque = conversions.floats(command.tau - command.feedforward)
         self._states.publish(message)
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
-from tpgmm_core import Frame, GaussianMixture, quaternion
-from tpgmm_core.quaternion import Array
 from visualization_msgs.msg import Marker, MarkerArray
 
+from tpgmm_core import Frame, GaussianMixture, quaternion
+from tpgmm_core.quaternion import Array
 from tpgmm_ros import conversions
 
 _AXIS_LENGTH = 0.1

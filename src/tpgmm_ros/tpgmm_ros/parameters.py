@@ -5,14 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, TypeVar
+from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from tpgmm_core.settings import setting_of
 
-ConfigT = TypeVar("ConfigT")
+from tpgmm_core.settings import setting_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +34,7 @@ class Declared:
         descriptor = ParameterDescriptor(name=self.name, description=self.description, read_only=self.fixed)
         if self.lower is not None and self.upper is not None:
             if isinstance(self.default, int):
-                descriptor.integer_range = [
-                    IntegerRange(from_value=int(self.lower), to_value=int(self.upper), step=0)
-                ]
+                descriptor.integer_range = [IntegerRange(from_value=int(self.lower), to_value=int(self.upper), step=0)]
             else:
                 descriptor.floating_point_range = [
                     FloatingPointRange(from_value=self.lower, to_value=self.upper, step=0.0)
@@ -48,12 +45,12 @@ class Declared:
 def declared_of(config: type) -> list[Declared]:
     """One parameter for each setting of a dataclass (see ``tpgmm_core.settings``)."""
     return [
-        Declared(item.name, float(item.default), known.description, known.lower, known.upper)
+        Declared(item.name, known.default, known.description, known.lower, known.upper)
         for item, known in ((item, setting_of(item)) for item in fields(config))
     ]
 
 
-def fill(config: type[ConfigT], values: Mapping[str, Any]) -> ConfigT:
+def fill[ConfigT](config: type[ConfigT], values: Mapping[str, Any]) -> ConfigT:
     """A dataclass from the values of its fields' names. Raises ValueError: from the dataclass."""
     return config(**{item.name: values[item.name] for item in fields(config)})  # type: ignore[arg-type]
 
@@ -93,7 +90,7 @@ class Parameters:
     def __getitem__(self, name: str) -> Any:
         return self._values[name]
 
-    def fill(self, config: type[ConfigT]) -> ConfigT:
+    def fill[ConfigT](self, config: type[ConfigT]) -> ConfigT:
         """A dataclass whose fields are parameters of the same names. Raises ValueError: from the dataclass."""
         return fill(config, self._values)
 

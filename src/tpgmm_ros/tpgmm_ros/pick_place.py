@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from tpgmm_core import quaternion
 from tpgmm_core.manifold import POSE
 

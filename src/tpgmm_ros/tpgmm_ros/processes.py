@@ -11,15 +11,13 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import TypeVar
+from typing import Any
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.task import Future
-
-ResponseT = TypeVar("ResponseT")
 
 
 class GraphError(RuntimeError):
@@ -120,11 +118,10 @@ class Graph:
             if time.monotonic() > deadline:
                 raise GraphError(f"waited {timeout:g} s for {what} in vain; see {self.processes.log_directory}")
 
-    def result(self, future: Future[ResponseT], timeout: float, what: str) -> ResponseT:
+    def result(self, future: Future, timeout: float, what: str) -> Any:
+        """What a future (of a service or an action) comes to. Raises GraphError like `wait_for`."""
         self.wait_for(future.done, timeout, what)
-        response = future.result()
-        assert response is not None
-        return response
+        return future.result()
 
     def bring_up(self, name: str, timeout: float = 30.0) -> None:
         """Configure and activate a lifecycle node.

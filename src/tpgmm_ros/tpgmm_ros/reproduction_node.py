@@ -18,24 +18,23 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
+from visualization_msgs.msg import MarkerArray
+
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.execution import Execution, ExecutionConfig, Outcome, Stage
-from tpgmm_core.manifold import Manifold
 from tpgmm_core.reproduction import Reproduction
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_msgs.srv import LoadModel
-from visualization_msgs.msg import MarkerArray
-
 from tpgmm_ros import conversions
-from tpgmm_ros.conversions import MessageError
 from tpgmm_ros.executor import run, start_itself
 from tpgmm_ros.markers import markers
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters, declared_of
 from tpgmm_ros.qos import LATCHED, STREAM
-from tpgmm_ros.task import DIMENSIONS, MANIFOLD, Task
+from tpgmm_ros.task import DIMENSIONS, Task
+from tpgmm_ros.task_model import known_frames, load_model
 from tpgmm_ros.timing import loop_clock
 
 PARAMETERS = [
@@ -62,8 +61,8 @@ class ReproductionNode(LifecycleNode):
         self.execution: Execution | None = None
         self._active = False
         self._goal: ServerGoalHandle | None = None
-        self._ended: Future[Outcome] | None = None
-        self._received: TaskParameters | None = None
+        self._ended: Future | None = None
+        self._received: list[tuple[Any, ...]] = []
         self._known: dict[str, tuple[Frame, float]] = {}
         self._frames: dict[str, Frame] = {}
         self._weights: dict[str, float] = {}
@@ -84,9 +83,7 @@ class ReproductionNode(LifecycleNode):
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
         self._references = self.create_lifecycle_publisher(ReferenceMessage, "reference", STREAM)
-        self._reference_poses = self.create_lifecycle_publisher(
-            PoseWithCovarianceStamped, "reference_pose", STREAM
-        )
+        self._reference_poses = self.create_lifecycle_publisher(PoseWithCovarianceStamped, "reference_pose", STREAM)
         self._markers = self.create_lifecycle_publisher(MarkerArray, "markers", STREAM)
         self.create_subscription(TaskParameters, "task_parameters", self._take_task_parameters, LATCHED)
         self.create_subscription(PoseStamped, self.task.movement, self._take_pose, STREAM)
@@ -97,12 +94,7 @@ class ReproductionNode(LifecycleNode):
                 clock=loop_clock(self),
             )
         else:
-            self.create_subscription(
-                JointState,
-                "joint_states",
-                lambda message: self._step(conversions.time_to_ns(message.header.stamp)),
-                STREAM,
-            )
+            self.create_subscription(JointState, "joint_states", self._take_joint_state, STREAM)
         self.create_service(LoadModel, "load_model", self._load_model)
         self._action = ActionServer(
             self,
@@ -127,18 +119,17 @@ class ReproductionNode(LifecycleNode):
     # -- inputs -------------------------------------------------------------------------------------------------------
 
     def _take_task_parameters(self, message: TaskParameters) -> None:
-        # The same frames again are no change: the reproduction need not adapt to them anew.
-        if self._received is not None and message.frames == self._received.frames:
+        # The same frames again, only observed later, are no change: the reproduction need not adapt to them anew.
+        received = [(item.name, item.status, item.confidence, item.a, item.b) for item in message.frames]
+        if received == self._received:
             return
         try:
-            states = conversions.task_parameters(message)
-            frames = {name: item.frame.with_time() for name, item in states.items() if item.frame is not None}
-            check_frames(frames)
-        except (MessageError, ValueError) as error:
+            known = known_frames(conversions.task_parameters(message))
+        except ValueError as error:
             self.get_logger().error(f"task parameters refused: {error}", throttle_duration_sec=1.0)
             return
-        self._received = message
-        self._known = {name: (frame, states[name].weight) for name, frame in frames.items()}
+        self._received = received
+        self._known = known
         self._choose_frames()
 
     def _choose_frames(self) -> None:
@@ -148,6 +139,9 @@ class ReproductionNode(LifecycleNode):
         names = [name for name in self.execution.reproduction.model.frame_names_ if name in self._known]
         self._frames = {name: self._known[name][0] for name in names}
         self._weights = {name: self._known[name][1] for name in names}
+
+    def _take_joint_state(self, message: JointState) -> None:
+        self._step(conversions.time_to_ns(message.header.stamp))
 
     def _take_pose(self, message: PoseStamped) -> None:
         self._pose = conversions.pose_to_array(message.pose)
@@ -175,8 +169,7 @@ class ReproductionNode(LifecycleNode):
         self._end("another movement was asked for")
         self.execution, self._goal, self._ended = execution, goal, Future()
         self._choose_frames()
-        outcome = await self._ended
-        assert outcome is not None
+        outcome: Outcome = await self._ended
         if goal.is_cancel_requested:
             goal.canceled()
         elif outcome.success:
@@ -248,13 +241,9 @@ class ReproductionNode(LifecycleNode):
         assert reference is not None
         frame_id = self.task.base_frame
         if self._goal is not None and self._is_due("feedback", stamp_ns, FEEDBACK_PERIOD_NS):
-            self._goal.publish_feedback(
-                Reproduce.Feedback(phase=reference.phase, frames=list(reference.frames))
-            )
+            self._goal.publish_feedback(Reproduce.Feedback(phase=reference.phase, frames=list(reference.frames)))
         if self._is_due("pose", stamp_ns, POSE_PERIOD_NS):
-            self._reference_poses.publish(
-                conversions.pose_with_covariance(reference.gaussian, stamp_ns, frame_id)
-            )
+            self._reference_poses.publish(conversions.pose_with_covariance(reference.gaussian, stamp_ns, frame_id))
         if self._markers.get_subscription_count() and self._is_due("markers", stamp_ns, MARKER_PERIOD_NS):
             mixture = execution.reproduction.model.adapt(self._frames, weights=self._weights)
             shown = {name: self._known[name][0] for name in self._frames}
@@ -277,37 +266,6 @@ class ReproductionNode(LifecycleNode):
         if missing:
             return DiagnosticStatus.WARN, f"reproducing without {', '.join(missing)}", values
         return DiagnosticStatus.OK, "reproducing", values
-
-
-def load_model(path: str, task: Task) -> TPGMM:
-    """A model that fits a task.
-
-    Raises:
-        ValueError: the file is no model, or the model encodes something else than the task describes.
-        OSError: the file cannot be read.
-    """
-    model = TPGMM.load(path)
-    if str(model.manifold_) != MANIFOLD or tuple(model.dimensions_ or ()) != DIMENSIONS:
-        raise ValueError(
-            f"{path} encodes {model.dimensions_} on {model.manifold_}; task '{task.name}' needs {DIMENSIONS} on {MANIFOLD}"
-        )
-    unknown = [name for name in model.frame_names_ if name not in task.frames]
-    if unknown:
-        raise ValueError(
-            f"{path} was learned from the frames {', '.join(model.frame_names_)}; task '{task.name}' "
-            f"names {', '.join(task.frames)} and lacks {', '.join(unknown)}"
-        )
-    return model
-
-
-def check_frames(frames: dict[str, Frame]) -> None:
-    """Raises ValueError: a frame that does not act on [time, pose]."""
-    manifold = Manifold.parse(MANIFOLD)
-    for name, frame in frames.items():
-        try:
-            manifold.tangent_map(frame.A)
-        except ValueError as error:
-            raise ValueError(f"frame '{name}': {error}") from error
 
 
 def main() -> int:

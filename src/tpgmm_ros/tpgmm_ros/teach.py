@@ -24,9 +24,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
-from tpgmm_core.robot import RobotModel
 from tqdm import tqdm
 
+from tpgmm_core.robot import RobotModel
 from tpgmm_ros import conversions
 from tpgmm_ros.bag_recorder import BagRecorder
 from tpgmm_ros.executor import StopFlag
@@ -68,9 +68,7 @@ class ScriptedLesson:
         self._teacher: Teacher | None = None
         self._ticks = 0
         self._wrenches = node.create_publisher(WrenchStamped, "external_wrench", STREAM)
-        self._places = {
-            name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()
-        }
+        self._places = {name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()}
         self._subscription = node.create_subscription(PoseStamped, task.movement, self._answer, STREAM)
         self.duration = 0.0
         self.time = 0.0
@@ -162,9 +160,7 @@ def _record_lesson(
         processes.start("baxter_simulator", robot_file=robot_file, lockstep=True)
         graph = Graph(node, executor, processes)
         graph.wait_for(lambda: node.count_publishers("joint_torques") > 0, 30.0, "the controller")
-        with BagRecorder(
-            node, path, topics_of(task), keep_every={"joint_states": KEEP_EVERY_JOINT_STATE}
-        ) as recorder:
+        with BagRecorder(node, path, topics_of(task), keep_every={"joint_states": KEEP_EVERY_JOINT_STATE}) as recorder:
             lesson = ScriptedLesson(node, task, link, random_situation(random), random)
             graph.wait_for(lambda: lesson.done or stop.set, 300.0, "the end of the demonstration")
             lesson.close()
@@ -207,13 +203,16 @@ def main() -> int:
         "  teach --task config/pick_place.yaml --output bags/mine/demo_01\n"
         "  teach --scripted --count 16 --output bags/pick_place",
     )
-    parser.add_argument("--task", type=Path, default=config_file("pick_place.yaml"), help="task file (default: %(default)s)")
-    parser.add_argument("--output", type=Path, required=True, help="the new bag; with --scripted, the directory of the bags")
-    parser.add_argument("--scripted", action="store_true", help="a scripted teacher on a simulated Baxter")
-    parser.add_argument("--count", type=int, default=16, help="demonstrations to record with --scripted (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the scripted teacher's variation (default: %(default)s)")
+    shown = "(default: %(default)s)"
+    parser.add_argument("--task", type=Path, default=config_file("pick_place.yaml"), help=f"task file {shown}")
     parser.add_argument(
-        "--robot", type=Path, default=config_file("baxter.yaml"), help="robot file, with --scripted (default: %(default)s)"
+        "--output", type=Path, required=True, help="the new bag; with --scripted, the directory of the bags"
+    )
+    parser.add_argument("--scripted", action="store_true", help="a scripted teacher on a simulated Baxter")
+    parser.add_argument("--count", type=int, default=16, help=f"demonstrations to record with --scripted {shown}")
+    parser.add_argument("--seed", type=int, default=0, help=f"of the scripted teacher's variation {shown}")
+    parser.add_argument(
+        "--robot", type=Path, default=config_file("baxter.yaml"), help=f"robot file, with --scripted {shown}"
     )
     arguments = parser.parse_args()
     if arguments.count < 1:

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from tpgmm_core.manifold import POSE
 
+from tpgmm_core.manifold import POSE
 from tpgmm_ros.pick_place import CLEARANCE, Array, Situation, hand_at
 
 
@@ -60,9 +60,7 @@ class Intention:
         random: where the variation comes from.
     """
 
-    def __init__(
-        self, home: Array, situation: Situation, config: TeacherConfig, random: np.random.Generator
-    ) -> None:
+    def __init__(self, home: Array, situation: Situation, config: TeacherConfig, random: np.random.Generator) -> None:
         via = config.via_noise, config.via_turn_noise
         aim = config.aim_noise, config.aim_turn_noise
         pick, place = situation.object, situation.target
@@ -78,13 +76,11 @@ class Intention:
         tempo = np.exp(config.pace * random.standard_normal())
         self._parts: list[_Part] = []
         origin, start = home, 0.0
-        for goal, (noise, turn_noise), duration in plan:
-            resting = goal is None
-            if resting:
-                goal = origin
-            else:
-                miss = random.standard_normal(6) * np.repeat([noise, turn_noise], 3)
-                goal = POSE.exp(goal, miss)
+        for aim_at, (noise, turn_noise), duration in plan:
+            resting = aim_at is None
+            goal = origin
+            if aim_at is not None:
+                goal = POSE.exp(aim_at, random.standard_normal(6) * np.repeat([noise, turn_noise], 3))
             duration *= tempo * np.exp(0.5 * config.pace * random.standard_normal())
             reach = 0.0 if resting else config.overshoot * random.uniform(0.0, 1.0)
             self._parts.append(_Part(start, duration, origin, goal, reach))

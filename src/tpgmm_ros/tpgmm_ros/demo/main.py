@@ -18,12 +18,12 @@ from rclpy.action import ActionClient
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+
+import tpgmm_ros.demo as package
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.reproduction import demonstrated_duration
 from tpgmm_core.robot import RobotModel
 from tpgmm_msgs.action import Reproduce
-
-import tpgmm_ros.demo as package
 from tpgmm_ros import train
 from tpgmm_ros.demo.pictures import draw
 from tpgmm_ros.demo.recording import Recording
@@ -71,7 +71,8 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
         node = Node("demo", parameter_overrides=[Parameter("use_sim_time", value=arguments.lockstep)])
         executor = EventsExecutor()
         executor.add_node(node)
-        recording = Recording(node, task, list(robot.joint_names))
+        recorder = Node("demo_recorder")
+        recording = Recording(recorder, task, list(robot.joint_names))
         world = World(node, task, situation, disturbances)
         with NodeProcesses(arguments.output / "log") as processes:
             graph = Graph(node, executor, processes)
@@ -81,14 +82,13 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
             outcome = _reproduce(graph, recording, world)
         executor.remove_node(node)
         node.destroy_node()
+        recorder.destroy_node()
         rclpy.shutdown()
     report = evaluate(recording, world, robot.effort_limits, outcome)
     pushed = disturbances.pushed(situation.object, np.inf)
-    frames = {name: spec.pose for name, spec in task.frames.items() if spec.pose is not None}
+    frames = {name: np.array(spec.pose) for name, spec in task.frames.items() if spec.pose is not None}
     frames |= {"object": pushed, "target": situation.target}
-    mixture = model.adapt(
-        {name: Frame.from_pose(pose[:3], pose[3:]).with_time() for name, pose in frames.items()}
-    )
+    mixture = model.adapt({name: Frame.from_pose(pose[:3], pose[3:]).with_time() for name, pose in frames.items()})
     draw(recording, world, mixture, robot.effort_limits, arguments.output)
     path = write_report(arguments.output, report)
     print(table(report))
@@ -110,12 +110,8 @@ def _domain(given: int | None) -> Iterator[None]:
 def _start(graph: Graph, arguments: argparse.Namespace, model_file: Path) -> None:
     processes, simulated = graph.processes, arguments.lockstep
     processes.start("frame_tracker", task_file=arguments.task, use_sim_time=simulated)
-    processes.start(
-        "reproduction", task_file=arguments.task, model_file=model_file, use_sim_time=simulated
-    )
-    processes.start(
-        "impedance_controller", robot_file=arguments.robot, lockstep=simulated, use_sim_time=simulated
-    )
+    processes.start("reproduction", task_file=arguments.task, model_file=model_file, use_sim_time=simulated)
+    processes.start("impedance_controller", robot_file=arguments.robot, lockstep=simulated, use_sim_time=simulated)
     processes.start("baxter_simulator", robot_file=arguments.robot, lockstep=simulated)
     graph.bring_up("impedance_controller", START_TIMEOUT)
     graph.bring_up("reproduction", START_TIMEOUT)
@@ -124,13 +120,19 @@ def _start(graph: Graph, arguments: argparse.Namespace, model_file: Path) -> Non
 def _reproduce(graph: Graph, recording: Recording, world: World) -> tuple[bool, str]:
     client = ActionClient(graph.node, Reproduce, "reproduce")
     graph.wait_for(client.server_is_ready, START_TIMEOUT, "the action 'reproduce'")
-    graph.wait_for(recording.hand_is_known, START_TIMEOUT, "the hand's pose")
+
+    def hand_is_known() -> bool:
+        recording.poll()
+        return recording.hand_is_known()
+
+    graph.wait_for(hand_is_known, START_TIMEOUT, "the hand's pose")
     goal = graph.result(client.send_goal_async(Reproduce.Goal()), START_TIMEOUT, "the goal to be accepted")
     if not goal.accepted:
         raise GraphError("reproduction refused the goal")
     result = goal.get_result_async()
 
     def ended() -> bool:
+        recording.poll()
         if world.started_ns is None:
             world.started_ns = recording.first_reference_ns()
         return result.done()
@@ -139,7 +141,6 @@ def _reproduce(graph: Graph, recording: Recording, world: World) -> tuple[bool, 
     if world.started_ns is None:
         raise GraphError(f"the movement never started: {result.result().result.reason}")
     response = result.result()
-    assert response is not None
     return response.status == GoalStatus.STATUS_SUCCEEDED, response.result.reason
 
 

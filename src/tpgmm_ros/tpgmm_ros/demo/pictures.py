@@ -13,9 +13,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
+
 from tpgmm_core import GaussianMixture, quaternion
 from tpgmm_core.tracking import FrameStatus
-
 from tpgmm_ros.demo.recording import Recording
 from tpgmm_ros.demo.world import World
 from tpgmm_ros.pick_place import Array, hand_at
@@ -82,7 +82,9 @@ def _axes(ax: Axes, place: Array, sides: tuple[int, int], name: str, alpha: floa
     origin = place[:3][list(sides)]
     for axis, color in zip(turn.T, ("#c1121f", "#2a9d3a", "#1d4ed8"), strict=True):
         ax.plot(*np.stack([origin, origin + 0.05 * axis[list(sides)]]).T, color=color, lw=2.5, alpha=alpha)
-    ax.annotate(name, origin, xytext=(6, -12), textcoords="offset points", fontsize=9, alpha=max(alpha, 0.6))
+    ax.annotate(
+        name, (origin[0], origin[1]), xytext=(6, -12), textcoords="offset points", fontsize=9, alpha=max(alpha, 0.6)
+    )
 
 
 def _torques(recording: Recording, world: World, limits: Array) -> plt.Figure:
@@ -111,7 +113,9 @@ def _frames(recording: Recording, world: World) -> plt.Figure:
         times = series.times(world.started_ns)
         status, confidence = series.values.T
         for value, color in _STATUS_COLORS.items():
-            ax.fill_between(times, 0.0, 1.0, where=status == value, color=color, alpha=0.45, step="post", label=value.name)
+            ax.fill_between(
+                times, 0.0, 1.0, where=status == value, color=color, alpha=0.45, step="post", label=value.name
+            )
         ax.plot(times, confidence, color="black", lw=1.2, label="confidence")
         _mark_disturbances(ax, world)
         ax.set(ylabel=name, ylim=(-0.03, 1.08), xlim=(0.0, float(times[-1])))

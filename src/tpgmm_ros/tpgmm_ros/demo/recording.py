@@ -12,16 +12,15 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
-from tpgmm_msgs.msg import Reference, TaskParameters
 
+from tpgmm_msgs.msg import Reference, TaskParameters
 from tpgmm_ros import conversions
 from tpgmm_ros.bag_recorder import RECORD
 from tpgmm_ros.conversions import JointReader
 from tpgmm_ros.pick_place import Array
-from tpgmm_ros.qos import EVENTS, LATCHED
 from tpgmm_ros.task import Task
 
 MessageT = TypeVar("MessageT")
@@ -40,17 +39,17 @@ class Series:
 
     def times(self, origin_ns: int) -> Array:
         """Times (T,) in s since a stamp."""
-        return 1e-9 * (self.stamps_ns - origin_ns)
+        return np.asarray(1e-9 * (self.stamps_ns - origin_ns))
 
 
 class Recording:
     """Records torques, references, hand poses, frames and diagnostics of the running graph.
 
-    What comes is kept as bytes and read when it is asked for: reading a 1 kHz stream while it runs would take the
-    cores from those who need them.
+    What comes waits in the subscriptions' queues until ``poll`` takes it, and is kept as bytes until it is asked for:
+    an event for each message of a 1 kHz stream, and reading it, would take the cores from those who need them.
 
     Args:
-        node: subscribes.
+        node: subscribes; an executor must not serve it.
         task: the movement's topic and the frames.
         joints: names of the robot's joints, the order of the recorded torques.
     """
@@ -59,15 +58,23 @@ class Recording:
         self.joints = joints
         self._frame_names = list(task.frames)
         self._raw: dict[type, list[bytes]] = {}
-        self._subscribe(node, JointState, "joint_torques", RECORD)
-        self._subscribe(node, Reference, "reference", RECORD)
-        self._subscribe(node, PoseStamped, task.movement, RECORD)
-        self._subscribe(node, TaskParameters, "task_parameters", LATCHED)
-        self._subscribe(node, DiagnosticArray, "/diagnostics", EVENTS)
+        self._subscriptions: list[tuple[Subscription, list[bytes]]] = []
+        self._subscribe(node, JointState, "joint_torques")
+        self._subscribe(node, Reference, "reference")
+        self._subscribe(node, PoseStamped, task.movement)
+        self._subscribe(node, TaskParameters, "task_parameters")
+        self._subscribe(node, DiagnosticArray, "/diagnostics")
 
-    def _subscribe(self, node: Node, kind: type, topic: str, qos: QoSProfile) -> None:
-        rows = self._raw[kind] = []
-        node.create_subscription(kind, topic, rows.append, qos, raw=True)
+    def _subscribe(self, node: Node, kind: type, topic: str) -> None:
+        subscription = node.create_subscription(kind, topic, lambda _: None, RECORD, raw=True)
+        self._subscriptions.append((subscription, self._raw.setdefault(kind, [])))
+
+    def poll(self) -> None:
+        """Take what has come; call it at least every second, the queues are finite."""
+        for subscription, rows in self._subscriptions:
+            with subscription.handle:
+                while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+                    rows.append(taken[0])
 
     def _messages(self, kind: type[MessageT]) -> Iterator[MessageT]:
         return (deserialize_message(data, kind) for data in self._raw[kind])
@@ -92,9 +99,7 @@ class Recording:
 
     def hand(self) -> Series:
         """Poses of the hand (T, 7)."""
-        return _series(
-            (message, conversions.pose_to_array(message.pose)) for message in self._messages(PoseStamped)
-        )
+        return _series((message, conversions.pose_to_array(message.pose)) for message in self._messages(PoseStamped))
 
     def frames(self) -> dict[str, Series]:
         """Status and confidence (T, 2) of each frame."""
@@ -117,6 +122,4 @@ class Recording:
 
 def _series(rows: Iterable[tuple[Any, Array]]) -> Series:
     listed = [(conversions.time_to_ns(message.header.stamp), values) for message, values in rows]
-    return Series(
-        np.array([stamp for stamp, _ in listed], dtype=np.int64), np.array([values for _, values in listed])
-    )
+    return Series(np.array([stamp for stamp, _ in listed], dtype=np.int64), np.array([values for _, values in listed]))

@@ -15,16 +15,21 @@ from tpgmm_ros.reporting import format_table
 
 NODES = ("reproduction", "impedance_controller", "baxter_simulator")
 
-#: What has to be reached: m, deg, shares of the effort limits, N m from one tick to the next.
+#: What has to be reached: m, deg, shares of the effort limits. A change of torque up to JUMP, N m from one tick to the
+#: next, is no jump; nor is one that the movement makes elsewhere too.
 LARGEST_POSITION_ERROR = 0.01
 LARGEST_ORIENTATION_ERROR = 5.0
 LARGEST_TORQUE_SHARE = 1.0
 JUMP = 0.5
+#: A frame that came back is watched for this long, s.
+AFTERWARDS = 0.5
 #: s from one command to the next.
 TICK = 0.001
 
 
-def evaluate(recording: Recording, world: World, effort_limits: np.ndarray, outcome: tuple[bool, str]) -> dict[str, Any]:
+def evaluate(
+    recording: Recording, world: World, effort_limits: np.ndarray, outcome: tuple[bool, str]
+) -> dict[str, Any]:
     """The report of one run.
 
     Args:
@@ -39,7 +44,13 @@ def evaluate(recording: Recording, world: World, effort_limits: np.ndarray, outc
     torque = recording.torque().since(world.started_ns)
     hidden = world.disturbances.hide_start, world.disturbances.hide_start + world.disturbances.hide_duration
     lost = _largest_step(torque, world.started_ns, *hidden)
-    back = _largest_step(torque, world.started_ns, hidden[1], hidden[1] + 1.0)
+    back = _largest_step(torque, world.started_ns, hidden[1], hidden[1] + AFTERWARDS)
+    # The movement itself changes torques; a frame that is lost must not change them faster than that.
+    usual = max(
+        JUMP,
+        _largest_step(torque, world.started_ns, 0.0, hidden[0]),
+        _largest_step(torque, world.started_ns, hidden[1] + AFTERWARDS, math.inf),
+    )
     share = float((np.abs(torque.values) / effort_limits).max())
     checks = {
         "the object was grasped": world.grasp.holds,
@@ -47,8 +58,8 @@ def evaluate(recording: Recording, world: World, effort_limits: np.ndarray, outc
         "the object is on the target": position <= LARGEST_POSITION_ERROR,
         "the object is turned as the target": orientation <= LARGEST_ORIENTATION_ERROR,
         "no torque above its limit": share <= LARGEST_TORQUE_SHARE,
-        "no jump when a frame was lost": lost <= JUMP,
-        "no jump when it came back": back <= JUMP,
+        "no jump when a frame was lost": lost <= usual,
+        "no jump when it came back": back <= usual,
     }
     diagnostics = {node: recording.diagnostics(node, world.started_ns) for node in NODES}
     simulator = diagnostics["baxter_simulator"][-1]
@@ -61,6 +72,7 @@ def evaluate(recording: Recording, world: World, effort_limits: np.ndarray, outc
         "max_torque_share": share,
         "torque_step_when_frame_lost_nm": lost,
         "torque_step_when_frame_back_nm": back,
+        "usual_torque_step_nm": usual,
         "largest_torque_step_nm": _largest_step(torque, world.started_ns, 0.0, math.inf),
         "ticks": {node: _ticks(rows) for node, rows in diagnostics.items()},
         "reproduction_step_ms": {name: float(reproduction[f"step_{name}_ms"]) for name in ("p50", "p99")},
@@ -105,13 +117,22 @@ def _ticks(rows: list[dict[str, str]]) -> dict[str, int]:
 
 def table(report: dict[str, Any]) -> str:
     """The report for people."""
+    usual = f"<= {report['usual_torque_step_nm']:.3f} N m"
     rows: list[tuple[str, str, str]] = [
-        ("final position error", f"{1e3 * report['final_position_error_m']:.2f} mm", f"<= {1e3 * LARGEST_POSITION_ERROR:g} mm"),
-        ("final orientation error", f"{report['final_orientation_error_deg']:.2f} deg", f"<= {LARGEST_ORIENTATION_ERROR:g} deg"),
+        (
+            "final position error",
+            f"{1e3 * report['final_position_error_m']:.2f} mm",
+            f"<= {1e3 * LARGEST_POSITION_ERROR:g} mm",
+        ),
+        (
+            "final orientation error",
+            f"{report['final_orientation_error_deg']:.2f} deg",
+            f"<= {LARGEST_ORIENTATION_ERROR:g} deg",
+        ),
         ("path deviation (RMS)", f"{1e3 * report['path_deviation_m']:.2f} mm", ""),
         ("largest torque, share of its limit", f"{report['max_torque_share']:.3f}", f"<= {LARGEST_TORQUE_SHARE:g}"),
-        ("torque step, frame lost", f"{report['torque_step_when_frame_lost_nm']:.3f} N m", f"<= {JUMP:g} N m"),
-        ("torque step, frame back", f"{report['torque_step_when_frame_back_nm']:.3f} N m", f"<= {JUMP:g} N m"),
+        ("torque step per tick, frame lost", f"{report['torque_step_when_frame_lost_nm']:.3f} N m", usual),
+        ("torque step per tick, frame back", f"{report['torque_step_when_frame_back_nm']:.3f} N m", usual),
         ("largest torque step", f"{report['largest_torque_step_nm']:.3f} N m", ""),
     ]
     for node, ticks in report["ticks"].items():

@@ -10,7 +10,6 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
 from tpgmm_core.manifold import POSE
-
 from tpgmm_ros import conversions
 from tpgmm_ros.pick_place import Array, Grasp, Situation
 from tpgmm_ros.qos import STREAM
@@ -58,9 +57,7 @@ class Disturbances:
         return POSE.exp(place, s**3 * (10.0 - 15.0 * s + 6.0 * s**2) * self.push)
 
     def hides(self, frame: str, time: float) -> bool:
-        return (
-            frame == self.hide_frame and 0.0 <= time - self.hide_start < self.hide_duration
-        )
+        return frame == self.hide_frame and 0.0 <= time - self.hide_start < self.hide_duration
 
 
 class World:
@@ -102,6 +99,4 @@ class World:
 
     def _see(self, name: str, place: Array, stamp_ns: int, time: float) -> None:
         if not self.disturbances.hides(name, time):
-            self._publishers[name].publish(
-                conversions.pose_stamped(place, stamp_ns, self._task.base_frame)
-            )
+            self._publishers[name].publish(conversions.pose_stamped(place, stamp_ns, self._task.base_frame))
