@@ -101,5 +101,5 @@ $(DONE)/packages: tools/activate_workspace.py $(DONE)/interfaces $(PACKAGE_FILES
 
 $(DONE)/kernels: $(DONE)/packages $(wildcard src/tpgmm_core/tpgmm_core/*.py)
 	$(call say,compiled kernels)
-	@if [ -f src/tpgmm_core/tpgmm_core/warm_up.py ]; then $(PYTHON) -m tpgmm_core.warm_up; fi
+	@$(PYTHON) -m tpgmm_core.warm_up
 	@touch $@
