@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,6 +43,7 @@ class Manifold:
                 raise ValueError(f"a factor of a manifold is R1, R2, ... or S3, got {kind}{n}")
 
     @classmethod
+    @lru_cache(maxsize=256)  # what a manifold knows of itself is worked out once, not at every message
     def parse(cls, text: str, dim: int | None = None) -> Manifold:
         """Manifold of a text such as "R1 x R3 x S3", or "euclidean", which is R^dim.
 
@@ -64,6 +65,7 @@ class Manifold:
         return manifold
 
     @classmethod
+    @lru_cache(maxsize=256)
     def euclidean(cls, dim: int) -> Manifold:
         """R^dim."""
         return cls((("R", dim),))

@@ -16,7 +16,6 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
@@ -61,7 +60,6 @@ class ReproductionNode(LifecycleNode):
         self.execution: Execution | None = None
         self._active = False
         self._goal: ServerGoalHandle | None = None
-        self._ended: Future | None = None
         self._received: list[tuple[Any, ...]] = []
         self._known: dict[str, tuple[Frame, float]] = {}
         self._frames: dict[str, Frame] = {}
@@ -100,7 +98,8 @@ class ReproductionNode(LifecycleNode):
             self,
             Reproduce,
             "reproduce",
-            self._reproduce,
+            execute_callback=lambda _: None,  # goals are executed by `finish`
+            handle_accepted_callback=self._accept,
             goal_callback=lambda _: GoalResponse.ACCEPT,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
@@ -160,28 +159,15 @@ class ReproductionNode(LifecycleNode):
 
     # -- the action ---------------------------------------------------------------------------------------------------
 
-    async def _reproduce(self, goal: ServerGoalHandle) -> Reproduce.Result:
+    def _accept(self, goal: ServerGoalHandle) -> None:
         try:
             execution = self._prepare(goal.request)
         except (ValueError, OSError) as error:
-            goal.abort()
-            return Reproduce.Result(success=False, reason=str(error))
+            finish(goal, Outcome(False, str(error)))
+            return
         self._end("another movement was asked for")
-        self.execution, self._goal, self._ended = execution, goal, Future()
+        self.execution, self._goal = execution, goal
         self._choose_frames()
-        outcome: Outcome = await self._ended
-        if goal.is_cancel_requested:
-            goal.canceled()
-        elif outcome.success:
-            goal.succeed()
-        else:
-            goal.abort()
-        return Reproduce.Result(
-            success=outcome.success,
-            reason=outcome.reason,
-            final_position_error=outcome.position_error,
-            final_orientation_error=outcome.orientation_error,
-        )
 
     def _prepare(self, request: Reproduce.Goal) -> Execution:
         if not self._active:
@@ -205,10 +191,10 @@ class ReproductionNode(LifecycleNode):
             self._report_end()
 
     def _report_end(self) -> None:
-        if self.execution is not None and self.execution.outcome is not None and self._ended is not None:
+        if self.execution is not None and self.execution.outcome is not None and self._goal is not None:
             self.get_logger().info(f"movement ended: {self.execution.outcome.reason}")
-            self._ended.set_result(self.execution.outcome)
-            self._goal = self._ended = None
+            finish(self._goal, self.execution.outcome)
+            self._goal = None
 
     # -- one step -----------------------------------------------------------------------------------------------------
 
@@ -266,6 +252,30 @@ class ReproductionNode(LifecycleNode):
         if missing:
             return DiagnosticStatus.WARN, f"reproducing without {', '.join(missing)}", values
         return DiagnosticStatus.OK, "reproducing", values
+
+
+def finish(goal: ServerGoalHandle, outcome: Outcome) -> None:
+    """Give the action's client the outcome.
+
+    A goal is "executed" only now that it is over: a coroutine that waits for the end would have the executor ask it
+    over and over, at the cost of a core.
+    """
+
+    def result(goal: ServerGoalHandle) -> Reproduce.Result:
+        if goal.is_cancel_requested:
+            goal.canceled()
+        elif outcome.success:
+            goal.succeed()
+        else:
+            goal.abort()
+        return Reproduce.Result(
+            success=outcome.success,
+            reason=outcome.reason,
+            final_position_error=outcome.position_error,
+            final_orientation_error=outcome.orientation_error,
+        )
+
+    goal.execute(result)
 
 
 def main() -> int:
