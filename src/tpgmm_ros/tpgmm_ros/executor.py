@@ -12,7 +12,6 @@ from types import FrameType
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.experimental import EventsExecutor
-from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -31,17 +30,6 @@ class StopFlag:
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self.set = True
-
-
-def start_itself(node: LifecycleNode) -> None:
-    """Configure and activate a node without a lifecycle manager.
-
-    Raises:
-        ValueError: it refused; the reason is in its log.
-    """
-    for name, trigger in (("configured", node.trigger_configure), ("activated", node.trigger_activate)):
-        if trigger() is not TransitionCallbackReturn.SUCCESS:
-            raise ValueError(f"{node.get_name()} cannot be {name}: see above for the reason")
 
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:

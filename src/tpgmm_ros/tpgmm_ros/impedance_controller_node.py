@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 
 from tpgmm_core.impedance import ImpedanceConfig, ImpedanceController, PoseReference, TorqueCommand
@@ -22,7 +22,8 @@ from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader, MessageError
-from tpgmm_ros.executor import run, start_itself
+from tpgmm_ros.executor import run
+from tpgmm_ros.lifecycle import ManagedNode
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters, declared_of, fill
 from tpgmm_ros.qos import LATCHED, STREAM
@@ -42,7 +43,7 @@ STATE_PERIOD_NS = 100_000_000
 SECOND = 1_000_000_000
 
 
-class ImpedanceControllerNode(LifecycleNode):
+class ImpedanceControllerNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("impedance_controller")
         # Every value may be in its range and the whole still make no sense.
@@ -54,7 +55,7 @@ class ImpedanceControllerNode(LifecycleNode):
         self._active = False
         self._mode, self._reason = ControllerMode.WAITING, "not active"
         if self.parameters["autostart"]:
-            start_itself(self)
+            self.start_itself()
 
     def _reconfigure(self) -> None:
         if self.controller is not None:
@@ -145,10 +146,10 @@ class ImpedanceControllerNode(LifecycleNode):
         self._last_stamp_ns = stamp_ns
         try:
             q, v = self._reader.read(message, "position", "velocity")
-            reference = self._pose_reference()
+            mode, reason, reference = self._pose_reference()
         except MessageError as error:
-            self.get_logger().error(f"joint state refused: {error}", throttle_duration_sec=1.0)
-            self._change(ControllerMode.FAULT, f"joint state refused: {error}")
+            mode, reason = ControllerMode.FAULT, f"joint state refused: {error}"
+            self.get_logger().error(reason, throttle_duration_sec=1.0)
             # To a state that is unknown the controller's answer is to carry the weight where the robot was last.
             q = v = np.full(self.robot.nv, np.nan)
             reference = None
@@ -157,20 +158,22 @@ class ImpedanceControllerNode(LifecycleNode):
         self._torques.publish(conversions.joint_state_message(self._names, stamp_ns, effort=command.tau))
         self.monitor.done += 1
         self.monitor.step.add(time.perf_counter() - start)
+        if command.reason and mode is not ControllerMode.FAULT:
+            mode, reason = ControllerMode.FAULT, command.reason
+        self._change(mode, reason)
         self._tell(command, stamp_ns)
 
-    def _pose_reference(self) -> PoseReference | None:
-        """What the controller is to follow now, by the age of the last reference."""
+    def _pose_reference(self) -> tuple[ControllerMode, str, PoseReference | None]:
+        """What the controller is to follow now, by the age of the last reference, and why."""
         reference = self._reference
         age = None
         if reference is not None:
             age = (self._loop_clock.now().nanoseconds - self._reference_ns) / SECOND
         mode, reason = mode_of(age, self.parameters.fill(ReferenceTimeouts))
-        self._change(mode, reason)
         if reference is None or mode is ControllerMode.DAMPING:
-            return None
+            return mode, reason, None
         twist = reference.velocity() if mode is ControllerMode.ACTIVE else np.zeros(6)
-        return PoseReference(reference.gaussian.mean, reference.gaussian.covariance, twist)
+        return mode, reason, PoseReference(reference.gaussian.mean, reference.gaussian.covariance, twist)
 
     # -- what others are told -----------------------------------------------------------------------------------------
 
@@ -188,8 +191,6 @@ class ImpedanceControllerNode(LifecycleNode):
         return message
 
     def _tell(self, command: TorqueCommand, stamp_ns: int) -> None:
-        if command.reason and self._mode is not ControllerMode.FAULT:
-            self._change(ControllerMode.FAULT, command.reason)
         if stamp_ns < self._state_due_ns:
             return
         self._state_due_ns = stamp_ns + STATE_PERIOD_NS

@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
@@ -27,7 +27,8 @@ from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_msgs.srv import LoadModel
 from tpgmm_ros import conversions
-from tpgmm_ros.executor import run, start_itself
+from tpgmm_ros.executor import run
+from tpgmm_ros.lifecycle import ManagedNode
 from tpgmm_ros.markers import markers
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters, declared_of
@@ -51,7 +52,7 @@ POSE_PERIOD_NS = 33_000_000
 MARKER_PERIOD_NS = 100_000_000
 
 
-class ReproductionNode(LifecycleNode):
+class ReproductionNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("reproduction")
         self.parameters = Parameters(self, PARAMETERS)
@@ -68,7 +69,7 @@ class ReproductionNode(LifecycleNode):
         self._last_ns = 0
         self._due: dict[str, int] = {}
         if self.parameters["autostart"]:
-            start_itself(self)
+            self.start_itself()
 
     # -- lifecycle ----------------------------------------------------------------------------------------------------
 
