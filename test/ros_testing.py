@@ -41,7 +41,7 @@ class RunningProcess:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                env={**os.environ, "PYTHONUNBUFFERED": "1", **(env or {})},
+                env={**os.environ, "PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1", **(env or {})},
                 start_new_session=True,
             )
 
@@ -60,11 +60,13 @@ class RunningProcess:
         return self._output_path.read_text(errors="replace")
 
     def wait(self, timeout: float) -> int:
-        """Exit status of a process that ends by itself; AssertionError after `timeout` seconds."""
+        """Exit status of a process that ends by itself; AssertionError after `timeout` seconds, with its stack."""
         try:
             return self._process.wait(timeout)
         except subprocess.TimeoutExpired:
-            raise AssertionError(f"{self} still runs after {timeout} s; its output:\n{self.output}") from None
+            self._process.send_signal(signal.SIGABRT)  # Python's fault handler writes where it hangs
+            self._process.wait(STOP_TIMEOUT)
+            raise AssertionError(f"{self} still ran after {timeout} s; its output:\n{self.output}") from None
 
     def send_signal(self, number: signal.Signals) -> None:
         """Send a signal to the process alone, as a user or a supervisor would."""
