@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -82,9 +83,9 @@ def _axes(ax: Axes, place: Array, sides: tuple[int, int], name: str, alpha: floa
     origin = place[:3][list(sides)]
     for axis, color in zip(turn.T, ("#c1121f", "#2a9d3a", "#1d4ed8"), strict=True):
         ax.plot(*np.stack([origin, origin + 0.05 * axis[list(sides)]]).T, color=color, lw=2.5, alpha=alpha)
-    ax.annotate(
-        name, (origin[0], origin[1]), xytext=(6, -12), textcoords="offset points", fontsize=9, alpha=max(alpha, 0.6)
-    )
+    style: dict[str, Any] = {"textcoords": "offset points", "fontsize": 9, "alpha": max(alpha, 0.6)}
+    # What is shown faintly lies close to what is shown plainly: one name above, the other below.
+    ax.annotate(name, (origin[0], origin[1]), xytext=(6, -12 if alpha == 1.0 else 10), **style)
 
 
 def _torques(recording: Recording, world: World, limits: Array) -> plt.Figure:
