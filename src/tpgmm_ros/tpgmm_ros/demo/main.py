@@ -41,13 +41,15 @@ START_TIMEOUT = 60.0
 def main() -> int:
     arguments = _parser().parse_args()
     model_file = arguments.output / "pick_place.tpgmm"
+    # A report of an earlier success must not stand beside a failure of any kind.
+    (arguments.output / "report.json").unlink(missing_ok=True)
     print(f"1. training from {arguments.bags}")
     if train.main(["--task", str(arguments.task), "--output", str(model_file), str(arguments.bags)]) != 0:
+        write_report(arguments.output, {"passed": False, "error": "training failed"})
         return 1
     try:
         passed = _run(arguments, model_file)
     except (GraphError, OSError, ValueError) as error:
-        # A report of an earlier success must not stand beside a failure.
         write_report(arguments.output, {"passed": False, "error": str(error)})
         print(f"error: {error}", file=sys.stderr)
         return 1
