@@ -66,7 +66,7 @@ class Diagnostics:
             self.values[status.name] = {item.key: item.value for item in status.values}
 
 
-def result_of(node: Node, future: "Future[Any]", what: str, timeout: float = STARTUP_TIMEOUT) -> Any:
+def result_of(node: Node, future: Future, what: str, timeout: float = STARTUP_TIMEOUT) -> Any:
     """The result of a future, served by `node` until it is there."""
     spin_until(node, future.done, timeout, what)
     return future.result()

@@ -12,7 +12,7 @@ from ros_graph import ROBOT_FILE, TASK_FILE, ros_arguments
 
 from ros_testing import StartProcess, spin_until
 
-NODES = {
+NODES: dict[str, dict[str, object]] = {
     "frame_tracker": {"task_file": TASK_FILE},
     "baxter_simulator": {"robot_file": ROBOT_FILE},
     "reproduction": {"task_file": TASK_FILE, "autostart": True},

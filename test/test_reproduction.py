@@ -1,0 +1,313 @@
+# SPDX-License-Identifier: Apache-2.0
+"""reproduction on its topics and its action: task parameters and joint states in, references out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from ros_graph import (
+    ACTIVATE,
+    ALL,
+    CONFIGURE,
+    DEACTIVATE,
+    ROOT,
+    SECOND,
+    TASK_FILE,
+    call,
+    change_state,
+    result_of,
+    ros_arguments,
+    set_parameters,
+)
+from sensor_msgs.msg import JointState
+
+from ros_testing import RunningProcess, StartProcess, spin_until
+from tpgmm_core import TPGMM, Frame, quaternion
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.tracking import FrameStatus, TrackedFrame
+from tpgmm_msgs.action import Reproduce
+from tpgmm_msgs.msg import Reference, TaskParameters
+from tpgmm_msgs.srv import LoadModel
+from tpgmm_ros import conversions, train
+from tpgmm_ros.qos import LATCHED, STREAM
+
+NODE = "reproduction"
+TICK_NS = 5_000_000
+DURATION = 1.0
+POSE = Manifold.parse("R3 x S3")
+PLACES = {
+    "object": np.array([0.65, 0.40, 0.0, *quaternion.exp([0.0, 0.0, 0.3])]),
+    "target": np.array([0.62, 0.10, 0.03, *quaternion.exp([0.0, 0.0, -0.4])]),
+    "robot": np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
+}
+
+
+@pytest.fixture(scope="module")
+def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small model of the recorded demonstrations."""
+    path = tmp_path_factory.mktemp("model") / "pick_place.tpgmm"
+    few = ["--components", "5", "--every", "20"]
+    assert train.main(["--task", str(TASK_FILE), "--output", str(path), *few, str(ROOT / "bags" / "pick_place")]) == 0
+    return path
+
+
+class Player:
+    """The other side of the node: frames, and a robot that is at once where the reference was."""
+
+    def __init__(self, node: Node, process: RunningProcess) -> None:
+        self.node, self.process = node, process
+        self.stamp_ns = 10 * SECOND
+        self.references: list[Reference] = []
+        self.feedback: list[Reproduce.Feedback] = []
+        self.client = ActionClient(node, Reproduce, "reproduce")
+        self._states = node.create_publisher(JointState, "joint_states", STREAM)
+        self._poses = node.create_publisher(PoseStamped, "endpoint/left/pose", STREAM)
+        self._frames = node.create_publisher(TaskParameters, "task_parameters", LATCHED)
+        node.create_subscription(Reference, "reference", self.references.append, ALL)
+
+    def wait_until_heard(self) -> None:
+        publishers = (self._states, self._poses, self._frames)
+        spin_until(
+            self.node,
+            lambda: self.client.server_is_ready() and all(p.get_subscription_count() for p in publishers),
+            message="the node to listen",
+            processes=(self.process,),
+        )
+
+    def show(self, places: Mapping[str, np.ndarray | None]) -> None:
+        """Publish task parameters: a pose for each frame that is seen, None for one that is missing."""
+        frames = [
+            TrackedFrame(name, FrameStatus.MISSING, 0.0, 0, None)
+            if pose is None
+            else TrackedFrame(name, FrameStatus.VISIBLE, 1.0, self.stamp_ns, pose)
+            for name, pose in places.items()
+        ]
+        self._frames.publish(conversions.task_parameters_message(frames, self.stamp_ns, "base"))
+
+    def show_wrong(self) -> None:
+        """Publish task parameters of a planar task."""
+        message = conversions.task_parameters_message([], self.stamp_ns, "base")
+        for name, pose in PLACES.items():
+            tracked = TrackedFrame(name, FrameStatus.VISIBLE, 1.0, self.stamp_ns, pose)
+            (item,) = conversions.task_parameters_message([tracked], self.stamp_ns, "base").frames
+            item.rows, item.cols, item.a, item.b = 2, 2, [1.0, 0.0, 0.0, 1.0], [0.0, 0.0]
+            message.frames.append(item)
+        self._frames.publish(message)
+
+    def send(self, model: str = "", duration: float = DURATION) -> object:
+        self.references.clear()
+        self.feedback.clear()
+        goal = Reproduce.Goal(model=model, duration=duration)
+        sent = self.client.send_goal_async(
+            goal, feedback_callback=lambda message: self.feedback.append(message.feedback)
+        )
+        handle = result_of(self.node, sent, "the goal to be accepted")
+        assert handle.accepted
+        return handle
+
+    def tick(self, answered: bool = True) -> Reference | None:
+        """One joint state; returns the reference that answers it, if one has to."""
+        self.stamp_ns += TICK_NS
+        message = JointState()
+        message.header.stamp = conversions.time_from_ns(self.stamp_ns)
+        if self.references:
+            pose = np.array(self.references[-1].gaussian.mean)
+            self._poses.publish(conversions.pose_stamped(pose, self.stamp_ns, "base"))
+        due = 0.0
+
+        def is_answered() -> bool:
+            nonlocal due
+            if time.monotonic() >= due:  # best effort may lose a message
+                due = time.monotonic() + 0.2
+                self._states.publish(message)
+            return bool(self.references) and conversions.time_to_ns(self.references[-1].header.stamp) == self.stamp_ns
+
+        if not answered:
+            is_answered()
+            self.node.executor.spin_once(timeout_sec=0.01)  # type: ignore[union-attr]
+            return None
+        spin_until(self.node, is_answered, message="a reference", processes=(self.process,))
+        return self.references[-1]
+
+    def start(self, duration: float = DURATION) -> object:
+        """Send a goal and wait until it moves."""
+        handle = self.send(duration=duration)
+
+        def moving() -> bool:
+            self.show(PLACES)
+            self.tick(answered=False)
+            return bool(self.references)
+
+        spin_until(self.node, moving, message="the first reference", processes=(self.process,))
+        return handle
+
+    def result(self, handle: object, ticks: bool = True) -> tuple[int, Reproduce.Result]:
+        """The status and the result of a goal."""
+        future = handle.get_result_async()  # type: ignore[attr-defined]
+
+        def done() -> bool:
+            if ticks:
+                self.tick(answered=False)
+            return future.done()
+
+        spin_until(self.node, done, message="the result", processes=(self.process,))
+        return future.result().status, future.result().result
+
+
+@pytest.fixture(scope="module")
+def process(start_module_process: StartProcess, model_file: Path) -> RunningProcess:
+    return start_module_process(
+        NODE, *ros_arguments(task_file=TASK_FILE, model_file=model_file, start_timeout=0.5, settle_time=0.1)
+    )
+
+
+@pytest.fixture(scope="module")
+def inactive(module_node: Node, process: RunningProcess) -> Player:
+    assert change_state(module_node, NODE, CONFIGURE)
+    player = Player(module_node, process)
+    player.wait_until_heard()
+    return player
+
+
+@pytest.fixture
+def player(module_node: Node, inactive: Player) -> Iterator[Player]:
+    assert change_state(module_node, NODE, ACTIVATE)
+    yield inactive
+    assert change_state(module_node, NODE, DEACTIVATE)
+
+
+def means(references: list[Reference]) -> np.ndarray:
+    return np.array([reference.gaussian.mean for reference in references])
+
+
+def test_a_goal_to_a_node_that_is_not_active_is_aborted_with_the_reason(inactive: Player) -> None:
+    status, result = inactive.result(inactive.send(), ticks=False)
+    assert status == GoalStatus.STATUS_ABORTED
+    assert not result.success and "not active" in result.reason
+    assert not inactive.references
+
+
+def test_a_movement_is_reproduced_with_one_reference_per_joint_state_and_ends_where_the_model_says(
+    player: Player, model_file: Path
+) -> None:
+    handle = player.start()
+    first = len(player.references) - 1
+    while player.references[-1].phase < 1.0:
+        player.tick()
+    seconds = 1e-9 * np.array([conversions.time_to_ns(item.header.stamp) for item in player.references[first:]])
+    phases = np.array([reference.phase for reference in player.references[first:]])
+    assert phases[0] < 0.1
+    np.testing.assert_allclose(np.diff(phases)[:-1], np.diff(seconds)[:-1] / DURATION, atol=1e-6)
+    status, result = player.result(handle)
+    assert status == GoalStatus.STATUS_SUCCEEDED and result.success
+    assert result.final_position_error < 1e-3 and result.final_orientation_error < 1e-2
+    assert player.feedback and set(player.feedback[-1].frames) == set(PLACES)
+    assert 0.0 < player.feedback[-1].phase <= 1.0
+    last = player.references[-1]
+    assert last.header.frame_id == "base" and set(last.frames) == set(PLACES)
+    assert last.gaussian.manifold == "R3 x S3" and sum(last.activations) == pytest.approx(1.0)
+
+    model = TPGMM.load(model_file)
+    frames = {name: Frame.from_pose(pose[:3], pose[3:]).with_time() for name, pose in PLACES.items()}
+    expected = model.adapt(frames).condition([0], [model.metadata_["duration_s"]])
+    np.testing.assert_allclose(POSE.log(expected.mean, np.array(last.gaussian.mean)), 0.0, atol=1e-4)
+
+
+def test_a_frame_that_is_never_seen_is_named_and_nothing_moves(player: Player) -> None:
+    player.show({**PLACES, "target": None})
+    status, result = player.result(player.send())
+    assert status == GoalStatus.STATUS_ABORTED and not result.success
+    assert "target" in result.reason and "object" not in result.reason
+    assert not player.references
+
+
+def test_a_model_file_that_is_none_aborts_the_goal_with_the_reason(player: Player, tmp_path: Path) -> None:
+    foreign = tmp_path / "foreign.tpgmm"
+    foreign.write_bytes(b"no model at all")
+    for path in (foreign, tmp_path / "nowhere.tpgmm"):
+        status, result = player.result(player.send(str(path)))
+        assert status == GoalStatus.STATUS_ABORTED and not result.success
+        assert path.name in result.reason
+
+
+def test_a_canceled_movement_stops_where_it_is(player: Player) -> None:
+    handle = player.start()
+    for _ in range(40):
+        player.tick()
+    result_of(player.node, handle.cancel_goal_async(), "the cancel request")  # type: ignore[attr-defined]
+    status, result = player.result(handle)
+    assert status == GoalStatus.STATUS_CANCELED and "cancel" in result.reason
+    stopped = len(player.references)
+    for _ in range(20):
+        player.tick()
+    np.testing.assert_allclose(np.ptp(means(player.references[stopped:]), axis=0), 0.0, atol=1e-9)
+    assert player.references[-1].phase < 1.0
+
+
+def test_a_frame_that_disappears_and_comes_back_makes_no_jump_and_the_references_say_who_took_part(
+    player: Player,
+) -> None:
+    player.start(duration=10.0)
+    for visible in (PLACES, {**PLACES, "object": None}, PLACES):
+        player.show(visible)
+        for _ in range(60):
+            player.tick()
+    used = [set(reference.frames) for reference in player.references]
+    assert {"target", "robot"} in used and used[0] == used[-1] == set(PLACES)
+    # Neither the position nor its velocity jumps, in m per tick of 5 ms
+    path = means(player.references[2:])[:, :3]
+    assert np.abs(np.diff(path, axis=0)).max() < 2e-3
+    assert np.abs(np.diff(path, n=2, axis=0)).max() < 3e-4
+
+
+def test_task_parameters_of_another_size_are_refused_and_those_before_stay_in_use(player: Player) -> None:
+    player.start()
+
+    def refused() -> bool:
+        player.show_wrong()
+        player.tick()
+        return "task parameters refused" in player.process.output
+
+    spin_until(player.node, refused, message="the refusal in the log")
+    assert set(player.tick().frames) == set(PLACES)  # type: ignore[union-attr]
+    player.show(PLACES)
+
+
+def test_a_deactivated_node_ends_its_movement_with_the_reason_and_sends_no_more_references(player: Player) -> None:
+    handle = player.start()
+    assert change_state(player.node, NODE, DEACTIVATE)
+    status, result = player.result(handle)
+    assert status == GoalStatus.STATUS_ABORTED and "deactivated" in result.reason
+    sent = len(player.references)
+    for _ in range(20):
+        player.tick(answered=False)
+    assert len(player.references) == sent
+    assert change_state(player.node, NODE, ACTIVATE)
+
+
+def test_models_are_loaded_on_request_and_not_while_a_movement_goes_on(
+    player: Player, model_file: Path, tmp_path: Path
+) -> None:
+    def load(path: Path) -> LoadModel.Response:
+        return call(player.node, LoadModel, "load_model", LoadModel.Request(path=str(path)))
+
+    refused = load(tmp_path / "nowhere.tpgmm")
+    assert not refused.success and "nowhere.tpgmm" in refused.reason
+    assert load(model_file).success
+    player.start()
+    refused = load(model_file)
+    assert not refused.success and "movement" in refused.reason
+
+
+def test_parameters_out_of_range_are_refused_with_the_reason(player: Player) -> None:
+    result = set_parameters(player.node, NODE, blend_time=-1.0)
+    assert not result.successful and "blend_time" in result.reason
+    assert not set_parameters(player.node, NODE, model_file="other.tpgmm").successful
