@@ -3,42 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tpgmm_core import kernels_em
-from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
+from tpgmm_core.samples import Samples
+
+__all__ = ["MIN_ITERATIONS", "Estimate", "Parameters", "Progress", "Samples", "expectation_maximisation"]
 
 MIN_ITERATIONS = 5  # the gain of the first iterations may be small on a plateau
 
 Progress = Callable[[int, float], None]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Samples:
-    """What all frames saw.
-
-    manifolds : name → manifold of the frame's view
-    X : name → shape (N, D_j), finite
-    seen : shape (P, N)
-    times : shape (N,), s
-    lengths : samples per demonstration
-    """
-
-    manifolds: Mapping[str, Manifold]
-    X: Mapping[str, Array]
-    seen: NDArray[np.bool_]
-    times: Array
-    lengths: Sequence[int]
-
-    @property
-    def n_samples(self) -> int:
-        """N."""
-        return self.seen.shape[1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,16 +9,17 @@ from os import PathLike
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tpgmm_core import initialization, model_file
 from tpgmm_core.adaptation import Adapter
 from tpgmm_core.demonstration import Demonstration
-from tpgmm_core.estimation import Estimate, Parameters, Progress, Samples, expectation_maximisation
+from tpgmm_core.estimation import Estimate, Parameters, Progress, expectation_maximisation
 from tpgmm_core.frame import Frame
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
+from tpgmm_core.samples import Samples, view_manifold
 
 
 class TPGMM:
@@ -107,26 +108,8 @@ class TPGMM:
         progress is called with (iteration, log-likelihood per sample). Raises ValueError for demonstrations
         that do not agree in dimensions or frames, and for data that the constructor arguments do not fit.
         """
-        demonstrations = list(demonstrations)
-        if not demonstrations:
-            raise ValueError("fit needs at least one demonstration")
-        names = list(demonstrations[0].frames)
-        D = demonstrations[0].data.shape[1]
-        for i, demonstration in enumerate(demonstrations):
-            if set(demonstration.frames) != set(names):
-                raise ValueError(
-                    f"demonstration {i} has the frames {sorted(demonstration.frames)}, 0 has {sorted(names)}"
-                )
-            if demonstration.data.shape[1] != D:
-                raise ValueError(f"demonstration {i} has {demonstration.data.shape[1]} dimensions, 0 has {D}")
-        views = [demonstration.projected() for demonstration in demonstrations]
-        for name in names:
-            if len({view[name].shape[1] for view in views}) > 1:
-                raise ValueError(f"frame {name!r} has views of different dimensions in different demonstrations")
-        X = {name: np.concatenate([view[name] for view in views]) for name in names}
-        seen = np.stack([np.concatenate([d.is_visible(name) for d in demonstrations]) for name in names])
-        times = np.concatenate([d.times for d in demonstrations])
-        return self._fit(X, seen, times, [len(d.times) for d in demonstrations], D, progress)
+        self._check_parameters()
+        return self._fit(Samples.from_demonstrations(demonstrations, self.manifold), progress)
 
     def fit_projected(
         self,
@@ -140,47 +123,12 @@ class TPGMM:
         the time is the first dimension of the first frame; for "bins" all samples are one demonstration.
         Raises ValueError for shapes that do not fit.
         """
-        if not X:
-            raise ValueError("fit_projected needs the data of at least one frame")
-        arrays = {name: np.array(x, dtype=float) for name, x in X.items()}
-        first = next(iter(arrays.values()))
-        for name, x in arrays.items():
-            if x.ndim != 2 or len(x) != len(first) or x.size == 0:
-                raise ValueError(f"data has shape (N, D_j) with the same N > 0 in all frames, {name!r} has {x.shape}")
-        masks = {name: np.asarray(mask) for name, mask in (visible or {}).items()}
-        for name, mask in masks.items():
-            if name not in arrays or mask.shape != (len(first),) or mask.dtype != np.bool_:
-                raise ValueError(
-                    f"visible is frame name → bool mask ({len(first)},), got {name!r}: {mask.dtype} {mask.shape}"
-                )
-        seen = np.stack([masks.get(name, np.ones(len(first), dtype=bool)) for name in arrays])
-        D = max(x.shape[1] for x in arrays.values())
-        return self._fit(arrays, seen, first[:, 0], [len(first)], D, progress)
-
-    def _fit(
-        self,
-        X: dict[str, Array],
-        seen: NDArray[np.bool_],
-        times: Array,
-        lengths: Sequence[int],
-        D: int,
-        progress: Progress | None,
-    ) -> Self:
         self._check_parameters()
-        manifold = self.manifold if isinstance(self.manifold, Manifold) else Manifold.parse(self.manifold, D)
-        manifolds: dict[str, Manifold] = {}
-        for j, (name, x) in enumerate(X.items()):
-            if not seen[j].any():
-                raise ValueError(f"frame {name!r} was never seen: leave it out")
-            if not np.all(np.isfinite(x[seen[j]])):
-                raise ValueError(f"the data of frame {name!r} must be finite where it is visible")
-            x[~seen[j]] = x[seen[j]][0]  # any point of the space: its weight is zero
-            manifolds[name] = _view_manifold(manifold, x.shape[1])
-            if x.shape[1] != manifolds[name].dim:
-                raise ValueError(f"on {manifold} every frame has {manifold.dim} dimensions, {name!r} has {x.shape[1]}")
-        if len(times) < self.n_components:
-            raise ValueError(f"{self.n_components} components need at least as many samples, got {len(times)}")
-        samples = Samples(manifolds, X, seen, times, lengths)
+        return self._fit(Samples.from_projected(X, visible, self.manifold), progress)
+
+    def _fit(self, samples: Samples, progress: Progress | None) -> Self:
+        if samples.n_samples < self.n_components:
+            raise ValueError(f"{self.n_components} components need at least as many samples, got {samples.n_samples}")
         estimate = expectation_maximisation(
             samples,
             self._start(samples),
@@ -190,7 +138,7 @@ class TPGMM:
             max_iter=self.max_iter,
             progress=progress,
         )
-        self._learned(estimate, manifold)
+        self._learned(estimate, samples.manifold)
         return self
 
     def _learned(self, estimate: Estimate, manifold: Manifold) -> None:
@@ -210,7 +158,7 @@ class TPGMM:
     @property
     def frame_manifolds_(self) -> dict[str, Manifold]:
         """Name → space of the frame's view."""
-        return {name: _view_manifold(self.manifold_, mean.shape[1]) for name, mean in self.means_.items()}
+        return {name: view_manifold(self.manifold_, mean.shape[1]) for name, mean in self.means_.items()}
 
     def _check_parameters(self) -> None:
         for name, lowest in (("n_components", 1), ("max_iter", 1)):
@@ -302,8 +250,3 @@ class TPGMM:
         model.dimensions_ = contents.dimensions
         model.metadata_ = dict(contents.metadata)
         return model
-
-
-def _view_manifold(manifold: Manifold, D_j: int) -> Manifold:
-    """Space of what a frame sees: R^D_j on Euclidean data, else that of the data."""
-    return Manifold.euclidean(D_j) if manifold.is_euclidean else manifold
