@@ -9,12 +9,48 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
+from tpgmm_core.samples import Samples
 
 Labels = NDArray[np.intp]
+
+
+def assignments(
+    samples: Samples,
+    init: str | ArrayLike,
+    n_components: int,
+    random_state: int | np.random.Generator | None,
+    n_starts: int = 5,
+) -> Labels:
+    """The component (N,) of each sample that `init` asks for: "time", "bins", "kmeans", or the labels themselves.
+
+    n_starts : of k-means. Raises ValueError where that leaves a component without samples, and for labels
+    that do not fit.
+    """
+    if not isinstance(init, str):
+        labels = np.asarray(init)
+        if labels.shape != (samples.n_samples,) or labels.dtype.kind not in "iu" or labels.max() >= n_components:
+            raise ValueError(
+                f"labels are integers ({samples.n_samples},) from 0 to {n_components - 1}, or -1 for none; "
+                f"got {labels.dtype} {labels.shape}, the largest {labels.max(initial=-1)}"
+            )
+        labels = labels.astype(np.intp)
+    elif init == "time":
+        labels = time_bins(samples.times, n_components)
+    elif init == "bins":
+        labels = equal_bins(samples.lengths, n_components)
+    elif init == "kmeans":
+        points = joint_points(list(samples.manifolds.values()), list(samples.X.values()), samples.seen)
+        labels = kmeans(points, n_components, random_state, n_starts)
+    else:
+        raise ValueError(f'init is "time", "bins", "kmeans" or an array of labels, got {init!r}')
+    counts = np.bincount(labels[labels >= 0], minlength=n_components)
+    if counts.min() == 0:
+        raise ValueError(f"the start leaves component {np.argmin(counts)} without samples: take fewer components")
+    return labels
 
 
 def time_bins(times: Array, n_components: int) -> Labels:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from typing import Any, Self
 
@@ -29,14 +29,15 @@ class TPGMM:
     ----------
     n_components : K
     init : "time" (bins of equal width between the first and the last time), "bins" (every demonstration cut
-        into K parts of equal counts), "kmeans" (k-means++ on all frames' views side by side), or a fitted
-        TPGMM
+        into K parts of equal counts), "kmeans" (k-means++ on all frames' views side by side), the component of
+        every sample, integers (N,) (such as `DPMeans.labels_`), or a fitted TPGMM
     reg_covar : added to the diagonal of the covariances, in squared units of the data
     tol : EM stops when an iteration gains less, in log-likelihood per sample
     max_iter : most iterations of EM
-    random_state : seed or generator for "kmeans"
+    random_state : seed or generator for "kmeans" and for restarts
     manifold : space of the data, e.g. "R1 x R3 x S3"; "euclidean" is R^D for any D, also different per frame
     regularization : "add", or "prior", whose objective never falls: see `expectation_maximisation`
+    n_init : starts of EM, of which the one with the best objective counts: `init`, then k-means by chance
 
     Attributes after fitting
     ------------------------
@@ -63,13 +64,14 @@ class TPGMM:
     def __init__(
         self,
         n_components: int = 3,
-        init: str | TPGMM = "time",
+        init: str | ArrayLike | TPGMM = "time",
         reg_covar: float = 1e-4,
         tol: float = 1e-5,
         max_iter: int = 100,
         random_state: int | np.random.Generator | None = 0,
         manifold: str | Manifold = "euclidean",
         regularization: str = "add",
+        n_init: int = 1,
     ) -> None:
         self.n_components = n_components
         self.init = init
@@ -79,6 +81,7 @@ class TPGMM:
         self.random_state = random_state
         self.manifold = manifold
         self.regularization = regularization
+        self.n_init = n_init
 
     @classmethod
     def _parameter_names(cls) -> list[str]:
@@ -129,16 +132,26 @@ class TPGMM:
     def _fit(self, samples: Samples, progress: Progress | None) -> Self:
         if samples.n_samples < self.n_components:
             raise ValueError(f"{self.n_components} components need at least as many samples, got {samples.n_samples}")
-        estimate = expectation_maximisation(
-            samples,
-            self._start(samples),
-            reg_covar=self.reg_covar,
-            regularization=self.regularization,
-            tol=self.tol,
-            max_iter=self.max_iter,
-            progress=progress,
-        )
-        self._learned(estimate, samples.manifold)
+        estimates: list[Estimate] = []
+        failure: ValueError | None = None
+        for start in self._starts(samples):
+            try:
+                estimate = expectation_maximisation(
+                    samples,
+                    start,
+                    reg_covar=self.reg_covar,
+                    regularization=self.regularization,
+                    tol=self.tol,
+                    max_iter=self.max_iter,
+                    progress=progress,
+                )
+                estimates.append(estimate)
+            except ValueError as error:  # a start may end in a subspace, others not
+                failure = error
+        if not estimates:
+            assert failure is not None
+            raise failure
+        self._learned(max(estimates, key=lambda e: e.objectives[-1]), samples.manifold)
         return self
 
     def _learned(self, estimate: Estimate, manifold: Manifold) -> None:
@@ -161,7 +174,7 @@ class TPGMM:
         return {name: view_manifold(self.manifold_, mean.shape[1]) for name, mean in self.means_.items()}
 
     def _check_parameters(self) -> None:
-        for name, lowest in (("n_components", 1), ("max_iter", 1)):
+        for name, lowest in (("n_components", 1), ("max_iter", 1), ("n_init", 1)):
             value = getattr(self, name)
             if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < lowest:
                 raise ValueError(f"{name} is an integer from {lowest}, got {value!r}")
@@ -171,24 +184,24 @@ class TPGMM:
                 raise ValueError(f"{name} is a finite number from 0, got {value!r}")
         if self.regularization not in ("add", "prior"):
             raise ValueError(f'regularization is "add" or "prior", got {self.regularization!r}')
-        if not isinstance(self.init, TPGMM) and self.init not in ("time", "bins", "kmeans"):
-            raise ValueError(f'init is "time", "bins", "kmeans" or a fitted TPGMM, got {self.init!r}')
+        if isinstance(self.init, str) and self.init not in ("time", "bins", "kmeans"):
+            raise ValueError(f'init is "time", "bins", "kmeans", labels or a fitted TPGMM, got {self.init!r}')
 
-    def _start(self, samples: Samples) -> Parameters:
+    def _starts(self, samples: Samples) -> Iterator[Parameters]:
+        """The start that `init` asks for; then those of single runs of k-means, each from centres of its own."""
+        rng = np.random.default_rng(self.random_state)
         if isinstance(self.init, TPGMM):
-            return self._start_from(self.init, samples)
-        K = self.n_components
-        if self.init == "time":
-            labels = initialization.time_bins(samples.times, K)
-        elif self.init == "bins":
-            labels = initialization.equal_bins(samples.lengths, K)
+            yield self._start_from(self.init, samples)
         else:
-            views = list(samples.X.values())
-            points = initialization.joint_points(list(samples.manifolds.values()), views, samples.seen)
-            labels = initialization.kmeans(points, K, self.random_state)
+            yield self._start(samples, initialization.assignments(samples, self.init, self.n_components, rng))
+        for _ in range(1, self.n_init):
+            yield self._start(
+                samples, initialization.assignments(samples, "kmeans", self.n_components, rng, n_starts=1)
+            )
+
+    def _start(self, samples: Samples, labels: initialization.Labels) -> Parameters:
+        K = self.n_components
         counts = np.bincount(labels[labels >= 0], minlength=K)
-        if counts.min() == 0:
-            raise ValueError(f"the start leaves component {np.argmin(counts)} without samples: take fewer components")
         means, covariances = {}, {}
         for (name, x), mask in zip(samples.X.items(), samples.seen, strict=True):
             means[name], covariances[name] = initialization.moments(
