@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-from setuptools import setup
+from setuptools import find_packages, setup
 
 package_name = "tpgmm_core"
 
@@ -10,7 +10,7 @@ setup(
     maintainer="tpgmm maintainers",
     maintainer_email="maintainers@users.noreply.h-seed-91c8a9ef.example",
     license="Apache-2.0",
-    packages=[package_name],
+    packages=find_packages(exclude=["test"]),
     package_data={package_name: ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),

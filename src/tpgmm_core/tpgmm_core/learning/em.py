@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""EM of a mixture over `Emissions`: any covariance structure, with the rules of `tpgmm_core.estimation`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from tpgmm_core.estimation import MIN_ITERATIONS, Progress, Samples
+from tpgmm_core.learning.emissions import Emissions
+from tpgmm_core.quaternion import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MixtureEstimate:
+    """Result of EM: priors (K,), components, and the course of the log-likelihood and objective per sample."""
+
+    priors: Array
+    emissions: Emissions
+    log_likelihoods: Array
+    objectives: Array
+    converged: bool
+
+
+def expectation(priors: Array, emissions: Emissions, samples: Samples) -> tuple[Array, float]:
+    """E-step: responsibilities (N, K) and the log-likelihood of all samples together."""
+    log_joint = emissions.log_density(samples)
+    log_joint += np.log(np.maximum(priors, np.finfo(float).tiny))
+    log_likelihoods = logsumexp(log_joint, axis=1)
+    log_joint -= log_likelihoods[:, None]
+    return np.exp(log_joint, out=log_joint), float(log_likelihoods.sum())
+
+
+def fit_mixture(
+    samples: Samples,
+    priors: Array,
+    emissions: Emissions,
+    *,
+    tol: float,
+    max_iter: int,
+    progress: Progress | None = None,
+) -> MixtureEstimate:
+    """EM from the given start until an iteration gains less than `tol`, at the earliest after 5 iterations.
+
+    The objective is the log-likelihood less `Emissions.penalty`, per sample, taken before each M-step.
+    Raises ValueError when a covariance loses its definiteness.
+    """
+    N = samples.n_samples
+    log_likelihoods: list[float] = []
+    objectives: list[float] = []
+    converged = False
+    for iteration in range(1, max_iter + 1):
+        responsibilities, log_likelihood = expectation(priors, emissions, samples)
+        log_likelihoods.append(log_likelihood / N)
+        objectives.append((log_likelihood - emissions.penalty()) / N)
+        priors = responsibilities.sum(axis=0) / N
+        emissions = emissions.maximised(samples, responsibilities)
+        if progress is not None:
+            progress(iteration, log_likelihoods[-1])
+        if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < tol:
+            converged = True
+            break
+    return MixtureEstimate(priors, emissions, np.array(log_likelihoods), np.array(objectives), converged)
