@@ -12,7 +12,7 @@ from tpgmm_core import kernels_em
 from tpgmm_core.quaternion import Array
 from tpgmm_core.samples import Samples
 
-__all__ = ["MIN_ITERATIONS", "Estimate", "Parameters", "Progress", "Samples", "expectation_maximisation"]
+__all__ = ["MIN_ITERATIONS", "Estimate", "Parameters", "Progress", "Samples", "Workspace", "expectation_maximisation"]
 
 MIN_ITERATIONS = 5  # the gain of the first iterations may be small on a plateau
 
@@ -59,14 +59,14 @@ def expectation_maximisation(
 
     Raises ValueError when a covariance loses its definiteness.
     """
-    state = _State(samples, start)
+    state = Workspace(samples, start)
     K = len(start.priors)
     added = reg_covar if regularization == "add" else 0.0
     prior_scatter = 0.0 if regularization == "add" else reg_covar * samples.n_samples / K
     log_likelihoods: list[float] = []
     objectives: list[float] = []
     converged = False
-    state.check(kernels_em.factorise(state.layout, state.covariances, state.factors, state.log_norms))
+    state.factorise()
     for iteration in range(1, max_iter + 1):
         log_likelihood, objective, failed = state.iterate(added, prior_scatter)
         state.check(failed)
@@ -80,8 +80,8 @@ def expectation_maximisation(
     return Estimate(state.parameters(), np.array(log_likelihoods), np.array(objectives), converged)
 
 
-class _State:
-    """Arrays in the arrangement of `kernels_em`."""
+class Workspace:
+    """Samples and parameters in the arrangement of `kernels_em`, for whatever iterates over them."""
 
     def __init__(self, samples: Samples, start: Parameters) -> None:
         self.names = list(samples.X)
@@ -118,6 +118,18 @@ class _State:
             self.responsibilities, added, prior_scatter,
         )  # fmt: skip
         return result
+
+    def expectation(self) -> float:
+        """The E-step alone, with the factors and normalisations as they are: the sum of the log-likelihoods."""
+        result: float = kernels_em.expectation(
+            self.X, self.seen, self.layout, self.flat, self.spheres, self.log_priors, self.means,
+            self.factors, self.log_norms, self.counts, self.first, self.second, self.responsibilities,
+        )  # fmt: skip
+        return result
+
+    def factorise(self) -> None:
+        """Factors and normalisations of the covariances. Raises ValueError for one that is not definite."""
+        self.check(kernels_em.factorise(self.layout, self.covariances, self.factors, self.log_norms))
 
     def check(self, failed: int) -> None:
         """Raise for what `kernels_em.factorise` found."""
