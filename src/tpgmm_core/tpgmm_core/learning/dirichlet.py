@@ -81,6 +81,7 @@ class DirichletTPGMM(TPGMM):
         T = self.n_components
         if samples.n_samples < T:
             raise ValueError(f"{T} components need at least as many samples, got {samples.n_samples}")
+        assert not isinstance(self.init, TPGMM)
         labels = initialization.assignments(samples, self.init, T, self.random_state)
         posterior = _Posterior(self, samples, labels)
         objectives: list[float] = []
