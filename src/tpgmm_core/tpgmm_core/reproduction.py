@@ -115,11 +115,9 @@ class Reproduction:
         if state is None and frames is self._frames and weights is self._weights:
             means, covariances, activations = self._adapter.condition(times)
         else:
-            former = self._former_mean(times[:1])
+            former = self._former_means(times)
             means, covariances, activations = self._adapter.adapt_and_condition(frames, times, weights, state)
-            if former is not None:
-                # The reference stays where the former frames had it; from there the offset dies out.
-                self._offset = self.manifold.log(means[0], former)
+            self._take_over(former, means)
             self._frames, self._weights = frames, weights
         covariance = self._blend_covariance(covariances[0], since)
         gaussians = [
@@ -135,11 +133,28 @@ class Reproduction:
             frames=tuple(frames),
         )
 
-    def _former_mean(self, times: Array) -> Array | None:
-        """Where the frames of the last step would have the reference now; None at the first step."""
+    def _former_means(self, times: Array) -> list[Array]:
+        """Where the frames of the last step would have the reference now, and at the next Gaussian of the horizon."""
         if self._frames is None:
-            return None
-        return self.manifold.exp(self._adapter.condition(times)[0][0], self._offset)
+            return []
+        means = self._adapter.condition(times[:2])[0]
+        return [
+            self.manifold.exp(mean, self._offset_after(ahead)[0])
+            for mean, ahead in zip(means, self._ahead[:2], strict=True)
+        ]
+
+    def _take_over(self, former: list[Array], means: Array) -> None:
+        """Let the offset begin such that the reference goes on as the former frames had it, and dies out from there.
+
+        It does so in place and, as far as the horizon tells, in velocity.
+        """
+        offsets = [self.manifold.log(mean, one) for mean, one in zip(means, former, strict=False)]
+        if offsets:
+            self._offset = offsets[0]
+        if len(offsets) > 1:
+            rate, ahead = 1.0 / self._blend_time, self._ahead[1]
+            slope = (math.exp(rate * ahead) * offsets[1] - offsets[0]) / ahead
+            self._offset_rate = slope - rate * offsets[0]
 
     def _offset_after(self, seconds: float) -> tuple[Array, Array]:
         """Offset and its rate after a time: the exact solution of the critically damped spring."""

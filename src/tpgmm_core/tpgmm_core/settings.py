@@ -11,6 +11,7 @@ class SomeConfig:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields
 from typing import Any
 
@@ -34,6 +35,19 @@ def setting_of(item: Field[Any]) -> Setting:
     """What ``setting`` was told of a field."""
     known: Setting = item.metadata["setting"]
     return known
+
+
+def configured[ConfigT](config: type[ConfigT], values: Mapping[str, Any]) -> ConfigT:
+    """A dataclass of settings with some of them given by name, as files give them.
+
+    Raises:
+        ValueError: an unknown name, or a value out of its range.
+    """
+    known = [item.name for item in fields(config)]  # type: ignore[arg-type]
+    unknown = [name for name in values if name not in known]
+    if unknown:
+        raise ValueError(f"unknown settings {', '.join(unknown)}; known are {', '.join(known)}")
+    return config(**values)
 
 
 def check_settings(config: Any) -> None:

@@ -20,9 +20,7 @@ def activated(node: LifecycleNode) -> list[LaunchDescriptionEntity]:
     """Start a lifecycle node, then configure and activate it."""
 
     def change_state(transition: int) -> EmitEvent:
-        return EmitEvent(
-            event=ChangeState(lifecycle_node_matcher=matches_action(node), transition_id=transition)
-        )
+        return EmitEvent(event=ChangeState(lifecycle_node_matcher=matches_action(node), transition_id=transition))
 
     # Only on the way up: a node that someone deactivates stays inactive
     activate_once_configured = RegisterEventHandler(

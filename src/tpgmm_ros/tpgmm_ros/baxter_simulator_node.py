@@ -57,7 +57,7 @@ class BaxterSimulatorNode(Node):
     def __init__(self) -> None:
         super().__init__("baxter_simulator")
         self.parameters = Parameters(self, PARAMETERS)
-        self.robot = RobotModel.from_file(self.parameters["robot_file"])
+        self.robot = RobotModel.from_file(self.parameters.file("robot_file"))
         self.time_step = 1.0 / self.parameters["rate"]
         self.simulator = RobotSimulator(self.robot, time_step=self.time_step)
         self._data = self.robot.create_data()

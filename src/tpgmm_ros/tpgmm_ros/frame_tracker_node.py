@@ -35,7 +35,7 @@ class FrameTrackerNode(Node):
     def __init__(self) -> None:
         super().__init__("frame_tracker")
         parameters = Parameters(self, PARAMETERS)
-        self.task = Task.load(parameters["task_file"])
+        self.task = Task.load(parameters.file("task_file"))
         self.tracker = FrameTracker(
             self.task.topics,
             fixed={name: spec.pose for name, spec in self.task.frames.items() if spec.pose is not None},

@@ -64,8 +64,9 @@ class ImpedanceControllerNode(ManagedNode):
     # -- lifecycle ----------------------------------------------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        super().on_configure(state)
         try:
-            self.robot = RobotModel.from_file(self.parameters["robot_file"])
+            self.robot = RobotModel.from_file(self.parameters.file("robot_file"))
             self.controller = ImpedanceController(
                 self.robot, self.parameters["endpoint"], self.parameters.fill(ImpedanceConfig)
             )
@@ -107,6 +108,10 @@ class ImpedanceControllerNode(ManagedNode):
             return
         try:
             reference = conversions.reference(message)
+            if message.header.frame_id not in ("", self.robot.base_frame):
+                raise MessageError(
+                    f"the reference is expressed in '{message.header.frame_id}'; expected '{self.robot.base_frame}'"
+                )
             if str(reference.gaussian.manifold) != "R3 x S3":
                 raise MessageError(f"the reference is on '{reference.gaussian.manifold}'; expected a pose on 'R3 x S3'")
         except MessageError as error:

@@ -3,9 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from lifecycle_msgs.srv import ChangeState
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
+from rclpy.publisher import Publisher
 
 
 class ManagedNode(LifecycleNode):
@@ -18,6 +22,7 @@ class ManagedNode(LifecycleNode):
         super().__init__(name)
         self._follow = self._service_change_state.callback
         self._service_change_state.callback = self._change_state
+        self._own: set[int] = set()
 
     def _change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
         try:
@@ -28,6 +33,33 @@ class ManagedNode(LifecycleNode):
             self.get_logger().error(f"transition {asked} refused: the state '{state}' does not have it")
             response.success = False
             return response
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """To be called first: what is created from here on is what ``on_cleanup`` takes away."""
+        self._own = {id(entity) for _, entities in self._entities() for entity in entities}
+        return super().on_configure(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Topics, services and timers go as they came: configured again, the node has each of them once."""
+        for destroy, entities in self._entities():
+            for entity in entities:
+                if id(entity) not in self._own:
+                    destroy(entity)
+        return super().on_cleanup(state)
+
+    def _entities(self) -> list[tuple[Callable[[Any], object], list[Any]]]:
+        return [
+            (self._destroy_publisher, list(self.publishers)),
+            (self.destroy_subscription, list(self.subscriptions)),
+            (self.destroy_timer, list(self.timers)),
+            (self.destroy_service, list(self.services)),
+        ]
+
+    def _destroy_publisher(self, publisher: Publisher) -> None:
+        if isinstance(publisher, LifecyclePublisher):
+            self.destroy_lifecycle_publisher(publisher)
+        else:
+            self.destroy_publisher(publisher)
 
     def start_itself(self) -> None:
         """Configure and activate without a lifecycle manager.

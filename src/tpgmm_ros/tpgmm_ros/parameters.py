@@ -87,6 +87,17 @@ class Parameters:
         node.add_on_set_parameters_callback(self._refuse)
         node.add_post_set_parameters_callback(self._take)
 
+    def file(self, name: str) -> str:
+        """The value of a parameter that names a file.
+
+        Raises:
+            ValueError: it is not set.
+        """
+        value = str(self[name])
+        if not value:
+            raise ValueError(f"the parameter {name} is not set: give it the path of a file (-p {name}:=PATH)")
+        return value
+
     def __getitem__(self, name: str) -> Any:
         return self._values[name]
 

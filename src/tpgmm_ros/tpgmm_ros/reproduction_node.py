@@ -15,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
@@ -22,6 +23,7 @@ from visualization_msgs.msg import MarkerArray
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.execution import Execution, ExecutionConfig, Outcome, Stage
 from tpgmm_core.reproduction import Reproduction
+from tpgmm_core.tracking import check_pose
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
@@ -47,6 +49,8 @@ PARAMETERS = [
     Declared("blend_time", 0.15, "Time constant with which moved or lost frames are taken over, s", 0.001, 5.0),
     *declared_of(ExecutionConfig),
 ]
+WATCH_PERIOD = 0.5  # s
+TRACKER_TIMEOUT = 1.0  # s
 FEEDBACK_PERIOD_NS = 100_000_000
 POSE_PERIOD_NS = 33_000_000
 MARKER_PERIOD_NS = 100_000_000
@@ -67,6 +71,10 @@ class ReproductionNode(ManagedNode):
         self._weights: dict[str, float] = {}
         self._pose: Any = None
         self._last_ns = 0
+        # Ticks that stop, and a tracker that stopped, are noticed by a clock that does not stop.
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._stepped_ns = 0
+        self._received_ns = 0
         self._due: dict[str, int] = {}
         if self.parameters["autostart"]:
             self.start_itself()
@@ -74,8 +82,9 @@ class ReproductionNode(ManagedNode):
     # -- lifecycle ----------------------------------------------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        super().on_configure(state)
         try:
-            self.task = Task.load(self.parameters["task_file"])
+            self.task = Task.load(self.parameters.file("task_file"))
             if self.parameters["model_file"]:
                 self.model = load_model(self.parameters["model_file"], self.task)
         except (ValueError, OSError) as error:
@@ -94,6 +103,7 @@ class ReproductionNode(ManagedNode):
             )
         else:
             self.create_subscription(JointState, "joint_states", self._take_joint_state, STREAM)
+        self.create_timer(WATCH_PERIOD, self._watch, clock=self._steady)
         self.create_service(LoadModel, "load_model", self._load_model)
         self._action = ActionServer(
             self,
@@ -116,9 +126,14 @@ class ReproductionNode(ManagedNode):
         self.execution = None
         return super().on_deactivate(state)
 
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._action.destroy()
+        return super().on_cleanup(state)
+
     # -- inputs -------------------------------------------------------------------------------------------------------
 
     def _take_task_parameters(self, message: TaskParameters) -> None:
+        self._received_ns = self._steady.now().nanoseconds
         # The same frames again, only observed later, are no change: the reproduction need not adapt to them anew.
         received = [(item.name, item.status, item.confidence, item.a, item.b) for item in message.frames]
         if received == self._received:
@@ -144,7 +159,11 @@ class ReproductionNode(ManagedNode):
         self._step(conversions.time_to_ns(message.header.stamp))
 
     def _take_pose(self, message: PoseStamped) -> None:
-        self._pose = conversions.pose_to_array(message.pose)
+        pose, reason = check_pose(conversions.pose_to_array(message.pose))
+        if pose is None:
+            self.get_logger().error(f"pose of the robot refused: {reason}", throttle_duration_sec=1.0)
+        else:
+            self._pose = pose
 
     def _load_model(self, request: LoadModel.Request, response: LoadModel.Response) -> LoadModel.Response:
         if self.execution is not None and self.execution.stage is not Stage.ENDED:
@@ -155,7 +174,8 @@ class ReproductionNode(ManagedNode):
         except (ValueError, OSError) as error:
             response.success, response.reason = False, str(error)
             return response
-        response.success, response.reason = True, f"loaded {request.path}"
+        self.get_logger().info(f"loaded {request.path}")
+        response.success, response.reason = True, ""
         return response
 
     # -- the action ---------------------------------------------------------------------------------------------------
@@ -168,6 +188,7 @@ class ReproductionNode(ManagedNode):
             return
         self._end("another movement was asked for")
         self.execution, self._goal = execution, goal
+        self._stepped_ns = self._steady.now().nanoseconds
         self._choose_frames()
 
     def _prepare(self, request: Reproduce.Goal) -> Execution:
@@ -197,6 +218,12 @@ class ReproductionNode(ManagedNode):
             finish(self._goal, self.execution.outcome)
             self._goal = None
 
+    def _watch(self) -> None:
+        """Ticks that do not come cannot notice it themselves."""
+        silence = 1e-9 * (self._steady.now().nanoseconds - self._stepped_ns)
+        if self._goal is not None and silence > self.parameters["start_timeout"]:
+            self._end(f"no joint states for {silence:.1f} s: is the robot running, and is the topic the right one?")
+
     # -- one step -----------------------------------------------------------------------------------------------------
 
     def _step(self, stamp_ns: int) -> None:
@@ -204,6 +231,7 @@ class ReproductionNode(ManagedNode):
         if execution is None or not self._active:
             return
         start = time.perf_counter()
+        self._stepped_ns = self._steady.now().nanoseconds
         if stamp_ns < self._last_ns:
             self.get_logger().warning("time jumped backwards")
             self._end("time jumped backwards")
@@ -249,6 +277,9 @@ class ReproductionNode(ManagedNode):
         values = {"stage": self.execution.stage.value, "frames": ", ".join(self._frames)}
         if reference is not None:
             values["phase"] = f"{reference.phase:.3f}"
+        silence = 1e-9 * (self._steady.now().nanoseconds - self._received_ns)
+        if silence > TRACKER_TIMEOUT:
+            return DiagnosticStatus.ERROR, f"no task parameters for {silence:.1f} s: is frame_tracker alive?", values
         missing = [name for name in self.execution.reproduction.model.frame_names_ if name not in self._frames]
         if missing:
             return DiagnosticStatus.WARN, f"reproducing without {', '.join(missing)}", values

@@ -24,6 +24,9 @@ from typing import Any
 
 import yaml
 
+from tpgmm_core.settings import configured
+from tpgmm_core.tracking import TrackingConfig
+
 MANIFOLD = "R1 x R3 x S3"
 """What a task file describes: time, position, orientation. 8 ambient numbers, 7 tangent numbers."""
 
@@ -140,7 +143,12 @@ def _frames(section: "_Section", movement: str) -> dict[str, TaskFrameSpec]:
 
 
 def _tracking(section: "_Section") -> dict[str, float]:
-    return {key: section.required(key, _number(0.0)) for key in section.values}
+    values = {key: section.required(key, _number(0.0)) for key in section.values}
+    try:
+        configured(TrackingConfig, values)
+    except ValueError as error:
+        raise section.error(str(error)) from error
+    return values
 
 
 def _model(section: "_Section") -> dict[str, Any]:

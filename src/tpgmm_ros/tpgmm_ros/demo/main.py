@@ -86,7 +86,7 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
         node.destroy_node()
         recorder.destroy_node()
         rclpy.shutdown()
-    report = evaluate(recording, world, robot.effort_limits, outcome)
+    report = evaluate(recording, world, robot.effort_limits, outcome, arguments.lockstep)
     pushed = disturbances.pushed(situation.object, np.inf)
     frames = {name: np.array(spec.pose) for name, spec in task.frames.items() if spec.pose is not None}
     frames |= {"object": pushed, "target": situation.target}

@@ -28,7 +28,7 @@ TICK = 0.001
 
 
 def evaluate(
-    recording: Recording, world: World, effort_limits: np.ndarray, outcome: tuple[bool, str]
+    recording: Recording, world: World, effort_limits: np.ndarray, outcome: tuple[bool, str], lockstep: bool
 ) -> dict[str, Any]:
     """The report of one run.
 
@@ -37,6 +37,7 @@ def evaluate(
         world: where things are at the end.
         effort_limits: (nv,), N m.
         outcome: what the action said.
+        lockstep: no tick was late, so that a jump has no excuse.
     """
     assert world.started_ns is not None
     position, angle = pose_error(world.grasp.object, world.situation.target)
@@ -45,12 +46,7 @@ def evaluate(
     hidden = world.disturbances.hide_start, world.disturbances.hide_start + world.disturbances.hide_duration
     lost = _largest_step(torque, world.started_ns, *hidden)
     back = _largest_step(torque, world.started_ns, hidden[1], hidden[1] + AFTERWARDS)
-    # The movement itself changes torques; a frame that is lost must not change them faster than that.
-    usual = max(
-        JUMP,
-        _largest_step(torque, world.started_ns, 0.0, hidden[0]),
-        _largest_step(torque, world.started_ns, hidden[1] + AFTERWARDS, math.inf),
-    )
+    usual = JUMP if lockstep else max(JUMP, _usual_step(torque, world.started_ns, hidden))
     share = float((np.abs(torque.values) / effort_limits).max())
     checks = {
         "the object was grasped": world.grasp.holds,
@@ -81,6 +77,12 @@ def evaluate(
         "outcome": outcome[1],
         "checks": checks,
     }
+
+
+def _usual_step(torque: Series, origin_ns: int, hidden: tuple[float, float]) -> float:
+    """Largest step, N m, while nothing was lost: where ticks come late, the movement itself makes larger ones."""
+    before = _largest_step(torque, origin_ns, 0.0, hidden[0])
+    return max(before, _largest_step(torque, origin_ns, hidden[1] + AFTERWARDS, math.inf))
 
 
 def _largest_step(torque: Series, origin_ns: int, start: float, end: float) -> float:
