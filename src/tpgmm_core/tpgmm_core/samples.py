@@ -44,11 +44,13 @@ class Samples:
         return self.seen.shape[1]
 
     @classmethod
-    def from_demonstrations(cls, demonstrations: Sequence[Demonstration], manifold: Manifold | str) -> Self:
+    def from_demonstrations(
+        cls, demonstrations: Sequence[Demonstration], manifold: Manifold | str, *, may_be_unseen: bool = False
+    ) -> Self:
         """Demonstrations, projected into their frames by Eq. (4), on the space of their data.
 
-        Raises ValueError for demonstrations that do not agree in dimensions or frames, and for data that do
-        not fit the manifold.
+        may_be_unseen : frames may be hidden all the time, as where a model is only tested. Raises ValueError for
+        demonstrations that do not agree in dimensions or frames, and for data that do not fit the manifold.
         """
         demonstrations = list(demonstrations)
         if not demonstrations:
@@ -69,7 +71,8 @@ class Samples:
         X = {name: np.concatenate([view[name] for view in views]) for name in names}
         seen = np.stack([np.concatenate([d.is_visible(name) for d in demonstrations]) for name in names])
         times = np.concatenate([d.times for d in demonstrations])
-        return cls._checked(X, seen, times, [len(d.times) for d in demonstrations], parsed(manifold, D))
+        lengths = [len(d.times) for d in demonstrations]
+        return cls._checked(X, seen, times, lengths, parsed(manifold, D), may_be_unseen)
 
     @classmethod
     def from_projected(
@@ -99,15 +102,22 @@ class Samples:
 
     @classmethod
     def _checked(
-        cls, X: dict[str, Array], seen: NDArray[np.bool_], times: Array, lengths: Sequence[int], manifold: Manifold
+        cls,
+        X: dict[str, Array],
+        seen: NDArray[np.bool_],
+        times: Array,
+        lengths: Sequence[int],
+        manifold: Manifold,
+        may_be_unseen: bool = False,
     ) -> Self:
         manifolds: dict[str, Manifold] = {}
         for j, (name, x) in enumerate(X.items()):
-            if not seen[j].any():
+            if not seen[j].any() and not may_be_unseen:
                 raise ValueError(f"frame {name!r} was never seen: leave it out")
             if not np.all(np.isfinite(x[seen[j]])):
                 raise ValueError(f"the data of frame {name!r} must be finite where it is visible")
-            x[~seen[j]] = x[seen[j]][0]  # any point of the space: its weight is zero
+            if seen[j].any():
+                x[~seen[j]] = x[seen[j]][0]  # any point of the space: its weight is zero
             manifolds[name] = view_manifold(manifold, x.shape[1])
             if x.shape[1] != manifolds[name].dim:
                 raise ValueError(f"on {manifold} every frame has {manifold.dim} dimensions, {name!r} has {x.shape[1]}")

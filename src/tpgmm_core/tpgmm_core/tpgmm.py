@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from tpgmm_core import initialization, model_file
 from tpgmm_core.adaptation import Adapter
 from tpgmm_core.demonstration import Demonstration
-from tpgmm_core.estimation import Estimate, Parameters, Progress, expectation_maximisation
+from tpgmm_core.estimation import Estimate, Parameters, Progress, Workspace, expectation_maximisation
 from tpgmm_core.frame import Frame
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
@@ -229,6 +229,22 @@ class TPGMM:
     ) -> GaussianMixture:
         """The mixture in a new situation, by Eqs. (5) and (6): see `Adapter`, which a loop holds on to."""
         return Adapter(self).adapt(frames, state, weights)
+
+    def score(self, demonstrations: Sequence[Demonstration]) -> float:
+        """Log-likelihood per sample of demonstrations, also of such as the model was not fitted to.
+
+        Frames that were not seen are no factor. Raises ValueError for demonstrations whose frames or dimensions
+        are not those of the model.
+        """
+        self._check_fitted()
+        samples = Samples.from_demonstrations(demonstrations, self.manifold_, may_be_unseen=True)
+        shapes = {name: x.shape[1] for name, x in samples.X.items()}
+        known = {name: mean.shape[1] for name, mean in self.means_.items()}
+        if shapes != known:
+            raise ValueError(f"the model has frames of dimensions {known}, the demonstrations {shapes}")
+        workspace = Workspace(samples, Parameters(self.priors_, self.means_, self.covariances_))
+        workspace.factorise()
+        return workspace.expectation() / samples.n_samples
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write a model file: see `model_file`."""

@@ -1,0 +1,315 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Choosing a model: leave-one-out over demonstrations, and a table of candidates.
+
+The samples of one demonstration are correlated: a model that has seen some of them knows the others. What is
+left out is therefore a whole demonstration (Stone 1974; Arlot and Celisse 2010, Section 8.1). BIC and AIC
+stand beside it, are cheaper, and prefer too many components: see `tpgmm_core.learning.criteria`.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field
+from os import PathLike
+from typing import Any, Protocol
+
+import numpy as np
+
+from tpgmm_core.demonstration import Demonstration
+from tpgmm_core.learning import criteria
+from tpgmm_core.quaternion import Array
+
+CRITERIA = ("leave-one-out", "bic", "aic")
+
+
+class Estimator(Protocol):
+    """What is asked of a candidate; `TPGMM` and all that is fitted like it."""
+
+    priors_: Array
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Constructor arguments by name."""
+
+    def fit(self, demonstrations: Sequence[Demonstration]) -> Any:
+        """Learn from demonstrations."""
+
+    def score(self, demonstrations: Sequence[Demonstration]) -> float:
+        """Log-likelihood of demonstrations, per sample."""
+
+    @property
+    def n_parameters_(self) -> int:
+        """Free parameters."""
+
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """Log-likelihood of demonstrations under models of the others.
+
+    per_demonstration : shape (M,), per sample of each; lengths : shape (M,), samples of each
+    """
+
+    per_demonstration: Array
+    lengths: Array
+
+    @property
+    def per_sample(self) -> float:
+        """Mean over all samples."""
+        return float(np.average(self.per_demonstration, weights=self.lengths))
+
+    @property
+    def standard_error(self) -> float:
+        """Of the mean over demonstrations, which are what was drawn independently."""
+        return float(np.std(self.per_demonstration, ddof=1) / np.sqrt(len(self.lengths)))
+
+
+def leave_one_out(
+    estimator: Estimator, demonstrations: Sequence[Demonstration], progress: Progress | None = None
+) -> HeldOut:
+    """Log-likelihood of each demonstration under a model of all others.
+
+    estimator : how to fit; it is not changed. progress : called with (folds done, folds). Raises ValueError for
+    fewer than two demonstrations, and what `fit` raises, with the fold.
+    """
+    demonstrations = list(demonstrations)
+    if len(demonstrations) < 2:
+        raise ValueError(f"leave-one-out needs at least two demonstrations, got {len(demonstrations)}: record more")
+    scores = []
+    for i, left_out in enumerate(demonstrations):
+        try:
+            model = unfitted(estimator)
+            model.fit(demonstrations[:i] + demonstrations[i + 1 :])
+        except ValueError as error:
+            raise ValueError(f"without demonstration {i}: {error}") from error
+        scores.append(model.score([left_out]))
+        if progress is not None:
+            progress(i + 1, len(demonstrations))
+    return HeldOut(np.array(scores), np.array([len(demonstration.times) for demonstration in demonstrations]))
+
+
+def unfitted(estimator: Estimator) -> Estimator:
+    """An estimator with the same constructor arguments, that has not learned anything."""
+    return type(estimator)(**deepcopy(estimator.get_params()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One row of a table: what a candidate is, and what it is worth.
+
+    name; structure : of its covariances, with the kind of model where that is no mixture; n_components : K;
+    n_parameters; log_likelihood : per sample, of what it was fitted to; held_out : the same of what it was not,
+    None where not asked for; held_out_error : standard error over the demonstrations; bic, aic; fit_time_s : of
+    the fit to all demonstrations; model : the estimator fitted to all; error : why it could not be fitted, when
+    all numbers are NaN.
+    """
+
+    name: str
+    structure: str
+    n_components: int
+    n_parameters: int = 0
+    log_likelihood: float = np.nan
+    held_out: float | None = None
+    held_out_error: float | None = None
+    bic: float = np.nan
+    aic: float = np.nan
+    fit_time_s: float = np.nan
+    error: str | None = None
+    model: Estimator | None = field(default=None, repr=False)
+
+    def to_dict(self) -> dict[str, str | float | None]:
+        """Plain numbers and texts, None for what is not known."""
+        values = {name: getattr(self, name) for name in self.__slots__ if name != "model"}
+        return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SelectionTable:
+    """Candidates in the order given, and the criterion that chooses among them."""
+
+    rows: Sequence[Candidate]
+    criterion: str
+
+    @property
+    def best(self) -> Candidate:
+        """The row that the criterion prefers; of equals, that with fewer parameters. Raises ValueError when no
+        candidate could be fitted."""
+        good = [row for row in self.rows if row.error is None]
+        if not good:
+            raise ValueError(f"no candidate could be fitted; the first says: {self.rows[0].error}")
+        return min(good, key=lambda row: (self._cost(row), row.n_parameters))
+
+    def _cost(self, row: Candidate) -> float:
+        if self.criterion == "leave-one-out":
+            assert row.held_out is not None
+            return -row.held_out
+        return row.bic if self.criterion == "bic" else row.aic
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: {"criterion", "best", "rows"}."""
+        best = self.best.name if any(row.error is None for row in self.rows) else None
+        return {"criterion": self.criterion, "best": best, "rows": [row.to_dict() for row in self.rows]}
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write `to_dict` as JSON."""
+        with open(path, "w", encoding="utf-8") as stream:
+            json.dump(self.to_dict(), stream, indent=2, allow_nan=False)
+            stream.write("\n")
+
+    def __str__(self) -> str:
+        """A table; * marks the best row."""
+        best = self.best if any(row.error is None for row in self.rows) else None
+        head = ["", "structure", "K", "parameters", "log-likelihood", "held out", "+-", "BIC", "AIC", "fit s"]
+        lines = [head]
+        for row in self.rows:
+            numbers = (row.log_likelihood, row.held_out, row.held_out_error)
+            cells = ["-" if v is None or not np.isfinite(v) else f"{v:.3f}" for v in numbers]
+            cells += ["-" if not np.isfinite(v) else f"{v:.0f}" for v in (row.bic, row.aic)]
+            cells += ["-" if not np.isfinite(row.fit_time_s) else f"{row.fit_time_s:.3f}"]
+            mark = "*" if row is best else ""
+            lines.append([mark, row.structure, str(row.n_components), str(row.n_parameters), *cells])
+        widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
+        errors = ["", *(row.error or "" for row in self.rows)]
+        text = []
+        for line, error in zip(lines, errors, strict=True):
+            aligned = [c.ljust(w) if i < 2 else c.rjust(w) for i, (c, w) in enumerate(zip(line, widths, strict=True))]
+            text.append("  ".join([*aligned, error]).rstrip())
+        return "\n".join(text)
+
+    def plot(self, path: str | PathLike[str]) -> None:
+        """Picture of the criterion over K, a line for each structure, written to `path` (needs matplotlib).
+
+        Leave-one-out shows the held-out log-likelihood, with standard errors over the demonstrations, beside BIC,
+        so that one sees how optimistic that is.
+        """
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        panels: list[tuple[str, Callable[[Candidate], float]]] = [
+            ("BIC (the smaller, the better)", lambda row: row.bic)
+        ]
+        if self.criterion == "leave-one-out":
+            panels.insert(
+                0, ("held-out log-likelihood per sample (the larger, the better)", lambda row: row.held_out or np.nan)
+            )
+        elif self.criterion == "aic":
+            panels.insert(0, ("AIC (the smaller, the better)", lambda row: row.aic))
+        good = [row for row in self.rows if row.error is None]
+        figure = Figure(figsize=(6.0 * len(panels), 4.5), layout="constrained")
+        FigureCanvasAgg(figure)
+        for i, (label, value) in enumerate(panels):
+            axes = figure.add_subplot(1, len(panels), i + 1)
+            for structure in dict.fromkeys(row.structure for row in good):
+                rows = sorted((row for row in good if row.structure == structure), key=lambda row: row.n_components)
+                held_out = self.criterion == "leave-one-out" and i == 0
+                axes.errorbar(
+                    [row.n_components for row in rows],
+                    [value(row) for row in rows],
+                    yerr=[row.held_out_error or 0.0 for row in rows] if held_out else None,
+                    marker="o", markersize=4, linewidth=1.2, capsize=2, elinewidth=0.6, label=structure,
+                )  # fmt: skip
+            axes.set_xlabel("components K")
+            axes.set_ylabel(label)
+            axes.grid(alpha=0.3)
+        figure.axes[0].legend(frameon=False)
+        figure.savefig(path, dpi=120)
+
+
+def select_model(
+    candidates: Sequence[Estimator] | Mapping[str, Estimator],
+    demonstrations: Sequence[Demonstration],
+    criterion: str = "leave-one-out",
+    progress: Progress | None = None,
+    clock: Callable[[], float] = time.perf_counter,
+) -> SelectionTable:
+    """Fit all candidates and compare them.
+
+    candidates : estimators, which are not changed; or name → estimator. criterion : "leave-one-out", the held-out
+    log-likelihood, which fits each candidate once more for each demonstration; "bic" or "aic". progress : called
+    with (fits done, fits). clock : s, measures fit_time_s.
+
+    A candidate that cannot be fitted gets a row with the reason. Raises ValueError for an unknown criterion, for
+    no candidates, and for too few demonstrations.
+    """
+    if criterion not in CRITERIA:
+        raise ValueError(f"the criterion is one of {', '.join(CRITERIA)}, got {criterion!r}")
+    demonstrations = list(demonstrations)
+    n_folds = len(demonstrations) if criterion == "leave-one-out" else 0
+    if n_folds == 1 or not demonstrations:
+        raise ValueError(f"{criterion} needs more demonstrations than {len(demonstrations)}: record more")
+    named = _named(candidates)
+    total = len(named) * (1 + n_folds)
+    rows = []
+    for c, (name, estimator) in enumerate(named.items()):
+        done = c * (1 + n_folds)
+
+        def folds_done(folds: int, _: int, done: int = done) -> None:
+            if progress is not None:
+                progress(done + 1 + folds, total)
+
+        rows.append(_row(name, estimator, demonstrations, n_folds > 0, folds_done, clock))
+        folds_done(n_folds, n_folds)
+    return SelectionTable(rows, criterion)
+
+
+def _row(
+    name: str,
+    estimator: Estimator,
+    demonstrations: Sequence[Demonstration],
+    hold_out: bool,
+    folds_done: Progress,
+    clock: Callable[[], float],
+) -> Candidate:
+    structure, K = _structure(estimator), int(estimator.get_params().get("n_components", 0))
+    model = unfitted(estimator)
+    try:
+        start = clock()
+        model.fit(demonstrations)
+        fit_time = clock() - start
+        folds_done(0, 0)
+        held_out = leave_one_out(estimator, demonstrations, folds_done) if hold_out else None
+    except ValueError as error:
+        return Candidate(name, structure, K, error=str(error))
+    N = sum(len(demonstration.times) for demonstration in demonstrations)
+    per_sample = model.score(demonstrations)
+    return Candidate(
+        name=name,
+        structure=structure,
+        n_components=len(model.priors_),
+        n_parameters=model.n_parameters_,
+        log_likelihood=per_sample,
+        held_out=None if held_out is None else held_out.per_sample,
+        held_out_error=None if held_out is None else held_out.standard_error,
+        bic=criteria.bic(N * per_sample, model.n_parameters_, N),
+        aic=criteria.aic(N * per_sample, model.n_parameters_),
+        fit_time_s=fit_time,
+        model=model,
+    )
+
+
+def _structure(estimator: Estimator) -> str:
+    """Such as "full", "mfa 2", "TPHMM full"."""
+    params = estimator.get_params()
+    structure = str(params.get("covariance", "full"))
+    if structure in ("mfa", "mppca", "deep_mfa"):
+        structure += f" {params.get('n_factors')}"
+    kind = type(estimator).__name__
+    return structure if kind == "TPGMM" else f"{kind} {structure}"
+
+
+def _named(candidates: Sequence[Estimator] | Mapping[str, Estimator]) -> dict[str, Estimator]:
+    if isinstance(candidates, Mapping):
+        named = dict(candidates)
+    else:
+        names = [f"{_structure(c)}, K = {c.get_params().get('n_components')}" for c in candidates]
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
+            raise ValueError(f"several candidates would be called {sorted(twice)}: give a mapping from names to them")
+        named = dict(zip(names, candidates, strict=True))
+    if not named:
+        raise ValueError("select_model needs at least one candidate")
+    return named
