@@ -99,7 +99,7 @@ class Intention:
         # Reaching too far and coming back: added where the movement ends, gone when it has ended.
         progress += part.overshoot * 27.0 * s**6 * (1.0 - s) ** 2 * 4.0
         step = POSE.log(part.origin, part.goal)
-        resting = not step.any()
+        resting = part.goal is part.origin  # not by the step, which rounding keeps from being zero
         pose = POSE.exp(part.origin, progress * step)
         phases, rates = self._sway
         moving = 0.0 if resting else np.sin(np.pi * s) ** 2
