@@ -8,6 +8,7 @@ common is the component that a sample comes from, as in EM over frames.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -21,6 +22,8 @@ from tpgmm_core.quaternion import Array
 from tpgmm_core.samples import Samples
 from tpgmm_core.tpgmm import TPGMM
 
+DELETION_ITERATIONS = 10  # after which a model without the component must be better
+FORGOTTEN = -1e9  # instead of the logarithm of 0
 LOG_2, LOG_PI, LOG_2PI = np.log(2.0), np.log(np.pi), np.log(2.0 * np.pi)
 
 
@@ -85,14 +88,9 @@ class DirichletTPGMM(TPGMM):
         labels = initialization.assignments(samples, self.init, T, self.random_state)
         posterior = _Posterior(self, samples, labels)
         objectives: list[float] = []
-        converged = False
-        for iteration in range(1, self.max_iter + 1):
-            objectives.append(posterior.iterate() / samples.n_samples)
-            if progress is not None:
-                progress(iteration, objectives[-1])
-            if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < self.tol:
-                converged = True
-                break
+        converged = self._climb(posterior, objectives, self.max_iter, progress)
+        while converged and self._delete(posterior, objectives):
+            converged = self._climb(posterior, objectives, self.max_iter - len(objectives), progress)
         kept = posterior.workspace.counts[-1] >= 1.0
         weights = posterior.weights()
         estimate = posterior.workspace.parameters()
@@ -110,6 +108,45 @@ class DirichletTPGMM(TPGMM):
         self.n_iter_ = len(objectives)
         self.weights_ = weights
         return self
+
+    def _climb(self, posterior: _Posterior, objectives: list[float], max_iter: int, progress: Progress | None) -> bool:
+        """Iterate until the bound hardly rises; its course is added to objectives. Returns whether it came to that."""
+        for iteration in range(1, max_iter + 1):
+            objectives.append(posterior.iterate())
+            if progress is not None:
+                progress(len(objectives), objectives[-1])
+            if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < self.tol:
+                return True
+        return False
+
+    def _delete(self, posterior: _Posterior, objectives: list[float]) -> bool:
+        """Take one component away where the bound is higher without it (Hughes and Sudderth, NeurIPS 2013): small
+        ones that fit a few samples tightly are local optima that no update leaves. Returns whether there was one.
+        """
+        counts = posterior.workspace.counts[-1].copy()
+        for k in np.argsort(counts):
+            if counts[k] < 1.0 or counts[k] > 0.5 * counts.sum():
+                continue
+            before = posterior.snapshot()
+            posterior.forget(k)
+            for _ in range(DELETION_ITERATIONS):
+                bound = posterior.iterate()
+                if bound > objectives[-1] + self.tol:
+                    objectives.append(bound)
+                    return True
+            posterior.restore(before)
+        return False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Snapshot:
+    """Copies of arrays, where they belong, and the numbers beside them."""
+
+    copies: list[Array]
+    arrays: list[Array]
+    a: Array
+    b: Array
+    divergence: float
 
 
 class _Posterior:
@@ -132,7 +169,7 @@ class _Posterior:
             mean = manifold.mean(x[seen])
             variances = np.mean(manifold.log(mean, x[seen]) ** 2, axis=0)
             expected = model.spread**2 * variances + model.reg_covar
-            if expected.min() <= 0.0:
+            if expected.min() <= (np.finfo(float).eps * np.abs(x).max()) ** 2:
                 raise ValueError(
                     f"dimension {np.argmin(expected)} of frame {name!r} is constant: give a reg_covar above 0"
                 )
@@ -150,11 +187,27 @@ class _Posterior:
         self._update()
 
     def iterate(self) -> float:
-        """E-step, the evidence lower bound, and the update of all other distributions."""
+        """E-step, the evidence lower bound per sample, and the update of all other distributions."""
         log_evidence = self.workspace.expectation()
         bound = log_evidence - self.divergence
         self._update()
-        return bound
+        return bound / self.workspace.X.shape[1]
+
+    def forget(self, k: int) -> None:
+        """Have the next E-step give no sample to component k; the bound stays one."""
+        self.workspace.log_priors[k] = FORGOTTEN
+
+    def snapshot(self) -> _Snapshot:
+        """All that changes over the iterations."""
+        work = self.workspace
+        arrays = [work.log_priors, work.means, work.covariances, work.factors, work.log_norms, work.counts, self.beta]
+        return _Snapshot([array.copy() for array in arrays], arrays, self.a, self.b, self.divergence)
+
+    def restore(self, snapshot: _Snapshot) -> None:
+        """Back to where the snapshot was taken."""
+        for array, former in zip(snapshot.arrays, snapshot.copies, strict=True):
+            array[:] = former
+        self.a, self.b, self.divergence = snapshot.a, snapshot.b, snapshot.divergence
 
     def weights(self) -> Array:
         """Expected weights (T,) of the components."""

@@ -194,7 +194,7 @@ class SelectionTable:
         ]
         if self.criterion == "leave-one-out":
             panels.insert(
-                0, ("held-out log-likelihood per sample (the larger, the better)", lambda row: row.held_out or np.nan)
+                0, ("held-out log-likelihood per sample (the larger, the better)", lambda row: _or_nan(row.held_out))
             )
         elif self.criterion == "aic":
             panels.insert(0, ("AIC (the smaller, the better)", lambda row: row.aic))
@@ -313,3 +313,7 @@ def _named(candidates: Sequence[Estimator] | Mapping[str, Estimator]) -> dict[st
     if not named:
         raise ValueError("select_model needs at least one candidate")
     return named
+
+
+def _or_nan(value: float | None) -> float:
+    return np.nan if value is None else value
