@@ -94,16 +94,16 @@ class TPGMM:
     def set_params(self, **params: Any) -> Self:
         """Set constructor arguments by name. Raises ValueError for an unknown one."""
         for name, value in params.items():
-            if name not in self._parameter_names():
-                raise ValueError(f"TPGMM has no parameter {name!r}; it has {', '.join(self._parameter_names())}")
+            if name not in (known := self._parameter_names()):
+                raise ValueError(f"{type(self).__name__} has no parameter {name!r}; it has {', '.join(known)}")
             setattr(self, name, value)
         return self
 
     def __repr__(self) -> str:
         defaults = inspect.signature(type(self)).parameters
         changed = {k: v for k, v in self.get_params().items() if v is not defaults[k].default}
-        shown = [f"{k}=<fitted TPGMM>" if isinstance(v, TPGMM) else f"{k}={v!r}" for k, v in changed.items()]
-        return f"TPGMM({', '.join(shown)})"
+        shown = [f"{k}=<{type(v).__name__}>" if isinstance(v, TPGMM) else f"{k}={v!r}" for k, v in changed.items()]
+        return f"{type(self).__name__}({', '.join(shown)})"
 
     def fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
         """Learn from demonstrations, projected into their frames by Eq. (4).
@@ -219,7 +219,7 @@ class TPGMM:
 
     def _check_fitted(self) -> None:
         if not hasattr(self, "priors_"):
-            raise ValueError("this TPGMM is not fitted yet: call fit or load first")
+            raise ValueError(f"this {type(self).__name__} is not fitted yet: call fit or load first")
 
     def adapt(
         self,
@@ -236,15 +236,19 @@ class TPGMM:
         Frames that were not seen are no factor. Raises ValueError for demonstrations whose frames or dimensions
         are not those of the model.
         """
+        samples = self._samples(demonstrations)
+        workspace = Workspace(samples, Parameters(self.priors_, self.means_, self.covariances_))
+        workspace.factorise()
+        return workspace.expectation() / samples.n_samples
+
+    def _samples(self, demonstrations: Sequence[Demonstration]) -> Samples:
         self._check_fitted()
         samples = Samples.from_demonstrations(demonstrations, self.manifold_, may_be_unseen=True)
         shapes = {name: x.shape[1] for name, x in samples.X.items()}
         known = {name: mean.shape[1] for name, mean in self.means_.items()}
         if shapes != known:
             raise ValueError(f"the model has frames of dimensions {known}, the demonstrations {shapes}")
-        workspace = Workspace(samples, Parameters(self.priors_, self.means_, self.covariances_))
-        workspace.factorise()
-        return workspace.expectation() / samples.n_samples
+        return samples
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write a model file: see `model_file`."""

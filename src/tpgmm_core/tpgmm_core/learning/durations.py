@@ -22,6 +22,7 @@ PRIOR_SEGMENTS = 0.1
 """Weight of the prior, in segments: what one demonstration says of the spread of a duration is nothing."""
 PRIOR_SPREAD = 0.5
 """Standard deviation of log d of the prior: durations that differ by a factor of about 1.6."""
+MAX_STEPS = 100  # of Newton's method, which takes about 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,24 +113,28 @@ def _match_moments(target: Array, log_d: Array) -> Array:
     aim = np.array([0.0, (target[1] - centre**2) / scale**2])
 
     def value(theta: Array) -> float:
-        return float(theta @ aim - logsumexp(theta @ features))
+        log_p = theta @ features
+        top = log_p.max()
+        return float(theta @ aim - top - np.log(np.exp(log_p - top).sum()))
 
     theta = np.array([0.0, -0.5])
-    best = value(theta)
-    for _ in range(100):
+    for _ in range(MAX_STEPS):
         log_p = theta @ features
-        p = np.exp(log_p - logsumexp(log_p))
+        top = log_p.max()
+        p = np.exp(log_p - top)
+        log_normaliser = top + np.log(p.sum())
+        p /= p.sum()
         mean = features @ p
-        gradient = aim - mean
         centred = features - mean[:, None]
-        step = np.linalg.solve((p * centred) @ centred.T + 1e-12 * np.eye(2), gradient)
+        step = np.linalg.solve((p * centred) @ centred.T + 1e-12 * np.eye(2), aim - mean)
+        gain = float(step @ (aim - mean))
+        if gain < 1e-12:  # twice what is left to gain; this last step squares it
+            theta = theta + step
+            break
+        best = float(theta @ aim - log_normaliser)
         length = 1.0
-        while (new := value(theta + length * step)) < best and length > 1e-10:
+        while value(theta + length * step) < best + 0.1 * length * gain and length > 1e-10:
             length *= 0.5
-        if length <= 1e-10:
-            break
-        theta, gain, best = theta + length * step, new - best, new
-        if gain < 1e-14 and length == 1.0:
-            break
+        theta = theta + length * step
     linear, square = theta[0] / scale, theta[1] / scale**2
     return np.array([linear - 2.0 * square * centre, square])

@@ -197,7 +197,7 @@ def viterbi(
                 if value > begins[k, t]:
                     begins[k, t] = value
                     came_from[k, t] = i
-    k = np.argmax(ends[:, T])
+    k = int(np.argmax(ends[:, T]))
     best = ends[k, T]
     if best == -np.inf:
         return best

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`TPHMM`: a hidden Markov model whose states are Gaussians seen from several frames (Section 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tpgmm_core.demonstration import Demonstration
+from tpgmm_core.estimation import MIN_ITERATIONS, Estimate, Parameters, Progress
+from tpgmm_core.learning.em import expectation
+from tpgmm_core.learning.emissions import Emissions
+from tpgmm_core.learning.markov import MarkovChain, SemiMarkovChain
+from tpgmm_core.learning.structure import Structure
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.quaternion import Array
+from tpgmm_core.samples import Samples
+from tpgmm_core.tpgmm import TPGMM
+
+Chain = MarkovChain | SemiMarkovChain
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChainEstimate:
+    """Result of EM: states and their chain, how often each state was (K,), and the course of the log-likelihood and
+    of the objective, per sample."""
+
+    chain: Chain
+    emissions: Emissions
+    priors: Array
+    log_likelihoods: Array
+    objectives: Array
+    converged: bool
+
+
+def fit_chain(
+    samples: Samples,
+    chain: Chain,
+    emissions: Emissions,
+    *,
+    tol: float,
+    max_iter: int,
+    progress: Progress | None = None,
+) -> ChainEstimate:
+    """Baum-Welch over several demonstrations from the given start, with the rules of `fit_mixture`.
+
+    The objective is the log-likelihood, less `Emissions.penalty`, plus the prior of the chain, per sample; with
+    regularization "prior" it never falls on Euclidean data. Raises ValueError when a covariance loses its
+    definiteness, and for a demonstration that the chain cannot produce.
+    """
+    N = samples.n_samples
+    log_likelihoods: list[float] = []
+    objectives: list[float] = []
+    converged = False
+    priors = np.zeros(emissions.n_components)
+    for iteration in range(1, max_iter + 1):
+        found = chain.posteriors(emissions.log_density(samples), samples.lengths)
+        log_likelihoods.append(found.log_likelihood / N)
+        objectives.append((found.log_likelihood - emissions.penalty() + chain.log_prior) / N)
+        priors = found.responsibilities.sum(axis=0)
+        chain = chain.maximised(found)
+        emissions = emissions.maximised(samples, found.responsibilities)
+        if progress is not None:
+            progress(iteration, log_likelihoods[-1])
+        if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < tol:
+            converged = True
+            break
+    return ChainEstimate(
+        chain, emissions, priors / priors.sum(), np.array(log_likelihoods), np.array(objectives), converged
+    )
+
+
+class TPHMM(TPGMM):
+    """Hidden Markov model that is observed from several frames at once.
+
+    A sample of state k has the density prod_j N(x^(j); mu_k^(j), Sigma_k^(j)) over the frames that saw it, as a
+    component of a TP-GMM; which state follows which is learned (Baum-Welch). Order comes from the transitions, so
+    that the data need not hold time, and may come back to where it was before.
+
+    Parameters (those of `TPGMM`, and)
+    ----------
+    n_components : K, the states
+    init : as for `TPGMM`, "bins" by default; or a fitted model of this class, whose chain is taken too
+    transitions : "left-right" (from the first state, each followed by the next), "ergodic" (any to any), or a
+        start (K, K) of EM, in which zeros stay zero
+
+    Attributes after fitting (those of `TPGMM`, and)
+    ------------------------
+    start_probabilities_ : shape (K,); transitions_ : shape (K, K), from row to column
+    priors_ : shape (K,), the share of the samples in each state
+    """
+
+    start_probabilities_: Array
+    transitions_: Array
+    emissions_: Emissions
+    chain_: Chain
+
+    def __init__(
+        self,
+        n_components: int = 3,
+        init: str | ArrayLike | TPGMM = "bins",
+        reg_covar: float = 1e-4,
+        tol: float = 1e-5,
+        max_iter: int = 100,
+        random_state: int | np.random.Generator | None = 0,
+        manifold: str | Manifold = "euclidean",
+        regularization: str = "add",
+        n_init: int = 1,
+        covariance: str = "full",
+        n_factors: int = 1,
+        transitions: str | ArrayLike = "left-right",
+    ) -> None:
+        super().__init__(n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init)
+        self.covariance = covariance
+        self.n_factors = n_factors
+        self.transitions = transitions
+
+    def fit_projected(
+        self,
+        X: Mapping[str, ArrayLike],
+        visible: Mapping[str, ArrayLike] | None = None,
+        progress: Progress | None = None,
+        lengths: Sequence[int] | None = None,
+    ) -> Self:
+        """As `TPGMM.fit_projected`; `lengths` says how many samples each demonstration has, one after the other
+        (None: they are one)."""
+        self._check_parameters()
+        samples = Samples.from_projected(X, visible, self.manifold)
+        if lengths is not None:
+            if min(lengths, default=0) < 1 or sum(lengths) != samples.n_samples:
+                raise ValueError(f"lengths are from 1 and sum to the {samples.n_samples} samples, got {lengths!r}")
+            samples = replace(samples, lengths=list(lengths))
+        return self._fit(samples, progress)
+
+    @property
+    def n_parameters_(self) -> int:
+        """Free parameters of the states and of their chain."""
+        self._check_fitted()
+        return self.emissions_.n_parameters + self.chain_.n_parameters
+
+    def most_likely_states(self, demonstrations: Sequence[Demonstration]) -> list[NDArray[np.intp]]:
+        """The likeliest states (T,) of each demonstration (Viterbi)."""
+        samples = self._samples(demonstrations)
+        states, _ = self.chain_.most_likely(self.emissions_.log_density(samples), samples.lengths)
+        return np.split(states, np.cumsum(samples.lengths)[:-1])
+
+    def state_posteriors(self, demonstrations: Sequence[Demonstration]) -> list[Array]:
+        """Probabilities (T, K) of the states of each demonstration, given all of its samples."""
+        samples = self._samples(demonstrations)
+        found = self.chain_.posteriors(self.emissions_.log_density(samples), samples.lengths)
+        return np.split(found.responsibilities, np.cumsum(samples.lengths)[:-1])
+
+    def score(self, demonstrations: Sequence[Demonstration]) -> float:
+        """Log-likelihood per sample."""
+        samples = self._samples(demonstrations)
+        found = self.chain_.posteriors(self.emissions_.log_density(samples), samples.lengths)
+        return found.log_likelihood / samples.n_samples
+
+    def state_probabilities(self, n_steps: int) -> Array:
+        """Probabilities (n_steps, K) of the states at each step when nothing is observed: with the Gaussians of
+        `adapt`, a reference to track."""
+        self._check_fitted()
+        return self.chain_.state_probabilities(n_steps)
+
+    def _fit(self, samples: Samples, progress: Progress | None) -> Self:
+        if samples.n_samples < self.n_components:
+            raise ValueError(f"{self.n_components} states need at least as many samples, got {samples.n_samples}")
+        estimates: list[ChainEstimate] = []
+        failure: ValueError | None = None
+        for start in self._starts(samples):
+            try:
+                chain, emissions = self._start_of_chain(samples, start)
+                estimates.append(
+                    fit_chain(samples, chain, emissions, tol=self.tol, max_iter=self.max_iter, progress=progress)
+                )
+            except ValueError as error:  # a start may end in a subspace, others not
+                failure = error
+        if not estimates:
+            assert failure is not None
+            raise failure
+        self._learned_chain(max(estimates, key=lambda e: e.objectives[-1]), samples.manifold)
+        return self
+
+    def _start_of_chain(self, samples: Samples, start: Parameters) -> tuple[Chain, Emissions]:
+        emissions = self._emissions(samples, start)
+        if isinstance(self.init, type(self)) and start.priors is self.init.priors_:
+            return self.init.chain_, emissions
+        responsibilities, _ = expectation(start.priors, emissions, samples)
+        if isinstance(self.transitions, str) and self.transitions == "left-right":
+            # in the order in which a movement meets them
+            phase = np.concatenate([np.linspace(0.0, 1.0, length) for length in samples.lengths])
+            order = np.argsort(phase @ responsibilities / np.maximum(responsibilities.sum(axis=0), 1e-300))
+            responsibilities = responsibilities[:, order]
+            start = Parameters(
+                start.priors[order],
+                {name: mean[order] for name, mean in start.means.items()},
+                {name: covariance[order] for name, covariance in start.covariances.items()},
+            )
+            emissions = self._emissions(samples, start)
+        per_demonstration = np.add.reduceat(responsibilities, np.cumsum([0, *samples.lengths[:-1]]), axis=0)
+        visits = np.maximum(np.minimum(per_demonstration, 1.0).sum(axis=0), 1e-300)
+        return self._new_chain(per_demonstration.sum(axis=0) / visits, max(samples.lengths)), emissions
+
+    def _emissions(self, samples: Samples, start: Parameters) -> Emissions:
+        structure = Structure(self.covariance, self.n_factors, self.reg_covar, self.regularization)
+        counts = samples.n_samples * start.priors
+        return Emissions.from_gaussians(structure, samples, counts, start.means, start.covariances)
+
+    def _new_chain(self, mean_durations: Array, longest: int) -> Chain:
+        """A chain to start from; mean_durations (K,) and the longest demonstration in samples."""
+        return MarkovChain.of(self.transitions, mean_durations)
+
+    def _learned_chain(self, estimate: ChainEstimate, manifold: Manifold) -> None:
+        emissions = estimate.emissions
+        parameters = Parameters(estimate.priors, emissions.means, emissions.covariances)
+        self._learned(Estimate(parameters, estimate.log_likelihoods, estimate.objectives, estimate.converged), manifold)
+        self.emissions_ = emissions
+        self._learned_transitions(estimate.chain)
+
+    def _learned_transitions(self, chain: Chain) -> None:
+        self.chain_ = chain
+        self.start_probabilities_, self.transitions_ = chain.start, chain.transitions

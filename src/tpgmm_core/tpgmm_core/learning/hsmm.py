@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`TPHSMM`: a hidden semi-Markov model whose states are Gaussians seen from several frames, and last (Section 7)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tpgmm_core.learning.hmm import TPHMM
+from tpgmm_core.learning.markov import MarkovChain, SemiMarkovChain
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.quaternion import Array
+from tpgmm_core.tpgmm import TPGMM
+
+
+class TPHSMM(TPHMM):
+    """Hidden semi-Markov model that is observed from several frames at once (Yu, 2010).
+
+    As `TPHMM`, but how long a state lasts is learned explicitly, log-normal (see `Durations`); in a Markov chain
+    every duration is geometric, whose likeliest value is one sample. The first and the last state of a
+    demonstration begin and end with it.
+
+    Parameters (those of `TPHMM`, and)
+    ----------
+    max_duration : longest duration of a state, in samples; None: the longest demonstration. Cost grows with it
+    transitions : as for `TPHMM`, without a diagonal: a state is followed by another one
+
+    Attributes after fitting (those of `TPHMM`, and)
+    ------------------------
+    mean_durations_, std_durations_ : shape (K,), samples
+    chain_ : the `SemiMarkovChain`, whose `durations` are the whole distributions
+    """
+
+    mean_durations_: Array
+    std_durations_: Array
+
+    def __init__(
+        self,
+        n_components: int = 3,
+        init: str | ArrayLike | TPGMM = "bins",
+        reg_covar: float = 1e-4,
+        tol: float = 1e-5,
+        max_iter: int = 100,
+        random_state: int | np.random.Generator | None = 0,
+        manifold: str | Manifold = "euclidean",
+        regularization: str = "add",
+        n_init: int = 1,
+        covariance: str = "full",
+        n_factors: int = 1,
+        transitions: str | ArrayLike = "left-right",
+        max_duration: int | None = None,
+    ) -> None:
+        super().__init__(
+            n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
+            covariance, n_factors, transitions,
+        )  # fmt: skip
+        self.max_duration = max_duration
+
+    def _check_parameters(self) -> None:
+        super()._check_parameters()
+        L = self.max_duration
+        if L is not None and (not isinstance(L, int | np.integer) or isinstance(L, bool) or L < 1):
+            raise ValueError(f"max_duration is a number of samples from 1, or None, got {L!r}")
+
+    def _new_chain(self, mean_durations: Array, longest: int) -> SemiMarkovChain:
+        return SemiMarkovChain.of(self.transitions, mean_durations, int(self.max_duration or longest))
+
+    def _learned_transitions(self, chain: MarkovChain | SemiMarkovChain) -> None:
+        super()._learned_transitions(chain)
+        assert isinstance(chain, SemiMarkovChain)
+        self.mean_durations_ = chain.durations.means
+        self.std_durations_ = chain.durations.standard_deviations
