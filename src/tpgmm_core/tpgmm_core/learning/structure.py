@@ -28,8 +28,8 @@ class Structure:
     regularization : "add" or "prior": see `Emissions.penalty`
     scree_threshold : "hddc" keeps the dimensions up to the last drop between successive eigenvalues that
         exceeds this share of the largest drop
-    n_subcomponents, n_subfactors : second-level components of each first-level component of "deep_mfa", and
-        the columns of their loadings
+    layers : of "deep_mfa", above the first: pairs of the number of components into which each component of the
+        layer below is divided, and of the columns of their loadings
 
     Raises ValueError for values outside their range.
     """
@@ -39,22 +39,25 @@ class Structure:
     reg_covar: float = 1e-4
     regularization: str = "add"
     scree_threshold: float = 0.2
-    n_subcomponents: int = 2
-    n_subfactors: int = 1
+    layers: tuple[tuple[int, int], ...] = ((2, 1),)
 
     def __post_init__(self) -> None:
         if self.name not in STRUCTURES:
             raise ValueError(f"a covariance structure is one of {', '.join(STRUCTURES)}, got {self.name!r}")
-        for name in ("n_factors", "n_subcomponents", "n_subfactors"):
-            value = getattr(self, name)
-            if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
-                raise ValueError(f"{name} is an integer from 1, got {value!r}")
+        if not _is_count(self.n_factors):
+            raise ValueError(f"n_factors is an integer from 1, got {self.n_factors!r}")
+        if not self.layers or not all(len(layer) == 2 and all(map(_is_count, layer)) for layer in self.layers):
+            raise ValueError(f"layers are pairs (components, factors) of integers from 1, got {self.layers!r}")
         if not (np.isfinite(self.reg_covar) and self.reg_covar >= 0.0):
             raise ValueError(f"reg_covar is a finite number from 0, got {self.reg_covar!r}")
         if self.regularization not in ("add", "prior"):
             raise ValueError(f'regularization is "add" or "prior", got {self.regularization!r}')
         if not 0.0 < self.scree_threshold < 1.0:
             raise ValueError(f"scree_threshold is between 0 and 1, got {self.scree_threshold!r}")
+
+
+def _is_count(value: object) -> bool:
+    return bool(isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= 1)
 
 
 class Covariances(ABC):

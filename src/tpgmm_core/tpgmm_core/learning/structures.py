@@ -9,6 +9,13 @@ from tpgmm_core.learning.classical import (
     SphericalCovariances,
     TiedCovariances,
 )
+from tpgmm_core.learning.deep_mfa import DeepFactorAnalyzers
+from tpgmm_core.learning.factor_analyzers import (
+    FactorAnalyzers,
+    PrincipalComponentAnalyzers,
+    SubspaceCovariances,
+)
+from tpgmm_core.learning.semi_tied import SemiTiedCovariances
 from tpgmm_core.learning.structure import Covariances, Structure
 
 _CLASSES: dict[str, type[Covariances]] = {
@@ -16,6 +23,11 @@ _CLASSES: dict[str, type[Covariances]] = {
     "diag": DiagonalCovariances,
     "spherical": SphericalCovariances,
     "tied": TiedCovariances,
+    "mfa": FactorAnalyzers,
+    "mppca": PrincipalComponentAnalyzers,
+    "hddc": SubspaceCovariances,
+    "semi_tied": SemiTiedCovariances,
+    "deep_mfa": DeepFactorAnalyzers,
 }
 
 
