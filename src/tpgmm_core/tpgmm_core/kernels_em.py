@@ -28,6 +28,7 @@ from tpgmm_core.quaternion import Array
 
 BLOCK = 256  # samples that are worked on together: large enough to vectorise, small enough for the cache
 NEGLIGIBLE = 1e-20  # responsibilities below this, in a whole block, are left out of the sums
+SINGULAR = 1e-14  # a variance, given the dimensions before, that is a smaller share of the whole one is rounding
 EMPTY = 1e-12  # a component with fewer samples than this keeps its Gaussian
 
 
@@ -36,7 +37,7 @@ def factorise(layout: Array, covariances: Array, factors: Array, log_norms: Arra
     """Inverse Cholesky factors and log normalisations (P, K) of all covariances.
 
     Returns -1, or K j + k for the first covariance, of frame j and component k, that is not positive
-    definite.
+    definite, or is so by rounding alone.
     """
     P, K = covariances.shape[:2]
     L = np.empty(covariances.shape[2:])
@@ -48,6 +49,8 @@ def factorise(layout: Array, covariances: Array, factors: Array, log_norms: Arra
             invert_lower(L, n, factors[j, k])
             log_norm = -0.5 * n * LOG_2PI
             for i in range(n):
+                if SINGULAR * covariances[j, k, i, i] * factors[j, k, i, i] ** 2 >= 1.0:
+                    return K * j + k
                 log_norm += math.log(factors[j, k, i, i])
             log_norms[j, k] = log_norm
     return -1
