@@ -7,9 +7,9 @@ import time
 
 import numpy as np
 from rclpy.node import Node
-from ros_graph import ALL, ROBOT_FILE, SECOND
 from sensor_msgs.msg import JointState
 
+from ros_graph import ALL, ROBOT_FILE, SECOND
 from ros_testing import RunningProcess, spin_until
 from tpgmm_core import Gaussian
 from tpgmm_core.manifold import Manifold

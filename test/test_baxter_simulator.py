@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,13 +12,13 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+
+from ros_graph import ALL, ROBOT_FILE, SECOND, Inbox, ros_arguments
+from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_core.robot import RobotModel
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader
 from tpgmm_ros.qos import STREAM
-
-from ros_graph import ALL, ROBOT_FILE, SECOND, Inbox, ros_arguments
-from ros_testing import RunningProcess, StartProcess, spin_until
 
 ROBOT = RobotModel.from_file(ROBOT_FILE)
 DATA = ROBOT.create_data()
@@ -63,7 +64,8 @@ class Lockstep:
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (nv,) that came last."""
-        return self.reader.read(self.states[-1], "position", "velocity")
+        q, v = self.reader.read(self.states[-1], "position", "velocity")
+        return q, v
 
     @property
     def hand(self) -> np.ndarray:
@@ -132,7 +134,7 @@ def test_an_answer_to_another_state_does_not_advance_the_clock(lockstep: Lockste
     stamp = stamp_of(lockstep.states[-1])
     for wrong in (stamp - TICK_NS, stamp + TICK_NS, 0):
         late = conversions.joint_state_message(NAMES, wrong, effort=np.zeros(ROBOT.nv))
-        lockstep.refuse_to_advance(lambda late=late: lockstep.torques.publish(late), until=lambda: True)
+        lockstep.refuse_to_advance(partial(lockstep.torques.publish, late), until=lambda: True)
 
 
 def test_torques_are_matched_by_the_joints_names(lockstep: Lockstep) -> None:
@@ -145,7 +147,8 @@ def test_torques_are_matched_by_the_joints_names(lockstep: Lockstep) -> None:
 
 def test_torques_beyond_the_limits_are_clamped_to_them(lockstep: Lockstep) -> None:
     for sign in (1.0, -1.0):
-        state = lockstep.advance(3, lambda q, v, sign=sign: np.full(ROBOT.nv, sign * 1e6))
+        beyond = np.full(ROBOT.nv, sign * 1e6)
+        state = lockstep.advance(3, lambda q, v, beyond=beyond: beyond)  # type: ignore[misc]
         (applied,) = lockstep.reader.read(state, "effort")
         np.testing.assert_allclose(applied, sign * ROBOT.effort_limits)
         assert np.isfinite(lockstep.state).all()

@@ -12,8 +12,8 @@ from typing import Any
 import matplotlib.image
 import numpy as np
 import pytest
-from ros_graph import ROOT
 
+from ros_graph import ROOT
 from ros_testing import executable
 
 #: The keys that programs rely on, and their types

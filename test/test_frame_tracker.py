@@ -16,13 +16,13 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
+from ros_graph import ALL_LATCHED, SECOND, Diagnostics, Inbox, ros_arguments, set_parameters
+from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_core import Frame
 from tpgmm_msgs.msg import TaskFrame, TaskParameters
 from tpgmm_ros import conversions
 from tpgmm_ros.qos import STREAM
-
-from ros_graph import ALL_LATCHED, SECOND, Diagnostics, Inbox, ros_arguments, set_parameters
-from ros_testing import RunningProcess, StartProcess, spin_until
 
 # Each test has a frame of its own, so that one process serves them all
 FRAMES = (

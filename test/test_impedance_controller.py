@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rclpy.node import Node
+
 from ros_graph import (
     ACTIVATE,
     ALL_LATCHED,
@@ -22,9 +23,8 @@ from ros_graph import (
     ros_arguments,
     set_parameters,
 )
-from simulated_hand import NAMES, ROBOT, SimulatedHand, pose_reference
-
 from ros_testing import RunningProcess, StartProcess, spin_until
+from simulated_hand import NAMES, ROBOT, SimulatedHand, pose_reference
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 

@@ -22,9 +22,7 @@ def test_every_executable_is_installed_and_can_be_loaded(program: EntryPoint) ->
     assert callable(program.load())
 
 
-@pytest.mark.parametrize(
-    ("directory", "pattern"), [("config", "*.yaml"), ("src/tpgmm_ros/launch", "*.launch.py")]
-)
+@pytest.mark.parametrize(("directory", "pattern"), [("config", "*.yaml"), ("src/tpgmm_ros/launch", "*.launch.py")])
 def test_configuration_and_launch_files_are_installed(directory: str, pattern: str) -> None:
     sources = list((REPOSITORY / directory).glob(pattern))
     installed = Path(get_package_share_directory("tpgmm_ros")) / Path(directory).name

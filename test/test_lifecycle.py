@@ -3,8 +3,8 @@
 
 import pytest
 from rclpy.node import Node
-from ros_graph import ACTIVATE, CLEANUP, CONFIGURE, DEACTIVATE, ROBOT_FILE, TASK_FILE, change_state, ros_arguments
 
+from ros_graph import ACTIVATE, CLEANUP, CONFIGURE, DEACTIVATE, ROBOT_FILE, TASK_FILE, change_state, ros_arguments
 from ros_testing import StartProcess, spin_until
 
 NODES = {

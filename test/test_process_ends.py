@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 from rclpy.node import Node
-from ros_graph import ROBOT_FILE, TASK_FILE, ros_arguments
 
+from ros_graph import ROBOT_FILE, TASK_FILE, ros_arguments
 from ros_testing import StartProcess, spin_until
 
 NODES: dict[str, dict[str, object]] = {

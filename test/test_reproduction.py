@@ -13,6 +13,8 @@ from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionClient
 from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
 from ros_graph import (
     ACTIVATE,
     ALL,
@@ -27,8 +29,6 @@ from ros_graph import (
     ros_arguments,
     set_parameters,
 )
-from sensor_msgs.msg import JointState
-
 from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_core import TPGMM, Frame, quaternion
 from tpgmm_core.manifold import Manifold

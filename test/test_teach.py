@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
-from ros_graph import ROBOT_FILE, ROOT, TASK_FILE
 from sensor_msgs.msg import JointState
 
+from ros_graph import ROBOT_FILE, ROOT, TASK_FILE
 from ros_testing import StartProcess, executable, spin_until
 from tpgmm_ros import conversions
 from tpgmm_ros.bags import read_recording

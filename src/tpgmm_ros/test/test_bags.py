@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from synthetic_bags import REACH_TASK, Storage, Topic, reach, write_bag
 
+from synthetic_bags import REACH_TASK, Storage, Topic, reach, write_bag
 from tpgmm_core import Frame, quaternion
 from tpgmm_ros.bags import (
     BagError,

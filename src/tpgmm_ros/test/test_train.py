@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_bags import REACH_TASK, reach, write_bag
 
+from synthetic_bags import REACH_TASK, reach, write_bag
 from tpgmm_core import TPGMM, Frame, quaternion
 from tpgmm_ros.bags import Recording, read_recording
 from tpgmm_ros.reporting import format_table, write_atomically, write_report
