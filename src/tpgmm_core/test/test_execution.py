@@ -8,8 +8,8 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from reaching import frames_at, place, reaching_model
 
+from reaching import frames_at, place, reaching_model
 from tpgmm_core.execution import Execution, ExecutionConfig, Outcome, Stage
 from tpgmm_core.reproduction import Reproduction
 

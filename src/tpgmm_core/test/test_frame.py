@@ -3,8 +3,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from random_problems import random_quaternion
 
+from random_problems import random_quaternion
 from tpgmm_core import Demonstration, Frame, quaternion
 
 rng = np.random.default_rng(3)

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from random_problems import POSE, random_gaussian, random_quaternion
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
+from random_problems import POSE, random_gaussian, random_quaternion
 from tpgmm_core import Frame, Gaussian, Manifold
 
 rng = np.random.default_rng(2)

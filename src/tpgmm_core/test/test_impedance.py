@@ -8,7 +8,6 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from robots import BAXTER
-
 from tpgmm_core import quaternion
 from tpgmm_core.impedance import ImpedanceConfig, ImpedanceController, PoseReference, TorqueCommand
 from tpgmm_core.robot import RobotModel

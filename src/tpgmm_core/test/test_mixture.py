@@ -3,8 +3,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from random_problems import random_covariance
 
+from random_problems import random_covariance
 from tpgmm_core import GaussianMixture, Manifold
 
 rng = np.random.default_rng(0)

@@ -3,9 +3,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from random_problems import random_quaternion
 from scipy.spatial.transform import Rotation
 
+from random_problems import random_quaternion
 from tpgmm_core import quaternion as qt
 
 rng = np.random.default_rng(0)

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 import pytest
-from reaching import DURATION, frames_at, place, reaching_model
 
+from reaching import DURATION, frames_at, place, reaching_model
 from tpgmm_core import Frame
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.reference import Reference

@@ -7,8 +7,8 @@ import pytest
 pytest.importorskip("pinocchio")
 
 import pinocchio as pin
-from robots import BAXTER, write_arm
 
+from robots import BAXTER, write_arm
 from tpgmm_core.robot import RobotModel
 from tpgmm_core.simulation import RobotSimulator, RobotState
 

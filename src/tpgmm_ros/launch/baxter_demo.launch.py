@@ -4,7 +4,6 @@
 ros2 launch tpgmm_ros baxter_demo.launch.py model:=/path/to/model.tpgmm
 """
 
-from launch import LaunchDescription, LaunchDescriptionEntity
 from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
 from launch.events import matches_action
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
@@ -14,6 +13,8 @@ from launch_ros.events.lifecycle import ChangeState
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 from lifecycle_msgs.msg import Transition
+
+from launch import LaunchDescription, LaunchDescriptionEntity
 
 
 def activated(node: LifecycleNode) -> list[LaunchDescriptionEntity]:
