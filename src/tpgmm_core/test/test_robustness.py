@@ -15,6 +15,7 @@ from benchmarks.workloads import pose_demonstrations
 from tpgmm_core import TPGMM, Demonstration, Frame
 from tpgmm_core.learning.dirichlet import DirichletTPGMM
 from tpgmm_core.learning.dp_means import DPMeans
+from tpgmm_core.learning.structure import STRUCTURES
 
 
 @st.composite
@@ -83,6 +84,19 @@ def fit_or_refuse(model: TPGMM, demonstrations: list[Demonstration]) -> bool:
 def test_a_good_model_or_a_clear_error(demonstrations: list[Demonstration], **params: Any) -> None:
     params["n_components"] = params.pop("K")
     fit_or_refuse(TPGMM(**params, max_iter=30), demonstrations)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    demonstrations=awkward_demonstrations(),
+    K=st.integers(1, 6),
+    covariance=st.sampled_from([name for name in STRUCTURES if name != "full"]),
+    regularization=st.sampled_from(["add", "prior"]),
+    reg_covar=st.sampled_from([0.0, 1e-8, 1e-4]),
+)
+def test_a_good_model_or_a_clear_error_with_every_structure(demonstrations: list[Demonstration], **params: Any) -> None:
+    params["n_components"] = params.pop("K")
+    fit_or_refuse(TPGMM(**params, init="bins", max_iter=15), demonstrations)
 
 
 @settings(max_examples=60, deadline=None)
