@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from tpgmm_core.kernels_em import SINGULAR
 from tpgmm_core.learning.structure import Covariances, Structure
 from tpgmm_core.quaternion import Array
 
@@ -24,11 +25,14 @@ def not_definite(k: int) -> ValueError:
 
 
 def inverse_factor(S: Array, k: int) -> Array:
-    """L^-1 (n, n) of S = L L^T (n, n), the covariance of component k. Raises ValueError when S is not definite."""
+    """L^-1 (n, n) of S = L L^T (n, n), the covariance of component k. Raises ValueError when S is not definite, or
+    is so by rounding alone."""
     try:
         L = np.linalg.cholesky(S)
     except np.linalg.LinAlgError:
         raise not_definite(k) from None
+    if np.any(np.diagonal(L) ** 2 <= SINGULAR * np.diagonal(S)):
+        raise not_definite(k)
     return np.asarray(solve_triangular(L, np.eye(len(S)), lower=True))
 
 

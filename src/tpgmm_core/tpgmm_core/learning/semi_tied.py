@@ -11,7 +11,8 @@ from typing import Self
 import numpy as np
 from scipy.linalg import eigh
 
-from tpgmm_core.learning.classical import not_definite
+from tpgmm_core.kernels_em import SINGULAR
+from tpgmm_core.learning.classical import inverse_factor, not_definite
 from tpgmm_core.learning.structure import Covariances, Structure
 from tpgmm_core.quaternion import Array
 
@@ -33,8 +34,7 @@ class SemiTiedCovariances(Covariances):
     arrays_of = ("transform", "variances")
 
     def __post_init__(self) -> None:
-        if not np.all(self.variances > 0.0):
-            raise not_definite(int(np.argmin(self.variances.min(axis=1))))
+        _check_variances(self.variances)
 
     @classmethod
     def start(cls, structure: Structure, counts: Array, scatters: Array) -> Self:
@@ -43,17 +43,17 @@ class SemiTiedCovariances(Covariances):
         halves = [counts[::2] @ scatters[::2].reshape(-1, scatters[0].size)]
         halves.append(counts @ scatters.reshape(-1, scatters[0].size))
         one, both = (half.reshape(scatters[0].shape) / counts.sum() for half in halves)
-        try:
-            A = eigh(one, both)[1].T
-        except np.linalg.LinAlgError:
-            raise not_definite(int(np.argmin(np.linalg.eigvalsh(scatters)[:, 0]))) from None
+        _check_definite(both, scatters)
+        A = eigh(one, both)[1].T
         return cls(structure, A, _diagonals(A, scatters))
 
     def maximised(self, counts: Array, scatters: Array) -> Self:
         A, variances = self.transform, self.variances
+        _check_definite(np.einsum("k,kij->ij", counts, scatters), scatters)
         for _ in range(SWEEPS):
             A = _rows_updated(A, variances, counts, scatters)
             variances = _diagonals(A, scatters)
+            _check_variances(variances)
         return type(self)(self.structure, A, variances)
 
     @classmethod
@@ -95,6 +95,17 @@ class SemiTiedCovariances(Covariances):
         """The scale of the rows of A is free: n (n - 1) + K n; one or two components are as good as full."""
         K, n = self.shape
         return min(n * (n - 1) + K * n, K * n * (n + 1) // 2)
+
+
+def _check_variances(variances: Array) -> None:
+    """Raise ValueError for a component that is, but for rounding, a point along some axis."""
+    if not np.all(variances > SINGULAR * variances.max(axis=0)):
+        raise not_definite(int(np.argmin(variances.min(axis=1))))
+
+
+def _check_definite(pooled: Array, scatters: Array) -> None:
+    """Raise ValueError where all components together lie in a subspace; one alone may."""
+    inverse_factor(pooled, int(np.argmin(np.linalg.eigvalsh(scatters)[:, 0])))
 
 
 def _diagonals(A: Array, scatters: Array) -> Array:
