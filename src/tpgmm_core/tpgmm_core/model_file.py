@@ -14,18 +14,20 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tpgmm_core.learning.structure import Covariances, Structure
+from tpgmm_core.learning.structures import covariances_class
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
 
 FORMAT = "tpgmm model"
-VERSION = 1
+VERSION = 2  # 2 knows covariance structures; a model of full covariances is written as 1
 MAX_BYTES = 100_000_000  # unpacked; a model of 100 components, 20 frames and 20 dimensions has 7 MB
 
 
@@ -35,7 +37,8 @@ class ModelFileError(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelContents:
-    """What a model file holds: see the attributes of `TPGMM`. settings are constructor arguments."""
+    """What a model file holds: see the attributes of `TPGMM`. settings are constructor arguments; frames are the
+    covariances in their structure, where it is not "full": then the file holds these, not the dense ones."""
 
     manifold: Manifold
     priors: Array
@@ -47,6 +50,7 @@ class ModelContents:
     settings: Mapping[str, str | float]
     dimensions: tuple[str, ...] | None = None
     metadata: Mapping[str, str | float] = field(default_factory=dict)
+    frames: Mapping[str, Covariances] | None = None
 
 
 def write(path: str | PathLike[str], contents: ModelContents) -> None:
@@ -60,7 +64,7 @@ def write(path: str | PathLike[str], contents: ModelContents) -> None:
     names = list(contents.means)
     header = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": 1 if contents.frames is None else 2,
         "frames": names,
         "manifold": str(contents.manifold),
         "dimensions": None if contents.dimensions is None else list(contents.dimensions),
@@ -68,6 +72,8 @@ def write(path: str | PathLike[str], contents: ModelContents) -> None:
         "settings": dict(contents.settings),
         "metadata": dict(contents.metadata),
     }
+    if contents.frames is not None:
+        header["structure"] = asdict(next(iter(contents.frames.values())).structure)
     arrays: dict[str, Any] = {
         "model.json": np.frombuffer(json.dumps(header, allow_nan=False).encode(), dtype=np.uint8),
         "priors": contents.priors,
@@ -76,7 +82,10 @@ def write(path: str | PathLike[str], contents: ModelContents) -> None:
     }
     for j, name in enumerate(names):
         arrays[f"means_{j}"] = contents.means[name]
-        arrays[f"covariances_{j}"] = contents.covariances[name]
+        if contents.frames is None:
+            arrays[f"covariances_{j}"] = contents.covariances[name]
+        else:
+            arrays |= {f"frame_{j}_{key}": array for key, array in contents.frames[name].arrays().items()}
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
     try:
         with os.fdopen(handle, "wb") as stream:
@@ -116,14 +125,18 @@ def read(path: str | PathLike[str]) -> ModelContents:
 def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise ModelFileError("no model file: it does not say so in its header")
-    if header.get("version") != VERSION:
-        raise ModelFileError(f"version {header.get('version')!r}, this software reads version {VERSION}")
+    if header.get("version") not in range(1, VERSION + 1):
+        raise ModelFileError(f"version {header.get('version')!r}, this software reads versions up to {VERSION}")
     names = header["frames"]
     if not names or len(set(names)) != len(names) or not all(isinstance(name, str) for name in names):
         raise ModelFileError(f"frames are distinct names, got {names!r}")
     manifold = Manifold.parse(header["manifold"])
     means = {name: _numbers(arrays, f"means_{j}", 2) for j, name in enumerate(names)}
-    covariances = {name: _numbers(arrays, f"covariances_{j}", 3) for j, name in enumerate(names)}
+    frames = None if "structure" not in header else _frames(header, arrays)
+    if frames is None:
+        covariances = {name: _numbers(arrays, f"covariances_{j}", 3) for j, name in enumerate(names)}
+    else:
+        covariances = {name: frame.dense() for name, frame in frames.items()}
     priors = _numbers(arrays, "priors", 1)
     K = len(priors)
     if K == 0 or priors.min() < 0.0 or not math.isclose(priors.sum(), 1.0, abs_tol=1e-6):
@@ -153,13 +166,27 @@ def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
         settings=dict(header["settings"]),
         dimensions=None if dimensions is None else tuple(dimensions),
         metadata=dict(header["metadata"]),
+        frames=frames,
     )
 
 
-def _numbers(arrays: dict[str, Any], name: str, ndim: int) -> Array:
+def _frames(header: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Covariances]:
+    """The covariances in their structure, whose class checks that its arrays fit together."""
+    settings = dict(header["structure"])
+    settings["layers"] = tuple(tuple(layer) for layer in settings["layers"])
+    structure = Structure(**settings)
+    frames = {}
+    for j, name in enumerate(header["frames"]):
+        prefix = f"frame_{j}_"
+        own = {key.removeprefix(prefix): _numbers(arrays, key) for key in arrays if key.startswith(prefix)}
+        frames[name] = covariances_class(structure).from_arrays(structure, own)
+    return frames
+
+
+def _numbers(arrays: dict[str, Any], name: str, ndim: int | None = None) -> Array:
     array = arrays[name]
-    if array.dtype != np.float64 or array.ndim != ndim or not np.all(np.isfinite(array)):
-        raise ModelFileError(f"{name} must be finite float64 numbers of {ndim} axes")
+    if array.dtype != np.float64 or ndim not in (None, array.ndim) or not np.all(np.isfinite(array)):
+        raise ModelFileError(f"{name} must be finite float64 numbers" + (f" of {ndim} axes" if ndim else ""))
     return np.asarray(array)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from functools import cached_property
 from os import PathLike
 from typing import Any, Self
 
@@ -16,6 +18,11 @@ from tpgmm_core.adaptation import Adapter
 from tpgmm_core.demonstration import Demonstration
 from tpgmm_core.estimation import Estimate, Parameters, Progress, Workspace, expectation_maximisation
 from tpgmm_core.frame import Frame
+from tpgmm_core.learning.classical import FullCovariances
+from tpgmm_core.learning.em import expectation
+from tpgmm_core.learning.emissions import Emissions
+from tpgmm_core.learning.structure import Structure
+from tpgmm_core.learning.structured_em import fit_structure
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
@@ -38,10 +45,15 @@ class TPGMM:
     manifold : space of the data, e.g. "R1 x R3 x S3"; "euclidean" is R^D for any D, also different per frame
     regularization : "add", or "prior", whose objective never falls: see `expectation_maximisation`
     n_init : starts of EM, of which the one with the best objective counts: `init`, then k-means by chance
+    covariance : "full", or a structure with fewer parameters, for all components and frames: "diag", "spherical",
+        "tied", "mfa", "mppca", "hddc", "semi_tied", "deep_mfa" (which divides the K components further)
+    n_factors : columns of the loadings of "mfa", "mppca" and "deep_mfa", for frames of more dimensions
+    covariance_options : other fields of `tpgmm_core.learning.structure.Structure` by name, or None
 
     Attributes after fitting
     ------------------------
     priors_ : shape (K,); means_ : name → (K, D_j); covariances_ : name → (K, n_j, n_j), tangent dimensions
+    emissions_ : the components with their covariance structure; n_parameters_ : free parameters of the model
     log_likelihood_, log_likelihoods_ : per sample, the last and their course; objectives_ : what EM maximises
     n_iter_, converged_, frame_names_, manifold_ (the space of the data; on R^D with frames that were
     projected elsewhere, the largest D_j), dimensions_ (names, or None), metadata_ (free-form texts and
@@ -72,6 +84,9 @@ class TPGMM:
         manifold: str | Manifold = "euclidean",
         regularization: str = "add",
         n_init: int = 1,
+        covariance: str = "full",
+        n_factors: int = 1,
+        covariance_options: Mapping[str, Any] | None = None,
     ) -> None:
         self.n_components = n_components
         self.init = init
@@ -82,6 +97,9 @@ class TPGMM:
         self.manifold = manifold
         self.regularization = regularization
         self.n_init = n_init
+        self.covariance = covariance
+        self.n_factors = n_factors
+        self.covariance_options = covariance_options
 
     @classmethod
     def _parameter_names(cls) -> list[str]:
@@ -132,29 +150,34 @@ class TPGMM:
     def _fit(self, samples: Samples, progress: Progress | None) -> Self:
         if samples.n_samples < self.n_components:
             raise ValueError(f"{self.n_components} components need at least as many samples, got {samples.n_samples}")
-        estimates: list[Estimate] = []
+        estimates: list[tuple[Estimate, Emissions | None]] = []
         failure: ValueError | None = None
         for start in self._starts(samples):
             try:
-                estimate = expectation_maximisation(
-                    samples,
-                    start,
-                    reg_covar=self.reg_covar,
-                    regularization=self.regularization,
-                    tol=self.tol,
-                    max_iter=self.max_iter,
-                    progress=progress,
-                )
-                estimates.append(estimate)
+                estimates.append(self._estimate(samples, start, progress))
             except ValueError as error:  # a start may end in a subspace, others not
                 failure = error
         if not estimates:
             assert failure is not None
             raise failure
-        self._learned(max(estimates, key=lambda e: e.objectives[-1]), samples.manifold)
+        best, emissions = max(estimates, key=lambda e: e[0].objectives[-1])
+        self._learned(best, samples.manifold, emissions)
         return self
 
-    def _learned(self, estimate: Estimate, manifold: Manifold) -> None:
+    def _estimate(
+        self, samples: Samples, start: Parameters, progress: Progress | None
+    ) -> tuple[Estimate, Emissions | None]:
+        """EM from one start; with the components where their structure is not full."""
+        rules: dict[str, Any] = {"tol": self.tol, "max_iter": self.max_iter, "progress": progress}
+        structure = self._structure()
+        if structure.name == "full":
+            regularization: dict[str, Any] = {"reg_covar": self.reg_covar, "regularization": self.regularization}
+            return expectation_maximisation(samples, start, **regularization, **rules), None
+        begun = self.init.emissions_ if isinstance(self.init, TPGMM) and start.priors is self.init.priors_ else None
+        estimate = fit_structure(samples, structure, start, begun, self.random_state, **rules)
+        return estimate.with_dense_covariances(), estimate.emissions
+
+    def _learned(self, estimate: Estimate, manifold: Manifold, emissions: Emissions | None = None) -> None:
         self.priors_ = estimate.parameters.priors
         self.means_ = dict(estimate.parameters.means)
         self.covariances_ = dict(estimate.parameters.covariances)
@@ -167,6 +190,30 @@ class TPGMM:
         self.manifold_ = manifold
         self.dimensions_ = None
         self.metadata_ = {}
+        self.__dict__.pop("emissions_", None)  # of an earlier fit
+        if emissions is not None:
+            self.emissions_ = emissions
+
+    @cached_property
+    def emissions_(self) -> Emissions:
+        """The components; full ones are put together when first asked for."""
+        self._check_fitted()
+        structure = Structure("full", reg_covar=self.reg_covar, regularization=self.regularization)
+        frames = {name: FullCovariances(structure, covariances) for name, covariances in self.covariances_.items()}
+        return Emissions(structure, self.frame_manifolds_, self.means_, frames)
+
+    @property
+    def n_parameters_(self) -> int:
+        """Free parameters: of the means and covariances in all frames, and the priors, which sum to 1."""
+        return self.emissions_.n_parameters + len(self.priors_) - 1
+
+    def _structure(self) -> Structure:
+        options = dict(self.covariance_options or {})
+        try:
+            return Structure(self.covariance, self.n_factors, self.reg_covar, self.regularization, **options)
+        except TypeError:
+            known = [field.name for field in fields(Structure)][4:]
+            raise ValueError(f"covariance_options may hold {', '.join(known)}, got {sorted(options)}") from None
 
     @property
     def frame_manifolds_(self) -> dict[str, Manifold]:
@@ -182,8 +229,7 @@ class TPGMM:
             value = getattr(self, name)
             if not isinstance(value, int | float | np.number) or not (np.isfinite(value) and value >= 0.0):
                 raise ValueError(f"{name} is a finite number from 0, got {value!r}")
-        if self.regularization not in ("add", "prior"):
-            raise ValueError(f'regularization is "add" or "prior", got {self.regularization!r}')
+        self._structure()
         if isinstance(self.init, str) and self.init not in ("time", "bins", "kmeans"):
             raise ValueError(f'init is "time", "bins", "kmeans", labels or a fitted TPGMM, got {self.init!r}')
 
@@ -237,6 +283,8 @@ class TPGMM:
         are not those of the model.
         """
         samples = self._samples(demonstrations)
+        if self.emissions_.structure.name != "full":
+            return expectation(self.priors_, self.emissions_, samples)[1] / samples.n_samples
         workspace = Workspace(samples, Parameters(self.priors_, self.means_, self.covariances_))
         workspace.factorise()
         return workspace.expectation() / samples.n_samples
@@ -266,6 +314,7 @@ class TPGMM:
             settings=settings,
             dimensions=self.dimensions_,
             metadata=self.metadata_,
+            frames=None if self.emissions_.structure.name == "full" else self.emissions_.frames,
         )
         model_file.write(path, contents)
 
@@ -276,9 +325,17 @@ class TPGMM:
         known = {k: v for k, v in contents.settings.items() if k in cls._parameter_names()}
         parameters = Parameters(contents.priors, contents.means, contents.covariances)
         model = cls(**known)  # type: ignore[arg-type]
+        emissions = None
+        if contents.frames is not None:
+            structure = next(iter(contents.frames.values())).structure
+            options = {f.name: getattr(structure, f.name) for f in fields(Structure)[4:]}
+            model.covariance_options = {k: v for k, v in options.items() if v != getattr(Structure(), k)} or None
+            manifolds = {name: view_manifold(contents.manifold, m.shape[1]) for name, m in contents.means.items()}
+            emissions = Emissions(structure, manifolds, contents.means, contents.frames)
         model._learned(
             Estimate(parameters, contents.log_likelihoods, contents.objectives, contents.converged),
             contents.manifold,
+            emissions,
         )
         model.dimensions_ = contents.dimensions
         model.metadata_ = dict(contents.metadata)

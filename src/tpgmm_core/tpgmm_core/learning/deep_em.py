@@ -34,13 +34,19 @@ def fit_deep_mixture(
     Each layer is learned by EM on the data's likelihood, in which only the topmost factors' Gaussians and priors
     move; the objective never falls within a layer. The result has K times the layers' numbers of components, and
     the course of the last layer. Raises ValueError for S³, where factors would lie in different tangent spaces,
-    and for frames of one dimension, which have no factors.
+    and for frames of so few dimensions that a layer has no factors.
     """
     for name, manifold in samples.manifolds.items():
-        if not manifold.is_euclidean or manifold.dim < 2:
-            raise ValueError(
-                f'"deep_mfa" needs frames on R2 or more, without S3; {name!r} lies on {manifold}: take "mfa"'
-            )
+        if not manifold.is_euclidean:
+            raise ValueError(f'"deep_mfa" needs Euclidean frames, {name!r} lies on {manifold}: take "mfa"')
+        d = manifold.dim
+        for n_factors in (structure.n_factors, *(n_factors for _, n_factors in structure.layers[:-1])):
+            d = min(n_factors, d - 1)
+            if d < 1:
+                raise ValueError(
+                    f'the layers of "deep_mfa" leave frame {name!r} of {manifold.dim} dimensions without factors to '
+                    "divide: a layer has at most one factor less than what it describes; take fewer layers"
+                )
     estimate = fit_mixture(samples, priors, emissions, tol=tol, max_iter=max_iter, progress=progress)
     rng = np.random.default_rng(random_state)
     for n_parts, n_factors in structure.layers:

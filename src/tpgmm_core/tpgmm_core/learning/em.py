@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from tpgmm_core.estimation import MIN_ITERATIONS, Progress, Samples
+from tpgmm_core.estimation import MIN_ITERATIONS, Estimate, Parameters, Progress, Samples
 from tpgmm_core.learning.emissions import Emissions
 from tpgmm_core.quaternion import Array
 
@@ -22,6 +22,11 @@ class MixtureEstimate:
     log_likelihoods: Array
     objectives: Array
     converged: bool
+
+    def with_dense_covariances(self) -> Estimate:
+        """The same as what EM of full covariances returns."""
+        parameters = Parameters(self.priors, self.emissions.means, self.emissions.covariances)
+        return Estimate(parameters, self.log_likelihoods, self.objectives, self.converged)
 
 
 def expectation(priors: Array, emissions: Emissions, samples: Samples) -> tuple[Array, float]:
