@@ -3,8 +3,8 @@
 
 Frames move, disappear and come back while the movement runs, and each time the adapted mixture is another one at once.
 What is handed on must not jump: the difference between the movement as it was and as it is now is taken over as an
-*offset* that dies out as a critically damped spring does, with continuous velocity. While the frames stay, the
-reference is exactly what the model says.
+*offset* that dies out as a critically damped spring does, with continuous velocity. While the frames stay, the mean is
+exactly what the model says; the covariance follows the model with the same time constant.
 """
 
 from __future__ import annotations
@@ -24,6 +24,9 @@ from tpgmm_core.tpgmm import TPGMM
 
 Array = NDArray[np.float64]
 _SECOND = 1_000_000_000
+#: Now and a moment later, s: what tells the velocity of a reference. Short, so that a controller which takes the
+#: velocity from a horizon of such steps sees what is kept continuous here.
+_NEAR: Array = np.array([0.0, 0.005])
 
 
 class Reproduction:
@@ -46,7 +49,7 @@ class Reproduction:
         *,
         duration: float | None = None,
         horizon_steps: int = 2,
-        horizon_time_step: float = 0.05,
+        horizon_time_step: float = 0.005,
         blend_time: float = 0.15,
     ) -> None:
         self.model_duration = demonstrated_duration(model)
@@ -62,7 +65,7 @@ class Reproduction:
         self.manifold: Manifold = model.manifold_.subset(range(1, model.manifold_.dim))
         self._adapter = Adapter(model)
         self._horizon_time_step = horizon_time_step if horizon_steps else 0.0
-        self._ahead = horizon_time_step * np.arange(1 + horizon_steps)
+        self._ahead: Array = horizon_time_step * np.arange(1 + horizon_steps, dtype=np.float64)
         self._blend_time = blend_time
         self._start_ns: int | None = None
         self._compile()
@@ -111,13 +114,14 @@ class Reproduction:
         self._last_ns = time_ns
         self._advance_offset(since)
         phase = min(1.0, elapsed / self.duration)
-        times = np.minimum((elapsed + self._ahead) / self.duration, 1.0) * self.model_duration
+        times = self._model_times(elapsed + self._ahead)
         if state is None and frames is self._frames and weights is self._weights:
             means, covariances, activations = self._adapter.condition(times)
         else:
-            former = self._former_means(times)
+            near = self._model_times(elapsed + _NEAR)
+            former = self._former_means(near)
             means, covariances, activations = self._adapter.adapt_and_condition(frames, times, weights, state)
-            self._take_over(former, means)
+            self._take_over(former, near)
             self._frames, self._weights = frames, weights
         covariance = self._blend_covariance(covariances[0], since)
         gaussians = [
@@ -133,28 +137,25 @@ class Reproduction:
             frames=tuple(frames),
         )
 
+    def _model_times(self, elapsed: Array) -> Array:
+        """Times of the model, s, from those of the reproduction; the end lasts."""
+        return np.minimum(elapsed / self.duration, 1.0) * self.model_duration
+
     def _former_means(self, times: Array) -> list[Array]:
-        """Where the frames of the last step would have the reference now, and at the next Gaussian of the horizon."""
+        """Where the frames of the last step would have the reference now and a moment later, if there was a step."""
         if self._frames is None:
             return []
-        means = self._adapter.condition(times[:2])[0]
-        return [
-            self.manifold.exp(mean, self._offset_after(ahead)[0])
-            for mean, ahead in zip(means, self._ahead[:2], strict=True)
-        ]
+        means = self._adapter.condition(times)[0]
+        return [self.manifold.exp(mean, self._offset_after(ahead)[0]) for mean, ahead in zip(means, _NEAR, strict=True)]
 
-    def _take_over(self, former: list[Array], means: Array) -> None:
-        """Let the offset begin such that the reference goes on as the former frames had it, and dies out from there.
-
-        It does so in place and, as far as the horizon tells, in velocity.
-        """
-        offsets = [self.manifold.log(mean, one) for mean, one in zip(means, former, strict=False)]
-        if offsets:
-            self._offset = offsets[0]
-        if len(offsets) > 1:
-            rate, ahead = 1.0 / self._blend_time, self._ahead[1]
-            slope = (math.exp(rate * ahead) * offsets[1] - offsets[0]) / ahead
-            self._offset_rate = slope - rate * offsets[0]
+    def _take_over(self, former: list[Array], times: Array) -> None:
+        """Let the offset begin such that the reference goes on as the former frames had it, in place and velocity."""
+        if former:
+            means = self._adapter.condition(times)[0]
+            here, ahead = (self.manifold.log(mean, one) for mean, one in zip(means, former, strict=True))
+            rate, moment = 1.0 / self._blend_time, float(_NEAR[1])
+            self._offset = here
+            self._offset_rate = (math.exp(rate * moment) * ahead - here) / moment - rate * here
 
     def _offset_after(self, seconds: float) -> tuple[Array, Array]:
         """Offset and its rate after a time: the exact solution of the critically damped spring."""

@@ -43,6 +43,7 @@ class BagRecorder:
             raise FileExistsError(f"{path} exists; recordings are not overwritten: move it, or give another path")
         self.path = path
         self.counts = dict.fromkeys(topics, 0)
+        self._last: dict[str, bytes] = {}
         self._node = node
         self._topics = dict(topics)
         self._keep_every = dict(keep_every or {})
@@ -67,6 +68,9 @@ class BagRecorder:
         return self
 
     def _write(self, topic: str, connection: Connection, data: bytes) -> None:
+        if data == self._last.get(topic):
+            return  # sent again because an answer was missing, stamp and all
+        self._last[topic] = data
         if self.counts[topic] % self._keep_every.get(topic, 1) == 0:
             self._writer.write(connection, self._node.get_clock().now().nanoseconds, data)
         self.counts[topic] += 1

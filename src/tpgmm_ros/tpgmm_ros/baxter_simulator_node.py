@@ -32,6 +32,9 @@ from tpgmm_ros.qos import EVENTS, STREAM
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
     Declared("lockstep", False, "Publish /clock and wait for the torques that answer each state", fixed=True),
+    Declared(
+        "lockstep_wrench", False, "In lockstep, wait also for an external wrench that answers each pose", fixed=True
+    ),
     Declared("rate", 1000.0, "Steps per second of simulated time, Hz", 100.0, 2000.0, fixed=True),
     Declared("pose_rate", 100.0, "End point poses per second of simulated time, Hz", 1.0, 1000.0, fixed=True),
     Declared("command_timeout", 0.1, "Without torques for this long, the joints are damped, s", 0.002, 10.0),
@@ -71,6 +74,8 @@ class BaxterSimulatorNode(Node):
         self._torque_stamp_ns = -1
         self._torque_received = 0.0  # simulated s
         self._pushes: dict[str, _Push] = {}
+        self._wrench_stamp_ns = -1
+        self._pose_stamp_ns = 0
         self._states = self.create_publisher(JointState, "joint_states", STREAM)
         self._poses = {
             name: self.create_publisher(PoseStamped, f"endpoint/{name}/pose", STREAM) for name in self.robot.endpoints
@@ -97,6 +102,7 @@ class BaxterSimulatorNode(Node):
         try:
             self.robot.frame_id(link)
             self._pushes[link] = _Push(conversions.wrench_to_array(message), self.simulator.state.time)
+            self._wrench_stamp_ns = conversions.time_to_ns(message.header.stamp)
         except ValueError as error:
             self.get_logger().error(f"wrench refused: {error}", throttle_duration_sec=1.0)
 
@@ -126,6 +132,7 @@ class BaxterSimulatorNode(Node):
 
     def _publish_poses(self) -> None:
         if self._steps % self._steps_per_pose == 0:
+            self._pose_stamp_ns = self._stamp_ns
             self._data.update(self.simulator.state.q)
             for name, publisher in self._poses.items():
                 pose = self._data.pose(name)
@@ -169,16 +176,22 @@ class BaxterSimulatorNode(Node):
             self._publish_state()
             self._publish_poses()
             repeat_at = time.perf_counter() + REPEAT_AFTER
-            while self._torque_stamp_ns != self._stamp_ns and not stop.set:
+            while not (self._is_answered() or stop.set):
                 executor.spin_once(timeout_sec=0.01)
                 if time.perf_counter() > repeat_at:
                     self._publish_state()
+                    self._publish_poses()
                     repeat_at += REPEAT_AFTER
             start = time.perf_counter()
             self._step()
             self.monitor.asked += 1
             self.monitor.done += 1
             self.monitor.step.add(time.perf_counter() - start)
+
+    def _is_answered(self) -> bool:
+        """Whether all have answered this step: the controller each state, whoever leads the robot each pose."""
+        led = not self.parameters["lockstep_wrench"] or self._wrench_stamp_ns >= self._pose_stamp_ns
+        return led and self._torque_stamp_ns == self._stamp_ns
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
         values = {"simulated_time_s": f"{self.simulator.state.time:.3f}"}

@@ -32,6 +32,9 @@ from tpgmm_ros.timing import loop_clock
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
     Declared("endpoint", "left", "The end point that follows the reference", fixed=True),
+    Declared(
+        "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
+    ),
     Declared("autostart", False, "Configure and activate at start, without a lifecycle manager", fixed=True),
     Declared(
         "lockstep", False, "Wait for the reference of the same stamp before a joint state is answered", fixed=True
@@ -51,7 +54,7 @@ class ImpedanceControllerNode(ManagedNode):
             self, PARAMETERS, check=lambda values: fill(ImpedanceConfig, values), changed=self._reconfigure
         )
         self.controller: ImpedanceController | None = None
-        self.monitor = Monitor(self, self._status)
+        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"])
         self._active = False
         self._mode, self._reason = ControllerMode.WAITING, "not active"
         if self.parameters["autostart"]:

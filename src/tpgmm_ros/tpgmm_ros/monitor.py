@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Callable
 
 import numpy as np
@@ -13,7 +12,6 @@ from rclpy.node import Node
 
 from tpgmm_ros.qos import EVENTS
 
-_GAPS_TO_LEARN = 51
 #: A longer silence is a pause, not lost ticks.
 _PAUSE_NS = 1_000_000_000
 
@@ -43,9 +41,12 @@ class Monitor:
     Args:
         node: the node.
         status: called once a second, returns (level, message, further key-value pairs).
+        rate: at which the ticks should come that ``tick`` is told of, Hz.
     """
 
-    def __init__(self, node: Node, status: Callable[[], tuple[bytes, str, dict[str, str]]]) -> None:
+    def __init__(
+        self, node: Node, status: Callable[[], tuple[bytes, str, dict[str, str]]], rate: float = 1000.0
+    ) -> None:
         self.asked = 0
         self.done = 0
         self.step = Samples()
@@ -53,8 +54,8 @@ class Monitor:
         self._node = node
         self._status = status
         self._last_tick_ns = 0
-        self._gaps: list[int] = []
-        self._period_ns = 1.0
+        self._ticks = 0.0
+        self._rate = rate
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", EVENTS)
         # A timer on ROS time would stall with a paused simulation, just when one wants to know.
         self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -63,14 +64,9 @@ class Monitor:
         """A tick that another node gives, by the stamp of its message: ticks that never came count as asked too."""
         gap = stamp_ns - self._last_tick_ns
         self._last_tick_ns = stamp_ns
-        if not 0 < gap < _PAUSE_NS:
-            self.asked += 1
-            return
-        if len(self._gaps) < _GAPS_TO_LEARN:
-            self._gaps.append(gap)
-            # The usual distance of two stamps is the period; only a gap of about twice that is a lost tick.
-            self._period_ns = statistics.median(self._gaps)
-        self.asked += max(1, round(gap / self._period_ns))
+        # Summed up, so that ticks that are late and catch up count once.
+        self._ticks += 1e-9 * gap * self._rate if 0 < gap < _PAUSE_NS else 1.0
+        self.asked = round(self._ticks)
 
     def publish(self) -> None:
         level, message, extra = self._status()

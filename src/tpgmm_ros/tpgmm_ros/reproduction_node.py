@@ -42,10 +42,13 @@ from tpgmm_ros.timing import loop_clock
 PARAMETERS = [
     Declared("task_file", "", "Task file (YAML): frames and the movement's topic", fixed=True),
     Declared("model_file", "", "Model file (.tpgmm) that is loaded when the node is configured", fixed=True),
+    Declared(
+        "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
+    ),
     Declared("autostart", False, "Configure and activate at start, without a lifecycle manager", fixed=True),
     Declared("rate", 0.0, "References on a timer, Hz; 0: one for each joint state", 0.0, 2000.0, fixed=True),
     Declared("horizon_steps", 1, "Gaussians ahead in each reference", 0, 50),
-    Declared("horizon_time_step", 0.02, "Time between them, s", 0.001, 1.0),
+    Declared("horizon_time_step", 0.005, "Time between them, s", 0.001, 1.0),
     Declared("blend_time", 0.15, "Time constant with which moved or lost frames are taken over, s", 0.001, 5.0),
     *declared_of(ExecutionConfig),
 ]
@@ -60,7 +63,7 @@ class ReproductionNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("reproduction")
         self.parameters = Parameters(self, PARAMETERS)
-        self.monitor = Monitor(self, self._status)
+        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"])
         self.model: TPGMM | None = None
         self.execution: Execution | None = None
         self._active = False
@@ -221,6 +224,8 @@ class ReproductionNode(ManagedNode):
     def _watch(self) -> None:
         """Ticks that do not come cannot notice it themselves."""
         silence = 1e-9 * (self._steady.now().nanoseconds - self._stepped_ns)
+        if self._goal is not None and self._goal.is_cancel_requested:
+            self._end("canceled")
         if self._goal is not None and silence > self.parameters["start_timeout"]:
             self._end(f"no joint states for {silence:.1f} s: is the robot running, and is the topic the right one?")
 

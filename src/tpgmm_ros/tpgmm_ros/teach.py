@@ -67,6 +67,8 @@ class ScriptedLesson:
         self._start: float | None = None
         self._teacher: Teacher | None = None
         self._ticks = 0
+        self._stamp_ns = -1
+        self._wrench = np.zeros(6)
         self._wrenches = node.create_publisher(WrenchStamped, "external_wrench", STREAM)
         self._places = {name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()}
         self._subscription = node.create_subscription(PoseStamped, task.movement, self._answer, STREAM)
@@ -84,15 +86,20 @@ class ScriptedLesson:
 
     def _answer(self, message: PoseStamped) -> None:
         stamp_ns = conversions.time_to_ns(message.header.stamp)
-        now = 1e-9 * stamp_ns
-        hand = conversions.pose_to_array(message.pose)
+        if stamp_ns > self._stamp_ns:
+            self._stamp_ns = stamp_ns
+            self._advance(1e-9 * stamp_ns, conversions.pose_to_array(message.pose))
+        # The simulation waits for this; a pose that comes again did not get its answer.
+        self._wrenches.publish(conversions.wrench_from_array(self._wrench, stamp_ns, self._link))
+
+    def _advance(self, now: float, hand: Array) -> None:
         self._start = now if self._start is None else self._start
         self.time = now - self._start - SETTLE
         self._grasp.update(hand, now)
         if self._ticks % TICKS_PER_OBSERVATION == 0:
-            self._show("target", self._situation.target, stamp_ns)
+            self._show("target", self._situation.target)
             if not self._grasp.holds:
-                self._show("object", self._grasp.object, stamp_ns)
+                self._show("object", self._grasp.object)
         self._ticks += 1
         if self.time < 0.0 or self.done:
             return
@@ -100,12 +107,11 @@ class ScriptedLesson:
             config = TeacherConfig()
             self._teacher = Teacher(Intention(hand, self._situation, config, self._random), config)
             self.duration = self._teacher.intention.duration
-        wrench = self._teacher.wrench(self.time, hand)
-        self._wrenches.publish(conversions.wrench_from_array(wrench, stamp_ns, self._link))
+        self._wrench = self._teacher.wrench(self.time, hand)
         self.done = self.time >= self.duration
 
-    def _show(self, name: str, place: Array, stamp_ns: int) -> None:
-        self._places[name].publish(conversions.pose_stamped(place, stamp_ns, self._task.base_frame))
+    def _show(self, name: str, place: Array) -> None:
+        self._places[name].publish(conversions.pose_stamped(place, self._stamp_ns, self._task.base_frame))
 
 
 def record_scripted(task: Task, robot_file: Path, output: Path, count: int, seed: int) -> list[Path]:
@@ -157,7 +163,7 @@ def _record_lesson(
             use_sim_time=True,
             autostart=True,
         )
-        processes.start("baxter_simulator", robot_file=robot_file, lockstep=True)
+        processes.start("baxter_simulator", robot_file=robot_file, lockstep=True, lockstep_wrench=True)
         graph = Graph(node, executor, processes)
         graph.wait_for(lambda: node.count_publishers("joint_torques") > 0, 30.0, "the controller")
         with BagRecorder(node, path, topics_of(task), keep_every={"joint_states": KEEP_EVERY_JOINT_STATE}) as recorder:
