@@ -103,9 +103,10 @@ class Candidate:
 
     name; structure : of its covariances, with the kind of model where that is no mixture; n_components : K;
     n_parameters; log_likelihood : per sample, of what it was fitted to; held_out : the same of what it was not,
-    None where not asked for; held_out_error : standard error over the demonstrations; bic, aic; fit_time_s : of
-    the fit to all demonstrations; model : the estimator fitted to all; error : why it could not be fitted, when
-    all numbers are NaN.
+    None where not asked for; held_out_error : standard error over the demonstrations; by_demonstration : the
+    held-out log-likelihood of each, since one situation unlike all others may outweigh the rest; bic, aic;
+    fit_time_s : of the fit to all demonstrations; model : the estimator fitted to all; error : why it could not be
+    fitted, when all numbers are NaN.
     """
 
     name: str
@@ -115,13 +116,14 @@ class Candidate:
     log_likelihood: float = np.nan
     held_out: float | None = None
     held_out_error: float | None = None
+    by_demonstration: tuple[float, ...] | None = None
     bic: float = np.nan
     aic: float = np.nan
     fit_time_s: float = np.nan
     error: str | None = None
     model: Estimator | None = field(default=None, repr=False)
 
-    def to_dict(self) -> dict[str, str | float | None]:
+    def to_dict(self) -> dict[str, Any]:
         """Plain numbers and texts, None for what is not known."""
         values = {name: getattr(self, name) for name in self.__slots__ if name != "model"}
         return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()}
@@ -284,6 +286,7 @@ def _row(
         log_likelihood=per_sample,
         held_out=None if held_out is None else held_out.per_sample,
         held_out_error=None if held_out is None else held_out.standard_error,
+        by_demonstration=None if held_out is None else tuple(held_out.per_demonstration.tolist()),
         bic=criteria.bic(N * per_sample, model.n_parameters_, N),
         aic=criteria.aic(N * per_sample, model.n_parameters_),
         fit_time_s=fit_time,
