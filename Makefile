@@ -53,6 +53,7 @@ bags: setup ## record the demonstrations in bags/ again
 results: setup ## the numbers of docs/results.md: leave-one-out on real demonstrations (DATA=directory of the data sets)
 	$(PROGRAMS)/train --task config/baxter_valve.yaml --leave-one-out --report out/results/baxter_valve \
 		$(DATA)/baxter_valve
+	PYTHONPATH=. $(PYTHON) benchmarks/valve_selection.py --data $(DATA)/baxter_valve
 
 bench: setup ## benchmarks: tables, and JSON in out/bench/
 	@for benchmark in $$(grep -l __main__ benchmarks/*.py); do PYTHONPATH=. $(PYTHON) "$$benchmark"; done

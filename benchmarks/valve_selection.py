@@ -114,6 +114,7 @@ def _print(rows: Sequence[Candidate], values: Sequence[dict[str, Any]], best: Ca
         if row.error is not None:
             lines.append(("", row.structure, row.n_components, *"-" * 8, row.error))
             continue
+        assert row.by_demonstration is not None
         lines.append(
             (
                 "*" if row is best else "",
@@ -137,7 +138,7 @@ def _print(rows: Sequence[Candidate], values: Sequence[dict[str, Any]], best: Ca
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="valve_selection", description=__doc__.splitlines()[0])  # type: ignore[union-attr]
+    parser = argparse.ArgumentParser(prog="valve_selection", description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=Path("../shared/data/baxter_valve"), help="directory of the bags")
     parser.add_argument("--task", type=Path, default=Path("config/baxter_valve.yaml"), help="task file")
     parser.add_argument("--components", type=int, nargs="+", metavar="K", default=[3, 5, 7, 10, 15])

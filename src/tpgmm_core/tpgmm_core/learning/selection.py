@@ -191,25 +191,21 @@ class SelectionTable:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
-        panels: list[tuple[str, Callable[[Candidate], float]]] = [
-            ("BIC (the smaller, the better)", lambda row: row.bic)
-        ]
+        panels: list[tuple[str, Callable[[Candidate], float]]] = [("BIC: the smaller, the better", lambda row: row.bic)]
         if self.criterion == "leave-one-out":
-            panels.insert(
-                0, ("held-out log-likelihood per sample (the larger, the better)", lambda row: _or_nan(row.held_out))
-            )
+            panels.insert(0, ("held-out log-likelihood per sample", lambda row: _or_nan(row.held_out)))
         elif self.criterion == "aic":
-            panels.insert(0, ("AIC (the smaller, the better)", lambda row: row.aic))
+            panels.insert(0, ("AIC: the smaller, the better", lambda row: row.aic))
         good = [row for row in self.rows if row.error is None]
         figure = Figure(figsize=(6.0 * len(panels), 4.5), layout="constrained")
         FigureCanvasAgg(figure)
         for i, (label, value) in enumerate(panels):
             axes = figure.add_subplot(1, len(panels), i + 1)
-            for structure in dict.fromkeys(row.structure for row in good):
+            for number, structure in enumerate(dict.fromkeys(row.structure for row in good)):
                 rows = sorted((row for row in good if row.structure == structure), key=lambda row: row.n_components)
                 held_out = self.criterion == "leave-one-out" and i == 0
                 axes.errorbar(
-                    [row.n_components for row in rows],
+                    [row.n_components + 0.05 * number for row in rows],  # so that error bars lie side by side
                     [value(row) for row in rows],
                     yerr=[row.held_out_error or 0.0 for row in rows] if held_out else None,
                     marker="o", markersize=4, linewidth=1.2, capsize=2, elinewidth=0.6, label=structure,
