@@ -24,7 +24,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 say = @printf '\033[1m==> %s\033[0m\n' "$(1)"
 
-.PHONY: help setup lint format test demo bags results bench lock clean
+.PHONY: help setup lint format test demo bags results figures bench lock clean
 
 help: ## list the targets
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -54,6 +54,9 @@ results: setup ## the numbers of docs/results.md: leave-one-out on real demonstr
 	$(PROGRAMS)/train --task config/baxter_valve.yaml --leave-one-out --report out/results/baxter_valve \
 		$(DATA)/baxter_valve
 	PYTHONPATH=. $(PYTHON) benchmarks/valve_selection.py --data $(DATA)/baxter_valve
+
+figures: setup ## figure 4 of the paper, in out/figure4/: covariances from diagonal to full
+	PYTHONPATH=. $(PYTHON) benchmarks/figure4.py
 
 bench: setup ## benchmarks: tables, and JSON in out/bench/
 	@for benchmark in $$(grep -l __main__ benchmarks/*.py); do PYTHONPATH=. $(PYTHON) "$$benchmark"; done
