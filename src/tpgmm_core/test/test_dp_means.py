@@ -98,6 +98,17 @@ def test_the_labels_start_em() -> None:
     assert len(model.priors_) == clusters.n_components_ > 1 and np.isfinite(model.log_likelihood_)
 
 
+def test_the_suggested_penalty_gives_about_the_components_asked_for() -> None:
+    demos = pose_demonstrations(3, n_samples=50)
+    numbers = []
+    for K in (3, 6, 12):
+        penalty = DPMeans.suggested_penalty(K, demos, "R1 x R3 x S3")
+        numbers.append(DPMeans(penalty, manifold="R1 x R3 x S3").fit(demos).n_components_)
+    assert numbers == sorted(numbers) and all(0.3 * K <= n <= 2 * K for n, K in zip(numbers, (3, 6, 12), strict=True))
+    with pytest.raises(ValueError, match="n_components"):
+        DPMeans.suggested_penalty(0, demos)
+
+
 def test_the_order_of_the_samples_does_not_matter() -> None:
     rng = np.random.default_rng(4)
     x = rng.normal(size=(200, 2))

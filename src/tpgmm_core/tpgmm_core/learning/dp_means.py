@@ -89,6 +89,22 @@ class DPMeans:
         self._check_parameters()
         return self._fit(Samples.from_projected(X, visible, self.manifold))
 
+    @staticmethod
+    def suggested_penalty(
+        n_components: int, demonstrations: Sequence[Demonstration], manifold: str | Manifold = "euclidean"
+    ) -> float:
+        """A penalty for about `n_components` clusters: the squared distance of the sample that is then the farthest
+        from that many samples, taken one after the other, each the farthest from those before (Kulis and Jordan
+        2012, Section 5)."""
+        if n_components < 1:
+            raise ValueError(f"n_components is an integer from 1, got {n_components}")
+        views = _views(Samples.from_demonstrations(demonstrations, manifold))
+        nearest = _distances(views, [_Flat.fit(view, np.inf) for view in views])
+        for _ in range(n_components):
+            farthest = np.argmax(nearest)
+            nearest = np.minimum(nearest, _distances(views, [_Flat.point(view.x[farthest]) for view in views]))
+        return float(nearest.max())
+
     def _check_parameters(self) -> None:
         for name in ("penalty", "dimension_penalty"):
             value = getattr(self, name)
