@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.workloads import Workload, demonstrations, pose_demonstrations
-from tpgmm_core import TPGMM, Adapter
+from tpgmm_core import TPGMM, Adapter, ModelFileError
 from tpgmm_core.learning.hmm import TPHMM
 from tpgmm_core.learning.hsmm import TPHSMM
+from tpgmm_core.learning.markov import MarkovChain
 from tpgmm_core.quaternion import Array
 
 SMALL = Workload("small", n_demonstrations=4, n_samples=60, n_frames=2, D=3, K=4)
@@ -175,3 +177,35 @@ def test_lengths_and_states_are_checked() -> None:
         TPHMM(2).fit_projected({"a": np.zeros((10, 1))}, lengths=[5, 4])
     with pytest.raises(ValueError, match="not fitted"):
         TPHMM().state_probabilities(5)
+
+
+@pytest.mark.parametrize("covariance", ["full", "mfa"])
+@pytest.mark.parametrize("kind", [TPHMM, TPHSMM])
+def test_a_model_file_brings_the_chain_back(kind: type[TPHMM], covariance: str, tmp_path: Path) -> None:
+    demos = demonstrations(SMALL)
+    model = kind(4, covariance=covariance, reg_covar=1e-3).fit(demos)
+    model.save(tmp_path / "m.tpgmm")
+    loaded = kind.load(tmp_path / "m.tpgmm")
+    assert loaded.get_params() == model.get_params()
+    assert loaded.score(demos) == pytest.approx(model.score(demos), rel=1e-12)
+    np.testing.assert_array_equal(loaded.transitions_, model.transitions_)
+    np.testing.assert_array_equal(loaded.state_probabilities(70), model.state_probabilities(70))
+    mixture = TPGMM.load(tmp_path / "m.tpgmm")
+    np.testing.assert_array_equal(mixture.priors_, model.priors_)
+    other = TPHSMM if kind is TPHMM else TPHMM
+    with pytest.raises(ModelFileError, match=f"holds a {kind.__name__}, no {other.__name__}"):
+        other.load(tmp_path / "m.tpgmm")
+
+
+def test_a_model_file_without_a_chain_or_with_a_wrong_one_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "m.tpgmm"
+    demos = demonstrations(SMALL)
+    TPGMM(4).fit(demos).save(path)
+    with pytest.raises(ModelFileError, match="holds a TPGMM"):
+        TPHMM.load(path)
+    model = TPHMM(4).fit(demos)
+    for chain in (np.eye(3), 2.0 * np.eye(4)):
+        model.chain_ = MarkovChain(model.start_probabilities_, chain)
+        model.save(path)
+        with pytest.raises(ModelFileError, match="m.tpgmm: .* chain"):
+            TPHMM.load(path)

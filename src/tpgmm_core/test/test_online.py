@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.workloads import W1, Workload, demonstrations, pose_demonstrations
-from tpgmm_core import TPGMM, Demonstration, Frame
+from tpgmm_core import TPGMM, Demonstration, Frame, ModelFileError
 from tpgmm_core.learning.cells import Cells, fit_cells
 from tpgmm_core.learning.em import expectation, fit_mixture
 from tpgmm_core.learning.online import OnlineTPGMM
@@ -227,3 +228,33 @@ def test_bad_parameters_and_foreign_demonstrations_are_refused() -> None:
     other = Demonstration(demos[0].times, demos[0].data, {"elsewhere": demos[0].frames["frame_0"]})
     with pytest.raises(ValueError, match="elsewhere"):
         model.partial_fit([other])
+
+
+@pytest.mark.parametrize("covariance", ["full", "mppca"])
+def test_learning_goes_on_from_a_model_file(covariance: str, tmp_path: Path) -> None:
+    demos = demonstrations(SMALL)
+    model = OnlineTPGMM(4, covariance=covariance, reg_covar=1e-3, growth_threshold=None).fit(demos[:6])
+    model.save(tmp_path / "m.tpgmm")
+    loaded = OnlineTPGMM.load(tmp_path / "m.tpgmm")
+    assert loaded.get_params() == model.get_params()
+    assert loaded.retained_ == pytest.approx(model.retained_, rel=1e-12)
+    for each in (model, loaded):
+        each.partial_fit(demos[6:])
+    assert_same_model(loaded, model, 1e-12)
+    TPGMM(4).fit(demos).save(tmp_path / "other.tpgmm")
+    with pytest.raises(ModelFileError, match="holds a TPGMM"):
+        OnlineTPGMM.load(tmp_path / "other.tpgmm")
+
+
+@pytest.mark.parametrize("covariance", ["diag", "spherical", "tied", "mfa", "mppca", "hddc", "semi_tied"])
+def test_every_structure_can_go_on(covariance: str) -> None:
+    demos = demonstrations(SMALL)
+    model = OnlineTPGMM(
+        4, covariance=covariance, reg_covar=1e-3, regularization="prior", growth_threshold=None, tol=0.0, max_iter=20
+    ).fit(demos[:5])
+    before = model.score(demos[5:])
+    model.partial_fit(demos[5:])
+    assert np.diff(model.objectives_).min() > -1e-9
+    assert model.score(demos[5:]) > before
+    with pytest.raises(ValueError, match="deep_mfa"):
+        OnlineTPGMM(2, covariance="deep_mfa").fit(demos)

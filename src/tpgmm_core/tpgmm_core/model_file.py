@@ -27,7 +27,7 @@ from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
 
 FORMAT = "tpgmm model"
-VERSION = 2  # 2 knows covariance structures; a model of full covariances is written as 1
+VERSION = 2  # 2 knows structures and kinds; a mixture of full covariances is written as 1
 MAX_BYTES = 100_000_000  # unpacked; a model of 100 components, 20 frames and 20 dimensions has 7 MB
 
 
@@ -38,7 +38,8 @@ class ModelFileError(ValueError):
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelContents:
     """What a model file holds: see the attributes of `TPGMM`. settings are constructor arguments; frames are the
-    covariances in their structure, where it is not "full": then the file holds these, not the dense ones."""
+    covariances in their structure, where it is not "full": then the file holds these, not the dense ones; kind is
+    the class of the estimator, and more the arrays that it has beyond those of `TPGMM`."""
 
     manifold: Manifold
     priors: Array
@@ -47,10 +48,12 @@ class ModelContents:
     log_likelihoods: Array
     objectives: Array
     converged: bool
-    settings: Mapping[str, str | float]
+    settings: Mapping[str, str | float | None]
     dimensions: tuple[str, ...] | None = None
     metadata: Mapping[str, str | float] = field(default_factory=dict)
     frames: Mapping[str, Covariances] | None = None
+    kind: str = "TPGMM"
+    more: Mapping[str, Array] = field(default_factory=dict)
 
 
 def write(path: str | PathLike[str], contents: ModelContents) -> None:
@@ -64,7 +67,8 @@ def write(path: str | PathLike[str], contents: ModelContents) -> None:
     names = list(contents.means)
     header = {
         "format": FORMAT,
-        "version": 1 if contents.frames is None else 2,
+        "version": 1 if contents.frames is None and contents.kind == "TPGMM" else 2,
+        "kind": contents.kind,
         "frames": names,
         "manifold": str(contents.manifold),
         "dimensions": None if contents.dimensions is None else list(contents.dimensions),
@@ -80,6 +84,7 @@ def write(path: str | PathLike[str], contents: ModelContents) -> None:
         "log_likelihoods": contents.log_likelihoods,
         "objectives": contents.objectives,
     }
+    arrays |= {f"more_{key}": array for key, array in contents.more.items()}
     for j, name in enumerate(names):
         arrays[f"means_{j}"] = contents.means[name]
         if contents.frames is None:
@@ -167,6 +172,8 @@ def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
         dimensions=None if dimensions is None else tuple(dimensions),
         metadata=dict(header["metadata"]),
         frames=frames,
+        kind=str(header.get("kind", "TPGMM")),
+        more={key.removeprefix("more_"): _numbers(arrays, key) for key in arrays if key.startswith("more_")},
     )
 
 

@@ -301,7 +301,7 @@ class TPGMM:
     def save(self, path: str | PathLike[str]) -> None:
         """Write a model file: see `model_file`."""
         self._check_fitted()
-        settings = {k: v for k, v in self.get_params().items() if isinstance(v, str | int | float)}
+        settings = {k: v for k, v in self.get_params().items() if v is None or isinstance(v, str | int | float)}
         settings["manifold"] = str(self.manifold)
         contents = model_file.ModelContents(
             manifold=self.manifold_,
@@ -315,12 +315,17 @@ class TPGMM:
             dimensions=self.dimensions_,
             metadata=self.metadata_,
             frames=None if self.emissions_.structure.name == "full" else self.emissions_.frames,
+            kind=type(self).__name__,
+            more=self._more_arrays(),
         )
         model_file.write(path, contents)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:
-        """Read a model file. Raises ModelFileError when it is damaged or no model file."""
+        """Read a model file. Raises ModelFileError when it is damaged, no model file, or holds another kind of model.
+
+        `TPGMM.load` reads all kinds, as the mixture of their components.
+        """
         contents = model_file.read(path)
         known = {k: v for k, v in contents.settings.items() if k in cls._parameter_names()}
         parameters = Parameters(contents.priors, contents.means, contents.covariances)
@@ -339,4 +344,18 @@ class TPGMM:
         )
         model.dimensions_ = contents.dimensions
         model.metadata_ = dict(contents.metadata)
+        if cls is not TPGMM:
+            if contents.kind != cls.__name__:
+                raise model_file.ModelFileError(f"{path} holds a {contents.kind}, no {cls.__name__}")
+            try:
+                model._restore(contents.more)
+            except (KeyError, ValueError) as error:
+                raise model_file.ModelFileError(f"{path}: {error}") from error
         return model
+
+    def _more_arrays(self) -> dict[str, Array]:
+        """What a model file has to hold of a kind of model beyond its components."""
+        return {}
+
+    def _restore(self, arrays: Mapping[str, Array]) -> None:
+        """The inverse of `_more_arrays`. Raises KeyError and ValueError for arrays that do not fit."""

@@ -28,6 +28,8 @@ from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
 from tpgmm_core.samples import Samples
 
+PARTS = ("counts", "means", "scatters")  # of moments, in the order of their arguments
+
 
 @dataclass(frozen=True, eq=False)
 class Cells:
@@ -53,6 +55,35 @@ class Cells:
         }
         demonstrations = np.repeat(np.arange(len(samples.lengths)), samples.lengths)
         return cls(np.full(samples.n_samples, weight), demonstrations, frames, samples.manifolds)
+
+    def arrays(self) -> dict[str, Array]:
+        """All numbers, as a model file holds them."""
+        arrays = {"cells": self.counts, "cells_demonstrations": self.demonstrations.astype(float)}
+        for j, moments in enumerate(self.frames.values()):
+            for part in PARTS:
+                arrays[f"cells_{part}_{j}"] = getattr(moments, part)
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Array], manifolds: Mapping[str, Manifold]) -> Cells:
+        """The inverse of `arrays`. Raises ValueError for arrays that do not fit the manifolds."""
+        counts, demonstrations = arrays["cells"], arrays["cells_demonstrations"]
+        C = len(counts)
+        frames = {}
+        for j, (name, manifold) in enumerate(manifolds.items()):
+            moments = frames[name] = Moments(*(arrays[f"cells_{part}_{j}"] for part in PARTS))
+            n = manifold.tangent_dim
+            shapes = tuple(getattr(moments, part).shape for part in PARTS)
+            if shapes != ((C,), (C, manifold.dim), (C, n, n)) or moments.counts.min(initial=0.0) < 0.0:
+                raise ValueError(f"{C} cells of frame {name!r} on {manifold} have arrays of shapes {shapes}")
+        if (
+            C == 0
+            or counts.min() <= 0.0
+            or demonstrations.shape != (C,)
+            or np.diff(demonstrations).min(initial=0.0) < 0.0
+        ):
+            raise ValueError("cells have counts above 0, and come in the order of their demonstrations")
+        return cls(counts, demonstrations.astype(np.int64), frames, manifolds)
 
     @property
     def n_samples(self) -> float:

@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from tpgmm_core.kernels_em import SINGULAR
 from tpgmm_core.learning.structure import Covariances, Structure
@@ -33,7 +32,7 @@ def inverse_factor(S: Array, k: int) -> Array:
         raise not_definite(k) from None
     if np.any(np.diagonal(L) ** 2 <= SINGULAR * np.diagonal(S)):
         raise not_definite(k)
-    return np.asarray(solve_triangular(L, np.eye(len(S)), lower=True))
+    return np.tril(np.linalg.inv(L))  # LAPACK's triangular solve starts threads even for the smallest matrices
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from tpgmm_core.estimation import MIN_ITERATIONS, Estimate, Parameters, Progress
 from tpgmm_core.learning.em import expectation
 from tpgmm_core.learning.emissions import Emissions
 from tpgmm_core.learning.markov import MarkovChain, SemiMarkovChain
-from tpgmm_core.learning.structure import Structure
+from tpgmm_core.learning.structured_em import start_emissions
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
 from tpgmm_core.samples import Samples
@@ -25,16 +25,11 @@ Chain = MarkovChain | SemiMarkovChain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ChainEstimate:
-    """Result of EM: states and their chain, how often each state was (K,), and the course of the log-likelihood and
-    of the objective, per sample."""
+class ChainEstimate(Estimate):
+    """Result of EM: as that of a mixture, whose priors are how often each state was; and states and their chain."""
 
     chain: Chain
     emissions: Emissions
-    priors: Array
-    log_likelihoods: Array
-    objectives: Array
-    converged: bool
 
 
 def fit_chain(
@@ -69,8 +64,9 @@ def fit_chain(
         if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < tol:
             converged = True
             break
+    parameters = Parameters(priors / priors.sum(), emissions.means, emissions.covariances)
     return ChainEstimate(
-        chain, emissions, priors / priors.sum(), np.array(log_likelihoods), np.array(objectives), converged
+        parameters, np.array(log_likelihoods), np.array(objectives), converged, chain=chain, emissions=emissions
     )
 
 
@@ -96,7 +92,6 @@ class TPHMM(TPGMM):
 
     start_probabilities_: Array
     transitions_: Array
-    emissions_: Emissions
     chain_: Chain
 
     def __init__(
@@ -112,11 +107,13 @@ class TPHMM(TPGMM):
         n_init: int = 1,
         covariance: str = "full",
         n_factors: int = 1,
+        covariance_options: Mapping[str, Any] | None = None,
         transitions: str | ArrayLike = "left-right",
     ) -> None:
-        super().__init__(n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init)
-        self.covariance = covariance
-        self.n_factors = n_factors
+        super().__init__(
+            n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
+            covariance, n_factors, covariance_options,
+        )  # fmt: skip
         self.transitions = transitions
 
     def fit_projected(
@@ -166,29 +163,17 @@ class TPHMM(TPGMM):
         self._check_fitted()
         return self.chain_.state_probabilities(n_steps)
 
-    def _fit(self, samples: Samples, progress: Progress | None) -> Self:
-        if samples.n_samples < self.n_components:
-            raise ValueError(f"{self.n_components} states need at least as many samples, got {samples.n_samples}")
-        estimates: list[ChainEstimate] = []
-        failure: ValueError | None = None
-        for start in self._starts(samples):
-            try:
-                chain, emissions = self._start_of_chain(samples, start)
-                estimates.append(
-                    fit_chain(samples, chain, emissions, tol=self.tol, max_iter=self.max_iter, progress=progress)
-                )
-            except ValueError as error:  # a start may end in a subspace, others not
-                failure = error
-        if not estimates:
-            assert failure is not None
-            raise failure
-        self._learned_chain(max(estimates, key=lambda e: e.objectives[-1]), samples.manifold)
-        return self
+    def _estimate(
+        self, samples: Samples, start: Parameters, progress: Progress | None
+    ) -> tuple[Estimate, Emissions | None]:
+        chain, emissions = self._start_of_chain(samples, start)
+        estimate = fit_chain(samples, chain, emissions, tol=self.tol, max_iter=self.max_iter, progress=progress)
+        return estimate, estimate.emissions
 
     def _start_of_chain(self, samples: Samples, start: Parameters) -> tuple[Chain, Emissions]:
-        emissions = self._emissions(samples, start)
         if isinstance(self.init, type(self)) and start.priors is self.init.priors_:
-            return self.init.chain_, emissions
+            return self.init.chain_, start_emissions(samples, self._structure(), start, self.init.emissions_)
+        emissions = start_emissions(samples, self._structure(), start, None)
         responsibilities, _ = expectation(start.priors, emissions, samples)
         if isinstance(self.transitions, str) and self.transitions == "left-right":
             # in the order in which a movement meets them
@@ -200,27 +185,31 @@ class TPHMM(TPGMM):
                 {name: mean[order] for name, mean in start.means.items()},
                 {name: covariance[order] for name, covariance in start.covariances.items()},
             )
-            emissions = self._emissions(samples, start)
+            emissions = start_emissions(samples, self._structure(), start, None)
         per_demonstration = np.add.reduceat(responsibilities, np.cumsum([0, *samples.lengths[:-1]]), axis=0)
         visits = np.maximum(np.minimum(per_demonstration, 1.0).sum(axis=0), 1e-300)
         return self._new_chain(per_demonstration.sum(axis=0) / visits, max(samples.lengths)), emissions
-
-    def _emissions(self, samples: Samples, start: Parameters) -> Emissions:
-        structure = Structure(self.covariance, self.n_factors, self.reg_covar, self.regularization)
-        counts = samples.n_samples * start.priors
-        return Emissions.from_gaussians(structure, samples, counts, start.means, start.covariances)
 
     def _new_chain(self, mean_durations: Array, longest: int) -> Chain:
         """A chain to start from; mean_durations (K,) and the longest demonstration in samples."""
         return MarkovChain.of(self.transitions, mean_durations)
 
-    def _learned_chain(self, estimate: ChainEstimate, manifold: Manifold) -> None:
-        emissions = estimate.emissions
-        parameters = Parameters(estimate.priors, emissions.means, emissions.covariances)
-        self._learned(Estimate(parameters, estimate.log_likelihoods, estimate.objectives, estimate.converged), manifold)
-        self.emissions_ = emissions
-        self._learned_transitions(estimate.chain)
+    def _learned(self, estimate: Estimate, manifold: Manifold, emissions: Emissions | None = None) -> None:
+        super()._learned(estimate, manifold, emissions)
+        if isinstance(estimate, ChainEstimate):
+            self._learned_chain(estimate.chain)
 
-    def _learned_transitions(self, chain: Chain) -> None:
+    def _learned_chain(self, chain: Chain) -> None:
         self.chain_ = chain
         self.start_probabilities_, self.transitions_ = chain.start, chain.transitions
+
+    def _more_arrays(self) -> dict[str, Array]:
+        return self.chain_.arrays()
+
+    def _restore(self, arrays: Mapping[str, Array]) -> None:
+        self._learned_chain(MarkovChain.from_arrays(arrays, len(self.priors_)))
+
+    def _check_parameters(self) -> None:
+        super()._check_parameters()
+        if self.covariance == "deep_mfa":
+            raise ValueError('"deep_mfa" divides components of a mixture: take "mfa" with more states')

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tpgmm_core.learning.hmm import TPHMM
-from tpgmm_core.learning.markov import MarkovChain, SemiMarkovChain
+from tpgmm_core.learning.hmm import TPHMM, Chain
+from tpgmm_core.learning.markov import SemiMarkovChain
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
 from tpgmm_core.tpgmm import TPGMM
@@ -47,12 +50,13 @@ class TPHSMM(TPHMM):
         n_init: int = 1,
         covariance: str = "full",
         n_factors: int = 1,
+        covariance_options: Mapping[str, Any] | None = None,
         transitions: str | ArrayLike = "left-right",
         max_duration: int | None = None,
     ) -> None:
         super().__init__(
             n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
-            covariance, n_factors, transitions,
+            covariance, n_factors, covariance_options, transitions,
         )  # fmt: skip
         self.max_duration = max_duration
 
@@ -65,8 +69,11 @@ class TPHSMM(TPHMM):
     def _new_chain(self, mean_durations: Array, longest: int) -> SemiMarkovChain:
         return SemiMarkovChain.of(self.transitions, mean_durations, int(self.max_duration or longest))
 
-    def _learned_transitions(self, chain: MarkovChain | SemiMarkovChain) -> None:
-        super()._learned_transitions(chain)
+    def _learned_chain(self, chain: Chain) -> None:
+        super()._learned_chain(chain)
         assert isinstance(chain, SemiMarkovChain)
         self.mean_durations_ = chain.durations.means
         self.std_durations_ = chain.durations.standard_deviations
+
+    def _restore(self, arrays: Mapping[str, Array]) -> None:
+        self._learned_chain(SemiMarkovChain.from_arrays(arrays, len(self.priors_)))

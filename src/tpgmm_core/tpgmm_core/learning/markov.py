@@ -8,7 +8,7 @@ come as log-densities (N, K), demonstrations one after the other, with their len
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,6 +104,16 @@ class MarkovChain:
             p = p @ self.transitions
         return probabilities
 
+    def arrays(self) -> dict[str, Array]:
+        """The parameters, as a model file holds them."""
+        return {"start": self.start, "transitions": self.transitions}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Array], n_states: int) -> MarkovChain:
+        """The inverse of `arrays`. Raises ValueError for arrays that are no chain of so many states."""
+        start, transitions = _checked_probabilities(arrays, n_states)
+        return cls(start, transitions)
+
     def _logarithms(self) -> tuple[Array, Array]:
         return _log(self.start), _log(self.transitions)
 
@@ -191,6 +201,30 @@ class SemiMarkovChain:
         probabilities[:, final] = np.cumsum(begins[:-1, final], axis=0)
         return probabilities
 
+    def arrays(self) -> dict[str, Array]:
+        """The parameters, as a model file holds them."""
+        durations = self.durations
+        return {
+            "start": self.start,
+            "transitions": self.transitions,
+            "durations": durations.natural,
+            "max_duration": np.array([float(durations.max_duration)]),
+            "duration_prior_moments": durations.prior_moments,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Array], n_states: int) -> SemiMarkovChain:
+        """The inverse of `arrays`. Raises ValueError for arrays that are no chain of so many states."""
+        start, transitions = _checked_probabilities(arrays, n_states)
+        natural, prior_moments = arrays["durations"], arrays["duration_prior_moments"]
+        longest = float(arrays["max_duration"].item())
+        if not natural.shape == prior_moments.shape == (n_states, 2) or not 1.0 <= longest < 1e7:
+            raise ValueError(
+                f"durations of {n_states} states are of shape {(n_states, 2)} and at least a sample long, got "
+                f"{natural.shape}, {prior_moments.shape}, {longest}"
+            )
+        return cls(start, transitions, Durations(natural, int(longest), prior_moments))
+
     def _logarithms(self) -> tuple[Array, Array, Array]:
         return _log(self.start), _log(self.transitions), self.durations.log_probabilities
 
@@ -212,6 +246,19 @@ def _structure(topology: str | ArrayLike, K: int) -> tuple[Array, Array]:
         raise ValueError(f"transitions are probabilities of shape {(K, K)}, got {topology!r}")
     sums = array.sum(axis=1, keepdims=True)
     return np.full(K, 1.0 / K), np.divide(array, sums, out=array, where=sums > 0.0)
+
+
+def _checked_probabilities(arrays: Mapping[str, Array], K: int) -> tuple[Array, Array]:
+    start, transitions = arrays["start"], arrays["transitions"]
+    if start.shape != (K,) or transitions.shape != (K, K):
+        raise ValueError(
+            f"a chain of {K} states has {(K,)} and {(K, K)} numbers, got {start.shape}, {transitions.shape}"
+        )
+    for rows in (start[None], transitions):
+        sums = rows.sum(axis=1)
+        if rows.min() < 0.0 or not np.all(np.isclose(sums, 1.0, atol=1e-6) | (sums == 0.0)):
+            raise ValueError("the probabilities of a chain are from 0 and sum to 1")
+    return start, transitions
 
 
 def _shares(numbers: Array, former: Array) -> Array:

@@ -17,6 +17,7 @@ from tpgmm_core.learning.em import MixtureEstimate
 from tpgmm_core.learning.emissions import Emissions
 from tpgmm_core.learning.growth import growth
 from tpgmm_core.manifold import Manifold
+from tpgmm_core.quaternion import Array
 from tpgmm_core.samples import Samples
 from tpgmm_core.tpgmm import TPGMM
 
@@ -149,6 +150,14 @@ class OnlineTPGMM(TPGMM):
         self._learned(estimate.with_dense_covariances(), self.manifold_, estimate.emissions)
         self.dimensions_, self.metadata_ = dimensions, metadata
         self.cells_ = self._bounded(cells)
+        self.retained_ = self.cells_.bound(self.priors_, self.emissions_) / self.cells_.n_samples
+
+    def _more_arrays(self) -> dict[str, Array]:
+        return {**self.cells_.arrays(), "influence": np.array([self.influence_])}
+
+    def _restore(self, arrays: Mapping[str, Array]) -> None:
+        self.cells_ = Cells.from_arrays(arrays, self.frame_manifolds_)
+        self.influence_ = float(arrays["influence"].item())
         self.retained_ = self.cells_.bound(self.priors_, self.emissions_) / self.cells_.n_samples
 
     def _bounded(self, cells: Cells) -> Cells:

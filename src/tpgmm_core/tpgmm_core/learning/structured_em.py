@@ -33,15 +33,20 @@ def fit_structure(
     """
     is_deep = structure.name == "deep_mfa"
     first = replace(structure, name="mfa") if is_deep else structure
-    emissions = Emissions.from_gaussians(
-        first, samples, samples.n_samples * start.priors, start.means, start.covariances
-    )
-    if begun is not None and (begun.structure.name, begun.structure.n_factors) == (first.name, first.n_factors):
-        frames = {name: replace(frame, structure=first) for name, frame in begun.frames.items()}  # type: ignore[type-var]
-        emissions = replace(emissions, frames=frames)
+    emissions = start_emissions(samples, first, start, begun)
     if is_deep:
         return fit_deep_mixture(
             samples, start.priors, emissions, structure,
             tol=tol, max_iter=max_iter, random_state=random_state, progress=progress,
         )  # fmt: skip
     return fit_mixture(samples, start.priors, emissions, tol=tol, max_iter=max_iter, progress=progress)
+
+
+def start_emissions(samples: Samples, structure: Structure, start: Parameters, begun: Emissions | None) -> Emissions:
+    """The components that EM starts from: see `fit_structure`."""
+    counts = samples.n_samples * start.priors
+    emissions = Emissions.from_gaussians(structure, samples, counts, start.means, start.covariances)
+    if begun is None or (begun.structure.name, begun.structure.n_factors) != (structure.name, structure.n_factors):
+        return emissions
+    frames = {name: replace(frame, structure=structure) for name, frame in begun.frames.items()}  # type: ignore[type-var]
+    return replace(emissions, frames=frames)
