@@ -110,3 +110,18 @@ def test_bad_arguments_are_refused_with_the_reason() -> None:
         DirichletTPGMM(3, reg_covar=0.0).fit_projected(constant)
     with pytest.raises(ValueError, match="not a fitted model"):
         DirichletTPGMM(2, init=TPGMM(2, init="bins").fit_projected(x)).fit_projected(x)  # type: ignore[arg-type]
+
+
+def test_separate_groups_have_the_posterior_of_scikit_learn() -> None:
+    mixture = pytest.importorskip("sklearn.mixture")
+    rng = np.random.default_rng(6)
+    x = np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0.0, 80.0, 0.0]])[rng.integers(3, size=300)]
+    x = x + rng.normal(size=(300, 3)) @ rng.normal(size=(3, 3))
+    model = DirichletTPGMM(3, concentration=2.0, spread=0.2, mean_precision=0.5, reg_covar=0.0).fit_projected({"a": x})
+    theirs = mixture.BayesianGaussianMixture(
+        n_components=3, weight_concentration_prior=2.0, mean_precision_prior=0.5, degrees_of_freedom_prior=3.0,
+        covariance_prior=3.0 * np.diag(0.2**2 * x.var(axis=0)), reg_covar=0.0, random_state=0,
+    ).fit(x)  # fmt: skip
+    ours, other = np.argsort(model.means_["a"] @ [1.0, 2.0, 0.0]), np.argsort(theirs.means_ @ [1.0, 2.0, 0.0])
+    np.testing.assert_allclose(model.means_["a"][ours], theirs.means_[other], atol=1e-8)
+    np.testing.assert_allclose(model.covariances_["a"][ours], theirs.covariances_[other], atol=1e-8)
