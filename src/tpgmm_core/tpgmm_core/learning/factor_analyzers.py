@@ -17,8 +17,9 @@ from tpgmm_core.learning.structure import Structure
 from tpgmm_core.quaternion import Array
 
 INNER_STEPS = 5
-"""Steps of EM on the factors in each M-step of the mixture: they cost little beside the scatters, and factors
-converge slowly."""
+START_STEPS = 50
+"""Steps of EM on the factors in each M-step of the mixture, and before the first: they cost little beside the
+scatters, and factors converge slowly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,23 +38,29 @@ class FactorAnalyzers(LowRankCovariances):
         eigenvalues, axes = np.linalg.eigh(scatters)
         parts = [principal(eigenvalues[k], axes[k], d, d) for k in range(K)]
         noise = np.maximum(np.stack([noise for _, noise in parts]), _least_noise(structure, scatters))
-        return cls(structure, np.stack([loadings for loadings, _ in parts]), noise)
+        return cls(structure, np.stack([loadings for loadings, _ in parts]), noise)._climbed(scatters, START_STEPS)
 
     def maximised(self, counts: Array, scatters: Array) -> Self:
+        return self._climbed(scatters, INNER_STEPS)
+
+    def _climbed(self, scatters: Array, n_steps: int) -> Self:
         least = np.minimum(_least_noise(self.structure, scatters), self.noise)
         now = self
-        for _ in range(INNER_STEPS):
+        for _ in range(n_steps):
             now = now._step(scatters, least)
         return now
 
     def _step(self, scatters: Array, least: Array) -> Self:
-        """One EM step of factor analysis, (K,) at once: Ghahramani and Hinton 1996, Eqs. 5 and 6."""
+        """One EM step of factor analysis, all components at once (Ghahramani and Hinton 1996, Eqs. 5 and 6), with
+        the parameter expansion of Liu, Rubin and Wu (1998): the covariance that the factors have in the samples is
+        taken into the loadings, so that EM needs far fewer steps."""
         B = self.regressions
         cross = scatters @ np.swapaxes(B, 1, 2)
         second = self.posterior_covariances + B @ cross
         loadings = np.swapaxes(np.linalg.solve(second, np.swapaxes(cross, 1, 2)), 1, 2)
         noise = np.diagonal(scatters, axis1=1, axis2=2) - np.einsum("kid,kid->ki", loadings, cross)
-        return type(self)(self.structure, loadings, np.maximum(noise, least))
+        expanded = loadings @ np.linalg.cholesky(0.5 * (second + np.swapaxes(second, 1, 2)))
+        return type(self)(self.structure, expanded, np.maximum(noise, least))
 
     @property
     def n_parameters(self) -> int:
