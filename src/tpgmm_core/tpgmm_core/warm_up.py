@@ -8,6 +8,8 @@ import numpy as np
 import tpgmm_core.finite_horizon
 import tpgmm_core.lqr  # noqa: F401  these two compile on import
 from tpgmm_core import TPGMM, Adapter, Frame, Gaussian
+from tpgmm_core.learning.hmm import TPHMM
+from tpgmm_core.learning.hsmm import TPHSMM
 from tpgmm_core.manifold import POSE
 
 
@@ -25,6 +27,10 @@ def warm_up() -> None:
     Gaussian.product([mixture.component(0), mixture.component(1)])
     Adapter(model).condition([0.5])
     POSE.exp(pose[0], POSE.log(pose[0], pose[1]))
+    chain = TPHSMM(n_components=2, max_iter=1).fit_projected({"frame": X})
+    chain.chain_.most_likely(np.zeros((40, 2)), [40])
+    markov = TPHMM(n_components=2, max_iter=1).fit_projected({"frame": X})
+    markov.chain_.most_likely(np.zeros((40, 2)), [40])
 
 
 if __name__ == "__main__":

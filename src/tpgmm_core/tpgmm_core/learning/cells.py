@@ -123,7 +123,10 @@ class Cells:
             base = moments.means[first]
             by_count = np.argsort(moments.counts, kind="stable")
             base[labels[by_count]] = moments.means[by_count]  # one that was seen, if any was
-            frames[name] = _moments(self.manifolds[name], moments, members, base)
+            manifold = self.manifolds[name]
+            frames[name] = _moments(manifold, moments, members, base)
+            if not manifold.is_euclidean:  # from nearer, the mean is the mean
+                frames[name] = _moments(manifold, moments, members, frames[name].means)
         return replace(self, counts=members.T @ self.counts, demonstrations=self.demonstrations[first], frames=frames)
 
     def log_densities(self, emissions: Emissions) -> Array:
