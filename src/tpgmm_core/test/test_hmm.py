@@ -209,3 +209,26 @@ def test_a_model_file_without_a_chain_or_with_a_wrong_one_is_refused(tmp_path: P
         model.save(path)
         with pytest.raises(ModelFileError, match="m.tpgmm: .* chain"):
             TPHMM.load(path)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", [TPHMM, TPHSMM])
+@pytest.mark.parametrize("lengths", [[50], [5, 80, 33], [3, 2], [1, 1, 1]])
+@pytest.mark.parametrize("spoil", ["nothing", "constant dimension", "repeated sample"])
+def test_awkward_data_gives_a_finite_model_or_says_what_is_wrong(
+    kind: type[TPHMM], lengths: list[int], spoil: str
+) -> None:
+    rng = np.random.default_rng(4)
+    x = np.cumsum(rng.normal(size=(sum(lengths), 3)), axis=0)
+    if spoil == "constant dimension":
+        x[:, 1] = 2.0
+    elif spoil == "repeated sample":
+        x[:] = x[0]
+    for init, transitions, K in (("bins", "left-right", 3), ("kmeans", "ergodic", 2), ("bins", "ergodic", 6)):
+        try:
+            model = kind(K, init=init, transitions=transitions).fit_projected({"a": x}, lengths=lengths)
+        except ValueError as error:
+            assert "samples" in str(error)
+            continue
+        assert np.isfinite(model.log_likelihood_) and np.all(np.isfinite(model.covariances_["a"]))
+        assert np.all(np.isfinite(model.transitions_)) and np.all(np.isfinite(model.state_probabilities(20)))
