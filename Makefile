@@ -58,8 +58,9 @@ results: setup ## the numbers of docs/results.md: leave-one-out on real demonstr
 figures: setup ## figure 4 of the paper, in out/figure4/: covariances from diagonal to full
 	PYTHONPATH=. $(PYTHON) benchmarks/figure4.py
 
-bench: setup ## benchmarks: tables, and JSON in out/bench/
-	@for benchmark in $$(grep -l __main__ benchmarks/*.py); do PYTHONPATH=. $(PYTHON) "$$benchmark"; done
+BENCHMARKS := em reproduction_step lqr simulator loop latency
+bench: setup ## benchmarks: tables, and JSON in out/bench/ (wants two idle cores)
+	@for name in $(BENCHMARKS); do PYTHONPATH=. $(PYTHON) benchmarks/$$name.py; done
 
 lock: $(DONE)/venv ## resolve requirements.in into requirements.txt
 	$(PYTHON) -m pip install --quiet uv

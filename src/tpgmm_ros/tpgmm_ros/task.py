@@ -11,7 +11,7 @@
     tracking: {visible_timeout: 0.25}        # optional, s
     model: {n_components: 10, init: time}    # optional, arguments of TPGMM
 
-Reading a task file executes nothing and needs neither ROS nor the models.
+Reading a task file executes nothing and needs no ROS.
 """
 
 import difflib
@@ -24,6 +24,7 @@ from typing import Any
 
 import yaml
 
+from tpgmm_core.learning.structure import STRUCTURES
 from tpgmm_core.settings import configured
 from tpgmm_core.tracking import TrackingConfig
 
@@ -160,6 +161,9 @@ def _model(section: "_Section") -> dict[str, Any]:
         "max_iter": _integer(1),
         "random_state": _integer(0),
         "regularization": _choice("add", "prior"),
+        "n_init": _integer(1),
+        "covariance": _choice(*STRUCTURES),
+        "n_factors": _integer(1),
     }
     section.refuse_others(*readers)
     return {key: section.required(key, readers[key]) for key in section.values}
