@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """`Durations`: how long the states of a hidden semi-Markov model last.
 
-The log-normal distribution on the integers 1 .. L: p(d) ∝ exp(eta_1 log d + eta_2 (log d)²). It is positive, its
-spread is in proportion to its mean, as the pace of people is, and it may be narrower than a Poisson
-distribution, which a negative binomial may not: the durations of a practised movement are. Normalised on its
-finite support it is an exponential family, so that its likelihood is concave and EM finds the exact maximum.
+The log-normal distribution on the integers 1 .. L: p(d) ∝ exp(eta_1 log d + eta_2 (log d)²), eta_2 <= 0. It is
+positive, its spread is in proportion to its mean, as the pace of people is, and it may be narrower than a Poisson
+distribution, which a negative binomial may not: the durations of a practised movement are. Normalised on its finite
+support it is an exponential family, so that its likelihood is concave and EM finds the exact maximum.
 """
 
 from __future__ import annotations
@@ -80,7 +80,8 @@ class Durations:
         """M-step: the most probable parameters, given the expected numbers of segments `counts` (K, L) of each
         duration.
 
-        At the maximum the moments of log d and (log d)² are those of the segments and of the prior together.
+        At the maximum the moments of log d and (log d)² are those of the segments and of the prior together (but for
+        eta_2 = 0, where the segments spread more than any log-normal distribution on 1 .. L).
         """
         features = _features(self.max_duration)
         weights = counts.sum(axis=1, keepdims=True) + PRIOR_SEGMENTS
@@ -100,8 +101,8 @@ def _log_probabilities(natural: Array, features: Array) -> Array:
 
 
 def _match_moments(target: Array, log_d: Array) -> Array:
-    """eta (2,) at which log d and (log d)² have the moments `target` (2,), by damped Newton steps on the
-    concave likelihood.
+    """eta (2,) at which log d and (log d)² have the moments `target` (2,), or eta_2 = 0, by damped Newton steps on
+    the concave likelihood.
 
     Steps are taken in (x, x²) with x = (log d - mean) / scale, where the problem is well-conditioned.
     """
@@ -111,30 +112,36 @@ def _match_moments(target: Array, log_d: Array) -> Array:
     x = (log_d - centre) / scale
     features = np.stack([x, x**2])
     aim = np.array([0.0, (target[1] - centre**2) / scale**2])
-
-    def value(theta: Array) -> float:
-        log_p = theta @ features
-        top = log_p.max()
-        return float(theta @ aim - top - np.log(np.exp(log_p - top).sum()))
-
-    theta = np.array([0.0, -0.5])
-    for _ in range(MAX_STEPS):
-        log_p = theta @ features
-        top = log_p.max()
-        p = np.exp(log_p - top)
-        log_normaliser = top + np.log(p.sum())
-        p /= p.sum()
-        mean = features @ p
-        centred = features - mean[:, None]
-        step = np.linalg.solve((p * centred) @ centred.T + 1e-12 * np.eye(2), aim - mean)
-        gain = float(step @ (aim - mean))
-        if gain < 1e-12:  # twice what is left to gain; this last step squares it
-            theta = theta + step
-            break
-        best = float(theta @ aim - log_normaliser)
-        length = 1.0
-        while value(theta + length * step) < best + 0.1 * length * gain and length > 1e-10:
-            length *= 0.5
-        theta = theta + length * step
+    theta = _maximum(features, aim, np.array([0.0, -0.5]))
+    if theta[1] > 0.0:  # broader than any power law: the maximum of those with eta_2 <= 0 lies at 0
+        theta = np.append(_maximum(features[:1], aim[:1], np.zeros(1)), 0.0)
     linear, square = theta[0] / scale, theta[1] / scale**2
     return np.array([linear - 2.0 * square * centre, square])
+
+
+def _maximum(features: Array, aim: Array, theta: Array) -> Array:
+    """The maximum (F,) of theta^T aim - log sum_d exp(theta^T features_d) for features (F, L), from a start."""
+
+    def log_normaliser(theta: Array) -> float:
+        log_p = theta @ features
+        top = log_p.max()
+        return float(top + np.log(np.exp(log_p - top).sum()))
+
+    for _ in range(MAX_STEPS):
+        normaliser = log_normaliser(theta)
+        p = np.exp(theta @ features - normaliser)
+        gradient = aim - features @ p
+        centred = features - (features @ p)[:, None]
+        step = np.linalg.solve((p * centred) @ centred.T + 1e-12 * np.eye(len(theta)), gradient)
+        gain = float(step @ gradient)
+        if gain < 1e-12:  # twice what is left to gain; this last step squares it
+            return np.asarray(theta + step)
+        length = 1.0
+        lowest = theta @ aim - normaliser
+        while length > 1e-10:
+            new = theta + length * step
+            if new @ aim - log_normaliser(new) >= lowest + 0.1 * length * gain:
+                break
+            length *= 0.5
+        theta = theta + length * step
+    return theta
