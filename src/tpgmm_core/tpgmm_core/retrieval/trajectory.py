@@ -70,7 +70,7 @@ def _dynamic_frames(frames: Mapping[str, Frame]) -> dict[str, Frame]:
     result = {}
     for name, frame in without_time(frames).items():
         b = np.concatenate([frame.b, np.zeros(2 * len(frame.b))])
-        result[name] = Frame(np.kron(np.eye(3), frame.A), b).with_time()
+        result[name] = Frame(np.asarray(np.kron(np.eye(3), frame.A), dtype=float), b).with_time()
     return result
 
 
