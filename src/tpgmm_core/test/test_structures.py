@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,9 @@ from scipy.stats import multivariate_normal
 from benchmarks.workloads import pose_demonstrations
 from random_problems import random_covariance
 from tpgmm_core import TPGMM, Demonstration, Frame, Manifold, ModelFileError
+from tpgmm_core.learning.compiled_moments import CompiledMoments
 from tpgmm_core.learning.deep_mfa import divided
+from tpgmm_core.learning.em import expectation, fit_mixture
 from tpgmm_core.learning.emissions import Emissions
 from tpgmm_core.learning.factor_analyzers import FactorAnalyzers, SubspaceCovariances
 from tpgmm_core.learning.semi_tied import SemiTiedCovariances
@@ -302,3 +305,51 @@ def test_a_damaged_structure_is_one_clear_error(name: str, key: str, tmp_path: P
             np.savez(stream, **broken)
         with pytest.raises(ModelFileError):
             TPGMM.load(path)
+
+
+@pytest.mark.parametrize("name", ["full", "mfa", "semi_tied"])
+@pytest.mark.parametrize("is_pose", [False, True])
+def test_compiled_and_chunked_moments_agree(name: str, is_pose: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(2)
+    if is_pose:
+        samples = Samples.from_demonstrations(pose_demonstrations(2, n_samples=60), "R1 x R3 x S3")
+    else:
+        samples = Samples.from_projected(random_views(rng, (5, 3), 120, 2), None, "euclidean")
+    visible = rng.uniform(size=samples.seen.shape) < 0.8
+    samples = replace(samples, seen=visible)
+    labels = np.arange(120) * 3 // 120
+    emissions = Emissions.from_labels(Structure(name, n_factors=2), samples, labels)
+    priors = np.bincount(labels) / 120.0
+    monkeypatch.setattr("tpgmm_core.learning.emissions.CHUNK_NUMBERS", 100)
+    log_likelihood, counts, moments = CompiledMoments(samples, priors, emissions)(priors, emissions)
+    responsibilities, expected = expectation(priors, emissions, samples)
+    assert log_likelihood == pytest.approx(expected, rel=1e-10)
+    np.testing.assert_allclose(counts, responsibilities.sum(axis=0), rtol=1e-10)
+    for frame, moment in emissions.moments(samples, responsibilities).items():
+        for key in ("counts", "means", "scatters"):
+            np.testing.assert_allclose(getattr(moments[frame], key), getattr(moment, key), rtol=1e-7, atol=1e-10)
+
+
+def test_many_dimensions_are_learned_without_dense_inverses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """200 dimensions, 5 factors: after the start nothing larger than the factors is factorised or solved."""
+    rng = np.random.default_rng(0)
+    X = random_low_rank(rng, 600, 200, 5)
+    samples = Samples.from_projected({"a": X, "b": X[:, ::-1].copy()}, None, "euclidean")
+    labels = np.repeat(np.arange(2), 300)
+    emissions = Emissions.from_labels(Structure("mfa", n_factors=5), samples, labels)
+    for function in ("inv", "solve", "cholesky", "eigh", "svd", "slogdet"):
+        original = getattr(np.linalg, function)
+
+        def checked(a: Array, *rest: Any, original: Any = original, **options: Any) -> Any:
+            assert np.shape(a)[-1] <= 5, "a dense matrix was decomposed"
+            return original(a, *rest, **options)
+
+        monkeypatch.setattr(np.linalg, function, checked)
+    estimate = fit_mixture(samples, np.array([0.5, 0.5]), emissions, tol=1e-4, max_iter=20)
+    assert np.diff(estimate.objectives).min() > -1e-6 and np.isfinite(estimate.objectives[-1])
+
+
+def random_low_rank(rng: np.random.Generator, N: int, D: int, d: int) -> Array:
+    """Two halves of samples, each in a subspace of d dimensions, with noise."""
+    halves = [rng.normal(size=D) + rng.normal(size=(N // 2, d)) @ rng.normal(size=(d, D)) for _ in range(2)]
+    return np.concatenate(halves) + 0.3 * rng.normal(size=(N, D))

@@ -6,10 +6,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from tpgmm_core.estimation import MIN_ITERATIONS, Estimate, Parameters, Progress, Samples
-from tpgmm_core.learning.emissions import Emissions
+from tpgmm_core.learning.compiled_moments import CompiledMoments
+from tpgmm_core.learning.emissions import Emissions, Moments
 from tpgmm_core.quaternion import Array
 
 
@@ -33,9 +33,12 @@ def expectation(priors: Array, emissions: Emissions, samples: Samples) -> tuple[
     """E-step: responsibilities (N, K) and the log-likelihood of all samples together."""
     log_joint = emissions.log_density(samples)
     log_joint += np.log(np.maximum(priors, np.finfo(float).tiny))
-    log_likelihoods = logsumexp(log_joint, axis=1)
-    log_joint -= log_likelihoods[:, None]
-    return np.exp(log_joint, out=log_joint), float(log_likelihoods.sum())
+    top = log_joint.max(axis=1)  # log-sum-exp in place: this is the largest array
+    log_joint -= top[:, None]
+    joint = np.exp(log_joint, out=log_joint)
+    total = joint.sum(axis=1)
+    joint /= total[:, None]
+    return joint, float(top.sum() + np.log(total).sum())
 
 
 def fit_mixture(
@@ -52,16 +55,22 @@ def fit_mixture(
     The objective is the log-likelihood less `Emissions.penalty`, per sample, taken before each M-step.
     Raises ValueError when a covariance loses its definiteness.
     """
+
+    def by_numpy(priors: Array, emissions: Emissions) -> tuple[float, Array, dict[str, Moments]]:
+        responsibilities, log_likelihood = expectation(priors, emissions, samples)
+        return log_likelihood, responsibilities.sum(axis=0), emissions.moments(samples, responsibilities)
+
+    gathered = CompiledMoments(samples, priors, emissions) if CompiledMoments.suits(emissions) else by_numpy
     N = samples.n_samples
     log_likelihoods: list[float] = []
     objectives: list[float] = []
     converged = False
     for iteration in range(1, max_iter + 1):
-        responsibilities, log_likelihood = expectation(priors, emissions, samples)
+        log_likelihood, counts, moments = gathered(priors, emissions)
         log_likelihoods.append(log_likelihood / N)
         objectives.append((log_likelihood - emissions.penalty()) / N)
-        priors = responsibilities.sum(axis=0) / N
-        emissions = emissions.maximised(samples, responsibilities)
+        priors = counts / N
+        emissions = emissions.updated(moments)
         if progress is not None:
             progress(iteration, log_likelihoods[-1])
         if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < tol:

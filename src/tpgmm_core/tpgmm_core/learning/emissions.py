@@ -134,7 +134,7 @@ class Emissions:
     def moments(self, samples: Samples, responsibilities: Array) -> dict[str, Moments]:
         """Name → moments of the samples, weighted by responsibilities (N, K), about the new means."""
         return {
-            name: frame_moments(self.manifolds[name], x, responsibilities * seen[:, None], self.means[name])
+            name: frame_moments(self.manifolds[name], x, _seen_weights(responsibilities, seen), self.means[name])
             for (name, x), seen in zip(samples.X.items(), samples.seen, strict=True)
         }
 
@@ -205,6 +205,11 @@ def _sums(manifold: Manifold, x: Array, weights: Array, base: Array) -> tuple[Ar
             d *= np.sqrt(w[rows])[:, None]
             second[k] += d.T @ d
     return first, second
+
+
+def _seen_weights(responsibilities: Array, seen: NDArray[np.bool_]) -> Array:
+    """Weights (N, K), zero where the frame saw nothing."""
+    return responsibilities if seen.all() else responsibilities * seen[:, None]
 
 
 def chunks(n_samples: int, dim: int) -> Iterator[slice]:
