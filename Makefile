@@ -55,7 +55,9 @@ results: setup ## the numbers of docs/results.md: leave-one-out on real demonstr
 		$(DATA)/baxter_valve
 	PYTHONPATH=. $(PYTHON) benchmarks/valve_selection.py --data $(DATA)/baxter_valve
 
-figures: setup ## figure 4 of the paper, in out/figure4/: covariances from diagonal to full
+figures: setup ## figures 1, 3 and 4 of the paper, in out/figures/ and out/figure4/ (DATA=directory of the data sets)
+	PYTHONPATH=. $(PYTHON) benchmarks/figure1.py --data $(DATA)/pbdlib
+	PYTHONPATH=. $(PYTHON) benchmarks/figure3.py --data $(DATA)/pbdlib
 	PYTHONPATH=. $(PYTHON) benchmarks/figure4.py
 
 BENCHMARKS := em reproduction_step lqr simulator loop latency
