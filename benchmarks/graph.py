@@ -22,7 +22,7 @@ from rclpy.node import Node
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros import conversions, train
 from tpgmm_ros.pick_place import random_situation
-from tpgmm_ros.processes import Graph, NodeProcesses
+from tpgmm_ros.processes import REALTIME_PRIORITY, Graph, NodeProcesses
 from tpgmm_ros.qos import STREAM
 from tpgmm_ros.resources import config_file
 from tpgmm_ros.task import Task
@@ -84,10 +84,11 @@ def running(blend_time: float = 0.15) -> Iterator[Scene]:
         executor.add_node(node)
         with NodeProcesses(directory / "log") as processes:
             graph = Graph(node, executor, processes)
-            processes.start("frame_tracker", task_file=task_file)
-            processes.start("reproduction", task_file=task_file, model_file=model_file, blend_time=blend_time)
-            processes.start("impedance_controller", robot_file=robot_file)
-            processes.start("baxter_simulator", robot_file=robot_file)
+            first = {"realtime_priority": REALTIME_PRIORITY}
+            processes.start("frame_tracker", task_file=task_file, **first)
+            processes.start("reproduction", task_file=task_file, model_file=model_file, blend_time=blend_time, **first)
+            processes.start("impedance_controller", robot_file=robot_file, **first)
+            processes.start("baxter_simulator", robot_file=robot_file, **first)
             graph.bring_up("impedance_controller", START_TIMEOUT)
             graph.bring_up("reproduction", START_TIMEOUT)
             yield Scene(node, graph, Task.load(task_file))

@@ -112,17 +112,18 @@ class Reproduction:
         elapsed = max(0.0, (time_ns - self._start_ns) / _SECOND)
         since = max(0.0, (time_ns - self._last_ns) / _SECOND)
         self._last_ns = time_ns
-        self._advance_offset(since)
         phase = min(1.0, elapsed / self.duration)
         times = self._model_times(elapsed + self._ahead)
         if state is None and frames is self._frames and weights is self._weights:
             means, covariances, activations = self._adapter.condition(times)
         else:
-            near = self._model_times(elapsed + _NEAR)
+            # The new course begins where the last step was, so that this step is already on it.
+            near = self._model_times(max(0.0, elapsed - since) + _NEAR)
             former = self._former_means(near)
             means, covariances, activations = self._adapter.adapt_and_condition(frames, times, weights, state)
             self._take_over(former, near)
             self._frames, self._weights = frames, weights
+        self._offset, self._offset_rate = self._offset_after(since)
         covariance = self._blend_covariance(covariances[0], since)
         gaussians = [
             Gaussian(self.manifold.exp(mean, self._offset_after(ahead)[0]), cov, self.manifold)
@@ -142,7 +143,7 @@ class Reproduction:
         return np.minimum(elapsed / self.duration, 1.0) * self.model_duration
 
     def _former_means(self, times: Array) -> list[Array]:
-        """Where the frames of the last step would have the reference now and a moment later, if there was a step."""
+        """Where the frames of the last step had the reference, at two times from then on; nothing at the first step."""
         if self._frames is None:
             return []
         means = self._adapter.condition(times)[0]
@@ -163,9 +164,6 @@ class Reproduction:
         slope = self._offset_rate + rate * self._offset
         decay = math.exp(-rate * seconds)
         return decay * (self._offset + seconds * slope), decay * (self._offset_rate - rate * seconds * slope)
-
-    def _advance_offset(self, seconds: float) -> None:
-        self._offset, self._offset_rate = self._offset_after(seconds)
 
     def _blend_covariance(self, covariance: Array, seconds: float) -> Array:
         """Covariances form a convex cone: a first-order low-pass never leaves it."""

@@ -113,13 +113,14 @@ class BaxterSimulatorNode(Node):
         timeout = self.parameters["wrench_timeout"]
         self._pushes = {link: push for link, push in self._pushes.items() if now - push.received <= timeout}
         wrenches = {link: push.wrench for link, push in self._pushes.items()}
-        stale = now - self._torque_received > self.parameters["command_timeout"]
-        if self._torque is None or stale:
-            torque = self._damping()
-        else:
-            torque = self._torque
-        self.simulator.step(torque, wrenches)
+        torque = self._live_torque()
+        self.simulator.step(self._damping() if torque is None else torque, wrenches)
         self._steps += 1
+
+    def _live_torque(self) -> Array | None:
+        """The commanded torques, unless there are none or they are older than ``command_timeout``."""
+        silence = self.simulator.state.time - self._torque_received
+        return None if silence > self.parameters["command_timeout"] else self._torque
 
     def _damping(self) -> Array:
         """What the robot does by itself when nobody commands it, as Baxter does: carry its weight, resist motion."""
@@ -157,7 +158,7 @@ class BaxterSimulatorNode(Node):
             behind = int((start - tick) / self.time_step)
             tick += behind * self.time_step
             self._stamp_ns = self.get_clock().now().nanoseconds
-            if self._torque is not None:
+            if self._live_torque() is not None:
                 self.monitor.age.add(1e-9 * (self._stamp_ns - self._torque_stamp_ns))
             for _ in range(min(1 + behind, MAX_CATCH_UP)):
                 self._step()
@@ -197,7 +198,7 @@ class BaxterSimulatorNode(Node):
         values = {"simulated_time_s": f"{self.simulator.state.time:.3f}"}
         if self._torque is None:
             return DiagnosticStatus.WARN, "no torques yet: joints are damped", values
-        if self.simulator.state.time - self._torque_received > self.parameters["command_timeout"]:
+        if self._live_torque() is None:
             return DiagnosticStatus.WARN, "torques stopped: joints are damped", values
         return DiagnosticStatus.OK, "driven by torques", values
 

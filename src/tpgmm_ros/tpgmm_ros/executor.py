@@ -15,6 +15,13 @@ from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from tpgmm_ros.parameters import Declared
+from tpgmm_ros.scheduling import request_realtime
+
+REALTIME = Declared(
+    "realtime_priority", 0, "Run ahead of ordinary programs (SCHED_FIFO), 1 to 99; 0: as one of them", 0, 99, fixed=True
+)
+
 
 class StopFlag:
     """Set by SIGINT and SIGTERM.
@@ -50,6 +57,9 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     # The executor's spin() never calls back in the Jazzy wheels; spin_once() in a loop does, and ends with the flag.
     executor = EventsExecutor()
     executor.add_node(node)
+    priority = node.declare_parameter(REALTIME.name, REALTIME.default, REALTIME.descriptor()).value
+    if priority and (refusal := request_realtime(priority)):
+        node.get_logger().warning(f"no real-time priority: {refusal}")
     # What start-up made stays for good; without this, each full collection walks through all of it.
     gc.collect()
     gc.freeze()

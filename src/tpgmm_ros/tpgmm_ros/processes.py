@@ -19,6 +19,10 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.task import Future
 
+#: For nodes that run in real time, so that what else the machine does costs no ticks; where it is not permitted, the
+#: nodes say so in their logs and go on.
+REALTIME_PRIORITY = 20
+
 
 class GraphError(RuntimeError):
     """A node did not start, did not answer, or ended on its own."""
@@ -38,16 +42,15 @@ class NodeProcesses:
         self._environment = {**os.environ, **(environment or {})}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
 
-    def start(self, executable: str, name: str | None = None, **parameters: bool | float | str | Path) -> None:
-        """Start ``executable`` (a node of this package) with parameters, optionally under another node name."""
-        name = name or executable
-        command = [sys.executable, "-m", f"tpgmm_ros.{executable}_node", "--ros-args", "-r", f"__node:={name}"]
+    def start(self, executable: str, **parameters: bool | float | str | Path) -> None:
+        """Start ``executable`` (a node of this package) with parameters."""
+        command = [sys.executable, "-m", f"tpgmm_ros.{executable}_node", "--ros-args"]
         for key, value in parameters.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
             command += ["-p", f"{key}:={text}"]
-        with (self.log_directory / f"{name}.log").open("wb") as log:
+        with (self.log_directory / f"{executable}.log").open("wb") as log:
             # A session of its own: the terminal's Ctrl-C reaches this program only, which then ends the nodes in order.
-            self._processes[name] = subprocess.Popen(
+            self._processes[executable] = subprocess.Popen(
                 command, stdout=log, stderr=subprocess.STDOUT, env=self._environment, start_new_session=True
             )
 
@@ -61,12 +64,6 @@ class NodeProcesses:
     def last_words(self, name: str, lines: int = 15) -> str:
         text = (self.log_directory / f"{name}.log").read_text(errors="replace")
         return "\n".join(text.splitlines()[-lines:])
-
-    def kill(self, name: str) -> None:
-        """End one process at once (SIGKILL), as a crash would."""
-        process = self._processes.pop(name)
-        process.kill()
-        process.wait()
 
     def stop(self, timeout: float = 5.0) -> None:
         """End all, in the reverse order of their start: SIGTERM, and SIGKILL for whoever does not follow."""

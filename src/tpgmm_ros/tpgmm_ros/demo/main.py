@@ -30,7 +30,7 @@ from tpgmm_ros.demo.recording import Recording
 from tpgmm_ros.demo.report import evaluate, table
 from tpgmm_ros.demo.world import Disturbances, World
 from tpgmm_ros.pick_place import random_situation
-from tpgmm_ros.processes import Graph, GraphError, NodeProcesses
+from tpgmm_ros.processes import REALTIME_PRIORITY, Graph, GraphError, NodeProcesses
 from tpgmm_ros.reporting import write_report
 from tpgmm_ros.resources import config_file
 from tpgmm_ros.task import Task
@@ -111,10 +111,12 @@ def _domain(given: int | None) -> Iterator[None]:
 
 def _start(graph: Graph, arguments: argparse.Namespace, model_file: Path) -> None:
     processes, simulated = graph.processes, arguments.lockstep
-    processes.start("frame_tracker", task_file=arguments.task, use_sim_time=simulated)
-    processes.start("reproduction", task_file=arguments.task, model_file=model_file, use_sim_time=simulated)
-    processes.start("impedance_controller", robot_file=arguments.robot, lockstep=simulated, use_sim_time=simulated)
-    processes.start("baxter_simulator", robot_file=arguments.robot, lockstep=simulated)
+    priority = 0 if simulated else REALTIME_PRIORITY
+    both = {"use_sim_time": simulated, "realtime_priority": priority}
+    processes.start("frame_tracker", task_file=arguments.task, **both)
+    processes.start("reproduction", task_file=arguments.task, model_file=model_file, **both)
+    processes.start("impedance_controller", robot_file=arguments.robot, lockstep=simulated, **both)
+    processes.start("baxter_simulator", robot_file=arguments.robot, lockstep=simulated, realtime_priority=priority)
     graph.bring_up("impedance_controller", START_TIMEOUT)
     graph.bring_up("reproduction", START_TIMEOUT)
 
