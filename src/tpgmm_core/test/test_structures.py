@@ -130,7 +130,19 @@ def test_densities_determinants_and_traces_are_those_of_the_dense_matrices(name:
         )
         assert covariances.log_determinants[k] == pytest.approx(np.linalg.slogdet(S)[1], rel=1e-10)
         assert covariances.inverse_traces()[k] == pytest.approx(np.trace(np.linalg.inv(S)), rel=1e-9)
-    assert K == len(covariances.dense())
+    for offset in (0.0, 1e5):  # far away, rounding forbids the shorter way
+        means = offset * np.arange(K)[:, None] + np.random.default_rng(2).normal(size=(K, n))
+        x = means[1] + d
+        expected = [multivariate_normal(m, S).logpdf(x) for m, S in zip(means, covariances.dense(), strict=True)]
+        np.testing.assert_allclose(covariances.log_densities(x, means).T, expected, rtol=1e-9, atol=1e-7)
+
+
+def test_one_dimension_has_no_factors_and_is_learned_all_the_same() -> None:
+    x = np.random.default_rng(0).normal(size=(50, 1))
+    for name in SHALLOW:
+        model = TPGMM(2, init="kmeans", covariance=name, max_iter=20).fit_projected({"a": x})
+        frame = {"a": Frame(np.eye(1), np.zeros(1))}
+        assert model.score([Demonstration(np.arange(50.0), x, frame)]) >= model.log_likelihood_ - 1e-6
 
 
 @pytest.mark.parametrize("name", SHALLOW)

@@ -126,9 +126,13 @@ class Emissions:
         out = np.zeros((samples.n_samples, self.n_components))
         for (name, x), seen in zip(samples.X.items(), samples.seen, strict=True):
             manifold, frame = self.manifolds[name], self.frames[name]
+            means = self.means[name]
             for part in chunks(len(x), manifold.dim):
-                for k, mean in enumerate(self.means[name]):
-                    out[part, k] += seen[part] * frame.log_density(k, manifold.log(mean, x[part]))
+                if manifold.is_euclidean:
+                    out[part] += seen[part, None] * frame.log_densities(x[part], means)
+                else:
+                    for k, mean in enumerate(means):
+                        out[part, k] += seen[part] * frame.log_density(k, manifold.log(mean, x[part]))
         return out
 
     def moments(self, samples: Samples, responsibilities: Array) -> dict[str, Moments]:

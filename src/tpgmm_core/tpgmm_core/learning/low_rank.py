@@ -15,9 +15,13 @@ from typing import Self
 
 import numpy as np
 
+from tpgmm_core.kernels import LOG_2PI
 from tpgmm_core.learning.classical import not_definite
 from tpgmm_core.learning.structure import Covariances, Structure
 from tpgmm_core.quaternion import Array
+
+MAX_ROUNDING = 1e-8
+"""Error of a squared distance that is taken for the speed of products of matrices."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +92,22 @@ class LowRankCovariances(Covariances):
     def squared_distances(self, k: int, d: Array) -> Array:
         explained = d @ self.projections[k].T
         return np.asarray((d * d) @ (1.0 / self.noise[k]) - np.einsum("ni,ni->n", explained, explained))
+
+    def log_densities(self, x: Array, means: Array) -> Array:
+        """All components by a few products of matrices, (x - mu)^2 multiplied out, where rounding allows it."""
+        K, n = self.shape
+        centre = means.mean(axis=0)
+        x, means = x - centre, means - centre
+        precisions = 1.0 / self.noise
+        squares = (x * x) @ precisions.T
+        if squares.max(initial=0.0) * np.finfo(float).eps > MAX_ROUNDING:
+            return super().log_densities(x, means)
+        squares -= 2.0 * x @ (means * precisions).T
+        squares += (means * means * precisions).sum(axis=1)
+        explained = x @ self.projections.reshape(-1, n).T - np.einsum("kdn,kn->kd", self.projections, means).ravel()
+        explained *= explained
+        squares -= explained.reshape(len(x), *self.loadings.shape[::2]).sum(axis=2)
+        return -0.5 * (squares + (n * LOG_2PI + self.log_determinants))
 
     def dense(self) -> Array:
         n = self.shape[1]

@@ -131,6 +131,10 @@ class Covariances(ABC):
         log_norm = -0.5 * (self.shape[1] * LOG_2PI + self.log_determinants[k])
         return np.asarray(log_norm - 0.5 * self.squared_distances(k, d))
 
+    def log_densities(self, x: Array, means: Array) -> Array:
+        """log N(x_n; mu_k, Sigma_k), (N, K), of points x (N, n) of R^n and means (K, n)."""
+        return np.stack([self.log_density(k, x - mean) for k, mean in enumerate(means)], axis=1)
+
     def arrays(self) -> dict[str, Array]:
         """The parameters as named arrays of numbers."""
         return {name: getattr(self, name) for name in self.arrays_of}
