@@ -27,8 +27,9 @@ PARAMETERS = [
     Declared("rate", 100.0, "Task parameters are published this often, Hz", 1.0, 1000.0, fixed=True),
 ]
 
-#: Changes are published at once, but a flood of poses must not become a flood of task parameters.
-MIN_INTERVAL_NS = 1_000_000
+#: Changes are published at once, but a flood of poses must not become a flood of task parameters: beyond so many
+#: between two regular ones, changes wait for the next of these.
+MAX_CHANGES = 10
 
 
 class FrameTrackerNode(Node):
@@ -43,11 +44,11 @@ class FrameTrackerNode(Node):
         )
         self._loop_clock = loop_clock(self)
         self._known: list[TrackedFrame] = []
-        self._published_ns = 0
+        self._changes = 0
         self._publisher = self.create_publisher(TaskParameters, "task_parameters", LATCHED)
         for name, topic in self.task.topics.items():
             self.create_subscription(PoseStamped, topic, functools.partial(self._observe, name), STREAM)
-        self.create_timer(1.0 / parameters["rate"], self._publish, clock=self._loop_clock)
+        self.create_timer(1.0 / parameters["rate"], self._publish_regularly, clock=self._loop_clock)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
         self._jump = self.get_clock().create_jump_callback(backwards, post_callback=lambda _: self._forget())
         self.monitor = Monitor(self, self._status)
@@ -69,8 +70,13 @@ class FrameTrackerNode(Node):
         )
         if refusal:
             self._warn(refusal)
-        elif steady - self._published_ns >= MIN_INTERVAL_NS:
+        elif self._changes < MAX_CHANGES:
+            self._changes += 1
             self._publish()
+
+    def _publish_regularly(self) -> None:
+        self._changes = 0
+        self._publish()
 
     def _publish(self) -> None:
         self.monitor.asked += 1
@@ -83,13 +89,11 @@ class FrameTrackerNode(Node):
         self._publisher.publish(
             conversions.task_parameters_message(self._known, self.get_clock().now().nanoseconds, self.task.base_frame)
         )
-        self._published_ns = steady
         self.monitor.done += 1
 
     def _forget(self) -> None:
         self.get_logger().warning("time jumped backwards: all observations are forgotten")
         self.tracker.forget()
-        self._published_ns = 0
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text, throttle_duration_sec=2.0)
