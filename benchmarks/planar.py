@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
 from matplotlib.patches import Ellipse
 from scipy.io import loadmat
 from scipy.linalg import polar
@@ -79,8 +80,8 @@ def draw_ellipse(axes: Axes, mean: Array, covariance: Array, colour: str, alpha:
 
 def draw_band(axes: Axes, means: Array, covariances: Array) -> None:
     """One standard deviation along a path, behind everything else: means (T, 2), covariances (T, 2, 2)."""
-    for mean, covariance in zip(means, covariances, strict=True):
-        axes.add_patch(_ellipse(mean, covariance, facecolor="0.87", edgecolor="none", zorder=0))
+    ellipses = [_ellipse(mean, covariance) for mean, covariance in zip(means, covariances, strict=True)]
+    axes.add_collection(PatchCollection(ellipses, facecolor="0.87", edgecolor="none", zorder=0))
 
 
 def _ellipse(mean: Array, covariance: Array, **style: Any) -> Ellipse:
