@@ -3,7 +3,7 @@
 
 With pbdlib's planar data. The second frame goes on along the way on which the demonstrations had it, and turns on by
 its angle; once the first frame, which never moved in the demonstrations, moves and turns too. Ellipses and bands
-are one standard deviation.
+are one standard deviation; solid: adapted, then regression; dashed: regression in each frame, then the product.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from benchmarks import planar
 from benchmarks.report import Row, write_report
 from tpgmm_core import TPGMM, Demonstration, Frame
-from tpgmm_core.retrieval.regression import AdaptThenRegress
+from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 
 
 def situations(demonstrations: Sequence[Demonstration]) -> dict[str, dict[str, Frame]]:
@@ -58,6 +58,8 @@ def draw(
     means = np.stack([g.mean for g in path])
     planar.draw_band(axes, means, np.stack([g.covariance for g in path]))
     axes.plot(*means.T, color="black", lw=2.5)
+    other = np.stack([g.mean for g in RegressThenProduct(model, times).retrieve(new)])
+    axes.plot(*other.T, "--", color="black", lw=1.2)
     planar.draw_frames(axes, new)
     planar.tidy(axes, title)
     distance = max(min(float(np.linalg.norm(new[n].b - d.frames[n].b)) for d in demonstrations) for n in new)
@@ -65,6 +67,7 @@ def draw(
         "situation": title,
         "frame_distance": distance,
         **planar.judged_end(demonstrations, new["second"], means[-1]),
+        "end_error_product_last": planar.judged_end(demonstrations, new["second"], other[-1])["end_error"],
     }
 
 

@@ -3,14 +3,14 @@
 
 The orders are the same for one component. Where several are active they differ:
 
-- Adapting first multiplies the components' spreads in time as well: P frames that see the same times make the variance
-  in time P times smaller. Components then take over from one another in shorter time, and frames are weighed component
-  by component. It is the model of Eq. (5), and follows frames that are sure of some components only.
+- Adapting first treats time as any other dimension. P frames that see the same times make the components' variances in
+  time P times smaller, so that they take over from one another in shorter time. Since times go with places, frames
+  that contradict each other on where a component is move it in time as well. Frames are weighed component by component.
 - Regressing first keeps the transitions as learned, hence is smoother. The spread between the means of active
   components counts as uncertainty of that frame at that time, so that frames are weighed time by time. Nothing but the
   product depends on the situation: regression is done once, ahead.
 
-Far from the demonstrated situations the frames' components lie far apart, and the orders do so the most.
+The farther a situation is from the demonstrated ones, the more frames contradict each other, and the orders too.
 """
 
 from __future__ import annotations
