@@ -24,7 +24,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 say = @printf '\033[1m==> %s\033[0m\n' "$(1)"
 
-.PHONY: help setup lint format test demo bags results figures bench lock clean
+.PHONY: help setup lint format test demo bags results figures bench scaling lock clean
 
 help: ## list the targets
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -63,6 +63,10 @@ figures: setup ## figures 1, 3 and 4 of the paper, in out/figures/ and out/figur
 BENCHMARKS := em reproduction_step lqr simulator loop latency
 bench: setup ## benchmarks: tables, and JSON in out/bench/ (wants two idle cores)
 	@for name in $(BENCHMARKS); do PYTHONPATH=. $(PYTHON) benchmarks/$$name.py; done
+
+scaling: setup ## benchmarks of learning: 100 dimensions; time and memory up to a million samples: out/high_dimension/, out/scaling/
+	PYTHONPATH=. $(PYTHON) benchmarks/high_dimension.py
+	PYTHONPATH=. $(PYTHON) benchmarks/scaling.py
 
 lock: $(DONE)/venv ## resolve requirements.in into requirements.txt
 	$(PYTHON) -m pip install --quiet uv
