@@ -106,7 +106,7 @@ PACKAGE_FILES := $(foreach package,tpgmm_core tpgmm_ros,$(addprefix src/$(packag
 INSTALLED_DATA := $(wildcard src/tpgmm_ros/launch/*.launch.py config/*.yaml)
 $(DONE)/packages: tools/activate_workspace.py $(DONE)/interfaces $(PACKAGE_FILES) $(INSTALLED_DATA)
 	$(call say,Python packages)
-	@$(call colcon_build,tpgmm_core tpgmm_ros)
+$(DONE)/kernels: $(DONE)/packages $(shell find src/tpgmm_core/tpgmm_core -name "*.py")
 	@$(PYTHON) tools/activate_workspace.py $(VENV)/build/tpgmm_core $(VENV)/build/tpgmm_ros
 	@touch $@
 
