@@ -106,11 +106,11 @@ PACKAGE_FILES := $(foreach package,tpgmm_core tpgmm_ros,$(addprefix src/$(packag
 INSTALLED_DATA := $(wildcard src/tpgmm_ros/launch/*.launch.py config/*.yaml)
 $(DONE)/packages: tools/activate_workspace.py $(DONE)/interfaces $(PACKAGE_FILES) $(INSTALLED_DATA)
 	$(call say,Python packages)
-$(DONE)/kernels: $(DONE)/packages $(shell find src/tpgmm_core/tpgmm_core -name "*.py")
+	@$(call colcon_build,tpgmm_core tpgmm_ros)
 	@$(PYTHON) tools/activate_workspace.py $(VENV)/build/tpgmm_core $(VENV)/build/tpgmm_ros
 	@touch $@
 
-$(DONE)/kernels: $(DONE)/packages $(wildcard src/tpgmm_core/tpgmm_core/*.py)
+$(DONE)/kernels: $(DONE)/packages $(shell find src/tpgmm_core/tpgmm_core -name "*.py")
 	$(call say,compiled kernels)
 	@$(PYTHON) -m tpgmm_core.warm_up
 	@touch $@
