@@ -153,3 +153,14 @@ def test_a_model_without_duration_and_a_step_before_the_start_are_refused_with_w
         started().step(0, {})
     with pytest.raises(ValueError):
         started().step(0, frames_at(nowhere=place(0.0, 0.0, 0.0)))
+
+
+def test_the_mixture_is_the_model_adapted_to_the_frames_of_the_last_step() -> None:
+    reproduction = started()
+    with pytest.raises(ValueError, match="no step yet"):
+        reproduction.mixture()
+    reproduction.step(0, HERE)
+    reproduction.step(MS, THERE)
+    mixture, expected = reproduction.mixture(), reaching_model().adapt(THERE)
+    np.testing.assert_allclose(mixture.means, expected.means)
+    np.testing.assert_allclose(mixture.covariances, expected.covariances)

@@ -19,6 +19,7 @@ from tpgmm_core.adaptation import Adapter
 from tpgmm_core.frame import Frame
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.manifold import Manifold
+from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.reference import Reference
 from tpgmm_core.tpgmm import TPGMM
 
@@ -137,6 +138,16 @@ class Reproduction:
             activations=activations,
             frames=tuple(frames),
         )
+
+    def mixture(self) -> GaussianMixture:
+        """The model adapted to the frames of the last step, over all dimensions, time first.
+
+        Raises:
+            ValueError: there was no step since ``start``.
+        """
+        if self._start_ns is None or self._frames is None:
+            raise ValueError("there was no step yet: call start(time_ns) and step(...)")
+        return self._adapter.adapt(self._frames, weights=self._weights)
 
     def _model_times(self, elapsed: Array) -> Array:
         """Times of the model, s, from those of the reproduction; the end lasts."""

@@ -199,7 +199,7 @@ class ImpedanceControllerNode(ManagedNode):
         return message
 
     def _tell(self, command: TorqueCommand, stamp_ns: int) -> None:
-        if stamp_ns < self._state_due_ns:
+        if 0 < self._state_due_ns - stamp_ns <= STATE_PERIOD_NS:
             return
         self._state_due_ns = stamp_ns + STATE_PERIOD_NS
         message = self._state_message()

@@ -26,7 +26,7 @@ def markers(
     Args:
         mixture: the adapted components over [time, x, y, z, qx, qy, qz, qw].
         activations: (K,), how much each component takes part now; shown by its opacity.
-        frames: the frames that took part, acting on poses (their first 3 rows on positions).
+        frames: the frames that took part, acting on the same dimensions as the mixture.
     """
     header = conversions.header_at(nanoseconds, frame_id)
     array = MarkerArray()
@@ -53,8 +53,8 @@ def markers(
 def _axes(name: str, index: int, frame: Frame, header: conversions.Header) -> Marker:
     marker = Marker(header=header, ns="frames", id=index, type=Marker.LINE_LIST, action=Marker.ADD, text=name)
     marker.scale.x = 0.006
-    origin = frame.b[:3]
-    for axis, color in zip(frame.A[:3, :3].T, _AXES, strict=True):
+    origin = frame.b[1:4]
+    for axis, color in zip(frame.A[1:4, 1:4].T, _AXES, strict=True):
         for point in (origin, origin + _AXIS_LENGTH * axis):
             marker.points.append(Point(x=float(point[0]), y=float(point[1]), z=float(point[2])))
             marker.colors.append(color)

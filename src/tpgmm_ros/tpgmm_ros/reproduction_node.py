@@ -78,7 +78,7 @@ class ReproductionNode(ManagedNode):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._stepped_ns = 0
         self._received_ns = 0
-        self._due: dict[str, int] = {}
+        self._done_ns: dict[str, int] = {}
         if self.parameters["autostart"]:
             self.start_itself()
 
@@ -121,6 +121,7 @@ class ReproductionNode(ManagedNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._active = True
+        self._last_ns = 0  # what the clock said before is no time to jump back from
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -265,14 +266,13 @@ class ReproductionNode(ManagedNode):
         if self._is_due("pose", stamp_ns, POSE_PERIOD_NS):
             self._reference_poses.publish(conversions.pose_with_covariance(reference.gaussian, stamp_ns, frame_id))
         if self._markers.get_subscription_count() and self._is_due("markers", stamp_ns, MARKER_PERIOD_NS):
-            mixture = execution.reproduction.model.adapt(self._frames, weights=self._weights)
-            shown = {name: self._known[name][0] for name in self._frames}
-            self._markers.publish(markers(mixture, reference.activations, shown, stamp_ns, frame_id))
+            mixture = execution.reproduction.mixture()
+            self._markers.publish(markers(mixture, reference.activations, self._frames, stamp_ns, frame_id))
 
     def _is_due(self, what: str, stamp_ns: int, period_ns: int) -> bool:
-        if stamp_ns - self._due.get(what, 0) < period_ns:
+        if 0 <= stamp_ns - self._done_ns.get(what, -period_ns) < period_ns:
             return False
-        self._due[what] = stamp_ns
+        self._done_ns[what] = stamp_ns
         return True
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
