@@ -9,7 +9,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Twist
 from hypothesis import given
 from hypothesis import strategies as st
 from sensor_msgs.msg import JointState
@@ -43,12 +42,6 @@ def test_poses_and_wrenches_survive_both_ways() -> None:
     wrench = conversions.wrench_from_array(np.arange(6.0), 0, "left_gripper")
     assert wrench.wrench.force.z == 2.0 and wrench.wrench.torque.x == 3.0
     np.testing.assert_array_equal(conversions.wrench_to_array(wrench), np.arange(6.0))
-
-
-def test_a_twist_is_linear_then_angular() -> None:
-    twist = Twist()
-    twist.linear.y, twist.angular.z = 1.0, 2.0
-    np.testing.assert_array_equal(conversions.twist_to_array(twist), [0.0, 1.0, 0.0, 0.0, 0.0, 2.0])
 
 
 def test_a_wrench_that_is_not_finite_is_refused_and_names_its_link() -> None:

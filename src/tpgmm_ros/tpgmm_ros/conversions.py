@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from builtin_interfaces.msg import Time as TimeMessage
-from geometry_msgs.msg import Pose, PoseStamped, PoseWithCovarianceStamped, Twist, WrenchStamped
+from geometry_msgs.msg import Pose, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
@@ -85,11 +85,6 @@ def pose_with_covariance(gaussian: Gaussian, nanoseconds: int, frame_id: str) ->
     message.pose.pose = pose_from_array(gaussian.mean)
     message.pose.covariance = np.ascontiguousarray(gaussian.covariance).ravel()
     return message
-
-
-def twist_to_array(twist: Twist) -> Array:
-    linear, angular = twist.linear, twist.angular
-    return np.array([linear.x, linear.y, linear.z, angular.x, angular.y, angular.z])
 
 
 def wrench_to_array(message: WrenchStamped) -> Array:

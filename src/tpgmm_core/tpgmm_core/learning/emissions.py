@@ -74,23 +74,6 @@ class Emissions:
         return cls.from_gaussians(structure, samples, counts, means, scatters)
 
     @classmethod
-    def from_responsibilities(
-        cls, structure: Structure, samples: Samples, responsibilities: Array, reg_covar: float | None = None
-    ) -> Emissions:
-        """Components of samples with weights `responsibilities` (N, K): weighted covariances + reg_covar I (the
-        structure's where None). A component of which a frame saw nothing starts from all that the frame saw."""
-        reg_covar = structure.reg_covar if reg_covar is None else reg_covar
-        means, scatters = {}, {}
-        for (name, x), seen in zip(samples.X.items(), samples.seen, strict=True):
-            manifold = samples.manifolds[name]
-            weights = responsibilities * seen[:, None]
-            weights = np.where(weights.sum(axis=0) > EMPTY, weights, seen[:, None].astype(float))
-            means[name] = np.stack([manifold.mean(x, w) for w in weights.T])
-            moments = frame_moments(manifold, x, weights, means[name])
-            scatters[name] = moments.scatters + reg_covar * np.eye(manifold.tangent_dim)
-        return cls.from_gaussians(structure, samples, responsibilities.sum(axis=0), means, scatters)
-
-    @classmethod
     def from_gaussians(
         cls,
         structure: Structure,
