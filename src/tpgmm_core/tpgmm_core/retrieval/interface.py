@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all ways of retrieving a movement have in common, as a loop uses them.
+
+`Retrieval` is the interface of the loop: a reference for each step. Ways that know the whole movement as a function of
+time in a situation are a `Course`; `tpgmm_core.reproduction.Reproduction` steps through any of them, on any phase, and
+keeps what it hands on free of jumps. Ways that have a state of their own are a `Retrieval` themselves.
+
+Frames are over [time, data] (`Frame.with_time`) for all ways, so that one situation serves all; a state is (D,), a
+point of the data's manifold, without time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from tpgmm_core.frame import Frame
+from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.mixture import GaussianMixture
+from tpgmm_core.quaternion import Array
+from tpgmm_core.reference import Reference
+
+
+class Retrieval(Protocol):
+    """A movement that is being reproduced.
+
+    manifold : of the references, without time
+    frame_names : the frames that the model was learned from
+    duration : of the whole movement at speed 1, s
+    speed : 1 as learned, 0 pauses, less than 0 goes back; may be set at any time, and is taken over without a jump.
+        Setting raises ValueError for a speed that is not finite or that this way cannot go
+    """
+
+    @property
+    def manifold(self) -> Manifold: ...
+
+    @property
+    def frame_names(self) -> tuple[str, ...]: ...
+
+    @property
+    def duration(self) -> float: ...
+
+    @property
+    def speed(self) -> float: ...
+
+    @speed.setter
+    def speed(self, speed: float) -> None: ...
+
+    def start(self, time_ns: int, state: Array | None = None) -> None:
+        """Begin at this time, ns, from where the robot is (D,); what was going on is forgotten."""
+
+    def step(
+        self,
+        time_ns: int,
+        frames: Mapping[str, Frame],
+        state: Array | None = None,
+        weights: Mapping[str, float] | None = None,
+    ) -> Reference:
+        """The reference at a time.
+
+        time_ns : on the clock that `start` was given
+        frames : those that are known, by name, at least one. The same mapping as long as nothing has changed: a new
+            one is taken as a change
+        state : (D,), where the robot is, as far as that is known
+        weights : how far each frame is trusted, 0 to 1; fully where not named. The same mapping while nothing changes
+
+        Raises ValueError for no frames, unknown ones, or when `start` was never called.
+        """
+
+    def horizon(self, n: int, dt: float) -> list[Gaussian]:
+        """The next n Gaussians, dt (s) apart, the first one dt after the last step, should the frames stay.
+
+        Raises ValueError when there was no step yet.
+        """
+
+    def mixture(self) -> GaussianMixture:
+        """The model in the situation of the last step, over all that it encodes.
+
+        Raises ValueError when there was no step yet.
+        """
+
+
+class Course(Protocol):
+    """A movement as a function of the model's time, in one situation.
+
+    manifold : of the data, without time
+    frame_names : the frames that the model was learned from
+    duration : of the model's time, s
+    """
+
+    @property
+    def manifold(self) -> Manifold: ...
+
+    @property
+    def frame_names(self) -> tuple[str, ...]: ...
+
+    @property
+    def duration(self) -> float: ...
+
+    def situate(
+        self,
+        frames: Mapping[str, Frame],
+        state: Array | None = None,
+        weights: Mapping[str, float] | None = None,
+    ) -> None:
+        """Take this situation; parameters and errors are those of `Retrieval.step`."""
+
+    def at(self, times: Array) -> tuple[Array, Array, Array]:
+        """Means (H, D), covariances (H, n, n) and the activations (K,) at the first of the times (H,), s, of the model."""
+
+    def mixture(self) -> GaussianMixture:
+        """The model in this situation, over all that it encodes."""
