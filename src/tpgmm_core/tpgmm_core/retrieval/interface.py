@@ -107,7 +107,7 @@ class Course(Protocol):
         """Take this situation; parameters and errors are those of `Retrieval.step`."""
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
-        """Means (H, D), covariances (H, n, n) and the activations (K,) at the first of the times (H,), s, of the model."""
+        """Means (H, D), covariances (H, n, n), and the activations (K,) at the first of the model's times (H,), s."""
 
     def mixture(self) -> GaussianMixture:
         """The model in this situation, over all that it encodes."""
