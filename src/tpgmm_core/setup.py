@@ -18,6 +18,6 @@ setup(
     ],
     python_requires=">=3.12",
     install_requires=["numpy", "scipy", "numba"],
-    extras_require={"robot": ["pin", "example-robot-data", "pyyaml"]},
+    extras_require={"predictive": ["daqp"], "robot": ["pin", "example-robot-data", "pyyaml"]},
     zip_safe=True,
 )
