@@ -2,8 +2,8 @@
 import numpy as np
 import pytest
 
-from tpgmm_core.finite_horizon import double_integrator, finite_horizon_gains
-from tpgmm_core.lqr import double_integrator_gains
+from tpgmm_core.control.finite_horizon import double_integrator, finite_horizon_gains
+from tpgmm_core.control.lqr import double_integrator_gains
 
 
 def problem(seed: int, n: int = 4, m: int = 2, T: int = 6) -> tuple[np.ndarray, ...]:

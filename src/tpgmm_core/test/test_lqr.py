@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from tpgmm_core.lqr import double_integrator_gains, riccati_gains
+from tpgmm_core.control.lqr import double_integrator_gains, riccati_gains
 
 
 @st.composite

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tpgmm_core.lqr import double_integrator_gains
+from tpgmm_core.control.lqr import double_integrator_gains
 from tpgmm_core.manifold import POSE
 from tpgmm_core.operational_space import OperationalSpace, bounded_twist
 from tpgmm_core.robot import RobotModel

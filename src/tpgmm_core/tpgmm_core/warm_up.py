@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-import tpgmm_core.finite_horizon
-import tpgmm_core.lqr  # noqa: F401  these two compile on import
+import tpgmm_core.control.finite_horizon
+import tpgmm_core.control.lqr  # noqa: F401  these two compile on import
 from tpgmm_core import TPGMM, Adapter, Frame, Gaussian
 from tpgmm_core.learning.hmm import TPHMM
 from tpgmm_core.learning.hsmm import TPHSMM
