@@ -20,6 +20,7 @@ from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
+from tpgmm_core.tpgmm import TPGMM
 
 
 class Retrieval(Protocol):
@@ -47,8 +48,13 @@ class Retrieval(Protocol):
     @speed.setter
     def speed(self, speed: float) -> None: ...
 
-    def start(self, time_ns: int, state: Array | None = None) -> None:
-        """Begin at this time, ns, from where the robot is (D,); what was going on is forgotten."""
+    def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
+        """Begin at this time, ns, from where the robot is (D,); what was going on is forgotten.
+
+        phase : share of the movement that is done already, 0 to 1: where to go on when another way, or another model,
+            takes over while the robot moves. What is handed on then is kept without a jump by
+            `tpgmm_core.continuity.Continued`, for all ways alike
+        """
 
     def step(
         self,
@@ -111,3 +117,17 @@ class Course(Protocol):
 
     def mixture(self) -> GaussianMixture:
         """The model in this situation, over all that it encodes."""
+
+
+def demonstrated_duration(model: TPGMM) -> float:
+    """How long the demonstrations of a model took on average, s.
+
+    Raises ValueError when the model's metadata do not say.
+    """
+    duration = model.metadata_.get("duration_s")
+    if not isinstance(duration, int | float) or not duration > 0.0:
+        raise ValueError(
+            f"the model's metadata say duration_s = {duration!r}; expected the demonstrations' mean duration in s: "
+            "a model that is to be reproduced over time is trained by 'train'"
+        )
+    return float(duration)
