@@ -103,3 +103,15 @@ def test_a_demonstration_projects_its_data_and_knows_who_saw_what() -> None:
 def test_bad_demonstrations_are_refused_with_the_reason(changes: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         demonstration(**changes)
+
+
+def test_an_inverse_of_its_own_takes_the_place_of_the_pseudo_inverse() -> None:
+    rng = np.random.default_rng(0)
+    A, b, inverse = rng.normal(size=(4, 3, 2)), rng.normal(size=(4, 3)), rng.normal(size=(4, 2, 3))
+    frame, xi = Frame(A, b, inverse), rng.normal(size=(4, 3))
+    np.testing.assert_allclose(frame.project(xi), np.einsum("tij,tj->ti", inverse, xi - b))
+    np.testing.assert_allclose(frame.at(2).project(xi[2]), inverse[2] @ (xi[2] - b[2]))
+    with_time = frame.with_time().project(np.column_stack([np.arange(4.0), xi]))
+    np.testing.assert_allclose(with_time, np.column_stack([np.arange(4.0), frame.project(xi)]))
+    with pytest.raises(ValueError, match="transposed shape"):
+        Frame(A, b, A)

@@ -21,6 +21,8 @@ class Frame:
     ----------
     A : shape (D, D_j), or (T, D, D_j) when it changes with time; any matrix
     b : shape (D,), or (T, D)
+    inverse : shape (D_j, D), or (T, D_j, D) as A: how the frame sees xi - b, where that is not A^+. A damped A (near
+        singularities) has no bounded pseudo-inverse that is continuous; it brings the one that is meant
 
     When one of them varies with time and the other does not, the constant one is repeated.
     Raises ValueError for shapes that do not fit and for non-finite numbers.
@@ -28,6 +30,7 @@ class Frame:
 
     A: Array
     b: Array
+    inverse: Array | None = None
 
     def __post_init__(self) -> None:
         A, b = np.asarray(self.A, dtype=float), np.asarray(self.b, dtype=float)
@@ -41,6 +44,14 @@ class Frame:
             b = np.broadcast_to(b, (steps, b.shape[-1]))
         if not (np.all(np.isfinite(A)) and np.all(np.isfinite(b))):
             raise ValueError("the A and b of a frame must be finite")
+        if self.inverse is not None:
+            inverse = np.asarray(self.inverse, dtype=float)
+            transposed = A.shape[:-2] + A.shape[:-3:-1]
+            if inverse.shape not in (transposed, transposed[-2:]) or not np.all(np.isfinite(inverse)):
+                raise ValueError(
+                    f"the inverse of A {A.shape} is finite and has the transposed shape, got {inverse.shape}"
+                )
+            object.__setattr__(self, "inverse", np.broadcast_to(inverse, transposed))
         object.__setattr__(self, "A", A)
         object.__setattr__(self, "b", b)
 
@@ -66,11 +77,10 @@ class Frame:
 
     def with_time(self) -> Frame:
         """The same frame for data whose first dimension is time, which no frame changes."""
-        A = np.zeros((*self.A.shape[:-2], self.A.shape[-2] + 1, self.A.shape[-1] + 1))
-        A[..., 0, 0] = 1.0
-        A[..., 1:, 1:] = self.A
+        A, inverse = (None if M is None else _beside_time(M) for M in (self.A, self.inverse))
+        assert A is not None
         b = np.concatenate([np.zeros((*self.b.shape[:-1], 1)), self.b], axis=-1)
-        return Frame(A, b)
+        return Frame(A, b, inverse)
 
     @property
     def is_time_varying(self) -> bool:
@@ -79,16 +89,28 @@ class Frame:
 
     def at(self, t_index: int) -> Frame:
         """The map at one time step; a constant frame is the same at all of them."""
-        return Frame(self.A[t_index], self.b[t_index]) if self.is_time_varying else self
+        if not self.is_time_varying:
+            return self
+        return Frame(self.A[t_index], self.b[t_index], None if self.inverse is None else self.inverse[t_index])
 
     def project(self, xi: ArrayLike) -> Array:
         """Data xi (D,) or (T, D) as seen from the frame, (D_j,) or (T, D_j): x = A^+ (xi - b), Eq. (4).
 
-        The pseudo-inverse serves any A; for a pose frame it is the exact inverse, since L(q)^-1 = L(q)^T.
+        `inverse` takes the place of A^+ where it is given. The pseudo-inverse serves any A; for a pose frame it is the
+        exact inverse, since L(q)^-1 = L(q)^T.
         """
         xi = np.asarray(xi, dtype=float)
         if xi.ndim not in (1, 2) or xi.shape[-1] != self.b.shape[-1]:
             raise ValueError(f"data for this frame has shape (T, {self.b.shape[-1]}), got {xi.shape}")
         if self.is_time_varying and xi.ndim == 2 and len(xi) != len(self.A):
             raise ValueError(f"the frame has {len(self.A)} time steps, the data {len(xi)}")
-        return np.einsum("...ij,...j->...i", np.linalg.pinv(self.A, rcond=RANK_TOLERANCE), xi - self.b)
+        inverse = np.linalg.pinv(self.A, rcond=RANK_TOLERANCE) if self.inverse is None else self.inverse
+        return np.einsum("...ij,...j->...i", inverse, xi - self.b)
+
+
+def _beside_time(M: Array) -> Array:
+    """blkdiag(1, M)."""
+    result = np.zeros((*M.shape[:-2], M.shape[-2] + 1, M.shape[-1] + 1))
+    result[..., 0, 0] = 1.0
+    result[..., 1:, 1:] = M
+    return result

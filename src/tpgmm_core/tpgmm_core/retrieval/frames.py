@@ -7,7 +7,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from tpgmm_core import kernels_regress
 from tpgmm_core.frame import Frame
+from tpgmm_core.quaternion import Array
+from tpgmm_core.situation import Situation
 
 
 def without_time(frames: Mapping[str, Frame]) -> dict[str, Frame]:
@@ -18,13 +21,24 @@ def without_time(frames: Mapping[str, Frame]) -> dict[str, Frame]:
     return {name: _without_time(name, frame) for name, frame in frames.items()}
 
 
+def require_time_kept(situation: Situation) -> None:
+    """Raises ValueError like `without_time`, fast enough for every change of the frames."""
+    j = kernels_regress.time_changed(situation.A, situation.b, situation.weights)
+    if j >= 0:
+        raise _time_changed(situation.frame_names[j], situation.A[j], situation.b[j])
+
+
 def _without_time(name: str, frame: Frame) -> Frame:
     A, b = frame.A, frame.b
     size, columns = A.shape[-2:]
     mixed = np.abs(A[..., 0, 1:]).max(initial=0.0) + np.abs(A[..., 1:, 0]).max(initial=0.0)
     if min(size, columns) < 2 or mixed > 0.0 or np.any(A[..., 0, 0] != 1.0) or np.any(b[..., 0] != 0.0):
-        raise ValueError(
-            f"frame {name!r} must leave the first dimension (time or decay) as it is, with A = blkdiag(1, ...) and "
-            f"b = [0, ...]: make it by Frame.with_time(); got A {A.shape}, b {b.shape}"
-        )
-    return Frame(A[..., 1:, 1:], b[..., 1:])
+        raise _time_changed(name, A, b)
+    return Frame(A[..., 1:, 1:], b[..., 1:], None if frame.inverse is None else frame.inverse[..., 1:, 1:])
+
+
+def _time_changed(name: str, A: Array, b: Array) -> ValueError:
+    return ValueError(
+        f"frame {name!r} must leave the first dimension (time or decay) as it is, with A = blkdiag(1, ...) and "
+        f"b = [0, ...]: make it by Frame.with_time(); got A {A.shape}, b {b.shape}"
+    )
