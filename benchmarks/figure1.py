@@ -69,8 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         planar.draw_ellipse(new, g.mean, g.covariance, planar.COLOURS[k % len(planar.COLOURS)], 0.5)
     times = np.linspace(demonstrations[0].times[0], demonstrations[0].times[-1], 200)
     paths = {
-        "adapted, then regression": AdaptThenRegress(model, times).retrieve(situation),
-        "regression, then product": RegressThenProduct(model, times).retrieve(situation),
+        "adapted, then regression": AdaptThenRegress(model).retrieve(situation, times),
+        "regression, then product": RegressThenProduct(model).retrieve(situation, times),
     }
     rows: list[Row] = []
     for (label, path), style in zip(paths.items(), ("-", "--"), strict=True):

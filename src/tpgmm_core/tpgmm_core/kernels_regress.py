@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from tpgmm_core.kernels import compiled, transport
+from tpgmm_core.kernels import cholesky, compiled, gram, invert_lower, transport
 from tpgmm_core.kernels_adapt import adapt
 from tpgmm_core.kernels_product import MAX_STEPS, STEP_TOLERANCE, difference, longest, move
 from tpgmm_core.quaternion import Array
@@ -84,8 +84,11 @@ def regress(
             transport(C, a, steps[k, a], steps[k, a + 1], steps[k, a + 2])  # to the component's conditional mean
             transport(C, a, -e[k, a], -e[k, a + 1], -e[k, a + 2])  # and from there to the mixture's
         for i in range(1, n):
-            for m in range(1, n):
+            for m in range(1, i + 1):
                 covariance[i - 1, m - 1] += h * (C[i, m] + e[k, i] * e[k, m])
+    for i in range(n - 1):
+        for m in range(i):
+            covariance[m, i] = covariance[i, m]
 
 
 @compiled
@@ -118,3 +121,72 @@ def adapt_and_regress(
             out_means, out_covariances, out_activations,
         )  # fmt: skip
     return failed
+
+
+@compiled
+def regress_and_adapt(
+    log_priors: Array, means: Array, covariances: Array, sizes: Array, view_flat: Array, spheres: Array,
+    data_flat: Array, data_spheres: Array, A: Array, b: Array, weights: Array, state: Array, min_precision: float,
+    times: Array, out_means: Array, out_covariances: Array, activations: Array,
+) -> int:  # fmt: skip
+    """Regression in each frame at all times (H,), then `adapt`, as if the times were components.
+
+    means (P, K, D_max), covariances (P, K, n_max, n_max), sizes (P, 2), view_flat and spheres: what each frame learned,
+    time first. data_flat, data_spheres, A, b, state: without time. Writes out_means (H, D), out_covariances (H, n, n),
+    and activations (K,) at the first of the times, the mean over the frames.
+
+    Returns -1; the frame whose matrix does not fit S³; or P + the frame whose covariance is singular.
+    """
+    P, H = len(means), len(times)
+    data_sizes = sizes - 1
+    n_max = covariances.shape[2] - 1
+    seen, precisions = np.zeros((P, means.shape[2] - 1, H)), np.zeros((P, n_max, n_max * H))
+    h, total = np.empty(len(log_priors)), 0.0
+    activations[:] = 0.0
+    for j in range(P):
+        if not weights[j] > 0.0:
+            continue
+        D, n = data_sizes[j]
+        view_means = np.ascontiguousarray(means[j, :, : D + 1])
+        view_covariances = np.ascontiguousarray(covariances[j, :, : n + 1, : n + 1])
+        mean, covariance, L = np.empty(D), np.empty((n, n)), np.empty((n, n))
+        for i in range(H):
+            regress(
+                log_priors, view_means, view_covariances, times[i], view_flat[: n + 1], spheres, mean, covariance, h
+            )  # fmt: skip
+            if i == 0:
+                total += weights[j]
+                for k in range(len(h)):
+                    activations[k] += weights[j] * h[k]
+            for o in range(D):
+                seen[j, o, i] = mean[o]
+            if not cholesky(covariance, n, L):
+                return P + j
+            invert_lower(L, n, covariance)
+            gram(covariance, n, L)
+            for o in range(n):
+                for m in range(n):
+                    precisions[j, o, m * H + i] = L[o, m]
+    for k in range(len(h)):
+        activations[k] = activations[k] / total if total > 0.0 else math.exp(log_priors[k])
+    failed: int = adapt(
+        seen, precisions, data_sizes, data_flat, data_spheres, A, b, weights, state, min_precision,
+        out_means, out_covariances,
+    )  # fmt: skip
+    return failed
+
+
+@compiled
+def time_changed(A: Array, b: Array, weights: Array) -> int:
+    """The first frame with a weight that does not leave the first dimension as it is, or -1."""
+    for j in range(len(weights)):
+        if not weights[j] > 0.0:
+            continue
+        mixed = abs(A[j, 0, 0] - 1.0) + abs(b[j, 0])
+        for i in range(1, A.shape[1]):
+            mixed += abs(A[j, i, 0])
+        for m in range(1, A.shape[2]):
+            mixed += abs(A[j, 0, m])
+        if mixed > 0.0:
+            return j
+    return -1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time-driven regression (GMR) in both orders: the Gaussian of the movement at each of some times.
+"""Time-driven regression (GMR) in both orders: the Gaussian of the movement at any of the model's times.
 
 The orders are the same for one component. Where several are active they differ:
 
@@ -7,123 +7,184 @@ The orders are the same for one component. Where several are active they differ:
   time P times smaller, so that they take over from one another in shorter time. Since times go with places, frames
   that contradict each other on where a component is move it in time as well. Frames are weighed component by component.
 - Regressing first keeps the transitions as learned, hence is smoother. The spread between the means of active
-  components counts as uncertainty of that frame at that time, so that frames are weighed time by time. Nothing but the
-  product depends on the situation: regression is done once, ahead.
+  components counts as uncertainty of that frame at that time, so that frames are weighed time by time.
 
 The farther a situation is from the demonstrated ones, the more frames contradict each other, and the orders too.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tpgmm_core import kernels_regress
-from tpgmm_core.adaptation import Adapter
+from tpgmm_core.adaptation import UNCONSTRAINED_VARIANCE, Adapter
 from tpgmm_core.frame import Frame
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.manifold import Manifold
+from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
-from tpgmm_core.retrieval.frames import without_time
+from tpgmm_core.retrieval.frames import require_time_kept
+from tpgmm_core.retrieval.interface import demonstrated_duration
+from tpgmm_core.situation import Situation
 from tpgmm_core.tpgmm import TPGMM
 
 
-class AdaptThenRegress:
-    """Eqs. (5) and (6), then regression on the first dimension.
+class _Regression(ABC):
+    """What both orders have in common: all but `situate`, `at` and `mixture` of a `Course`.
 
-    model : fitted, with time as the first dimension; times : shape (T,), in the unit of the model
+    model : fitted, with time as the first dimension, s
 
-    Raises ValueError for a model without time, and for times that are not finite.
+    Raises ValueError for a model without time.
     """
 
-    def __init__(self, model: TPGMM, times: ArrayLike) -> None:
-        self.times = _checked(model, times)
-        self.manifold = _data_manifold(model.manifold_)
-        self._adapter = Adapter(model)
+    def __init__(self, model: TPGMM, situation: Situation) -> None:
+        self._situation = situation
+        for name, manifold in model.frame_manifolds_.items():
+            if manifold.factors[0][0] != "R" or manifold.tangent_dim < 2:
+                raise ValueError(
+                    f"regression needs time as the first dimension, then others; frame {name!r} is {manifold}"
+                )
+        self.model = model
+        self._space = model.manifold_
+        self._data_space = _data_manifold(model.manifold_)
 
-    def retrieve(
-        self,
-        frames: Mapping[str, Frame],
-        weights: Mapping[str, float] | None = None,
-        state: ArrayLike | None = None,
-    ) -> list[Gaussian]:
-        """The movement, one Gaussian without time for each of the times.
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """The frames that the model was learned from."""
+        return self.model.frame_names_
+
+    @property
+    def duration(self) -> float:
+        """Of the demonstrations, s. Raises ValueError when the model's metadata do not say."""
+        return demonstrated_duration(self.model)
+
+    @property
+    def manifold(self) -> Manifold:
+        """Of the data, without time; on R^D it is what the frames of the situation map to."""
+        space = self._situation.manifold
+        if space is not self._space:
+            self._space, self._data_space = space, _data_manifold(space)
+        return self._data_space
+
+    @abstractmethod
+    def situate(
+        self, frames: Mapping[str, Frame], state: ArrayLike | None = None, weights: Mapping[str, float] | None = None
+    ) -> None:
+        """Take this situation.
 
         frames : over [time, data] (`Frame.with_time`), at least one of the model's
+        state : (D,), where the robot is: what no frame constrains stays there; the origin where None
         weights : how far each frame is trusted, 0 to 1; fully where not named
-        state : shape (D - 1,), where the robot is: what no frame constrains stays there; the origin where None
 
         Raises ValueError like `Adapter.adapt`, and for frames that change time.
         """
-        without_time(frames)
-        where = None if state is None else np.concatenate([[0.0], np.asarray(state, dtype=float)])
-        means, covariances, _ = self._adapter.adapt_and_condition(frames, self.times, weights, where)
-        manifold = _data_manifold(self._adapter.manifold)
-        return [
-            Gaussian(mean, 0.5 * (covariance + covariance.T), manifold)
-            for mean, covariance in zip(means, covariances, strict=True)
-        ]
 
+    @abstractmethod
+    def at(self, times: Array) -> tuple[Array, Array, Array]:
+        """Means (H, D), covariances (H, n, n), and the activations (K,) at the first of the times (H,), s."""
 
-class RegressThenProduct:
-    """Regression on the first dimension in each frame, then the product of Eq. (6) at each time.
-
-    Parameters and errors are those of `AdaptThenRegress`.
-    """
-
-    def __init__(self, model: TPGMM, times: ArrayLike) -> None:
-        self.times = _checked(model, times)
-        self.manifold = _data_manifold(model.manifold_)
-        self._adapter = Adapter(_at_times(model, self.times))
+    @abstractmethod
+    def mixture(self) -> GaussianMixture:
+        """The adapted mixture (Eqs. 5, 6) in this situation, over [time, data]."""
 
     def retrieve(
         self,
         frames: Mapping[str, Frame],
-        weights: Mapping[str, float] | None = None,
+        times: ArrayLike,
         state: ArrayLike | None = None,
+        weights: Mapping[str, float] | None = None,
     ) -> list[Gaussian]:
-        """As `AdaptThenRegress.retrieve`."""
-        product = self._adapter.adapt(without_time(frames), state, weights)
-        return [product.component(i) for i in range(len(self.times))]
+        """The movement in a situation (`situate`), one Gaussian without time for each of the times (T,), s.
+
+        Raises ValueError like `situate`, and for times that are not finite.
+        """
+        times = np.array(times, dtype=float)
+        if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):
+            raise ValueError(f"times have shape (T,) with T > 0 and are finite, got {times!r}")
+        self.situate(frames, state, weights)
+        means, covariances, _ = self.at(times)
+        return [Gaussian(mean, S, self.manifold) for mean, S in zip(means, covariances, strict=True)]
 
 
-def _at_times(model: TPGMM, times: Array) -> TPGMM:
-    """The movement as each frame expects it: a model over the data alone that has one component for each time."""
-    result = TPGMM(len(times))
-    result.priors_ = np.full(len(times), 1.0 / len(times))
-    result.frame_names_ = model.frame_names_
-    result.manifold_ = _data_manifold(model.manifold_)
-    result.means_, result.covariances_ = {}, {}
-    log_priors = np.log(np.maximum(model.priors_, np.finfo(float).tiny))
-    for name, manifold in model.frame_manifolds_.items():
-        n = manifold.tangent_dim - 1
-        means, covariances = np.empty((len(times), manifold.dim - 1)), np.empty((len(times), n, n))
-        kernels_regress.regress_all(
-            log_priors,
-            np.array(model.means_[name], order="C"),
-            np.array(model.covariances_[name], order="C"),
-            manifold.ambient_of_tangent,
-            manifold.sphere_starts,
-            times,
-            means,
-            covariances,
-            np.empty((len(times), len(log_priors))),
+class AdaptThenRegress(_Regression):
+    """Eqs. (5) and (6), then regression on the first dimension."""
+
+    def __init__(self, model: TPGMM) -> None:
+        self._adapter = Adapter(model)
+        super().__init__(model, self._adapter.situation)
+
+    def situate(
+        self, frames: Mapping[str, Frame], state: ArrayLike | None = None, weights: Mapping[str, float] | None = None
+    ) -> None:
+        self._adapter.situate(frames, _with_time(state), weights)
+        require_time_kept(self._situation)
+
+    def at(self, times: Array) -> tuple[Array, Array, Array]:
+        return self._adapter.condition(times)
+
+    def mixture(self) -> GaussianMixture:
+        return self._adapter.mixture()
+
+
+class RegressThenProduct(_Regression):
+    """Regression on the first dimension in each frame, then the product of Eq. (6) at each time.
+
+    Activations are those of the frames, which differ where frames were not seen all the time, on the average.
+    """
+
+    def __init__(self, model: TPGMM) -> None:
+        super().__init__(model, Situation(model))
+        sizes = self._situation.sizes
+        P, K = len(sizes), len(model.priors_)
+        D_max, n_max = (int(size) for size in sizes.max(axis=0))
+        self._log_priors = np.log(np.maximum(model.priors_, np.finfo(float).tiny))
+        means, covariances = np.zeros((P, K, D_max)), np.zeros((P, K, n_max, n_max))
+        for j, name in enumerate(self.frame_names):
+            D, n = sizes[j]
+            means[j, :, :D], covariances[j, :, :n, :n] = model.means_[name], model.covariances_[name]
+        flat = np.arange(n_max) if model.manifold_.is_euclidean else model.manifold_.ambient_of_tangent
+        self._views = self._log_priors, means, covariances, sizes, flat, model.manifold_.sphere_starts
+        self.situate(self._situation.identity_frames())
+        self.at(np.zeros(1))  # compiled, or loaded from the cache
+
+    def situate(
+        self, frames: Mapping[str, Frame], state: ArrayLike | None = None, weights: Mapping[str, float] | None = None
+    ) -> None:
+        self._situation.take(frames, _with_time(state), weights)
+        require_time_kept(self._situation)
+        self._A = np.ascontiguousarray(self._situation.A[:, 1:, 1:])
+        self._b = np.ascontiguousarray(self._situation.b[:, 1:])
+
+    def at(self, times: Array) -> tuple[Array, Array, Array]:
+        s, manifold = self._situation, self.manifold
+        H, n = len(times), manifold.tangent_dim
+        means, covariances = np.empty((H, manifold.dim)), np.empty((H, n, n))
+        activations = np.empty(len(self._log_priors))
+        failed = kernels_regress.regress_and_adapt(
+            *self._views,
+            *(manifold.ambient_of_tangent, manifold.sphere_starts, self._A, self._b, s.weights, s.state[1:].copy()),
+            *(1.0 / UNCONSTRAINED_VARIANCE, times, means, covariances, activations),
         )
-        result.means_[name] = means
-        result.covariances_[name] = 0.5 * (covariances + np.swapaxes(covariances, 1, 2))
-    return result
+        if failed >= len(self.frame_names):
+            name = self.frame_names[failed - len(self.frame_names)]
+            raise ValueError(f"the covariances of frame {name!r} are singular: fit with a larger reg_covar")
+        if failed >= 0:
+            s.refuse(failed)
+        return means, covariances, activations
+
+    def mixture(self) -> GaussianMixture:
+        s = self._situation
+        frames = {name: Frame(s.A[j, :, : s.sizes[j, 0]], s.b[j]) for j, name in enumerate(self.frame_names)}
+        weights = dict(zip(self.frame_names, s.weights.tolist(), strict=True))
+        return self.model.adapt(frames, s.state, weights)
 
 
-def _checked(model: TPGMM, times: ArrayLike) -> Array:
-    for name, manifold in model.frame_manifolds_.items():
-        if manifold.factors[0][0] != "R" or manifold.tangent_dim < 2:
-            raise ValueError(f"regression needs time as the first dimension, then others; frame {name!r} is {manifold}")
-    times = np.array(times, dtype=float)
-    if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):
-        raise ValueError(f"times have shape (T,) with T > 0 and are finite, got {times!r}")
-    return times
+def _with_time(state: ArrayLike | None) -> Array | None:
+    return None if state is None else np.concatenate([[0.0], np.asarray(state, dtype=float)])
 
 
 def _data_manifold(manifold: Manifold) -> Manifold:
