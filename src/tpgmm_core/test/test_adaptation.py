@@ -254,3 +254,30 @@ def test_regression_matches_the_closed_form_of_one_component() -> None:
     g, c = mixture.condition([0], [0.7]), mixture.component(0).condition([0], [0.7])
     np.testing.assert_allclose(g.mean, c.mean)
     np.testing.assert_allclose(g.covariance, c.covariance)
+
+
+def test_an_inverse_of_its_own_carries_the_precision() -> None:
+    rng = np.random.default_rng(11)
+    model = model_of("euclidean", {"a": 2, "b": 4}, 3, rng)
+    seen = rng.normal(size=(2, 4))
+    frames = {"a": Frame(rng.normal(size=(4, 2)), rng.normal(size=4), seen), "b": Frame(np.eye(4), rng.normal(size=4))}
+    mixture = model.adapt(frames)
+    for k in range(3):
+        terms = [(frames["a"], seen), (frames["b"], np.eye(4))]
+        H, h = np.zeros((4, 4)), np.zeros(4)
+        for (frame, M), name in zip(terms, "ab", strict=True):
+            precision = M.T @ np.linalg.inv(model.covariances_[name][k]) @ M
+            H += precision
+            h += precision @ (frame.A @ model.means_[name][k] + frame.b)
+        np.testing.assert_allclose(mixture.means[k], np.linalg.solve(H, h), atol=1e-9)
+        np.testing.assert_allclose(mixture.covariances[k], np.linalg.inv(H), atol=1e-9)
+    adapter = Adapter(model)  # and not longer than it is given
+    adapter.adapt(frames)
+    plain = {"a": Frame(frames["a"].A, frames["a"].b), "b": frames["b"]}
+    np.testing.assert_array_equal(adapter.adapt(plain).means, model.adapt(plain).means)
+
+
+def test_an_inverse_of_its_own_belongs_to_euclidean_data() -> None:
+    model = model_of("R1 x S3", {"a": 5}, 1, np.random.default_rng(12))
+    with pytest.raises(ValueError, match="inverse of its own"):
+        model.adapt({"a": Frame(np.eye(5), np.zeros(5), np.eye(5))})

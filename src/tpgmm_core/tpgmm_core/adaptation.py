@@ -34,7 +34,8 @@ class Adapter:
     frames.
 
     In precision form frame j contributes weight_j (A_j^+)^T Lambda_j A_j^+ at A_j mu_j + b_j, for any A: it
-    says nothing about directions outside the range of its A. The constructor makes sure that everything is
+    says nothing about directions outside the range of its A. A frame's own inverse (`Frame.inverse`) takes the place of
+    A_j^+. The constructor makes sure that everything is
     compiled, so that no later step waits for the compiler.
     """
 
@@ -149,7 +150,8 @@ class Adapter:
 
     def _inputs(self) -> tuple[Array | NDArray[np.int64], ...]:
         s = self.situation
-        return self._means, self._precisions, s.sizes, *s.layout, s.A, s.b, s.weights, s.state
+        frames = s.A, s.b, s.inverses, s.has_inverse, s.weights
+        return self._means, self._precisions, s.sizes, *s.layout, *frames, s.state
 
     def _result(self) -> tuple[float, Array, Array]:
         return 1.0 / UNCONSTRAINED_VARIANCE, self._means_out, self._covariances_out

@@ -59,13 +59,14 @@ def multiply(F: Array, rows: Array, width: int, out: Array) -> None:
 
 @compiled
 def view_frame(
-    means: Array, precisions: Array, size: Array, flat: Array, spheres: Array, A: Array, b: Array, weight: float,
-    half: Array, turned: Array, targets: Array, terms: Array,
+    means: Array, precisions: Array, size: Array, flat: Array, spheres: Array, A: Array, b: Array, inverse: Array,
+    has_inverse: bool, weight: float, half: Array, turned: Array, targets: Array, terms: Array,
 ) -> bool:  # fmt: skip
     """Eq. (5) for one frame and all components; False when A does not fit the manifold.
 
     means (D_j, K); precisions (n_j, n_j K) of the model. Writes targets (D, K), A mu + b, and terms (n, n K),
-    weight M^T Lambda_k M with M = A^+. half (n, n_j K) and turned (n_j, n K) are scratch.
+    weight M^T Lambda_k M with M = A^+, or inverse (D_j, D) where the frame has its own. half (n, n_j K)
+    and turned (n_j, n K) are scratch.
     """
     D, K = targets.shape
     D_j, n_j = size
@@ -73,7 +74,10 @@ def view_frame(
     tangent = np.empty((n, n_j))
     if not tangent_matrix(A[:, :D_j], flat, spheres, tangent):
         return False
-    M = np.ascontiguousarray(pseudo_inverse(tangent, RANK_TOLERANCE).T)
+    if has_inverse:
+        M = np.ascontiguousarray(inverse[:D_j].T)
+    else:
+        M = np.ascontiguousarray(pseudo_inverse(tangent, RANK_TOLERANCE).T)
     multiply(M, precisions, n_j * K, half)
     for i in range(n):
         for m in range(n_j):
@@ -89,13 +93,14 @@ def view_frame(
 
 @compiled
 def adapt(
-    means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, weights: Array,
-    state: Array, min_precision: float, out_means: Array, out_covariances: Array,
+    means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, inverses: Array,
+    has_inverse: Array, weights: Array, state: Array, min_precision: float, out_means: Array, out_covariances: Array,
 ) -> int:  # fmt: skip
     """Eqs. (5) and (6) for all components; writes out_means (K, D) and out_covariances (K, n, n).
 
     means (P, D_max, K); precisions (P, n_max, n_max K), where entry (l, m) of component k lies at [l, m K + k];
-    A (P, D, D_max), b (P, D), weights (P,), state (D,). Returns -1, or the frame whose matrix does not fit S³.
+    A (P, D, D_max), b (P, D), inverses (P, D_max, D), has_inverse and weights (P,),
+    state (D,). Returns -1, or the frame whose matrix does not fit S³.
     """
     P, K = means.shape[0], means.shape[2]
     D, n = len(state), len(flat)
@@ -103,8 +108,8 @@ def adapt(
     targets, terms = np.empty((P, D, K)), np.empty((P, n, n * K))
     for j in range(P):
         if weights[j] > 0.0 and not view_frame(
-            means[j], precisions[j], sizes[j], flat, spheres, A[j], b[j], weights[j],
-            half, turned, targets[j], terms[j],
+            means[j], precisions[j], sizes[j], flat, spheres, A[j], b[j], inverses[j], has_inverse[j],
+            weights[j], half, turned, targets[j], terms[j],
         ):  # fmt: skip
             return j
     if len(spheres) == 0:

@@ -106,13 +106,14 @@ def regress_all(
 
 @compiled
 def adapt_and_regress(
-    means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, weights: Array,
-    state: Array, min_precision: float, adapted_means: Array, adapted_covariances: Array, log_priors: Array,
-    times: Array, out_means: Array, out_covariances: Array, out_activations: Array,
+    means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, inverses: Array,
+    has_inverse: Array, weights: Array, state: Array, min_precision: float, adapted_means: Array,
+    adapted_covariances: Array, log_priors: Array, times: Array, out_means: Array, out_covariances: Array,
+    out_activations: Array,
 ) -> int:  # fmt: skip
     """`adapt`, then `regress_all`."""
     failed: int = adapt(
-        means, precisions, sizes, flat, spheres, A, b, weights, state, min_precision,
+        means, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, weights, state, min_precision,
         adapted_means, adapted_covariances,
     )  # fmt: skip
     if failed < 0:
@@ -126,14 +127,15 @@ def adapt_and_regress(
 @compiled
 def regress_and_adapt(
     log_priors: Array, means: Array, covariances: Array, sizes: Array, view_flat: Array, spheres: Array,
-    data_flat: Array, data_spheres: Array, A: Array, b: Array, weights: Array, state: Array, min_precision: float,
-    times: Array, out_means: Array, out_covariances: Array, activations: Array,
+    data_flat: Array, data_spheres: Array, A: Array, b: Array, inverses: Array, has_inverse: Array,
+    weights: Array, state: Array, min_precision: float, times: Array, out_means: Array, out_covariances: Array,
+    activations: Array,
 ) -> int:  # fmt: skip
     """Regression in each frame at all times (H,), then `adapt`, as if the times were components.
 
     means (P, K, D_max), covariances (P, K, n_max, n_max), sizes (P, 2), view_flat and spheres: what each frame learned,
-    time first. data_flat, data_spheres, A, b, state: without time. Writes out_means (H, D), out_covariances (H, n, n),
-    and activations (K,) at the first of the times, the mean over the frames.
+    time first. data_flat, data_spheres, A, b, inverses, state: without time. Writes out_means (H, D), out_covariances
+    (H, n, n), and activations (K,) at the first of the times, the mean over the frames.
 
     Returns -1; the frame whose matrix does not fit S³; or P + the frame whose covariance is singular.
     """
@@ -170,8 +172,8 @@ def regress_and_adapt(
     for k in range(len(h)):
         activations[k] = activations[k] / total if total > 0.0 else math.exp(log_priors[k])
     failed: int = adapt(
-        seen, precisions, data_sizes, data_flat, data_spheres, A, b, weights, state, min_precision,
-        out_means, out_covariances,
+        seen, precisions, data_sizes, data_flat, data_spheres, A, b, inverses, has_inverse, weights, state,
+        min_precision, out_means, out_covariances,
     )  # fmt: skip
     return failed
 

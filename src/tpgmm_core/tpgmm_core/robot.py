@@ -194,8 +194,11 @@ class RobotData:
 
     def pose(self, endpoint: str) -> Array:
         """Pose [x, y, z, qx, qy, qz, qw] of an end point in the base frame, m."""
-        placement = self.robot.world_to_base.act(self._data.oMf[self._frame_ids[endpoint]])
-        return pin.SE3ToXYZQUAT(placement)
+        return self.frame_pose(self._frame_ids[endpoint])
+
+    def frame_pose(self, frame_id: int) -> Array:
+        """Pose [x, y, z, qx, qy, qz, qw] of any frame of the URDF in the base frame, m."""
+        return pin.SE3ToXYZQUAT(self.robot.world_to_base.act(self._data.oMf[frame_id]))
 
     def twist(self, endpoint: str) -> Array:
         """Velocity (6,) of an end point in base axes: linear m/s, then angular rad/s."""

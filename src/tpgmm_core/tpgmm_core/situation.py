@@ -23,12 +23,15 @@ class Situation:
     manifold : that the frames map to; on R^D it follows the frames
     sizes : (P, 2), ambient and tangent dimensions D_j, n_j of the data that each frame sees
     A, b, weights : (P, D, D_max), (P, D), (P,); a frame that is not there has the weight 0
+    inverses, has_inverse : (P, D_max, D), (P,); what frames bring in place of A^+, and which do
     state : (D,), where the robot is; zeros (and no turn) where it is not known
     """
 
     manifold: Manifold
     A: Array
     b: Array
+    inverses: Array
+    has_inverse: NDArray[np.bool_]
     weights: Array
     state: Array
 
@@ -48,6 +51,8 @@ class Situation:
         self.A, self.b = np.zeros((P, manifold.dim, D_max)), np.zeros((P, manifold.dim))
         self._A_of = [A[:, :D_j] for A, (D_j, _) in zip(self.A, self.sizes, strict=True)]
         self._b_of = list(self.b)
+        self.inverses, self.has_inverse = np.zeros((P, D_max, manifold.dim)), np.zeros(P, dtype=np.bool_)
+        self._inverse_of = [M[:D_j] for M, (D_j, _) in zip(self.inverses, self.sizes, strict=True)]
         self.weights = np.zeros(P)
         self.state = self._origin = manifold_origin(manifold)
 
@@ -79,6 +84,11 @@ class Situation:
                 self._reshape(name, frame, j)
             self._A_of[j][...] = frame.A
             self._b_of[j][...] = frame.b
+            self.has_inverse[j] = frame.inverse is not None
+            if frame.inverse is not None:
+                if not self.manifold.is_euclidean:
+                    raise ValueError(f"frame {name!r} brings an inverse of its own: on {self.manifold} A^+ serves")
+                self._inverse_of[j][...] = frame.inverse
             self.weights[j] = 1.0
         for name, weight in (weights or {}).items():
             if name not in self._index:
@@ -104,6 +114,11 @@ class Situation:
         if not self.manifold.is_euclidean or self.weights.any():
             raise ValueError(f"frame {name!r} maps to {D} dimensions, the others to {self.manifold.dim}")
         self._shape(Manifold.euclidean(D))
+
+    def frame(self, j: int) -> Frame:
+        """Frame j as it was taken last."""
+        D_j = self.sizes[j, 0]
+        return Frame(self.A[j, :, :D_j], self.b[j], self.inverses[j, :D_j] if self.has_inverse[j] else None)
 
     def refuse(self, j: int) -> None:
         """Raises ValueError for the matrix of frame j, which the kernels found not to fit the manifold."""

@@ -158,6 +158,7 @@ class RegressThenProduct(_Regression):
         require_time_kept(self._situation)
         self._A = np.ascontiguousarray(self._situation.A[:, 1:, 1:])
         self._b = np.ascontiguousarray(self._situation.b[:, 1:])
+        self._inverses = np.ascontiguousarray(self._situation.inverses[:, 1:, 1:])
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
         s, manifold = self._situation, self.manifold
@@ -166,7 +167,8 @@ class RegressThenProduct(_Regression):
         activations = np.empty(len(self._log_priors))
         failed = kernels_regress.regress_and_adapt(
             *self._views,
-            *(manifold.ambient_of_tangent, manifold.sphere_starts, self._A, self._b, s.weights, s.state[1:].copy()),
+            *(manifold.ambient_of_tangent, manifold.sphere_starts, self._A, self._b, self._inverses, s.has_inverse),
+            *(s.weights, s.state[1:].copy()),
             *(1.0 / UNCONSTRAINED_VARIANCE, times, means, covariances, activations),
         )
         if failed >= len(self.frame_names):
@@ -178,7 +180,7 @@ class RegressThenProduct(_Regression):
 
     def mixture(self) -> GaussianMixture:
         s = self._situation
-        frames = {name: Frame(s.A[j, :, : s.sizes[j, 0]], s.b[j]) for j, name in enumerate(self.frame_names)}
+        frames = {name: s.frame(j) for j, name in enumerate(self.frame_names)}
         weights = dict(zip(self.frame_names, s.weights.tolist(), strict=True))
         return self.model.adapt(frames, s.state, weights)
 
