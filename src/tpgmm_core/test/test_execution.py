@@ -28,7 +28,7 @@ def outcome_with(error: np.ndarray) -> Outcome:
     run = execution()
     pose = None
     for tenth in range(40):
-        reference = run.step(tenth * SECOND // 10, FRAMES, WEIGHTS, pose)
+        reference = run.step(tenth * SECOND // 10, FRAMES, pose, WEIGHTS)
         assert reference is not None
         pose = reference.gaussian.manifold.exp(reference.gaussian.mean, error)
     assert run.outcome is not None
@@ -37,9 +37,9 @@ def outcome_with(error: np.ndarray) -> Outcome:
 
 def test_it_waits_for_all_frames_and_then_moves_from_the_beginning() -> None:
     run = execution()
-    assert run.step(0, {"start": FRAMES["start"]}, {"start": 1.0}, None) is None
+    assert run.step(0, {"start": FRAMES["start"]}, None, {"start": 1.0}) is None
     assert run.stage is Stage.STARTING
-    reference = run.step(SECOND // 2, FRAMES, WEIGHTS, None)
+    reference = run.step(SECOND // 2, FRAMES, None, WEIGHTS)
     assert reference is not None and reference.phase == 0.0
     assert run.stage is Stage.MOVING
 
@@ -47,12 +47,12 @@ def test_it_waits_for_all_frames_and_then_moves_from_the_beginning() -> None:
 def test_frames_that_are_not_seen_in_time_end_it_by_name_and_nothing_moves() -> None:
     run = execution()
     for tenth in range(20):
-        assert run.step(tenth * SECOND // 10, {"start": FRAMES["start"]}, {"start": 1.0}, None) is None
+        assert run.step(tenth * SECOND // 10, {"start": FRAMES["start"]}, None, {"start": 1.0}) is None
     assert run.stage is Stage.ENDED
     assert run.outcome is not None and not run.outcome.success
     assert "object" in run.outcome.reason and "start," not in run.outcome.reason
     # Not even when they come after all
-    assert run.step(3 * SECOND, FRAMES, WEIGHTS, None) is None
+    assert run.step(3 * SECOND, FRAMES, None, WEIGHTS) is None
 
 
 def test_an_end_near_enough_is_a_success_and_the_errors_are_told() -> None:
@@ -73,7 +73,7 @@ def test_it_is_judged_only_after_the_settle_time_and_the_reference_goes_on_after
     pose = reaching_model().adapt(FRAMES).condition([0], [2.0]).mean
     stages = []
     for tenth in range(40):
-        assert run.step(tenth * SECOND // 10, FRAMES, WEIGHTS, pose) is not None
+        assert run.step(tenth * SECOND // 10, FRAMES, pose, WEIGHTS) is not None
         stages.append(run.stage)
     assert stages.index(Stage.SETTLING) == 20 and stages.index(Stage.ENDED) == 25
     assert run.outcome is not None and run.outcome.success
@@ -82,7 +82,7 @@ def test_it_is_judged_only_after_the_settle_time_and_the_reference_goes_on_after
 def test_a_robot_that_is_not_seen_is_no_success() -> None:
     run = execution()
     for tenth in range(40):
-        run.step(tenth * SECOND // 10, FRAMES, WEIGHTS, None)
+        run.step(tenth * SECOND // 10, FRAMES, None, WEIGHTS)
     assert run.outcome is not None and not run.outcome.success
     assert "pose is not known" in run.outcome.reason and math.isnan(run.outcome.position_error)
 
@@ -90,10 +90,10 @@ def test_a_robot_that_is_not_seen_is_no_success() -> None:
 def test_a_stop_leaves_the_reference_where_it_is_and_keeps_the_first_reason() -> None:
     run = execution()
     for ms in range(0, 1000, 10):
-        last = run.step(ms * SECOND // 1000, FRAMES, WEIGHTS, None)
+        last = run.step(ms * SECOND // 1000, FRAMES, None, WEIGHTS)
     run.stop(990 * SECOND // 1000, "canceled")
     run.stop(SECOND, "too late")
-    later = run.step(5 * SECOND, FRAMES, WEIGHTS, None)
+    later = run.step(5 * SECOND, FRAMES, None, WEIGHTS)
     assert last is not None and later is not None
     np.testing.assert_allclose(later.gaussian.mean, last.gaussian.mean, atol=1e-12)
     assert run.outcome == Outcome(False, "canceled", run.outcome.position_error, run.outcome.orientation_error)  # type: ignore[union-attr]
@@ -102,9 +102,9 @@ def test_a_stop_leaves_the_reference_where_it_is_and_keeps_the_first_reason() ->
 
 def test_without_any_frame_there_is_no_reference_and_it_goes_on_when_one_is_back() -> None:
     run = execution()
-    assert run.step(0, FRAMES, WEIGHTS, None) is not None
-    assert run.step(SECOND, {}, {}, None) is None
-    reference = run.step(3 * SECOND // 2, FRAMES, WEIGHTS, None)
+    assert run.step(0, FRAMES, None, WEIGHTS) is not None
+    assert run.step(SECOND, {}, None, {}) is None
+    reference = run.step(3 * SECOND // 2, FRAMES, None, WEIGHTS)
     assert reference is not None and reference.phase == pytest.approx(0.75)
 
 

@@ -13,7 +13,8 @@ from reaching import DURATION, frames_at, place, reaching_model
 from tpgmm_core import Frame
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.reference import Reference
-from tpgmm_core.reproduction import Reproduction, demonstrated_duration
+from tpgmm_core.reproduction import Reproduction
+from tpgmm_core.retrieval.interface import demonstrated_duration
 
 POSE = Manifold.parse("R3 x S3")
 MS = 1_000_000
@@ -112,7 +113,7 @@ def test_covariances_stay_symmetric_and_positive_while_frames_come_and_go() -> N
 def test_a_frame_that_is_trusted_less_pulls_less() -> None:
     def end(weight: float) -> np.ndarray:
         weights = {"start": 1.0, "object": weight}
-        return started().step(2_000 * MS, HERE, weights).gaussian.covariance
+        return started().step(2_000 * MS, HERE, weights=weights).gaussian.covariance
 
     assert np.trace(end(0.1)) > np.trace(end(1.0))
 

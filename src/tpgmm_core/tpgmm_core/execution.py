@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One request to reproduce a movement, carried out: wait for the frames, move, settle, judge the end.
 
-A reproduction says where to be; an execution knows what was asked, when it may begin and when it is done. It goes on
+A retrieval says where to be; an execution knows what was asked, when it may begin and when it is done: once the phase
+has come to 1. A movement that goes back waits at its start, from where it may go forward again. An execution goes on
 giving references after its end, so that the robot holds what it has reached.
 """
 
@@ -14,10 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tpgmm_core.continuity import Continued
 from tpgmm_core.frame import Frame
 from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
-from tpgmm_core.reproduction import Reproduction
+from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.settings import check_settings, setting
 
 _SECOND = 1_000_000_000
@@ -57,20 +59,21 @@ class Outcome:
 
 
 class Execution:
-    """Steps a reproduction from the request to its end.
+    """Steps a retrieval from the request to its end.
 
     Args:
-        reproduction: a fresh one of the model that was asked for.
+        retrieval: a fresh one of the model that was asked for.
         config: what counts as begun and as done.
     """
 
-    def __init__(self, reproduction: Reproduction, config: ExecutionConfig | None = None) -> None:
-        self.reproduction = reproduction
+    def __init__(self, retrieval: Retrieval, config: ExecutionConfig | None = None) -> None:
+        self.retrieval = retrieval
         self.config = config or ExecutionConfig()
         self.stage = Stage.STARTING
         self.outcome: Outcome | None = None
         self.reference: Reference | None = None
         self._asked_ns: int | None = None
+        self._reference_ns = 0
         self._settling_ns = 0
         self._stopped_ns: int | None = None
 
@@ -78,28 +81,31 @@ class Execution:
         self,
         time_ns: int,
         frames: Mapping[str, Frame],
-        weights: Mapping[str, float],
-        pose: Array | None,
+        pose: Array | None = None,
+        weights: Mapping[str, float] | None = None,
     ) -> Reference | None:
         """The reference at a time (ns), None before the movement may begin or while no frame is known.
 
         Args:
-            frames, weights: as ``Reproduction.step`` takes them.
+            frames, weights: as ``Retrieval.step`` takes them.
             pose: (7,), where the robot is, as far as that is known.
         """
         if self._asked_ns is None:
             self._asked_ns = time_ns
-        if self.stage is Stage.STARTING and not self._begin(time_ns, frames):
+        if self.stage is Stage.STARTING and not self._begin(time_ns, frames, pose):
             return None
         if self.stage is Stage.ENDED and self.reference is None:
             return None
         if not frames:
             return None
         at = time_ns if self._stopped_ns is None else self._stopped_ns
-        self.reference = self.reproduction.step(at, frames, weights)
+        self.reference = self.retrieval.step(at, frames, pose, weights)
+        self._reference_ns = at
         if self.stage is Stage.MOVING and self.reference.phase >= 1.0:
             self.stage = Stage.SETTLING
             self._settling_ns = time_ns
+        elif self.stage is Stage.SETTLING and self.reference.phase < 1.0:
+            self.stage = Stage.MOVING  # it was told to go back
         if self.stage is Stage.SETTLING:
             self._judge(time_ns, self.reference, pose)
         return self.reference
@@ -110,11 +116,29 @@ class Execution:
             self._stopped_ns = time_ns
             self._end(False, reason)
 
-    def _begin(self, time_ns: int, frames: Collection[str]) -> bool:
+    def take_over(self, retrieval: Retrieval, time_ns: int, pose: Array | None = None) -> None:
+        """Go on with another retrieval, at the same share of the movement and without a jump of the reference.
+
+        Args:
+            retrieval: a fresh one, of another model or another way.
+            time_ns: now.
+            pose: as for ``step``.
+
+        Raises:
+            ValueError: its references are on another manifold; what was going on goes on.
+        """
+        if self.reference is not None:
+            continued = Continued(retrieval, self.reference, self._reference_ns)
+            retrieval.start(time_ns, pose, self.reference.phase)
+            retrieval = continued
+        retrieval.speed = self.retrieval.speed
+        self.retrieval = retrieval
+
+    def _begin(self, time_ns: int, frames: Collection[str], pose: Array | None) -> bool:
         assert self._asked_ns is not None
-        missing = [name for name in self.reproduction.model.frame_names_ if name not in frames]
+        missing = [name for name in self.retrieval.frame_names if name not in frames]
         if not missing:
-            self.reproduction.start(time_ns)
+            self.retrieval.start(time_ns, pose)
             self.stage = Stage.MOVING
             return True
         if time_ns - self._asked_ns > self.config.start_timeout * _SECOND:

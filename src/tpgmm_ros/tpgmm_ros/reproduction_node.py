@@ -155,7 +155,7 @@ class ReproductionNode(ManagedNode):
         """Of the frames that are known, those that the model has learned from."""
         if self.execution is None:
             return
-        names = [name for name in self.execution.reproduction.model.frame_names_ if name in self._known]
+        names = [name for name in self.execution.retrieval.frame_names if name in self._known]
         self._frames = {name: self._known[name][0] for name in names}
         self._weights = {name: self._known[name][1] for name in names}
 
@@ -245,7 +245,7 @@ class ReproductionNode(ManagedNode):
         self.monitor.tick(stamp_ns)
         if self._goal is not None and self._goal.is_cancel_requested:
             self._end("canceled")
-        reference = execution.step(stamp_ns, self._frames, self._weights, self._pose)
+        reference = execution.step(stamp_ns, self._frames, self._pose, self._weights)
         self._report_end()
         if reference is None:
             return
@@ -266,7 +266,7 @@ class ReproductionNode(ManagedNode):
         if self._is_due("pose", stamp_ns, POSE_PERIOD_NS):
             self._reference_poses.publish(conversions.pose_with_covariance(reference.gaussian, stamp_ns, frame_id))
         if self._markers.get_subscription_count() and self._is_due("markers", stamp_ns, MARKER_PERIOD_NS):
-            mixture = execution.reproduction.mixture()
+            mixture = execution.retrieval.mixture()
             self._markers.publish(markers(mixture, reference.activations, self._frames, stamp_ns, frame_id))
 
     def _is_due(self, what: str, stamp_ns: int, period_ns: int) -> bool:
@@ -285,7 +285,7 @@ class ReproductionNode(ManagedNode):
         silence = 1e-9 * (self._steady.now().nanoseconds - self._received_ns)
         if silence > TRACKER_TIMEOUT:
             return DiagnosticStatus.ERROR, f"no task parameters for {silence:.1f} s: is frame_tracker alive?", values
-        missing = [name for name in self.execution.reproduction.model.frame_names_ if name not in self._frames]
+        missing = [name for name in self.execution.retrieval.frame_names if name not in self._frames]
         if missing:
             return DiagnosticStatus.WARN, f"reproducing without {', '.join(missing)}", values
         return DiagnosticStatus.OK, "reproducing", values

@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter
 
 import tpgmm_ros.demo as package
 from tpgmm_core import TPGMM, Frame
-from tpgmm_core.reproduction import demonstrated_duration
+from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.robot import RobotModel
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros import train
