@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The frames of Eqs. (7) to (12): what each constraint says of the configuration q, linear about the step before.
+
+They come from the Euler step of inverse kinematics, q_t = q_{t-1} + J^+ (x_t - x_{t-1}) + N (...), solved for q_t as a
+map of what the frame sees, x_t: `q = A x + b`. A and b belong to one step only.
+
+Each brings the inverse map M that it sees a configuration with, x = M (q - b), which also carries its precision into
+configuration space, M^T Lambda M. Where nothing is damped, M = A^+ to rounding. Where a singularity makes the robot
+unable to move in some direction, A and M fade out in it together: the frame neither asks for that motion, nor counts its
+absence as a deviation. For the pseudo-inverse of a damped A both would be the opposite: the precision grows without bound.
+
+That M A < I in such directions is what makes priorities visible in demonstrations. Of two tasks that cannot both
+be met, the lower one does what the upper one leaves to it. In its frame below the upper task it deviates by nothing, in
+its frame alone it does: the frames with the small covariances are those of the order that was followed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from tpgmm_core.frame import Frame
+from tpgmm_core.kinematics.inverse import damped_gram_inverse, damped_pseudo_inverse
+from tpgmm_core.kinematics.tasks import Moment, Task, Tasks, View
+
+
+class KinematicFrame(Protocol):
+    """A map into configuration space that changes with each step.
+
+    objects : names of the objects that it needs
+    """
+
+    @property
+    def objects(self) -> frozenset[str]: ...
+
+    def at(self, moment: Moment) -> Frame:
+        """The map at one step, A (n, m), b (n,), inverse (m, n). Raises ValueError for objects that are not there."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointSpace:
+    """Eq. (7), the configuration itself: A = I, b = 0."""
+
+    objects = frozenset[str]()
+
+    def at(self, moment: Moment) -> Frame:
+        identity = np.eye(len(moment.q))
+        return Frame(identity, np.zeros(len(moment.q)), identity)
+
+
+@dataclass(frozen=True, slots=True)
+class PreviousConfiguration:
+    """How far joints go in one step: A = I, b = q_{t-1}, Eq. (7) about the step before.
+
+    Learned from the demonstrations' own steps, it keeps the product from leaping where other frames say little: their
+    product with it is the damped least-squares step of Levenberg and Marquardt.
+    """
+
+    objects = frozenset[str]()
+
+    def at(self, moment: Moment) -> Frame:
+        identity = np.eye(len(moment.q))
+        return Frame(identity, moment.q, identity)
+
+
+@dataclass(frozen=True, slots=True)
+class TaskSpace:
+    """Eqs. (8) and (9), where points of the robot are, in the world or relative to objects.
+
+    A = J^+ A^O, b = q_{t-1} + J^+ (b^O - x_{t-1}); A^O = I and b^O = 0 in the world. It sees x by M = A^O^-1 J.
+    Several tasks are stacked: they count as one, on the same level. Orientations: see `Task`.
+    """
+
+    tasks: Tasks
+
+    def __post_init__(self) -> None:
+        _check_tasks(self.tasks)
+
+    @property
+    def objects(self) -> frozenset[str]:
+        return _objects(self.tasks)
+
+    def at(self, moment: Moment) -> Frame:
+        view = moment.view(self.tasks)
+        J_inverse = damped_pseudo_inverse(view.J, moment.threshold)
+        return Frame(J_inverse @ view.A, moment.q + J_inverse @ view.offset, _seen_from_objects(view.J, view))
+
+
+@dataclass(frozen=True, slots=True)
+class NullSpace:
+    """Eq. (10), the configuration as far as the tasks leave it free: A = N, b = J^+ J q_{t-1}, N = I - J^+ J."""
+
+    above: Tasks
+
+    def __post_init__(self) -> None:
+        _check_tasks(self.above)
+
+    @property
+    def objects(self) -> frozenset[str]:
+        return frozenset()  # null spaces do not depend on where objects are
+
+    def at(self, moment: Moment) -> Frame:
+        N = moment.null_space(self.above)
+        return Frame(N, moment.q - N @ moment.q, N)
+
+
+@dataclass(frozen=True, slots=True)
+class SecondaryTaskSpace:
+    """Eqs. (11) and (12), tasks in the null space of those above them, in the world or relative to objects.
+
+    A = N J^+ A^O, b = q_{t-1} + N J^+ (b^O - x_{t-1}), N of all tasks above together (the hierarchy of Siciliano and
+    Slotine 1991, of any depth).
+
+    least_error : (J N)^+ takes the place of N J^+, and J N sees. Where the tasks can be met, both lead there. Where
+        they cannot, this one leads to the least error e, where N J^T e = 0; N J^+ leads to N J^T (J J^T)^-1 e = 0.
+    """
+
+    tasks: Tasks
+    above: Tasks
+    least_error: bool = False
+
+    def __post_init__(self) -> None:
+        _check_tasks(self.tasks)
+        _check_tasks(self.above)
+
+    @property
+    def objects(self) -> frozenset[str]:
+        return _objects(self.tasks)
+
+    def at(self, moment: Moment) -> Frame:
+        view, N = moment.view(self.tasks), moment.null_space(self.above)
+        free = view.J @ N
+        if self.least_error:
+            J_inverse, M = damped_pseudo_inverse(free, moment.threshold), free
+        else:
+            gram_inverse = damped_gram_inverse(view.J, moment.threshold)
+            J_inverse = free.T @ gram_inverse
+            # (N J^T G)^+ = G^-1 (J N J^T)^-1 J N, of which the middle is damped as J^+ is
+            M = np.linalg.solve(gram_inverse, damped_gram_inverse(free, moment.threshold) @ free)
+        return Frame(J_inverse @ view.A, moment.q + J_inverse @ view.offset, _seen_from_objects(M, view))
+
+
+def _seen_from_objects(M: np.ndarray, view: View) -> np.ndarray:
+    return np.linalg.solve(view.A, M)
+
+
+def _objects(tasks: Tasks) -> frozenset[str]:
+    return frozenset(task.relative_to for task in tasks if task.relative_to is not None)
+
+
+def _check_tasks(tasks: Sequence[Task]) -> None:
+    if not isinstance(tasks, tuple) or not tasks or not all(isinstance(task, Task) for task in tasks):
+        raise ValueError(f"tasks are a tuple of at least one Task, got {tasks!r}")

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`MovingFrames`: kinematic frames at each step and over demonstrations; `ConfigurationProduct`: a model of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tpgmm_core.adaptation import Adapter
+from tpgmm_core.demonstration import Demonstration
+from tpgmm_core.frame import Frame
+from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.kinematics.chains import Kinematics
+from tpgmm_core.kinematics.frames import KinematicFrame
+from tpgmm_core.kinematics.inverse import THRESHOLD
+from tpgmm_core.kinematics.tasks import Moment
+from tpgmm_core.tpgmm import TPGMM
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingFrames:
+    """The candidate frames of a robot.
+
+    kinematics : the robot; keeps the configuration it was asked for last, hence not for two threads at once
+    candidates : name → frame
+    threshold : singular values of Jacobians below it are damped, see `kinematics.inverse`
+
+    Raises ValueError for no candidates, and a threshold that is not positive.
+    """
+
+    kinematics: Kinematics
+    candidates: Mapping[str, KinematicFrame]
+    threshold: float = THRESHOLD
+
+    def __post_init__(self) -> None:
+        if not self.candidates:
+            raise ValueError("there must be at least one candidate frame")
+        if not (np.isfinite(self.threshold) and self.threshold > 0.0):
+            raise ValueError(f"the threshold of the damping is a positive number, got {self.threshold!r}")
+
+    def at(self, q: ArrayLike, objects: Mapping[str, Frame] | None = None) -> dict[str, Frame]:
+        """All frames about the configuration q_{t-1} (n,), with the objects as they are now.
+
+        objects : name → Frame of a position or a pose. Frames whose objects are not there are left out
+
+        Raises ValueError for a configuration that does not fit the robot or is not finite, and when no frame is left.
+        """
+        q = np.array(q, dtype=float)
+        if q.shape != (self.kinematics.n_joints,) or not np.all(np.isfinite(q)):
+            raise ValueError(f"a configuration has shape ({self.kinematics.n_joints},) and is finite, got {q}")
+        objects = objects or {}
+        moment = Moment(self.kinematics, q, objects, self.threshold)
+        frames = {name: f.at(moment) for name, f in self.candidates.items() if f.objects <= objects.keys()}
+        if not frames:
+            raise ValueError(f"none of the objects that the frames need is there; there are {sorted(objects)}")
+        return frames
+
+    def demonstration(
+        self,
+        times: ArrayLike,
+        configurations: ArrayLike,
+        objects: Mapping[str, Frame] | None = None,
+        *,
+        with_time: bool = False,
+    ) -> Demonstration:
+        """What all frames saw of a movement: its data are configurations, its frames move with them.
+
+        times : (T,), s; configurations : (T, n), rad; objects : name → Frame, constant or with T steps. The frames of
+        each sample are those about the sample before; of the first one, about itself.
+        with_time : time becomes the first dimension of data and frames
+
+        Raises ValueError like `at` and `Demonstration`, and for objects that are not there.
+        """
+        data = np.asarray(configurations, dtype=float)
+        objects = objects or {}
+        needed = frozenset[str]().union(*(f.objects for f in self.candidates.values()))
+        if not needed <= objects.keys():
+            raise ValueError(f"the frames need the objects {sorted(needed)}, there are {sorted(objects)}")
+        steps: dict[str, list[Frame]] = {name: [] for name in self.candidates}
+        for t in range(len(data)):
+            now = {name: frame.at(t) for name, frame in objects.items()}
+            for name, frame in self.at(data[max(t - 1, 0)], now).items():
+                steps[name].append(frame)
+        frames = {name: _stacked(sequence) for name, sequence in steps.items()}
+        if with_time:
+            data = np.column_stack([np.asarray(times, dtype=float), data])
+            frames = {name: frame.with_time() for name, frame in frames.items()}
+        return Demonstration(np.asarray(times, dtype=float), data, frames)
+
+
+def _stacked(frames: Sequence[Frame]) -> Frame:
+    """One frame with T steps, all of which bring their inverses."""
+    inverses = [frame.inverse for frame in frames if frame.inverse is not None]
+    return Frame(np.stack([frame.A for frame in frames]), np.stack([frame.b for frame in frames]), np.stack(inverses))
+
+
+class ConfigurationProduct:
+    """A model of kinematic frames, retrieved: their product at each step, in configuration space.
+
+    model : fitted to `MovingFrames.demonstration`s, over time as the first dimension or with one component
+    frames : at least the model's
+
+    What no frame constrains stays at the configuration of the step before. The constructor makes one step, so that none
+    waits for the compiler. Raises ValueError for a model over time whose frames differ, and a timeless mixture, which
+    does not say when which component counts.
+    """
+
+    def __init__(self, model: TPGMM, frames: MovingFrames) -> None:
+        n = frames.kinematics.n_joints
+        missing = sorted(set(model.frame_names_) - set(frames.candidates))
+        if missing:
+            raise ValueError(
+                f"the model has the frames {missing}, which are no candidates: {sorted(frames.candidates)}"
+            )
+        self.over_time = model.manifold_.dim == n + 1
+        if not self.over_time and len(model.priors_) > 1:
+            raise ValueError(
+                f"a model without time has one component to be retrieved, got {len(model.priors_)}: learn over time "
+                "(demonstration(..., with_time=True)) to have several"
+            )
+        candidates = {name: frames.candidates[name] for name in model.frame_names_}
+        self.frames = MovingFrames(frames.kinematics, candidates, frames.threshold)
+        self._adapter = Adapter(model)
+
+    def step(
+        self,
+        q: ArrayLike,
+        objects: Mapping[str, Frame] | None = None,
+        time: float | None = None,
+        weights: Mapping[str, float] | None = None,
+    ) -> Gaussian:
+        """Where to be next (n,), and how much each direction matters, from the configuration q (n,) of the step before.
+
+        objects, weights : as they are now; a frame whose objects are not there contributes nothing
+        time : s, of a model over time
+
+        Raises ValueError like `MovingFrames.at`, and for a time too many or missing.
+        """
+        frames = self.frames.at(q, objects)
+        if (time is None) == self.over_time:
+            raise ValueError(f"the model is {'' if self.over_time else 'not '}over time, got time = {time!r}")
+        if time is None:
+            return self._adapter.adapt(frames, q, weights).component(0)
+        frames = {name: frame.with_time() for name, frame in frames.items()}
+        state = np.concatenate([[time], np.asarray(q, dtype=float)])
+        means, covariances, _ = self._adapter.adapt_and_condition(frames, [time], weights, state)
+        return Gaussian(means[0], 0.5 * (covariances[0] + covariances[0].T))

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`Task`: what of which point matters, seen from where; `Moment`: where robot and objects are at one step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from tpgmm_core import quaternion
+from tpgmm_core.frame import Frame
+from tpgmm_core.kernels import inverse_left_jacobian
+from tpgmm_core.kinematics import inverse
+from tpgmm_core.kinematics.chains import Kinematics
+from tpgmm_core.quaternion import Array
+
+_PARTS = ("position", "orientation", "pose")
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What of a point of the robot matters.
+
+    point : name of the point
+    part : its position (m), its orientation, as the rotation vector (rad) about the fixed axes from the orientation
+        that it is seen from, or both in this order
+    relative_to : the object that it is seen from, in the object's axes; the world where None. In the world a turn by pi
+        is where rotation vectors jump: an orientation far from that of the world's axes is better seen from an object,
+        which may be one that never moves
+    """
+
+    point: str
+    part: Literal["position", "orientation", "pose"] = "position"
+    relative_to: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.part not in _PARTS:
+            raise ValueError(f"the part of a task is one of {_PARTS}, got {self.part!r}")
+
+
+Tasks = tuple[Task, ...]
+
+
+class View(NamedTuple):
+    """Tasks at one step, one below the other, m numbers in all.
+
+    J : (m, n), with xdot = J qdot, about the world's axes
+    A : (m, m), axes of the objects that the tasks are relative to: A^O of Eq. (9)
+    offset : (m,), b^O - x of Eq. (9), from the points to the objects
+    """
+
+    J: Array
+    A: Array
+    offset: Array
+
+
+class Moment:
+    """Where the robot and the objects are at one step; works out once what several frames of this step share.
+
+    kinematics : the robot; is brought to q
+    q : (n,), configuration of the step before, q_{t-1}
+    objects : name → Frame of a position (m, m) or of a pose (7, 7) (`Frame.from_pose`)
+    threshold : of the damping, see `inverse.THRESHOLD`
+    """
+
+    def __init__(
+        self,
+        kinematics: Kinematics,
+        q: Array,
+        objects: Mapping[str, Frame] | None = None,
+        threshold: float = inverse.THRESHOLD,
+    ) -> None:
+        kinematics.update(q)
+        self.q = q
+        self.threshold = threshold
+        self._kinematics = kinematics
+        self._objects = objects or {}
+        self._single: dict[Task, View] = {}
+        self._null_spaces: dict[Tasks, Array] = {}
+
+    def view(self, tasks: Tasks) -> View:
+        """The tasks as they are now. Raises ValueError for unknown points, and objects that are not there."""
+        views = [self._view(task) for task in tasks]
+        if len(views) == 1:
+            return views[0]
+        J, offset = (np.concatenate([view[i] for view in views]) for i in (0, 2))
+        A = np.zeros((len(offset), len(offset)))
+        row = 0
+        for view in views:
+            end = row + len(view.offset)
+            A[row:end, row:end] = view.A
+            row = end
+        return View(J, A, offset)
+
+    def null_space(self, tasks: Tasks) -> Array:
+        """N (n, n): the motions that the tasks do not see, wherever their objects are."""
+        N = self._null_spaces.get(tasks)
+        if N is None:
+            J = np.concatenate([self._jacobian(task) for task in tasks])
+            N = self._null_spaces[tasks] = inverse.null_space(J, self.threshold)
+        return N
+
+    def _jacobian(self, task: Task) -> Array:
+        """(m, n): velocity, angular velocity, or both, about the world's axes."""
+        J = self._kinematics.jacobian(task.point)
+        if task.part != "position" and len(J) != 6:
+            raise ValueError(f"point {task.point!r} has a position only, the task asks for its {task.part}")
+        m = len(J) if len(J) < 6 else 3
+        rows = {"position": slice(0, m), "orientation": slice(3, 6), "pose": slice(0, 6)}[task.part]
+        return np.array(J[rows], order="C")
+
+    def _view(self, task: Task) -> View:
+        view = self._single.get(task)
+        if view is None:
+            view = self._single[task] = self._worked_out(task)
+        return view
+
+    def _worked_out(self, task: Task) -> View:
+        J, place = self._jacobian(task), self._kinematics.place(task.point)
+        m = len(place) if len(place) < 7 else 3
+        A, b, target = self._object(task, m, len(place))
+        if task.part == "position":
+            return View(J, A, b - place[:m])
+        turned = quaternion.log(quaternion.multiply(place[3:], quaternion.conjugate(target)))
+        rate = np.empty((3, 3))  # of the rotation vector, for an angular velocity of one
+        inverse_left_jacobian(turned[0], turned[1], turned[2], rate)
+        J[-3:] = rate @ J[-3:]
+        if task.part == "orientation":
+            return View(J, A, -turned)
+        both = np.zeros((6, 6))
+        both[:3, :3] = both[3:, 3:] = A
+        return View(J, both, np.concatenate([b - place[:3], -turned]))
+
+    def _object(self, task: Task, m: int, dim: int) -> tuple[Array, Array, Array]:
+        """Axes (m, m), position (m,) and quaternion (4,) of what the task is relative to."""
+        if task.relative_to is None:
+            return np.eye(m), np.zeros(m), np.array([0.0, 0.0, 0.0, 1.0])
+        frame = self._objects.get(task.relative_to)
+        if frame is None:
+            raise ValueError(f"object {task.relative_to!r} is not there; there are {sorted(self._objects)}")
+        if frame.A.shape not in ((m, m), (dim, dim)) or (frame.A.shape == (m, m) and task.part != "position"):
+            raise ValueError(
+                f"object {task.relative_to!r} is a frame of a position ({m}, {m}), or of a pose (7, 7) in space, as "
+                f"the {task.part} of {task.point!r} asks for; got A of shape {frame.A.shape}"
+            )
+        target = frame.A[3:, 6] if frame.A.shape == (7, 7) else np.array([0.0, 0.0, 0.0, 1.0])  # L(q) (0, 0, 0, 1) = q
+        return frame.A[:m, :m], frame.b[:m], target

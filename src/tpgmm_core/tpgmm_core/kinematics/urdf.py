@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`UrdfKinematics`: frames for any robot with a URDF, by Pinocchio (through `robot.py`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tpgmm_core.quaternion import Array
+from tpgmm_core.robot import RobotModel
+
+
+class UrdfKinematics:
+    """Some joints of a robot; the others stand still.
+
+    robot : the robot; may be shared
+    joints : group of the robot file, or joints by name; their order is the order in q
+    points : end points of the robot file, or frames of the URDF; the end points where None
+    posture : (nv,), where the other joints are, rad and m; the robot's home where None
+
+    Poses and Jacobians are in the robot's base frame. Raises ValueError for unknown names.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        joints: str | Sequence[str],
+        points: Sequence[str] | None = None,
+        posture: ArrayLike | None = None,
+    ) -> None:
+        self._data = robot.create_data()
+        self._joints = robot.indices(joints)
+        names = tuple(robot.endpoints) if points is None else tuple(points)
+        ends = robot.endpoint_frame_ids
+        self._frame_ids = {name: ends[name] if name in ends else robot.frame_id(name) for name in names}
+        self._posture = np.array(robot.home if posture is None else posture, dtype=float)
+        self.update(self._posture[self._joints])
+
+    @property
+    def n_joints(self) -> int:
+        return len(self._joints)
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        return tuple(self._frame_ids)
+
+    def update(self, q: Array) -> None:
+        if np.shape(q) != self._joints.shape:
+            raise ValueError(f"there are {self.n_joints} joints, got q of shape {np.shape(q)}")
+        self._posture[self._joints] = q
+        self._data.update(self._posture)
+
+    def place(self, point: str) -> Array:
+        return self._data.frame_pose(self._frame_id(point))
+
+    def jacobian(self, point: str) -> Array:
+        return self._data.frame_jacobian(self._frame_id(point))[:, self._joints]
+
+    def _frame_id(self, point: str) -> int:
+        if point not in self._frame_ids:
+            raise ValueError(f"unknown point {point!r}; there are {list(self._frame_ids)}")
+        return self._frame_ids[point]
