@@ -23,8 +23,8 @@ def frames_at(**places: Array) -> dict[str, Frame]:
 
 
 @cache
-def reaching_model() -> TPGMM:
-    """Over [time, pose], frames "start" and "object", demonstrated in 2 s."""
+def reaching_demonstrations() -> tuple[Demonstration, ...]:
+    """[time, pose] on "R1 x R3 x S3", frames "start" and "object", 2 s."""
     random = np.random.default_rng(0)
     times = np.linspace(0.0, DURATION, 60)
     s = times / DURATION
@@ -38,6 +38,12 @@ def reaching_model() -> TPGMM:
         turns = quaternion.slerp(np.tile(start[3:], (60, 1)), goal[3:], blend[:, 0])
         frames = frames_at(start=start, object=goal)
         demonstrations.append(Demonstration(times, np.column_stack([times, positions, turns]), frames))
-    model = TPGMM(n_components=4, reg_covar=1e-5, manifold="R1 x R3 x S3").fit(demonstrations)
+    return tuple(demonstrations)
+
+
+@cache
+def reaching_model() -> TPGMM:
+    """A model of the demonstrations over [time, pose]."""
+    model = TPGMM(n_components=4, reg_covar=1e-5, manifold="R1 x R3 x S3").fit(reaching_demonstrations())
     model.metadata_ = {"duration_s": DURATION}
     return model

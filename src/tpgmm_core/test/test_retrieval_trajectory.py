@@ -7,20 +7,40 @@ from functools import cache
 import numpy as np
 import pytest
 
-from random_problems import random_covariance, random_rotation
-from reaching import reaching_model
+from random_problems import POSE, random_covariance, random_quaternion, random_rotation
+from reaching import DURATION as POSE_DURATION
+from reaching import frames_at, place, reaching_demonstrations, reaching_model
 from tpgmm_core import TPGMM, Demonstration, Frame, Manifold, quaternion
 from tpgmm_core.quaternion import Array
 from tpgmm_core.retrieval.differences import derivatives, difference_weights
-from tpgmm_core.retrieval.trajectory import TrajectoryModel, smoothest, with_derivatives
+from tpgmm_core.retrieval.dynamic_features import (
+    manifold_with_derivatives,
+    point_manifold,
+    with_derivatives,
+)
+from tpgmm_core.retrieval.smoothing import smoothest
+from tpgmm_core.retrieval.trajectory import Trajectory, TrajectoryCourse, TrajectoryModel
 from worlds import DURATION, assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world
 
 TIMES = np.linspace(0.0, DURATION, 60)
+OVER_POSES = "R1 x R3 x S3"
 
 
 @cache
 def model(K: int = 6) -> TPGMM:
     return TPGMM(K, reg_covar=1e-5).fit([with_derivatives(d) for d in planar_demonstrations()])
+
+
+@cache
+def pose_model() -> TPGMM:
+    model = TPGMM(6, reg_covar=1e-5, manifold=manifold_with_derivatives(OVER_POSES))
+    model.fit([with_derivatives(d, OVER_POSES) for d in reaching_demonstrations()])
+    model.metadata_ = {"duration_s": POSE_DURATION}
+    return model
+
+
+def pose_situation() -> dict[str, Frame]:
+    return frames_at(start=place(0.1, 0.2, 0.3), object=place(0.6, -0.2, -0.8))
 
 
 @pytest.mark.parametrize("window", [3, 7])
@@ -82,12 +102,14 @@ def test_the_banded_solution_is_the_dense_one(d: int, T: int) -> None:
     times = np.cumsum(rng.uniform(0.05, 0.15, T))
     means = rng.normal(size=(T, 3 * d))
     precisions = np.stack([np.linalg.inv(random_covariance(rng, 3 * d)) for _ in range(T)])
-    positions, covariances = smoothest(*difference_weights(times), means, precisions)
+    found = smoothest(
+        *difference_weights(times), means, precisions, np.arange(T), Manifold.euclidean(d), np.zeros((T, d))
+    )
     expected, covariance = dense(times, means, precisions)
-    np.testing.assert_allclose(positions, expected, atol=1e-7)
+    np.testing.assert_allclose(found.points, expected, atol=1e-7)
     for t in range(T):
         block = covariance[t * d : (t + 1) * d, t * d : (t + 1) * d]
-        np.testing.assert_allclose(covariances[t], block, rtol=1e-6, atol=1e-8 * np.abs(block).max())
+        np.testing.assert_allclose(found.covariances[t], block, rtol=1e-6, atol=1e-8 * np.abs(block).max())
 
 
 def test_the_effort_is_linear_in_the_length() -> None:
@@ -178,7 +200,7 @@ def test_in_three_dimensions_with_a_scaled_frame() -> None:
 
 def test_bad_input_is_refused_with_the_reason() -> None:
     retriever = TrajectoryModel(model())
-    with pytest.raises(ValueError, match="Euclidean"):
+    with pytest.raises(ValueError, match="with_derivatives"):
         TrajectoryModel(reaching_model())
     with pytest.raises(ValueError, match="1 \\+ 3 d"):
         TrajectoryModel(TPGMM(1).fit_projected({"f": np.random.default_rng(0).normal(size=(20, 5))}))
@@ -188,9 +210,194 @@ def test_bad_input_is_refused_with_the_reason() -> None:
     moving = Frame(np.eye(2), np.zeros((80, 2))).with_time()
     with pytest.raises(ValueError, match="vary with time"):
         retriever.retrieve({"goal": moving}, TIMES)
-    with pytest.raises(ValueError, match="vary with time"):
-        with_derivatives(Demonstration(np.arange(80.0), np.zeros((80, 3)), {"goal": moving}))
     with pytest.raises(ValueError, match="with_time"):
         retriever.retrieve({"goal": planar_frame(0.0, 0.0, 0.3)}, TIMES)
     with pytest.raises(ValueError, match="increasing"):
         retriever.retrieve(planar_situation(), TIMES[::-1])
+
+
+def test_manifolds_grow_by_derivatives_and_shrink_to_points() -> None:
+    grown = manifold_with_derivatives("R1 x R3 x S3 x R3 x S3")
+    assert (str(grown), grown.dim, grown.tangent_dim) == ("R1 x R3 x S3 x R3 x S3 x R24", 39, 37)
+    assert str(point_manifold(grown)) == "R3 x S3 x R3 x S3"
+    assert str(point_manifold(Manifold.euclidean(7))) == "R2"
+    for text in ("R1 x R3 x S3", "R1 x R12 x R3 x S3", "S3 x R1 x R6", "R1"):
+        with pytest.raises(ValueError, match="with_derivatives"):
+            point_manifold(Manifold.parse(text))
+
+
+def moving_pose_demonstration(visible: Array | None = None) -> tuple[Demonstration, Array]:
+    """A hand that holds on to an object, which turns and accelerates; and its pose as seen from the object."""
+    t = np.linspace(0.0, 1.0, 101)
+    axis = np.array([1.0, -2.0, 2.0]) / 3.0
+    q = quaternion.exp((1.5 * t + 0.5 * t**2)[:, None] * axis)
+    p = np.column_stack([np.sin(2.0 * t), t**2, 1.0 - t])
+    held = np.array([0.1, -0.2, 0.3, *quaternion.exp([0.4, 0.1, -0.3])])
+    frame = Frame.from_pose(p, q)
+    data = np.column_stack([t, np.einsum("tij,j->ti", frame.A, held) + frame.b])
+    mask = None if visible is None else {"object": visible}
+    return Demonstration(t, data, {"object": frame.with_time()}, mask), held
+
+
+def test_a_frame_that_moves_sees_what_is_held_to_it_at_rest() -> None:
+    demonstration, held = moving_pose_demonstration()
+    augmented = with_derivatives(demonstration, OVER_POSES, window=3)
+    assert np.abs(augmented.data[:, 8:14]).max() > 1.0 and np.abs(augmented.data[:, 14:]).max() > 1.0
+    seen = augmented.projected()["object"]
+    np.testing.assert_allclose(POSE.log(held, seen[:, 1:8]), 0.0, atol=1e-12)
+    # parabolas through three samples, 0.01 s apart, know velocities to 1e-4, accelerations at the ends to 1e-2 only
+    np.testing.assert_allclose(seen[:, 8:14], 0.0, atol=2e-3)
+    np.testing.assert_allclose(seen[1:-1, 14:], 0.0, atol=5e-3)
+    # the affine map loses nothing
+    lifted = augmented.frames["object"]
+    np.testing.assert_allclose(np.einsum("tij,tj->ti", lifted.A, seen) + lifted.b, augmented.data, atol=1e-10)
+
+
+def test_an_inverse_of_its_own_is_lifted_with_its_frame() -> None:
+    """A damped map: what is seen is D (xi - b), with D other than A^+; its derivatives are seen with D too."""
+    t = np.linspace(0.0, 1.0, 101)
+    A = (1.0 + 0.5 * np.sin(t))[:, None, None] * np.array([[1.0, 0.2], [0.0, 1.0]])
+    data = np.column_stack([t, np.cos(t), t**2])
+    plain = Frame(A, np.column_stack([t, t])).with_time()
+    own = Frame(plain.A, plain.b, np.linalg.inv(plain.A))
+    expected, found = (
+        with_derivatives(Demonstration(t, data, {"f": frame}), window=3).projected()["f"] for frame in (plain, own)
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_where_the_motion_of_a_frame_is_not_known_it_was_not_seen() -> None:
+    visible = np.ones(101, dtype=bool)
+    visible[40:50] = False
+    augmented = with_derivatives(moving_pose_demonstration(visible)[0], OVER_POSES, window=5)
+    expected = np.ones(101, dtype=bool)
+    expected[38:52] = False
+    np.testing.assert_array_equal(augmented.is_visible("object"), expected)
+    standing = planar_demonstrations()[0]
+    masked = Demonstration(standing.times, standing.data, standing.frames, {"goal": visible[:80]})
+    np.testing.assert_array_equal(with_derivatives(masked).is_visible("goal"), visible[:80])
+
+
+def test_demonstrated_poses_are_followed_again_in_few_steps() -> None:
+    retriever = TrajectoryModel(pose_model())
+    for demonstration in reaching_demonstrations():
+        found = retriever.retrieve(demonstration.frames, demonstration.times)
+        error = POSE.log(demonstration.data[:, 1:], found.positions)
+        assert np.sqrt(np.mean(error[:, :3] ** 2)) < 0.01 and np.sqrt(np.mean(error[:, 3:] ** 2)) < 0.02
+        assert found.iterations <= 6
+        np.testing.assert_allclose(np.linalg.norm(found.positions[:, 3:], axis=1), 1.0, atol=1e-12)
+        assert np.sum(found.positions[1:, 3:] * found.positions[:-1, 3:], axis=1).min() > 0.9
+        v, a = derivatives(found.times, found.positions, POSE)
+        np.testing.assert_allclose(found.velocities, v, atol=1e-9)
+        np.testing.assert_allclose(found.accelerations, a, atol=1e-7)
+
+
+def residuals(times: Array, points: Array, means: Array, states: Array) -> Array:
+    """(T, 18), as the definition says, by the manifold's own functions."""
+    v, a = derivatives(times, points, POSE)
+    return np.column_stack([POSE.log(means[states, :7], points), v - means[states, 7:13], a - means[states, 13:]])
+
+
+def random_states(rng: np.random.Generator, spread: float) -> tuple[Array, Array]:
+    """Means (4, 19) and precisions (4, 18, 18) of states whose poses lie apart."""
+    base = np.concatenate([rng.normal(size=3), random_quaternion(rng)])
+    means = np.array([[*POSE.exp(base, spread * rng.normal(size=6)), *rng.normal(size=12)] for _ in range(4)])
+    scale = np.repeat([0.1, 0.5, 2.0], 6)
+    covariances = [random_covariance(rng, 18) * np.outer(scale, scale) for _ in range(4)]
+    return means, np.linalg.inv(covariances)
+
+
+@pytest.mark.parametrize("spread", [0.3, 1.0, 3.0])
+def test_on_poses_a_stationary_point_is_found_or_the_failure_is_told(spread: float) -> None:
+    rng = np.random.default_rng(8)
+    times, states = np.linspace(0.0, 1.2, 12), np.repeat(np.arange(4), 3)
+    solved = 0
+    for _ in range(10):
+        means, precisions = random_states(rng, spread)
+        try:
+            found = smoothest(*difference_weights(times), means, precisions, states, POSE, means[states, :7])
+        except ValueError as error:
+            assert "contradict" in str(error)
+            continue
+        solved += 1
+
+        def residual(step: Array, points: Array = found.points, means: Array = means) -> Array:
+            return residuals(times, POSE.exp(points, step.reshape(12, 6)), means, states).ravel()
+
+        h = 1e-6
+        G = np.stack([(residual(h * e) - residual(-h * e)) / (2 * h) for e in np.eye(72)], axis=1)
+        weighted = np.einsum("tij,tjk->tik", precisions[states], G.reshape(12, 18, 72)).reshape(-1, 72)
+        H = G.T @ weighted
+        step = np.linalg.solve(H, weighted.T @ residual(np.zeros(72)))
+        np.testing.assert_allclose(step, 0.0, atol=1e-6)
+        inverse = np.linalg.inv(H)
+        for t in range(12):
+            block = inverse[6 * t : 6 * t + 6, 6 * t : 6 * t + 6]
+            np.testing.assert_allclose(found.covariances[t], block, rtol=1e-4, atol=1e-5 * np.abs(block).max())
+    assert solved >= (10 if spread <= 1.0 else 5)
+
+
+def course(K: int = 6, steps: int = 60) -> tuple[TrajectoryCourse, Trajectory]:
+    """In the planar situation, and the trajectory that it interpolates."""
+    planar = model(K)
+    planar.metadata_ = {"duration_s": DURATION}
+    result = TrajectoryCourse(planar, steps=steps)
+    result.situate(planar_situation())
+    return result, TrajectoryModel(planar).retrieve(planar_situation(), np.linspace(0.0, DURATION, steps))
+
+
+def test_a_course_is_the_trajectory_at_its_steps_and_smooth_between_them() -> None:
+    planar, trajectory = course()
+    means, covariances, activations = planar.at(trajectory.times)
+    np.testing.assert_allclose(means, trajectory.positions, atol=1e-12)
+    np.testing.assert_allclose(covariances, trajectory.covariances, atol=1e-12)
+    np.testing.assert_allclose(activations, planar.mixture().responsibilities([0], [0.0]), atol=1e-12)
+    assert (planar.duration, planar.frame_names, str(planar.manifold)) == (DURATION, ("start", "goal"), "R2")
+
+
+def test_between_steps_a_course_over_poses_has_continuous_velocities() -> None:
+    poses = TrajectoryCourse(pose_model(), steps=40)
+    poses.situate(pose_situation())
+    grid = np.linspace(0.0, POSE_DURATION, 40)
+    trajectory = TrajectoryModel(pose_model()).retrieve(pose_situation(), grid)
+    h = 1e-5
+    inner = grid[1:-1]
+    before, at, after = (poses.at(inner + offset)[0] for offset in (-h, 0.0, h))
+    np.testing.assert_allclose(POSE.log(trajectory.positions[1:-1], at), 0.0, atol=1e-12)
+    for velocity in (POSE.log(before, at) / h, POSE.log(at, after) / h):
+        np.testing.assert_allclose(velocity, trajectory.velocities[1:-1], atol=2e-3)
+    middles = 0.5 * (grid[1:] + grid[:-1])
+    assert min(np.linalg.eigvalsh(S).min() for S in poses.at(middles)[1]) > 0.0
+    fine = TrajectoryModel(pose_model()).retrieve(pose_situation(), np.sort(np.concatenate([grid, middles])))
+    np.testing.assert_allclose(POSE.log(fine.positions[1::2], poses.at(middles)[0]), 0.0, atol=5e-3)
+
+
+def test_a_course_ends_where_its_grid_ends_and_forgets_former_situations() -> None:
+    poses = TrajectoryCourse(pose_model(), steps=40)
+    poses.situate(frames_at(start=place(-0.5, 0.4, 2.0), object=place(1.0, 1.0, -2.0)))
+    poses.situate(pose_situation())
+    fresh = TrajectoryCourse(pose_model(), steps=40)
+    fresh.situate(pose_situation())
+    times = np.array([-1.0, 0.0, 0.7, POSE_DURATION, 10.0])
+    for found, expected in zip(poses.at(times), fresh.at(times), strict=True):
+        np.testing.assert_array_equal(found, expected)
+    means, _, _ = poses.at(times)
+    np.testing.assert_array_equal(means[[0, 3]], means[[1, 4]])
+
+
+def test_what_no_frame_constrains_stays_where_the_robot_is() -> None:
+    only_x = {"goal": Frame([[1.0, 0.0], [0.0, 0.0]], [0.4, 0.0]).with_time()}
+    found = TrajectoryModel(model()).retrieve(only_x, TIMES, state=[7.0, -3.0])
+    np.testing.assert_allclose(found.positions[:, 1], -3.0, atol=1e-3)
+    assert np.ptp(found.positions[:, 0]) > 0.3
+
+
+def test_a_course_says_what_it_lacks() -> None:
+    fresh = TrajectoryCourse(pose_model())
+    with pytest.raises(ValueError, match="situate"):
+        fresh.at(np.zeros(1))
+    with pytest.raises(ValueError, match="three"):
+        TrajectoryCourse(pose_model(), steps=2)
+    timeless = TPGMM(2).fit([with_derivatives(d) for d in planar_demonstrations()])
+    with pytest.raises(ValueError, match="duration_s"):
+        TrajectoryCourse(timeless)

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames of points, made frames of points with their derivatives."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tpgmm_core.frame import Frame
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.quaternion import Array
+
+
+def lifted(frame: Frame, manifold: Manifold, orders: int = 1) -> Frame:
+    """The frame for [x, derivatives of x], of a frame for points x (D,) on a manifold.
+
+    orders : how many derivatives (n,) each, tangent vectors, on S³ about the fixed axes. A derivative is seen as the
+        vector that it is, turned with the frame: A = blkdiag(A_x, A_tangent, ...), b = [b_x, 0, ...], for poses
+        blkdiag(R, L(q), R, R). A frame that moves sees what moved in the world, not relative to itself.
+
+    Raises ValueError for a frame that does not fit the manifold.
+    """
+    A, inverse = (
+        None if M is None else _block_diagonal(M, *(manifold.tangent_map(M) for _ in range(orders)))
+        for M in (frame.A, frame.inverse)
+    )
+    assert A is not None
+    b = np.zeros((*frame.b.shape[:-1], A.shape[-2]))
+    b[..., : frame.b.shape[-1]] = frame.b
+    return Frame(A, b, inverse)
+
+
+def _block_diagonal(*blocks: Array) -> Array:
+    rows, columns = sum(block.shape[-2] for block in blocks), sum(block.shape[-1] for block in blocks)
+    result = np.zeros((*blocks[0].shape[:-2], rows, columns))
+    i = j = 0
+    for block in blocks:
+        result[..., i : i + block.shape[-2], j : j + block.shape[-1]] = block
+        i, j = i + block.shape[-2], j + block.shape[-1]
+    return result
