@@ -6,8 +6,8 @@ map of what the frame sees, x_t: `q = A x + b`. A and b belong to one step only.
 
 Each brings the inverse map M that it sees a configuration with, x = M (q - b), which also carries its precision into
 configuration space, M^T Lambda M. Where nothing is damped, M = A^+ to rounding. Where a singularity makes the robot
-unable to move in some direction, A and M fade out in it together: the frame neither asks for that motion, nor counts its
-absence as a deviation. For the pseudo-inverse of a damped A both would be the opposite: the precision grows without bound.
+unable to move in some direction, A and M fade out in it together: the frame neither asks for that motion, nor counts
+its absence as a deviation. With the pseudo-inverse of a damped A the precision would grow without bound instead.
 
 That M A < I in such directions is what makes priorities visible in demonstrations. Of two tasks that cannot both
 be met, the lower one does what the upper one leaves to it. In its frame below the upper task it deviates by nothing, in

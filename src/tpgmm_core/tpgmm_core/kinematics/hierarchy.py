@@ -5,8 +5,8 @@ A hierarchy is a sequence of levels, most important first; a level is one task o
 
     {"left before right": ["left", "right"], "right before left": ["right", "left"], "together": [["left", "right"]]}
 
-Each level becomes one frame: tasks of the first level by Eqs. (8) and (9), those below by Eqs. (11) and (12) in the null
-space of all above them. Levels that several hierarchies share are one frame.
+Each level becomes one frame: tasks of the first level by Eqs. (8) and (9), those below by Eqs. (11) and (12) in the
+null space of all above them. Levels that several hierarchies share are one frame.
 """
 
 from __future__ import annotations

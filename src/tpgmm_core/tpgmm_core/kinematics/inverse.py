@@ -3,9 +3,9 @@
 
 The law of damping: a singular value s of J becomes s / max(s, s0)² in the inverse, each for itself. From s0 on this is
 1 / s, the exact pseudo-inverse; below, it falls to zero in proportion to s. As an odd continuous function of
-singular values it makes the inverse a continuous function of J, also where s passes through zero and its vectors change
-sign, and none of its entries exceeds 1 / s0. (In terms of damped least squares, s / (s² + l²), with a damping of its own
-for each singular value as by Maciejewski and Klein 1988, it is l² = s0² - s² below s0, as by Chiaverini 1997.)
+singular values it makes the inverse a continuous function of J, also where s passes through zero and its vectors
+change sign, and none of its entries exceeds 1 / s0. (In terms of damped least squares, s / (s² + l²), with a damping of
+its own for each singular value as by Maciejewski and Klein 1988, it is l² = s0² - s² below s0, as by Chiaverini 1997.)
 
 No inverse of the damped inverse is continuous and bounded. So frames take J itself to see with: see `frames.py`.
 """
