@@ -2,15 +2,19 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from random_problems import random_quaternion
 from reaching import reaching_model
-from tpgmm_core import TPGMM, Demonstration, Frame, Manifold, quaternion
+from tpgmm_core import Demonstration, Frame, Manifold, quaternion
+from tpgmm_core.learning.ends import GoalTPGMM
+from tpgmm_core.learning.hmm import TPHMM
 from tpgmm_core.quaternion import Array
-from tpgmm_core.retrieval.decay import DecayLaw, DecayStep, DecaySystem
+from tpgmm_core.reference import Reference
+from tpgmm_core.retrieval.decay import DecayLaw, DecayMovement
 from worlds import DURATION, assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world
 
 LAW = DecayLaw()
@@ -18,14 +22,16 @@ POSES = "R1 x R3 x S3"
 
 
 @cache
-def planar_model() -> TPGMM:
-    return TPGMM(5, init="bins", reg_covar=1e-6).fit([LAW.encode(d) for d in planar_demonstrations()])
+def planar_model(n_components: int = 5) -> GoalTPGMM:
+    model = GoalTPGMM(n_components, init="bins", reg_covar=1e-6).fit([LAW.encode(d) for d in planar_demonstrations()])
+    model.metadata_ = {"duration_s": DURATION}
+    return model
 
 
 @cache
-def pose_model() -> TPGMM:
+def pose_model() -> GoalTPGMM:
     demonstrations = [LAW.encode(d, POSES) for d in pose_demonstrations()]
-    return TPGMM(3, init="bins", reg_covar=1e-5, manifold=POSES).fit(demonstrations)
+    return GoalTPGMM(3, init="bins", reg_covar=1e-5, manifold=POSES).fit(demonstrations)
 
 
 @cache
@@ -45,21 +51,42 @@ def pose_demonstrations() -> tuple[Demonstration, ...]:
     return tuple(demonstrations)
 
 
-def run(system: DecaySystem, frames: dict[str, Frame], duration: float, dt: float = 0.01) -> list[DecayStep]:
-    return [system.step(dt, frames) for _ in range(round(duration / dt))]
+def run(
+    system: DecayMovement,
+    frames: dict[str, Frame],
+    seconds: float,
+    dt: float = 0.01,
+    begin: int = 0,
+    robot: Array | None = None,
+) -> list[Reference]:
+    """References every dt, s; the first one dt after step `begin`."""
+    return [system.step(round(1e9 * dt * (begin + i + 1)), frames, robot) for i in range(round(seconds / dt))]
 
 
-def positions(steps: list[DecayStep]) -> Array:
-    return np.stack([step.position for step in steps])
+def started(model: GoalTPGMM, duration: float, start: Array | list[float] | None, **settings: float) -> DecayMovement:
+    system = DecayMovement(model, LAW, duration=duration, **settings)
+    system.start(0, start)
+    return system
+
+
+def begun(
+    model: GoalTPGMM, duration: float, start: Array | list[float] | None, frames: dict[str, Frame]
+) -> DecayMovement:
+    """With a step at time 0."""
+    system = started(model, duration, start)
+    system.step(0, frames)
+    return system
+
+
+def positions(references: list[Reference]) -> Array:
+    return np.stack([reference.gaussian.mean for reference in references])
 
 
 def test_a_demonstration_is_followed_again() -> None:
+    dt = DURATION / 200
     for demonstration in planar_demonstrations():
-        start = demonstration.data[0, 1:]
-        dt = DURATION / 200
-        path = positions(
-            run(DecaySystem(planar_model(), LAW, DURATION, start), dict(demonstration.frames), DURATION, dt)
-        )
+        frames = dict(demonstration.frames)
+        path = positions(run(begun(planar_model(), DURATION, demonstration.data[0, 1:], frames), frames, DURATION, dt))
         shown = np.stack(
             [np.interp(dt * np.arange(1, 201), demonstration.times, x) for x in demonstration.data[:, 1:].T], axis=1
         )
@@ -83,24 +110,36 @@ def test_the_attractor_of_a_spring_solution_is_where_it_was() -> None:
 def test_the_goal_is_reached_from_anywhere_and_held(duration: float) -> None:
     rng = np.random.default_rng(0)
     frames = planar_situation()
-    goal = planar_model().adapt(frames).condition([0], [np.exp(-LAW.decay_rate)])
     for _ in range(5):
-        system = DecaySystem(planar_model(), LAW, duration, rng.normal(size=2), rng.normal(size=2))
-        steps = run(system, frames, 3.0 * duration, duration / 100)
-        np.testing.assert_allclose(steps[-1].position, goal.mean, atol=1e-9)
-        np.testing.assert_allclose(steps[-1].velocity, 0.0, atol=1e-9)
-        np.testing.assert_allclose(system.goal(frames).mean, goal.mean, atol=1e-12)
+        system = begun(planar_model(), duration, rng.normal(size=2), frames)
+        references = run(system, frames, 3.0 * duration, duration / 100)
+        goal = system.goal(frames)
+        np.testing.assert_allclose(references[-1].gaussian.mean, goal.mean, atol=1e-9)
+        np.testing.assert_allclose(references[-1].velocity(), 0.0, atol=1e-9)
+        assert references[-1].phase == 1.0
     assert np.linalg.norm(goal.mean - frames["goal"].b[1:]) < 0.01
+
+
+@pytest.mark.parametrize("n_components", [3, 8, 15])
+def test_many_components_do_not_pull_the_end_aside(n_components: int) -> None:
+    frames = planar_situation()
+    end = run(begun(planar_model(n_components), 2.0, [-0.1, 0.3], frames), frames, 5.0)[-1]
+    assert np.linalg.norm(end.gaussian.mean - frames["goal"].b[1:]) < 0.01
 
 
 def test_a_pose_is_reached_too() -> None:
     demonstration = pose_demonstrations()[0]
-    system = DecaySystem(pose_model(), LAW, 1.0, demonstration.data[0, 1:])
-    end = run(system, dict(demonstration.frames), 3.0, 0.005)[-1]
+    frames = dict(demonstration.frames)
+    end = run(begun(pose_model(), 1.0, demonstration.data[0, 1:], frames), frames, 3.0)[-1].gaussian.mean
     shown = demonstration.data[-1, 1:]
-    assert np.linalg.norm(end.position[:3] - shown[:3]) < 0.03
-    assert quaternion.angle_between(end.position[3:], shown[3:]) < 0.05
-    np.testing.assert_allclose(np.linalg.norm(end.position[3:]), 1.0, atol=1e-12)
+    assert np.linalg.norm(end[:3] - shown[:3]) < 0.03
+    assert quaternion.angle_between(end[3:], shown[3:]) < 0.05
+
+
+def test_without_a_robot_it_begins_where_demonstrations_began() -> None:
+    frames = planar_situation()
+    first = begun(planar_model(), 2.0, None, frames).horizon(1, 1e-6)[0]
+    assert np.linalg.norm(first.mean - frames["start"].b[1:]) < 0.01
 
 
 @pytest.mark.parametrize("space", ["plane", "poses"])
@@ -108,78 +147,121 @@ def test_moving_the_world_moves_the_movement(space: str) -> None:
     rng = np.random.default_rng(1)
     if space == "plane":
         model, frames, dimensions, start = planar_model(), planar_situation(), 2, np.array([-0.2, 0.4])
-        turn = np.eye(2)
     else:
         model, frames, dimensions = pose_model(), dict(pose_demonstrations()[0].frames), 7
         start = np.r_[0.1, 0.2, 0.3, random_quaternion(rng)]
     for _ in range(3):
         world = random_world(dimensions, rng)
-        velocity = 0.3 * rng.normal(size=model.manifold_.tangent_dim - 1)
-        manifold = model.manifold_.subset(range(1, model.manifold_.dim))
-        turn = manifold.tangent_map(world.A)
-        before = run(DecaySystem(model, LAW, 1.0, start, velocity), frames, 1.5)
-        elsewhere = DecaySystem(model, LAW, 1.0, world.A @ start + world.b, turn @ velocity)
-        after = run(elsewhere, moved(world, frames), 1.5)
-        assert_moved(world, [s.attractor for s in before], [s.attractor for s in after])
-        for a, b in zip(before, after, strict=True):
-            np.testing.assert_allclose(manifold.log(world.A @ a.position + world.b, b.position), 0.0, atol=1e-9)
-            np.testing.assert_allclose(turn @ a.velocity, b.velocity, atol=1e-9)
+        before = run(begun(model, 1.0, start, frames), frames, 1.5)
+        frames_there = moved(world, frames)
+        after = run(begun(model, 1.0, world.A @ start + world.b, frames_there), frames_there, 1.5)
+        assert_moved(world, [r.gaussian for r in before], [r.gaussian for r in after])
+        assert_moved(world, [r.horizon[1] for r in before], [r.horizon[1] for r in after])
 
 
 def test_signs_of_quaternions_do_not_matter() -> None:
     frames = dict(pose_demonstrations()[0].frames)
     start = pose_demonstrations()[0].data[0, 1:]
     flip = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0])
-    one, other = (run(DecaySystem(pose_model(), LAW, 1.0, s), frames, 1.0) for s in (start, flip * start))
-    for a, b in zip(one, other, strict=True):
-        np.testing.assert_allclose(Manifold.parse("R3 x S3").log(a.position, b.position), 0.0, atol=1e-9)
+    flipped = {
+        name: Frame(np.diag([1.0, *flip]) @ frame.A, np.diag([1.0, *flip]) @ frame.b) for name, frame in frames.items()
+    }
+    plain = positions(run(begun(pose_model(), 1.0, start, frames), frames, 1.0))
+    for s, f in ((flip * start, frames), (start, flipped)):
+        other = positions(run(begun(pose_model(), 1.0, s, f), f, 1.0))
+        np.testing.assert_allclose(Manifold.parse("R3 x S3").log(plain, other), 0.0, atol=1e-9)
 
 
 def test_the_path_does_not_depend_on_the_duration() -> None:
-    start = np.array([-0.1, 0.3])
-    fast, slow = (run(DecaySystem(planar_model(), LAW, d, start), planar_situation(), d, d / 200) for d in (1.0, 7.0))
-    np.testing.assert_allclose(positions(fast), positions(slow), atol=1e-12)
-    for a, b in zip(fast, slow, strict=True):
-        np.testing.assert_allclose(a.velocity, 7.0 * b.velocity, atol=1e-9)
+    frames = planar_situation()
+    fast, slow = (run(begun(planar_model(), d, [-0.1, 0.3], frames), frames, d, d / 200) for d in (1.0, 7.0))
+    np.testing.assert_allclose(positions(fast), positions(slow), atol=1e-9)
 
 
-def test_changing_the_duration_while_moving_keeps_the_path() -> None:
-    start = np.array([-0.1, 0.3])
-    plain = positions(run(DecaySystem(planar_model(), LAW, 2.0, start), planar_situation(), 2.0, 0.005))
-    system = DecaySystem(planar_model(), LAW, 2.0, start)
-    changed = run(system, planar_situation(), 0.8, 0.005)
+def test_changing_duration_or_speed_keeps_the_path_and_does_not_jump() -> None:
+    frames = planar_situation()
+    plain = positions(run(begun(planar_model(), 2.0, [-0.1, 0.3], frames), frames, 2.5, 0.005))
+    system = begun(planar_model(), 2.0, [-0.1, 0.3], frames)
+    references = run(system, frames, 0.8, 0.005)
     system.duration = 5.0
-    changed += run(system, planar_situation(), 3.0, 0.005)
-    assert system.phase == pytest.approx(1.0)
-    for x in positions(changed):
+    references += run(system, frames, 1.0, 0.005, begin=160)
+    system.speed = 3.0
+    references += run(system, frames, 3.0, 0.005, begin=360)
+    assert references[-1].phase == 1.0
+    path = positions(references)
+    for x in path:
         assert np.linalg.norm(plain - x, axis=1).min() < 0.01  # half of the longest step between two of its points
-    np.testing.assert_allclose(changed[-1].position, plain[-1], atol=1e-3)
+    np.testing.assert_allclose(path[-1], system.goal(frames).mean, atol=1e-3)
+    speeds = np.linalg.norm(np.diff(path, axis=0), axis=1) / 0.005
+    assert np.abs(np.diff(speeds)).max() < 0.05 * speeds.max()
+
+
+def test_at_speed_zero_it_waits_and_goes_on_where_it_was() -> None:
+    frames = planar_situation()
+    system = begun(planar_model(), 2.0, [-0.1, 0.3], frames)
+    run(system, frames, 0.8)
+    system.speed = 0.0
+    waiting = positions(run(system, frames, 10.0, begin=80))
+    np.testing.assert_allclose(waiting[300:], waiting[-1:].repeat(700, axis=0), atol=1e-6)
+    assert np.linalg.norm(waiting[-1] - system.goal(frames).mean) > 0.3
+    system.speed = 1.0
+    assert run(system, frames, 3.0, begin=1080)[-1].phase == 1.0
 
 
 def test_a_goal_that_moves_is_followed_without_a_jump() -> None:
     before = planar_situation()
     after = before | {"goal": planar_frame(1.5, 0.5, -0.6).with_time()}
-    system = DecaySystem(planar_model(), LAW, 2.0, [-0.1, 0.3])
-    steps = run(system, before, 1.2, 0.001) + run(system, after, 4.0, 0.001)
-    path = positions(steps)
+    system = begun(planar_model(), 2.0, [-0.1, 0.3], before)
+    path = positions(run(system, before, 1.2, 0.001) + run(system, after, 4.0, 0.001, begin=1200))
     assert np.linalg.norm(path[-1] - [1.5, 0.5]) < 0.01
     speeds = np.linalg.norm(np.diff(path, axis=0), axis=1) / 0.001
     assert np.abs(np.diff(speeds)).max() < 0.1  # m/s in 1 ms
 
 
-def test_the_state_of_the_robot_counts_where_it_is_given() -> None:
-    system = DecaySystem(planar_model(), LAW, 2.0, [-0.1, 0.3])
-    run(system, planar_situation(), 0.5)
-    held = system.step(1e-6, planar_situation(), state=([5.0, 5.0], [0.1, -0.2]))
-    np.testing.assert_allclose(held.position, [5.0, 5.0], atol=1e-5)
-    np.testing.assert_allclose(held.velocity, [0.1, -0.2], atol=1e-2)
+def test_a_robot_that_is_held_makes_it_wait() -> None:
+    frames = planar_situation()
+    free = run(begun(planar_model(), 2.0, [-0.1, 0.3], frames), frames, 2.0)[-1]
+    system = begun(planar_model(), 2.0, [-0.1, 0.3], frames)
+    held = run(system, frames, 2.0, robot=np.array([-0.1, 0.3]))[-1]
+    assert free.phase == pytest.approx(1.0)
+    assert held.phase < 0.6
+    assert run(system, frames, 3.0, begin=200)[-1].phase == 1.0
+
+
+def test_the_horizon_is_what_comes() -> None:
+    frames = planar_situation()
+    system = begun(planar_model(), 2.0, [-0.1, 0.3], frames)
+    run(system, frames, 0.5)
+    ahead = system.horizon(40, 0.02)
+    later = run(system, frames, 0.8, 0.02, begin=25)
+    np.testing.assert_allclose([g.mean for g in ahead], positions(later), atol=1e-3)
+
+
+def test_it_may_begin_within_the_movement() -> None:
+    frames = planar_situation()
+    system = begun(planar_model(), 2.0, [-0.1, 0.3], frames)
+    where = run(system, frames, 1.0)[-1].gaussian.mean
+    system.start(0, where, phase=0.5)
+    assert system.step(0, frames).phase == 0.5
+    assert run(system, frames, 1.0)[-1].phase == pytest.approx(1.0)
 
 
 def test_any_time_step_is_stable() -> None:
+    frames = planar_situation()
     for dt in (1e-4, 0.1, 10.0, 1e6):
-        system = DecaySystem(planar_model(), LAW, 2.0, [10.0, -10.0], [1.0, 1.0])
-        for _ in range(20):
-            assert np.abs(system.step(dt, planar_situation()).position).max() < 20.0
+        path = positions(run(begun(planar_model(), 2.0, [10.0, -10.0], frames), frames, 20 * dt, dt))
+        assert np.abs(path).max() < 20.0
+
+
+def test_model_files_know_the_goal(tmp_path: Path) -> None:
+    planar_model().save(tmp_path / "decay.tpgmm")
+    loaded = GoalTPGMM.load(tmp_path / "decay.tpgmm")
+    frames = planar_situation()
+    one, other = (begun(model, 2.0, None, frames).goal(frames) for model in (planar_model(), loaded))
+    np.testing.assert_array_equal(one.mean, other.mean)
+    np.testing.assert_array_equal(one.covariance, other.covariance)
+    with pytest.raises(ValueError, match="holds a GoalTPGMM"):
+        TPHMM.load(tmp_path / "decay.tpgmm")
 
 
 def test_bad_input_is_refused_with_the_reason() -> None:
@@ -189,15 +271,30 @@ def test_bad_input_is_refused_with_the_reason() -> None:
                 DecayLaw(**{name: value})
     for duration in (0.0, np.nan):
         with pytest.raises(ValueError, match="duration"):
-            DecaySystem(planar_model(), LAW, duration, [0.0, 0.0])
-    with pytest.raises(ValueError, match="position \\(2,\\)"):
-        DecaySystem(planar_model(), LAW, 1.0, [0.0, 0.0, 0.0])
-    with pytest.raises(ValueError, match="norm"):
-        DecaySystem(reaching_model(), LAW, 1.0, np.zeros(7))
-    system = DecaySystem(planar_model(), LAW, 1.0, [0.0, 0.0])
-    with pytest.raises(ValueError, match="dt"):
-        system.step(0.0, planar_situation())
-    with pytest.raises(ValueError, match="finite"):
-        system.step(0.1, planar_situation(), state=([np.nan, 0.0], [0.0, 0.0]))
+            DecayMovement(planar_model(), LAW, duration=duration)
+    for name, wrong in (("wait_distance", 0.0), ("goal_from", 1.0), ("horizon_time_step", -1.0), ("blend_time", 0.0)):
+        with pytest.raises(ValueError, match=name):
+            DecayMovement(planar_model(), LAW, **{name: wrong})
+    with pytest.raises(ValueError, match="duration_s"):
+        DecayMovement(pose_model(), LAW)
+    with pytest.raises(ValueError, match="GoalTPGMM"):
+        DecayMovement(reaching_model(), LAW)  # type: ignore[arg-type]
+    system = DecayMovement(planar_model(), LAW)
+    with pytest.raises(ValueError, match="start"):
+        system.step(0, planar_situation())
+    with pytest.raises(ValueError, match="no step"):
+        system.horizon(1, 0.1)
+    for state in ([0.0, 0.0, 0.0], [np.nan, 0.0]):
+        with pytest.raises(ValueError, match="shape \\(2,\\) and is finite"):
+            system.start(0, state)
+    with pytest.raises(ValueError, match="phase"):
+        system.start(0, [0.0, 0.0], phase=1.5)
+    system.start(0, [0.0, 0.0])
+    with pytest.raises(ValueError, match="no step"):
+        system.mixture()
+    with pytest.raises(ValueError, match="cannot go back"):
+        system.speed = -1.0
     with pytest.raises(ValueError, match="with_time"):
-        system.step(0.1, {"goal": Frame(2.0 * np.eye(3), np.zeros(3))})
+        system.step(0, {"goal": Frame(2.0 * np.eye(3), np.zeros(3))})
+    with pytest.raises(ValueError, match="at least one"):
+        system.step(0, {})

@@ -7,8 +7,10 @@ A spring-damper is pulled to an attractor, whose path is learned over a decay te
     duration · z' = stiffness · log_x(attractor(s)) - 2 sqrt(stiffness) · z    (critically damped)
     duration · x' = z
 
-The attractor is the mean of N(attractor | s), by regression on the adapted mixture (Eqs. 5, 6). Frames may move and
-the duration change while the movement runs: position and z never jump. On S³ z is a turn about the fixed axes.
+The attractor is the mean of N(attractor | s), by regression on the adapted mixture (Eqs. 5, 6). Towards the end it
+passes over to the goal, where demonstrations ended as the frames saw it (`GoalTPGMM`), so that the movement ends there however
+many components the mixture has. Frames may move and the duration change while the movement runs: position and velocity
+never jump. On S³ z is a turn about the fixed axes.
 """
 
 from __future__ import annotations
@@ -18,18 +20,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from tpgmm_core import quaternion
 from tpgmm_core.adaptation import Adapter
 from tpgmm_core.demonstration import Demonstration
 from tpgmm_core.frame import Frame
 from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.learning.ends import BEGIN, END, GoalTPGMM
 from tpgmm_core.manifold import Manifold
+from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
 from tpgmm_core.retrieval.differences import derivatives
 from tpgmm_core.retrieval.frames import without_time
-from tpgmm_core.tpgmm import TPGMM
+from tpgmm_core.retrieval.spring import critically_damped
+from tpgmm_core.retrieval.system import System, positive
+
+LONGEST_STEP = 0.005
+"""Of the attractor along its path, in durations; MAX_STEPS of them are made at once at most, else longer ones."""
+MAX_STEPS = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +54,7 @@ class DecayLaw:
     stiffness: float = 400.0
 
     def __post_init__(self) -> None:
-        _positive(decay_rate=self.decay_rate, stiffness=self.stiffness)
+        positive(decay_rate=self.decay_rate, stiffness=self.stiffness)
 
     def encode(
         self, demonstration: Demonstration, manifold: str | Manifold = "euclidean", window: int = 9
@@ -74,129 +81,129 @@ class DecayLaw:
         return Demonstration(times, np.column_stack([decay, attractor]), demonstration.frames, demonstration.visible)
 
 
-@dataclass(frozen=True, slots=True)
-class DecayStep:
-    """Where a decay system is after a step.
-
-    phase : 0 at the start, 1 at the end of the duration, and greater while the spring settles
-    position : (D,), a point of the manifold; velocity : (n,), per s, tangent, on S³ about the fixed axes
-    attractor : Gaussian of the attractor in the middle of the step, with the covariance that regression gives it
-    activations : (K,), of the components there
-    """
-
-    phase: float
-    position: Array
-    velocity: Array
-    attractor: Gaussian
-    activations: Array
-
-
-class DecaySystem:
+class DecayMovement(System):
     """Reproduces a model of the attractor over the decay term.
 
-    model : fitted to what `law.encode` returns; init="bins" of `TPGMM` suits, since s is not even in time
-    duration : of the movement, s; may be set at any time. The path stays the same, and the velocity changes at once
-    position : (D,), where to start; velocity : (n,), per s, at rest where None
+    model : fitted to what `law.encode` returns; init="bins" of `TPGMM` suits, since s is not even in time. Other
+        parameters as for `System`
+    goal_from : phase from where on the attractor passes over to the goal, smoothly; at 1 the model has the last word
+    wait_distance : m, or the unit of the data; an angle counts as its arc at metres_per_radian. With the robot that far
+        from the reference the movement goes on at half of its pace, by 1 / (1 + (distance / wait_distance)²): a robot
+        that is held makes it wait ("phase stopping", Ijspeert et al. 2013)
 
-    After the duration s stays where demonstrations ended, so that the system converges to `goal`, whatever happened
-    before. Raises ValueError for a model without s, a position that is not on its manifold, and a duration that is not
-    positive.
+    - The phase is the time in durations, 1 when s has come to its end. s stays there, and the spring settles, so that
+      the system converges to `goal`, whatever happened before. Beginning within the movement (`start`), it begins at rest.
+    - The spring is solved exactly for an attractor that stays during a step (on S³ in the tangent space at the
+      position), hence stable for steps of any length.
+    - The covariance of a reference is that of the attractor.
+
+    Raises ValueError for a model without s, and numbers that are not positive.
     """
 
-    _duration: float
-    _position: Array
-    _z: Array
-
     def __init__(
-        self, model: TPGMM, law: DecayLaw, duration: float, position: ArrayLike, velocity: ArrayLike | None = None
+        self,
+        model: GoalTPGMM,
+        law: DecayLaw,
+        *,
+        duration: float | None = None,
+        horizon_steps: int = 2,
+        horizon_time_step: float = 0.005,
+        blend_time: float = 0.15,
+        goal_from: float = 0.7,
+        wait_distance: float = 0.1,
+        metres_per_radian: float = 0.2,
     ) -> None:
         if model.manifold_.factors[0][0] != "R" or model.manifold_.tangent_dim < 2:
             raise ValueError(f"the first dimension of the model is the decay term, then others; got {model.manifold_}")
-        self.law = law
-        self.manifold = model.manifold_.subset(range(1, model.manifold_.dim))
-        self._adapter = Adapter(model)
-        self.duration = duration
-        self._phase = 0.0
-        self._set_state(position, np.zeros(self.manifold.tangent_dim) if velocity is None else velocity)
-
-    @property
-    def duration(self) -> float:
-        """s."""
-        return self._duration
-
-    @duration.setter
-    def duration(self, duration: float) -> None:
-        _positive(duration=duration)
-        self._duration = float(duration)
-
-    @property
-    def phase(self) -> float:
-        """0 at the start, 1 after the duration."""
-        return self._phase
+        points = model.manifold_.subset(range(1, model.manifold_.dim))
+        super().__init__(model, points, duration, horizon_steps, horizon_time_step, blend_time)
+        positive(wait_distance=wait_distance, metres_per_radian=metres_per_radian)
+        if not 0.0 <= goal_from < 1.0:
+            raise ValueError(f"goal_from is a phase from 0, below 1, got {goal_from!r}")
+        self.law, self.goal_from = law, goal_from
+        self._rate = math.sqrt(law.stiffness)
+        self._scale = np.full(points.tangent_dim, 1.0 / wait_distance)
+        for s in points.spheres:
+            self._scale[s.tangent] = metres_per_radian / wait_distance
+        self._adapter, self._ends = Adapter(model), Adapter(model.ends_)
 
     def goal(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None = None) -> Gaussian:
-        """Where the movement ends in a situation: the attractor at the end of s. Parameters as for `step`."""
-        return self._attractor(math.exp(-self.law.decay_rate), frames, weights)[0]
+        """Where the movement ends in a situation: the product of what the frames saw of the attractors' ends."""
+        return self._end(frames, weights, None, END)
 
-    def step(
-        self,
-        dt: float,
-        frames: Mapping[str, Frame],
-        state: tuple[ArrayLike, ArrayLike] | None = None,
-        weights: Mapping[str, float] | None = None,
-    ) -> DecayStep:
-        """Go on by dt (s), towards the attractor in the situation as it is now.
-
-        frames : over [s, data] (`Frame.with_time`), at least one of the model's
-        state : position (D,) and velocity (n,) per s of the robot, to go on from; from the last step where None
-        weights : how far each frame is trusted, 0 to 1; fully where not named
-
-        The spring is solved exactly for an attractor that stays during the step (on S³ in the tangent space at the
-        position), hence stable for any dt. Raises ValueError like `Adapter.adapt`, and for numbers that do not fit.
-        """
-        _positive(dt=dt)
-        if state is not None:
-            self._set_state(*state)
-        step = dt / self._duration
-        decay = math.exp(-self.law.decay_rate * min(self._phase + 0.5 * step, 1.0))
-        attractor, activations = self._attractor(decay, frames, weights)
-        rate = math.sqrt(self.law.stiffness)
-        error = self.manifold.log(attractor.mean, self._position)
-        # On S³ both ends of a geodesic see it as the same turn about the fixed axes
-        slope = self._z + rate * error
-        left = math.exp(-rate * step)
-        moved = left * (error + step * slope) - error
-        self._position = self.manifold.exp(self._position, moved)
-        self._z = left * (self._z - rate * step * slope)
-        self._phase += step
-        return DecayStep(self._phase, self._position.copy(), self._z / self._duration, attractor, activations)
-
-    def _attractor(
-        self, decay: float, frames: Mapping[str, Frame], weights: Mapping[str, float] | None
-    ) -> tuple[Gaussian, Array]:
-        """Gaussian of the attractor at s = decay, and the components' activations; free directions stay where it is."""
+    def _end(
+        self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, which: int
+    ) -> Gaussian:
         without_time(frames)
-        here = np.concatenate([[decay], self._position])
-        means, covariances, activations = self._adapter.adapt_and_condition(frames, [decay], weights, here)
-        return Gaussian(means[0], 0.5 * (covariances[0] + covariances[0].T), self.manifold), activations
+        where = None if state is None else np.concatenate([[0.0], state])
+        return self._ends.adapt(frames, where, weights).component(which).marginal(range(1, 1 + self.manifold.dim))
 
-    def _set_state(self, position: ArrayLike, velocity: ArrayLike) -> None:
-        position, velocity = np.array(position, dtype=float), np.array(velocity, dtype=float)
-        n = self.manifold.tangent_dim
-        if position.shape != (self.manifold.dim,) or velocity.shape != (n,):
-            raise ValueError(
-                f"the state on {self.manifold} has a position ({self.manifold.dim},) and a velocity ({n},), "
-                f"got {position.shape} and {velocity.shape}"
-            )
-        if not (np.all(np.isfinite(position)) and np.all(np.isfinite(velocity))):
-            raise ValueError(f"the state must be finite, got {position} and {velocity}")
-        for s in self.manifold.spheres:
-            position[s.ambient] = quaternion.normalize(position[s.ambient])
-        self._position = position
-        self._z = self._duration * velocity
+    def _begin(
+        self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, phase: float
+    ) -> None:
+        self._x = self._end(frames, weights, None, BEGIN).mean.copy() if state is None else state
+        self._z = np.zeros(self.manifold.tangent_dim)
+        self._own = phase
+        self._situate(frames, weights)
 
+    def _situate(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None) -> None:
+        without_time(frames)
+        self._adapted = self._adapter.adapt(frames, np.concatenate([[0.0], self._x]), weights)
+        self._goal = self._end(frames, weights, self._x, END)
 
-def _positive(**values: float) -> None:
-    for name, value in values.items():
-        if not (isinstance(value, int | float) and math.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} is a positive number, got {value!r}")
+    def _advance(self, seconds: float, robot: Array | None) -> None:
+        if robot is not None:
+            away = self._scale * self.manifold.log(self._x, robot)
+            self._pace.target /= 1.0 + float(away @ away)
+        time = self._pace.advance(seconds)
+        self._x, self._z = self._go(self._x, self._z, self._own, time)
+        self._own += time
+
+    def _go(self, x: Array, z: Array, own: float, time: float) -> tuple[Array, Array]:
+        """Position and z after a time, in durations, from own on."""
+        if time <= 0.0:
+            return x, z
+        n_steps = int(min(max(math.ceil(time / LONGEST_STEP), 1), MAX_STEPS))
+        step = time / n_steps
+        attractors, _, _ = self._attractors(own + step * (np.arange(n_steps) + 0.5))
+        for attractor in attractors:
+            # On S³ both ends of a geodesic see it as the same turn about the fixed axes
+            error = self.manifold.log(attractor, x)
+            left, z = critically_damped(error, z, self._rate, step)
+            x = self.manifold.exp(x, left - error)
+        return x, z
+
+    def _attractors(self, own: Array) -> tuple[list[Array], Array, Array]:
+        """Means and covariances of the attractor at own times (H,), and the activations (K,) at the first."""
+        means, covariances, activations = self._adapter.condition(np.exp(-self.law.decay_rate * np.minimum(own, 1.0)))
+        shares = np.clip((own - self.goal_from) / (1.0 - self.goal_from), 0.0, 1.0)
+        shares = shares * shares * (3.0 - 2.0 * shares)
+        attractors = list(means)
+        for i in np.flatnonzero(shares):
+            way = self.manifold.log(means[i], self._goal.mean)
+            attractors[i] = self.manifold.exp(means[i], shares[i] * way)
+            covariances[i] += shares[i] * (self._goal.covariance - covariances[i])
+        return attractors, covariances, activations
+
+    def _now(self) -> tuple[Gaussian, Array]:
+        _, covariances, activations = self._attractors(np.array([self._own], dtype=np.float64))
+        return self._gaussian(self._x, covariances[0]), activations
+
+    def _gaussian(self, x: Array, covariance: Array) -> Gaussian:
+        return Gaussian(x, 0.5 * (covariance + covariance.T), self.manifold)
+
+    def _ahead(self, seconds: Array) -> list[Gaussian]:
+        times = self._pace.ahead(seconds)
+        _, covariances, _ = self._attractors(self._own + times)
+        x, z, gone, gaussians = self._x, self._z, 0.0, []
+        for time, covariance in zip(times, covariances, strict=True):
+            x, z = self._go(x, z, self._own + gone, time - gone)
+            gone = time
+            gaussians.append(self._gaussian(x, covariance))
+        return gaussians
+
+    def _phase(self) -> float:
+        return min(self._own, 1.0)
+
+    def _mixture(self) -> GaussianMixture:
+        return self._adapted

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`GoalTPGMM`: a TP-GMM that also knows where the demonstrations begin and end, as seen from each frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tpgmm_core import initialization
+from tpgmm_core.estimation import Progress
+from tpgmm_core.quaternion import Array
+from tpgmm_core.samples import Samples
+from tpgmm_core.tpgmm import TPGMM
+
+BEGIN, END = 0, 1
+"""Components of `GoalTPGMM.ends_`."""
+
+
+class GoalTPGMM(TPGMM):
+    """A mixture, and a Gaussian of the first and of the last samples of the demonstrations in each frame.
+
+    Systems that are to end where the demonstrations ended take the goal from here. A mixture does not tell: each of its
+    components is about a stretch of movement, and with many of them some stand for one demonstration alone.
+
+    Attributes after fitting (those of `TPGMM`, and)
+    ------------------------
+    ends_ : model of two components over the same data, where movements begin (BEGIN) and end (END), to be adapted to a
+        situation like any other. Covariances are those of as few samples as there are demonstrations: half of the
+        weight of one more sample for each dimension goes to their diagonal, so that a frame is not sure of what only
+        too few demonstrations agree in. A frame that no end was seen from knows of it what it saw of all the movement.
+
+    `fit_projected` takes its samples for one demonstration.
+    """
+
+    ends_: TPGMM
+
+    def _fit(self, samples: Samples, progress: Progress | None) -> GoalTPGMM:
+        super()._fit(samples, progress)
+        last = np.cumsum(samples.lengths)
+        labels = np.full(samples.n_samples, -1, dtype=np.intp)
+        labels[last - np.asarray(samples.lengths)] = BEGIN
+        labels[last - 1] = END
+        means, covariances = {}, {}
+        for (name, x), seen in zip(samples.X.items(), samples.seen, strict=True):
+            means[name], sampled = initialization.moments(samples.manifolds[name], x, seen, labels, 2, self.reg_covar)
+            counts = np.array([np.count_nonzero(seen & (labels == k)) for k in (BEGIN, END)])
+            covariances[name] = _towards_diagonal(sampled, counts)
+        self._learned_ends(means, covariances)
+        return self
+
+    def _learned_ends(self, means: Mapping[str, Array], covariances: Mapping[str, Array]) -> None:
+        ends = TPGMM(2, reg_covar=self.reg_covar)
+        ends.priors_ = np.full(2, 0.5)
+        ends.frame_names_, ends.manifold_ = self.frame_names_, self.manifold_
+        ends.means_, ends.covariances_ = dict(means), dict(covariances)
+        self.ends_ = ends
+
+    def _more_arrays(self) -> dict[str, Array]:
+        arrays = {}
+        for j, name in enumerate(self.frame_names_):
+            arrays[f"ends_means_{j}"] = self.ends_.means_[name]
+            arrays[f"ends_covariances_{j}"] = self.ends_.covariances_[name]
+        return arrays
+
+    def _restore(self, arrays: Mapping[str, Array]) -> None:
+        means, covariances = {}, {}
+        for j, (name, manifold) in enumerate(self.frame_manifolds_.items()):
+            mean, covariance = arrays[f"ends_means_{j}"], arrays[f"ends_covariances_{j}"]
+            n = manifold.tangent_dim
+            if mean.shape != (2, manifold.dim) or covariance.shape != (2, n, n):
+                raise ValueError(
+                    f"the ends of frame {name!r} have means (2, {manifold.dim}) and covariances (2, {n}, {n}), "
+                    f"got {mean.shape} and {covariance.shape}"
+                )
+            if not np.all(np.linalg.eigvalsh(covariance) > 0.0):
+                raise ValueError(f"the covariances of the ends in frame {name!r} are not positive definite")
+            means[name], covariances[name] = mean, covariance
+        self._learned_ends(means, covariances)
+
+
+def _towards_diagonal(covariances: Array, counts: Array) -> Array:
+    """Covariances (K, n, n) of counts (K,) samples, with the weight of n / 2 more samples on their diagonals.
+
+    The posterior mean under an inverse Wishart prior whose scale is the diagonal: definite, whatever the counts.
+    """
+    n = covariances.shape[-1]
+    share = (0.5 * n / (0.5 * n + np.maximum(counts, 1)))[:, None, None]
+    return np.asarray((1.0 - share) * covariances + share * covariances * np.eye(n))

@@ -1,0 +1,308 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Autonomous dynamical systems: velocity from position by regression, with a guarantee that the goal is reached.
+
+The setting is that of Khansari-Zadeh and Billard (2011): a mixture over [x, v] without time, v = E[v | x]; here it is
+adapted to the situation by Eqs. (5), (6), on R^n and on poses. Their constraints on the parameters do not survive the
+product of Eq. (6). The guarantee is a control Lyapunov function (Khansari-Zadeh and Billard 2014) instead, which moves
+with the situation, and the smallest correction of the velocity that makes it fall.
+
+Let x* be the goal in the situation, where demonstrations ended as the frames saw it (`GoalTPGMM`), and d(x) the distance to
+it, in m, with an angle counted as its arc at `Convergence.metres_per_radian`. Beside x the system keeps a radius r >= d(x),
+at first (1 + detour) d(x_0), and later never more than (1 + detour) d(x):
+
+    r' <= -rho(r),   rho(r) = min(rate r_0^(1/3) r^(2/3), goal_rate r, c)
+
+r_0 is the longest d(x) since the start, c the top speed of the model, rates are per duration. What of the regressed velocity
+would lead out of the ball of radius r about x* is taken from it, along the geodesic to x*; the rest stays. The power 2/3 is
+that of a movement that comes to rest with a jerk other than zero, as hands do: d falls as the third power of the time left.
+
+**Theorem.** While the frames stand still and the robot does not pull the system away, for any start and time steps of any
+length: d(x) <= r, and r falls by rho at least. Hence d(x(t)) <= (1 + detour) d(x_0) at all times, and x converges to x*:
+where top speed is not what limits it, d(x) <= r_0 ((1 + detour)^(1/3) - rate t / 3)^3, with t in durations, until the spring of
+goal_rate holds. With detour = 0, d itself is the Lyapunov function. When the goal moves by delta, or the robot pulls the
+system by delta, r grows by no more than delta: errors do not add up (input-to-state stability).
+
+*Proof.* The laws in rho are solved exactly, each alone; what falls by their minimum is never below any of the three. A step
+of x that ends outside of the ball is brought to the ball's nearest point. The bound holds after each step by construction,
+no integration error enters. On S³, where opposite points are half a turn away, every way from there is down. Tests check
+the bound at every step, on random models, starts and time steps (`test_retrieval_dynamics.py`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tpgmm_core.adaptation import Adapter
+from tpgmm_core.demonstration import Demonstration
+from tpgmm_core.frame import Frame
+from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.learning.ends import BEGIN, END, GoalTPGMM
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.mixture import GaussianMixture
+from tpgmm_core.quaternion import Array
+from tpgmm_core.retrieval import kernels_dynamics as kernels
+from tpgmm_core.retrieval.differences import derivatives
+from tpgmm_core.retrieval.frames import without_time
+from tpgmm_core.retrieval.interface import demonstrated_duration
+from tpgmm_core.retrieval.lifting import lifted
+from tpgmm_core.retrieval.spring import critically_damped
+from tpgmm_core.retrieval.system import System
+from tpgmm_core.settings import check_settings, setting
+
+MAX_TIME_STEP = 0.005
+"""Of the integration, in durations; MAX_STEPS of them are made at once at most, longer ones after a long pause."""
+MAX_STEPS = 200
+BEFORE_THE_END = 1.0 - 1e-9
+
+
+def with_velocity(
+    demonstration: Demonstration, manifold: str | Manifold = "euclidean", window: int = 9
+) -> Demonstration:
+    """The demonstration as [x, v] in place of [time, x], for a `GoalTPGMM` that `StableDynamics` retrieves from.
+
+    demonstration : data (T, 1 + D): time, then positions or poses; manifold : space of all of data, time included
+    window : samples of the parabolas that velocities are taken from; at most as many as there are
+
+    Data become (T, D + n), on the manifold of x and R^n: "R1 x R3 x S3" gives "R3 x S3 x R6". Velocities are per s, on
+    S³ about the fixed axes; frames see them as vectors (`lifted`). Raises ValueError for less than three samples, and
+    frames that change time or do not fit the manifold.
+    """
+    space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold, demonstration.data.shape[1])
+    points = space.subset(range(1, space.dim))
+    times, x = demonstration.times, demonstration.data[:, 1:]
+    velocity, _ = derivatives(times, x, points, min(window, (len(times) - 1) // 2 * 2 + 1))
+    frames = {name: lifted(frame, points) for name, frame in without_time(demonstration.frames).items()}
+    return Demonstration(times, np.column_stack([x, velocity]), frames, demonstration.visible)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Convergence:
+    """How a system comes to its goal. Raises ValueError for a value out of its range."""
+
+    rate: float = setting(2.0, 0.1, 20.0, "The goal is reached within about 3 / rate durations, at the latest")
+    goal_rate: float = setting(
+        20.0, 0.1, 100.0, "Of the spring that the movement ends by, close to the goal, per duration"
+    )
+    detour: float = setting(0.5, 0.0, 10.0, "The distance to the goal may grow by this share on the way")
+    metres_per_radian: float = setting(0.2, 1e-3, 10.0, "Length that an angle counts as in distances, m/rad")
+    arrival: float = setting(0.002, 1e-6, 0.1, "Closer than this to the goal the movement is at its end, m")
+    leash: float = setting(0.05, 1e-3, 10.0, "A robot farther than this from the reference pulls it along, m")
+    leash_speed: float = setting(0.5, 1e-3, 10.0, "The robot pulls the reference along no faster than this, m/s")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+class StableDynamics(System):
+    """Reproduces a model over [x, v], by a system that converges to `goal`, wherever it is: see the module.
+
+    model : fitted to what `with_velocity` returns; other parameters as for `System`
+    convergence : how it comes to its goal
+
+    - The covariance of a reference is that of the positions in the active components: little matters along the
+      movement, more across it. Near the goal it passes over to that of the demonstrations' ends.
+    - The phase is the share of the way that is done, 1 - d / (the largest d since the start); 1 within
+      `Convergence.arrival`, so that it may fall when the goal moves away.
+    - When frames change, the velocity changes at once; the difference is taken over by an offset of the reference that
+      dies out as a critically damped spring with blend_time. So does the reference start at rest.
+    - A robot that is held stays on a leash: the reference waits for it, and the movement goes on from there.
+
+    Attributes of the last step: velocity, regressed : (n,) per s at speed 1 and the demonstrated duration, with and
+    without the correction (on the way to the former, too fast a velocity is shortened first).
+
+    Raises ValueError for a model that is not over [x, v].
+    """
+
+    def __init__(
+        self,
+        model: GoalTPGMM,
+        *,
+        duration: float | None = None,
+        horizon_steps: int = 2,
+        horizon_time_step: float = 0.005,
+        blend_time: float = 0.15,
+        convergence: Convergence | None = None,
+    ) -> None:
+        points = _points(model.manifold_)
+        super().__init__(model, points, duration, horizon_steps, horizon_time_step, blend_time)
+        self.convergence = convergence or Convergence()
+        known = "duration_s" in model.metadata_
+        self._model_duration = demonstrated_duration(model) if known else self.duration
+        n, K = points.tangent_dim, len(model.priors_)
+        self._metric = np.ones(n)
+        for s in points.spheres:
+            self._metric[s.tangent] = self.convergence.metres_per_radian**2
+        self._adapter, self._ends = Adapter(model), Adapter(model.ends_)
+        self._log_priors = np.log(np.maximum(model.priors_, np.finfo(float).tiny))
+        self._whitening, self._offsets, self._gains = np.empty((K, n, n)), np.empty(K), np.empty((K, n, n))
+        self._activations, self.velocity, self.regressed = np.empty(K), np.zeros(n), np.zeros(n)
+        self._layout = points.ambient_of_tangent, points.sphere_starts
+        self._compile()
+
+    def _compile(self) -> None:
+        frames = {name: Frame(np.eye(d), np.zeros(d)) for name in self.frame_names for d in (1 + self.manifold.dim,)}
+        self.start(0)
+        for time_ns in (0, 1):
+            self.step(time_ns, dict(frames))
+        self._last_ns = self._frames = None
+
+    def goal(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None = None) -> Gaussian:
+        """Where the movement ends in a situation: the product of what the frames saw of the demonstrations' ends."""
+        return self._end(self._lifted(frames), weights, None, END)
+
+    def _end(
+        self, lifted_frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, which: int
+    ) -> Gaussian:
+        ends = self._ends.adapt(lifted_frames, self._with_rest(state), weights)
+        return ends.component(which).marginal(range(self.manifold.dim))
+
+    def _lifted(self, frames: Mapping[str, Frame]) -> dict[str, Frame]:
+        return {name: lifted(frame, self.manifold) for name, frame in without_time(frames).items()}
+
+    def _with_rest(self, state: Array | None) -> Array | None:
+        return None if state is None else np.concatenate([state, np.zeros(self.manifold.tangent_dim)])
+
+    def _begin(
+        self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, phase: float
+    ) -> None:
+        self._x = self._end(self._lifted(frames), weights, None, BEGIN).mean.copy() if state is None else state
+        self._offset = np.zeros(self.manifold.tangent_dim)
+        self._longest = 0.0
+        self._take(frames, weights)
+        self._radius = (1.0 + self.convergence.detour) * self._distance
+        self._reach(self._distance / max(1.0 - phase, 1e-6))
+        self._find_velocity()
+        self._offset_rate = -self._pace.rate * self._model_duration * self.velocity
+
+    def _situate(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None) -> None:
+        former_goal, former_velocity = self._goal.mean, self.velocity.copy()
+        self._take(frames, weights)
+        self._radius += self._length(self.manifold.log(former_goal, self._goal.mean))
+        self._find_velocity()
+        self._offset_rate = self._offset_rate + self._pace.rate * self._model_duration * (
+            former_velocity - self.velocity
+        )
+
+    def _take(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None) -> None:
+        """The mixture and the goal in a situation, prepared for regression."""
+        lifted_frames = self._lifted(frames)
+        self._adapted = self._adapter.adapt(lifted_frames, self._with_rest(self._x), weights)
+        self._goal = self._end(lifted_frames, weights, self._x, END)
+        self._centres = np.ascontiguousarray(self._adapted.means)
+        self._spreads = np.ascontiguousarray(self._adapted.covariances)
+        prepared = self._whitening, self._offsets, self._gains
+        if not kernels.prepare(self._log_priors, self._centres, self._spreads, self.manifold.dim, *prepared):
+            raise ValueError("a covariance of the adapted mixture is not positive definite")
+        n = self.manifold.tangent_dim
+        scale, T = self.convergence, self._model_duration
+        means, variances = self._centres[:, -n:], np.diagonal(self._spreads, axis1=1, axis2=2)[:, -n:]
+        speeds = np.sqrt(means**2 @ self._metric) + 2.0 * np.sqrt(variances @ self._metric)
+        self._law = np.array([
+            scale.rate / T, scale.goal_rate / T, 0.0, speeds.max(), scale.detour, self._size(self._goal.covariance)
+        ])  # fmt: skip
+        self._reach()
+        self._system = (
+            self._goal.mean.copy(), self._law, self._metric, self._centres, *prepared, *self._layout,
+            self._activations, self.regressed,
+        )  # fmt: skip
+
+    def _reach(self, at_least: float = 0.0) -> None:
+        """The longest distance since the start."""
+        self._longest = self._law[2] = max(self._longest, self._distance, at_least)
+
+    def _find_velocity(self) -> None:
+        """`velocity` and `regressed` where the system is."""
+        e = np.empty(self.manifold.tangent_dim)
+        kernels.stable_velocity(self._x, max(self._radius, 1e-300), *self._system, self.velocity, e)
+
+    def _advance(self, seconds: float, robot: Array | None) -> None:
+        own = self._pace.advance(seconds) * self._model_duration
+        self._radius = self._go(self._x, self._radius, own, self.velocity)
+        self._offset, self._offset_rate = self._offset_after(seconds)
+        if robot is not None:
+            self._follow(robot, seconds)
+        self._reach()
+        self._find_velocity()
+
+    def _go(self, x: Array, radius: float, own: float, velocity: Array) -> float:
+        """x goes on by an own time, s as demonstrated; the radius then."""
+        n_steps = int(min(max(math.ceil(own / (MAX_TIME_STEP * self._model_duration)), 1), MAX_STEPS))
+        return float(kernels.go(x, radius, own, n_steps, *self._system, velocity))
+
+    def _follow(self, robot: Array, seconds: float) -> None:
+        """Be pulled along by a robot that is farther away than the leash: softly, hence at first not at all."""
+        away = self.manifold.log(self._x, robot)
+        length = self._length(away)
+        excess = length - self.convergence.leash
+        if excess > 0.0:
+            pulled = min(-math.expm1(-seconds / self.blend_time) * excess, self.convergence.leash_speed * seconds)
+            self._x = self.manifold.exp(self._x, away * (pulled / length))
+            self._radius += pulled
+
+    def _now(self) -> tuple[Gaussian, Array]:
+        return self._gaussian(self._x, self._activations, self._offset), self._activations.copy()
+
+    def _gaussian(self, x: Array, activations: Array, offset: Array) -> Gaussian:
+        covariance = self._position_covariance(x, activations)
+        d = self._length(self.manifold.log(self._goal.mean, x))
+        near = math.exp(-0.5 * (d / self._law[5]) ** 2)
+        covariance += near * (self._goal.covariance - covariance)
+        return Gaussian(self.manifold.exp(x, offset), 0.5 * (covariance + covariance.T), self.manifold)
+
+    def _position_covariance(self, x: Array, activations: Array) -> Array:
+        covariance = np.empty((len(self._metric), len(self._metric)))
+        kernels.position_covariance(x, activations, self._centres, self._spreads, *self._layout, covariance)
+        return covariance
+
+    def _ahead(self, seconds: Array) -> list[Gaussian]:
+        x, radius, velocity = self._x.copy(), self._radius, self.velocity.copy()
+        kept = self._activations.copy(), self.regressed.copy()
+        gaussians, gone = [], 0.0
+        for time, own in zip(seconds, self._pace.ahead(seconds) * self._model_duration, strict=True):
+            radius, gone = self._go(x, radius, own - gone, velocity), own
+            gaussians.append(self._gaussian(x, self._activations, self._offset_after(float(time))[0]))
+        self._activations[:], self.regressed[:] = kept
+        return gaussians
+
+    def _offset_after(self, seconds: float) -> tuple[Array, Array]:
+        return critically_damped(self._offset, self._offset_rate, 1.0 / self.blend_time, seconds)
+
+    def _phase(self) -> float:
+        reference = self.manifold.exp(self._x, self._offset)
+        d = self._length(self.manifold.log(self._goal.mean, reference))
+        return 1.0 if d <= self.convergence.arrival else min(max(1.0 - d / self._longest, 0.0), BEFORE_THE_END)
+
+    def _mixture(self) -> GaussianMixture:
+        return self._adapted
+
+    @property
+    def radius(self) -> float:
+        """Of the ball about the goal that the system is in, m: the Lyapunov function."""
+        return self._radius
+
+    @property
+    def _distance(self) -> float:
+        return self._length(self.manifold.log(self._goal.mean, self._x))
+
+    def _size(self, covariance: Array) -> float:
+        """Standard deviation of the length, m."""
+        return math.sqrt(float(np.diagonal(covariance) @ self._metric))
+
+    def _length(self, tangent: Array) -> float:
+        return math.sqrt(float(self._metric @ (tangent * tangent)))
+
+
+def _points(manifold: Manifold) -> Manifold:
+    """The space of x, of that of [x, v]. Raises ValueError where there is none."""
+    n, odd = divmod(manifold.tangent_dim, 2)
+    D = manifold.dim - n
+    if odd or n == 0 or any(s.ambient.stop > D for s in manifold.spheres):
+        raise ValueError(
+            "the model is over [x, v], points and their velocities (see with_velocity): D + n dimensions, of which "
+            f"the last n are Euclidean, such as R3 x S3 x R6; got {manifold}"
+        )
+    return manifold.subset(range(D))

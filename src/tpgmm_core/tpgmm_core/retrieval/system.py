@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`System`: what ways of retrieval that have a state of their own and go on from step to step have in common."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tpgmm_core import quaternion
+from tpgmm_core.frame import Frame
+from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.learning.ends import GoalTPGMM
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.mixture import GaussianMixture
+from tpgmm_core.quaternion import Array
+from tpgmm_core.reference import Reference
+from tpgmm_core.retrieval.interface import demonstrated_duration
+from tpgmm_core.retrieval.pace import Pace
+
+_SECOND = 1_000_000_000
+
+
+class System(ABC):
+    """A `Retrieval` whose own time is in units of the duration; only forwards.
+
+    model : fitted; manifold : of the references
+    duration : s, of the movement at speed 1; as demonstrated (`metadata_["duration_s"]`) where None. May be set at any
+        time: like a new speed it is taken over with `blend_time` as time constant
+    horizon_steps, horizon_time_step : how many Gaussians ahead each reference holds, and their distance in time, s
+    blend_time : time constant with which what changes at once is taken over, s
+
+    Raises ValueError for times that are not positive.
+    """
+
+    def __init__(
+        self,
+        model: GoalTPGMM,
+        manifold: Manifold,
+        duration: float | None,
+        horizon_steps: int,
+        horizon_time_step: float,
+        blend_time: float,
+    ) -> None:
+        if not isinstance(model, GoalTPGMM):
+            raise ValueError(
+                f"the model is a {type(model).__name__}, which does not tell where movements end: fit a GoalTPGMM"
+            )
+        duration = demonstrated_duration(model) if duration is None else duration
+        positive(duration=duration, horizon_time_step=horizon_time_step, blend_time=blend_time)
+        self.manifold = manifold
+        self.frame_names = model.frame_names_
+        self.blend_time = float(blend_time)
+        self._horizon_time_step = horizon_time_step if horizon_steps else 0.0
+        self._ahead_times: Array = horizon_time_step * np.arange(1, 1 + horizon_steps, dtype=np.float64)
+        self._duration, self._speed = float(duration), 1.0
+        self._pace = Pace(1.0 / self._duration, self.blend_time)
+        self._last_ns: int | None = None
+        self._frames: Mapping[str, Frame] | None = None
+
+    @property
+    def duration(self) -> float:
+        """Of the whole movement at speed 1, s."""
+        return self._duration
+
+    @duration.setter
+    def duration(self, duration: float) -> None:
+        positive(duration=duration)
+        self._duration = float(duration)
+        self._pace.target = self._target()
+
+    @property
+    def speed(self) -> float:
+        """1 as learned, 0 pauses."""
+        return self._speed
+
+    @speed.setter
+    def speed(self, speed: float) -> None:
+        if not (isinstance(speed, int | float) and math.isfinite(speed) and speed >= 0.0):
+            raise ValueError(
+                f"the speed is {speed!r}; a system cannot go back to where it came from: give 0 or more, or use a way "
+                "of retrieval over time"
+            )
+        self._speed = float(speed)
+        self._pace.target = self._target()
+
+    def start(self, time_ns: int, state: ArrayLike | None = None, phase: float = 0.0) -> None:
+        """Begin at this time, ns, at rest: see `Retrieval.start`.
+
+        state : (D,), where to begin; None: where the robot is at the first step, or else where demonstrations began
+
+        Raises ValueError for a state that is not on the manifold, and a phase that is not 0 to 1.
+        """
+        if not 0.0 <= phase <= 1.0:
+            raise ValueError(f"the phase to begin at is 0 to 1, got {phase!r}")
+        self._start, self._start_phase = None if state is None else self._point(state), float(phase)
+        self._last_ns = time_ns
+        self._frames = None
+        self._weights: Mapping[str, float] | None = None
+        self._covariance: Array | None = None
+        self._pace.target = self._target()
+        self._pace.rate = self._pace.target
+
+    def step(
+        self,
+        time_ns: int,
+        frames: Mapping[str, Frame],
+        state: ArrayLike | None = None,
+        weights: Mapping[str, float] | None = None,
+    ) -> Reference:
+        """The reference at a time: see `Retrieval.step`."""
+        if self._last_ns is None:
+            raise ValueError("the movement has not been started: call start(time_ns)")
+        where = None if state is None else self._point(state)
+        seconds = max(0.0, (time_ns - self._last_ns) / _SECOND)
+        if self._frames is None:
+            self._begin(frames, weights, self._start if self._start is not None else where, self._start_phase)
+        elif frames is not self._frames or weights is not self._weights:
+            self._situate(frames, weights)
+        self._frames, self._weights, self._last_ns = frames, weights, time_ns
+        if seconds > 0.0:
+            self._pace.target = self._target()
+            self._advance(seconds, where)
+        gaussian, activations = self._now()
+        self._blend_covariance(gaussian.covariance, seconds)
+        return Reference(
+            phase=self._phase(),
+            gaussian=Gaussian(gaussian.mean, self._covariance, self.manifold),  # type: ignore[arg-type]
+            horizon_time_step=self._horizon_time_step,
+            horizon=tuple(self._ahead(self._ahead_times)),
+            activations=activations,
+            frames=tuple(frames),
+        )
+
+    def horizon(self, n: int, dt: float) -> list[Gaussian]:
+        """The next n Gaussians, dt (s) apart, should frames and robot do nothing: see `Retrieval.horizon`."""
+        positive(dt=dt)
+        self._check_stepped()
+        return self._ahead(dt * np.arange(1, n + 1, dtype=np.float64))
+
+    def mixture(self) -> GaussianMixture:
+        """The model in the situation of the last step, over all that it encodes."""
+        self._check_stepped()
+        return self._mixture()
+
+    def _target(self) -> float:
+        """Own time per s that is wanted."""
+        return self._speed / self._duration
+
+    def _check_stepped(self) -> None:
+        if self._frames is None:
+            raise ValueError("there was no step yet: call start(time_ns) and step(...)")
+
+    def _point(self, state: ArrayLike) -> Array:
+        point = np.array(state, dtype=float)
+        if point.shape != (self.manifold.dim,) or not np.all(np.isfinite(point)):
+            raise ValueError(
+                f"a state on {self.manifold} has shape ({self.manifold.dim},) and is finite, got {state!r}"
+            )
+        for s in self.manifold.spheres:
+            point[s.ambient] = quaternion.normalize(point[s.ambient])
+        return point
+
+    def _blend_covariance(self, covariance: Array, seconds: float) -> None:
+        """Covariances form a convex cone: a first-order low-pass never leaves it."""
+        if self._covariance is None:
+            self._covariance = covariance
+        else:
+            share = -math.expm1(-seconds / self.blend_time)
+            self._covariance = self._covariance + share * (covariance - self._covariance)
+
+    @abstractmethod
+    def _begin(
+        self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, phase: float
+    ) -> None:
+        """Take the first situation, and begin at this state, or where demonstrations did."""
+
+    @abstractmethod
+    def _situate(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None) -> None:
+        """Take another situation while moving."""
+
+    @abstractmethod
+    def _advance(self, seconds: float, robot: Array | None) -> None:
+        """Go on by a time > 0, s; robot (D,): where it is, as far as that is known."""
+
+    @abstractmethod
+    def _now(self) -> tuple[Gaussian, Array]:
+        """The Gaussian of the reference, and the activations (K,)."""
+
+    @abstractmethod
+    def _ahead(self, seconds: Array) -> list[Gaussian]:
+        """Gaussians at increasing times (H,) from now, s; the state stays as it is."""
+
+    @abstractmethod
+    def _phase(self) -> float:
+        """0 at the start, 1 at the end."""
+
+    @abstractmethod
+    def _mixture(self) -> GaussianMixture: ...
+
+
+def positive(**values: float) -> None:
+    """Raises ValueError for the first value that is not positive and finite, by its name."""
+    for name, value in values.items():
+        if not (isinstance(value, int | float) and math.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} is a positive number, got {value!r}")
