@@ -13,7 +13,8 @@ from pathlib import Path  # noqa: E402
 import numpy as np  # noqa: E402
 
 from benchmarks.report import durations, write_report  # noqa: E402
-from tpgmm_core.impedance import ImpedanceController, PoseReference  # noqa: E402
+from tpgmm_core.controller import Controller  # noqa: E402
+from tpgmm_core.impedance import ImpedanceLaw, PoseReference  # noqa: E402
 from tpgmm_core.robot import RobotModel  # noqa: E402
 from tpgmm_core.simulation import RobotSimulator  # noqa: E402
 
@@ -44,14 +45,18 @@ def main() -> None:
     falling, held, pushed = (RobotSimulator(robot, TIME_STEP) for _ in range(3))
     zero = np.zeros(robot.nv)
     wrench = {"left_gripper": np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])}
-    controlled, controller = RobotSimulator(robot, TIME_STEP), ImpedanceController(robot)
+    controlled, law = RobotSimulator(robot, TIME_STEP), ImpedanceLaw(robot)
+    controller = Controller(robot, law)
     reference = PoseReference(pose + np.r_[0.05, 0.05, 0.05, np.zeros(4)], COVARIANCE)
 
     def weight(simulator: RobotSimulator) -> np.ndarray:
         return data.nonlinear_effects(simulator.state.q, simulator.state.v)
 
     def control() -> np.ndarray:
-        return controller.step(controlled.state.q, controlled.state.v, reference, TIME_STEP).tau
+        state = controlled.state
+        command = controller.step(state.q, state.v, law.pose_target(reference), TIME_STEP)
+        assert command is not None
+        return command.tau
 
     write_report(
         "simulator",

@@ -35,7 +35,7 @@ GENTLE = 0.02
 
 @pytest.fixture(scope="module")
 def process(start_module_process: StartProcess) -> RunningProcess:
-    return start_module_process(NODE, *ros_arguments(robot_file=ROBOT_FILE, hold_time=0.3))
+    return start_module_process(NODE, *ros_arguments(robot_file=ROBOT_FILE, hold_time=0.3, joint_state_timeout=5.0))
 
 
 @pytest.fixture(scope="module")

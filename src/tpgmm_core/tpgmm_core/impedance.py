@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ImpedanceController`: a Gaussian of the hand's pose and the robot's state to torques, as a sum of named terms.
+"""`ImpedanceLaw`: a Gaussian of the hand's pose and the robot's state to torques, as a sum of named terms.
 
-The controller makes the hand a double integrator (operational space control) and lets the LQR of the
-reference's precision drive it (Section 5): `a = K_P e + K_V (xdot_ref - xdot) + a_ref`, `F = Lambda(q) (a -
-Jdot v)`, `tau = J^T F + (null space) + nle`. What the demonstrations did alike is held firmly, the rest gives
-way to a push.
+The law makes the hand a double integrator (operational space control) and lets the LQR of the reference's
+precision drive it (Section 5): `a = K_P e + K_V (xdot_ref - xdot) + a_ref`, `F = Lambda(q) (a - Jdot v)`,
+`tau = J^T F + (null space) + nle`. What the demonstrations did alike is held firmly, the rest gives way to a
+push.
 """
 
 from __future__ import annotations
@@ -15,18 +15,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.control.lqr import double_integrator_gains
-from tpgmm_core.manifold import POSE
-from tpgmm_core.operational_space import OperationalSpace, bounded_twist
+from tpgmm_core.control_law import LawTorques, RobotMoment
+from tpgmm_core.kernels_impedance import approach, arm_torques
+from tpgmm_core.operational_space import bound_twist
+from tpgmm_core.reference import Reference
 from tpgmm_core.robot import RobotModel
 from tpgmm_core.settings import check_settings, setting
-from tpgmm_core.torque_limits import all_finite, clamp, fit, limit_rate
+from tpgmm_core.torque_limits import all_finite, finite
 
 Array = NDArray[np.float64]
+
+POSE_MANIFOLD = "R3 x S3"
+#: The terms of which the torque is the sum, in the order of the rows in `ImpedanceLaw.step`.
+TERMS = ("feedforward", "feedback", "null_space", "hold", "leading")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImpedanceConfig:
-    """Parameters of the controller.
+    """Parameters of the law.
 
     The control cost r is what an acceleration of 1 m/s^2 costs beside the squared Mahalanobis distance to the
     reference: a standard deviation sigma (m) gives K_P = 1 / (sigma sqrt(r)) in 1/s^2.
@@ -47,8 +53,6 @@ class ImpedanceConfig:
     hold_frequency: float = setting(20.0, 0.1, 100.0, "Bandwidth with which the other joints hold still, rad/s")
     leading_damping: float = setting(0.3, 1e-3, 50.0, "Damping of an arm without reference, N m s/rad")
     blend_time: float = setting(0.5, 1e-3, 60.0, "A reference takes hold, and lets go, over this time, s")
-    torque_rate: float = setting(30.0, 0.1, 1e3, "Largest change of a torque, effort limits per second, 1/s")
-    max_time_step: float = setting(0.02, 1e-3, 1.0, "A longer pause between two steps counts as this long, s")
 
     def __post_init__(self) -> None:
         """Raises ValueError for values out of their range, or bounds out of order."""
@@ -65,7 +69,7 @@ class PoseReference:
     covariance : (6, 6), position (m), then rotation vector about the fixed axes (rad)
     twist, acceleration : (6,), linear then angular; zero if not given
 
-    Raises ValueError for wrong shapes. Values are judged by the controller, which must answer to any of them.
+    Raises ValueError for wrong shapes; values are judged by `ImpedanceLaw.pose_target`.
     """
 
     pose: Array
@@ -82,59 +86,20 @@ class PoseReference:
 
 
 @dataclass(frozen=True, slots=True)
-class TorqueCommand:
-    """Torques (nv,) in N m (N), in model order. Unless limited, tau is the sum of the five terms.
-
-    feedforward : gravity and Coriolis torques, also those of the hand's motion
-    feedback : the impedance of the hand, and the reference's acceleration
-    null_space : the posture of the arm, as far as the hand does not feel it
-    hold : the other joints, holding the posture in which they were found
-    leading : damping of an arm without reference
-    error : (6,), from the hand to the reference, m and rad about the fixed axes; zero without reference
-    stiffness, damping : (6, 6), Lambda K_P and Lambda K_V, what the hand shows to the outside: N/m and N
-        m/rad, N s/m and N m s/rad; zero without reference
-    blend : 0 (gravity compensation) to 1 (the reference has full hold)
-    limited : whether an effort or rate limit took something away
-    reason : why the reference or the state was refused; empty when nothing was
-    """
-
-    tau: Array
-    feedforward: Array
-    feedback: Array
-    null_space: Array
-    hold: Array
-    leading: Array
-    error: Array
-    stiffness: Array
-    damping: Array
-    blend: float
-    limited: bool
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class _Target:
-    """A reference that was found good, and its K_V (6, 6); K_P = K_V^2 / 2."""
+class PoseTarget:
+    """A reference that was found good, and its K_V (6, 6) in 1/s; K_P = K_V^2 / 2."""
 
     reference: PoseReference
     K_V: Array
 
 
-@dataclass(frozen=True, slots=True)
-class _Task:
-    """Torques (n,) of the arm's joints that the target asks for, and what they are made of."""
+class ImpedanceLaw:
+    """Cartesian impedance of one hand; the joints that do not move it hold the posture in which they were found.
 
-    bias: Array
-    spring: Array
-    damper: Array
-    posture: Array
-    error: Array
-    stiffness: Array
-    damping: Array
-
-
-class ImpedanceController:
-    """Cartesian impedance of one hand; the joints that do not move it hold the posture in which they were found."""
+    Its terms: "feedforward", gravity and Coriolis torques, also those of the hand's motion; "feedback", the
+    impedance of the hand, and the reference's acceleration; "null_space", the posture of the arm, as far as the
+    hand does not feel it; "hold", the other joints; "leading", damping of an arm without reference.
+    """
 
     def __init__(
         self,
@@ -154,120 +119,50 @@ class ImpedanceController:
         if rest.shape != (robot.nv,) or not np.isfinite(rest).all():
             raise ValueError(f"rest_posture must be {robot.nv} finite numbers, got {rest}")
         self._arm = robot.indices(robot.endpoints[endpoint].joints)
-        self._arm_block = np.ix_(self._arm, self._arm)
         self._others = np.setdiff1d(np.arange(robot.nv), self._arm)
         self._rest = rest[self._arm]
-        self._data = robot.create_data()
         self.configure(config or ImpedanceConfig())
         self.reset()
         self._compile()
 
     def _compile(self) -> None:
-        """One step with a reference, so that no later one waits for the compiler."""
-        self._data.update(self.robot.home)
-        here = PoseReference(self._data.pose(self.endpoint), np.eye(6))
+        """A step towards another pose, so that no later one waits for the compiler."""
+        moment = RobotMoment.at(self.robot.create_data(), self.robot.home, np.zeros(self.robot.nv))
         for _ in range(2):
-            self.step(self.robot.home, np.zeros(self.robot.nv), here, self.config.max_time_step)
+            self.step(moment, self.pose_target(PoseReference(moment.data.pose(self.endpoint), np.eye(6))), 0.001)
         self.reset()
 
     def configure(self, config: ImpedanceConfig) -> None:
-        """Take other parameters, also while a reference is followed: the gains change over `gain_time`."""
+        """Take other parameters, also while a reference is followed; its gains count from the next target on."""
         self.config = config
         length = config.characteristic_length
         self._control_cost = config.control_cost * np.array([1.0, 1.0, 1.0, *[length**2] * 3])
-        self._torque_rate = config.torque_rate * self.robot.effort_limits
 
     def reset(self) -> None:
-        """Forget the reference, the posture and the last torque; the next step is gravity compensation."""
-        self._target: _Target | None = None
+        """Forget the target and the posture; the next step starts from the state that it is given."""
+        self._target: PoseTarget | None = None
         self._blend = 0.0
         self._posture: Array | None = None
-        self._last_q: Array | None = None
-        self._last_tau: Array | None = None
 
-    def step(self, q: Array, v: Array, reference: PoseReference | None, dt: float) -> TorqueCommand:
-        """Torques for positions q and velocities v (nv,), dt seconds after the last step.
+    def target(self, reference: Reference, moving: bool) -> PoseTarget:
+        """What the law makes of a reference: the pose, its gains, and the velocity if it is moving.
 
-        Without a reference, or with one that cannot be used, the last one is let go over `blend_time`; what
-        remains is gravity compensation with damping. A state that is not finite gives gravity compensation at
-        the last good state (no torque if there was none). Neither raises; the command says the reason. Raises
-        ValueError for arrays of the wrong shape.
+        Raises ValueError for a reference that is no pose, not finite, or whose covariance is not positive
+        definite.
         """
-        robot, arm = self.robot, self._arm
-        q, v = np.asarray(q, dtype=np.float64), np.asarray(v, dtype=np.float64)
-        if q.shape != (robot.nv,) or v.shape != (robot.nv,):
-            raise ValueError(f"q and v have shapes {q.shape} and {v.shape}, expected ({robot.nv},)")
-        # of a NaN or a step backwards nothing is known but that it is no time to act upon
-        dt = min(dt, self.config.max_time_step) if dt > 0.0 else 0.0
-        if not all_finite(q, v):
-            return self._compensate(dt, "the joint state is not finite")
-        self._data.update(q, v)
-        reason = self._take(reference, dt)
-        inertia = self._data.mass_matrix(q)
-        command = self._at_rest(self._data.nonlinear_effects(q, v).copy(), reason)
-        weight = self._weight()
-        command.leading[arm] = -(1.0 - weight) * self.config.leading_damping * v[arm]
-        command.hold[self._others] = self._hold(q, v, inertia)
-        given = command.feedforward + command.hold + command.leading
-        shortened = False
-        if self._target is not None:
-            task = self._task(self._target, weight, q[arm], v[arm], inertia[self._arm_block])
-            command.feedforward[arm] += task.bias
-            given[arm] += task.bias
-            # what brakes goes first: a pull beyond the motors' strength must not take the damping away
-            limits, brakes = robot.effort_limits[arm], task.damper + task.posture
-            braking = fit(brakes, given[arm], limits)
-            pulling = fit(task.spring, given[arm] + braking * brakes, limits)
-            command.feedback[arm] = braking * task.damper + pulling * task.spring
-            command.null_space[arm] = braking * task.posture
-            shortened = min(braking, pulling) < 1.0
-            command = replace(command, error=task.error, stiffness=task.stiffness, damping=task.damping)
-        tau = given + command.feedback + command.null_space
-        if not all_finite(tau):
-            return self._compensate(dt, "the joint velocities are out of all proportion")
-        self._last_q = q.copy()
-        return self._limited(command, tau, dt, shortened)
+        manifold = str(reference.gaussian.manifold)
+        if manifold != POSE_MANIFOLD:
+            raise ValueError(f"the reference is on '{manifold}'; expected a pose on '{POSE_MANIFOLD}'")
+        twist = reference.velocity() if moving else np.zeros(6)
+        return self.pose_target(PoseReference(reference.gaussian.mean, reference.gaussian.covariance, twist))
 
-    def _weight(self) -> float:
-        """How much hold the reference has, 0 to 1, smooth at both ends."""
-        return self._blend**2 * (3.0 - 2.0 * self._blend)
-
-    def _take(self, reference: PoseReference | None, dt: float) -> str:
-        """Let the reference take hold, or the last one go. Returns why the reference was refused, or ''."""
-        target = self._judge(reference) if reference is not None else ""
-        change = dt / self.config.blend_time
-        if isinstance(target, _Target):
-            self._blend = min(1.0, self._blend + change)
-            self._target = self._approach(target, dt)
-            return ""
-        self._blend = max(0.0, self._blend - change)
-        if self._blend == 0.0:
-            self._target = None
-        elif self._target is not None:
-            still = replace(self._target.reference, twist=np.zeros(6), acceleration=np.zeros(6))
-            self._target = replace(self._target, reference=still)
-        return target
-
-    def _approach(self, target: _Target, dt: float) -> _Target:
-        """The target as far as it may have come since the last one, or from where the hand is."""
-        last, config, reference = self._target, self.config, target.reference
-        start = self._data.pose(self.endpoint) if last is None else last.reference.pose
-        way = POSE.log(start, reference.pose)
-        # it starts slowly: a reference that the arm does not follow yet would be caught up with in a leap
-        reach = self._weight() * dt
-        step = bounded_twist(way, config.max_linear_speed * reach, config.max_angular_speed * reach)
-        twist = bounded_twist(reference.twist, config.max_linear_speed, config.max_angular_speed)
-        pose = reference.pose if step is way else POSE.exp(start, step)
-        # K_P follows as K_V^2 / 2, which keeps the damping ratio; leaps of the stiffness would feed in energy
-        share = min(1.0, dt / config.gain_time)
-        K_V = target.K_V if last is None else last.K_V + share * (target.K_V - last.K_V)
-        return _Target(replace(reference, pose=pose, twist=twist), K_V)
-
-    def _judge(self, reference: PoseReference) -> _Target | str:
+    def pose_target(self, reference: PoseReference) -> PoseTarget:
+        """A pose with the gains that the LQR gives it. Raises ValueError for values that cannot be used."""
         if not all_finite(reference.pose, reference.covariance, reference.twist, reference.acceleration):
-            return "the reference is not finite"
-        if not np.linalg.norm(reference.pose[3:]) > 1e-6:
-            return "the quaternion of the reference is zero"
+            raise ValueError("the reference is not finite")
+        length = np.linalg.norm(reference.pose[3:])
+        if not length > 1e-6:
+            raise ValueError("the quaternion of the reference is zero")
         try:
             gains = double_integrator_gains(
                 np.linalg.inv(reference.covariance),
@@ -276,69 +171,109 @@ class ImpedanceController:
                 max_stiffness=self.config.max_stiffness,
             )
         except (np.linalg.LinAlgError, ValueError) as error:
-            return f"the covariance of the reference is not positive definite ({error})"
-        return _Target(reference, gains.damping)
+            raise ValueError(f"the covariance of the reference is not positive definite ({error})") from error
+        pose = reference.pose.copy()
+        pose[3:] /= length
+        return PoseTarget(replace(reference, pose=pose), gains.damping)
 
-    def _task(self, target: _Target, weight: float, q: Array, v: Array, inertia: Array) -> _Task:
-        """Torques of the arm, all scaled by the weight; q, v (n,) and inertia (n, n) are of the arm's joints."""
-        config, reference, K_V = self.config, target.reference, target.K_V
-        jacobian = self._data.jacobian(self.endpoint)[:, self._arm]
-        hand = OperationalSpace.at(jacobian, inertia, config.characteristic_length, config.max_inertia)
-        to_torque = weight * hand.torques
-        error = POSE.log(self._data.pose(self.endpoint), reference.pose)
-        K_P = 0.5 * K_V @ K_V
-        pull = bounded_twist(
-            K_P @ error + reference.acceleration,
-            config.max_linear_acceleration,
-            config.max_angular_acceleration,
-        )
-        posture = config.posture_stiffness * (self._rest - q) - config.posture_damping * v
-        return _Task(
-            bias=-to_torque @ self._data.bias_acceleration(self.endpoint),
-            spring=to_torque @ pull,
-            damper=to_torque @ (K_V @ (reference.twist - self._data.twist(self.endpoint))),
-            posture=weight * hand.null_space(inertia @ posture),
+    def step(self, moment: RobotMoment, target: PoseTarget | None, dt: float) -> LawTorques:
+        """Torques dt seconds after the last step.
+
+        Without a target the last one is let go over `blend_time`; what remains is gravity compensation with
+        damping. The `reason` is given when the state is beyond all proportion.
+        """
+        config, nv = self.config, self.robot.nv
+        pose = moment.data.pose(self.endpoint)
+        self._take(target, pose, dt)
+        feedforward, feedback, null_space, hold, leading, given = rows = np.zeros((6, nv))
+        error, stiffness, damping = np.zeros(6), np.zeros((6, 6)), np.zeros((6, 6))
+        weight = self._weight()
+        feedforward[:] = moment.nonlinear
+        leading[self._arm] = -(1.0 - weight) * config.leading_damping * moment.v[self._arm]
+        hold[self._others] = self._hold(moment)
+        given[:] = feedforward + hold + leading
+        found = 0
+        if self._target is not None:
+            goal = self._target.reference
+            found = arm_torques(
+                self._arm,
+                np.ascontiguousarray(moment.data.jacobian(self.endpoint).T),
+                moment.inertia,
+                moment.q,
+                moment.v,
+                self._rest,
+                moment.data.bias_acceleration(self.endpoint),
+                pose,
+                moment.data.twist(self.endpoint),
+                goal.pose,
+                goal.twist,
+                goal.acceleration,
+                self._target.K_V,
+                weight,
+                config.characteristic_length,
+                config.max_inertia,
+                config.max_linear_acceleration,
+                config.max_angular_acceleration,
+                config.posture_stiffness,
+                config.posture_damping,
+                self.robot.effort_limits,
+                feedforward,
+                given,
+                feedback,
+                null_space,
+                error,
+                stiffness,
+                damping,
+            )
+        tau = given + feedback + null_space
+        unusable = found < 0 or not finite(tau)
+        return LawTorques(
+            tau=tau,
+            terms=dict(zip(TERMS, rows, strict=False)),
             error=error,
-            stiffness=weight * (hand.inertia @ K_P),
-            damping=weight * (hand.inertia @ K_V),
+            stiffness=stiffness,
+            damping=damping,
+            blend=self._blend,
+            shortened=found == 1,
+            reason="the joint velocities are out of all proportion" if unusable else "",
         )
 
-    def _hold(self, q: Array, v: Array, inertia: Array) -> Array:
+    def _weight(self) -> float:
+        """How much hold the reference has, 0 to 1, smooth at both ends."""
+        return self._blend**2 * (3.0 - 2.0 * self._blend)
+
+    def _take(self, target: PoseTarget | None, pose: Array, dt: float) -> None:
+        """Let the target take hold, or the last one go; pose (7,) is the hand's."""
+        change = dt / self.config.blend_time
+        if target is not None:
+            self._blend = min(1.0, self._blend + change)
+            self._target = self._approach(target, pose, dt)
+            return
+        self._blend = max(0.0, self._blend - change)
+        if self._blend == 0.0:
+            self._target = None
+        elif self._target is not None:
+            still = replace(self._target.reference, twist=np.zeros(6), acceleration=np.zeros(6))
+            self._target = replace(self._target, reference=still)
+
+    def _approach(self, target: PoseTarget, hand: Array, dt: float) -> PoseTarget:
+        """The target as far as it may have come since the last one, or from where the hand is."""
+        last, config, reference = self._target, self.config, target.reference
+        pose = (hand if last is None else last.reference.pose).copy()
+        # it starts slowly: a reference that the arm does not follow yet would be caught up with in a leap
+        reach = self._weight() * dt
+        approach(pose, reference.pose, config.max_linear_speed * reach, config.max_angular_speed * reach)
+        twist = reference.twist.copy()
+        bound_twist(twist, config.max_linear_speed, config.max_angular_speed)
+        # K_P follows as K_V^2 / 2, which keeps the damping ratio; leaps of the stiffness would feed in energy
+        share = min(1.0, dt / config.gain_time)
+        K_V = target.K_V if last is None else last.K_V + share * (target.K_V - last.K_V)
+        return PoseTarget(PoseReference(pose, reference.covariance, twist, reference.acceleration), K_V)
+
+    def _hold(self, moment: RobotMoment) -> Array:
         """Torques of the joints that are not the arm's."""
         if self._posture is None:
-            self._posture = q.copy()
+            self._posture = moment.q.copy()
         others, omega = self._others, self.config.hold_frequency
-        accelerations = omega * (omega * (self._posture[others] - q[others]) - 2.0 * v[others])
-        return inertia[others, others] * accelerations
-
-    def _compensate(self, dt: float, reason: str) -> TorqueCommand:
-        """Gravity compensation at the last good state, with everything else forgotten."""
-        self._target, self._blend, self._posture = None, 0.0, None
-        gravity = np.zeros(self.robot.nv) if self._last_q is None else self._data.gravity(self._last_q).copy()
-        command = self._at_rest(gravity, reason)
-        return self._limited(command, gravity, dt, shortened=False)
-
-    def _at_rest(self, feedforward: Array, reason: str) -> TorqueCommand:
-        """A command of nothing but the feedforward (nv,), whose other terms are still to be filled in."""
-        feedback, null_space, hold, leading = np.zeros((4, self.robot.nv))
-        return TorqueCommand(
-            tau=feedforward,
-            feedforward=feedforward,
-            feedback=feedback,
-            null_space=null_space,
-            hold=hold,
-            leading=leading,
-            error=np.zeros(6),
-            stiffness=np.zeros((6, 6)),
-            damping=np.zeros((6, 6)),
-            blend=self._blend,
-            limited=False,
-            reason=reason,
-        )
-
-    def _limited(self, command: TorqueCommand, tau: Array, dt: float, shortened: bool) -> TorqueCommand:
-        limited = clamp(tau, self.robot.effort_limits)
-        if self._last_tau is not None:
-            limited = limit_rate(limited, self._last_tau, self._torque_rate, dt)
-        self._last_tau = limited
-        return replace(command, tau=limited, limited=shortened or not np.array_equal(limited, tau))
+        away = self._posture[others] - moment.q[others]
+        return moment.inertia[others, others] * omega * (omega * away - 2.0 * moment.v[others])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hand as a mass in space: bounded motions, and the inertia that the hand feels (Khatib 1987).
+"""The hand as a mass in space: bounded motions, and the inertia that the hand feels (Khatib 1987); compiled.
 
 Vectors (6,) are linear, then angular, in base axes. A length makes the two comparable: turning by 1 rad
 counts as moving by that many metres.
@@ -7,51 +7,78 @@ counts as moving by that many metres.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tpgmm_core.kernels import cholesky, compiled, gram, invert_lower
+
 Array = NDArray[np.float64]
 
 
-def bounded_twist(twist: Array, max_linear: float, max_angular: float) -> Array:
-    """Motion (6,) with its linear and angular part shortened to at most max_linear and max_angular."""
-    linear, angular = float(np.linalg.norm(twist[:3])), float(np.linalg.norm(twist[3:]))
-    if linear <= max_linear and angular <= max_angular:
-        return twist
-    shares = max_linear / max(linear, max_linear), max_angular / max(angular, max_angular)
-    return np.concatenate([shares[0] * twist[:3], shares[1] * twist[3:]])
+@compiled
+def bound_twist(twist: Array, max_linear: float, max_angular: float) -> None:
+    """Shorten the linear and the angular part of a motion (6,) in place to at most max_linear and max_angular."""
+    for start, largest in ((0, max_linear), (3, max_angular)):
+        x, y, z = twist[start], twist[start + 1], twist[start + 2]
+        # by the largest number, so that no square overflows
+        scale = max(abs(x), abs(y), abs(z))
+        if scale <= largest / 2.0:
+            continue
+        norm = scale * math.sqrt((x / scale) ** 2 + (y / scale) ** 2 + (z / scale) ** 2)
+        if norm > largest:
+            for i in range(start, start + 3):
+                twist[i] *= largest / norm
 
 
-@dataclass(frozen=True, slots=True)
-class OperationalSpace:
+@compiled
+def invert_inertia(M: Array, inverse: Array) -> bool:
+    """M^-1 (n, n) of a joint-space inertia. False where M is not positive definite, or not finite."""
+    n = len(M)
+    L, F = np.empty((n, n)), np.empty((n, n))
+    if not cholesky(M, n, L):
+        return False
+    invert_lower(L, n, F)
+    gram(F, n, inverse)
+    return True
+
+
+@compiled
+def operational_space(
+    J: Array, M: Array, length: float, max_inertia: float, Lambda: Array, torques: Array, accelerations: Array
+) -> bool:
     """Inertia of the hand, and how its accelerations become torques of the n joints that move it.
 
-    inertia : (6, 6), Lambda = (J M^-1 J^T)^-1
-    torques : (n, 6), J^T Lambda: torques that accelerate the hand, and move the null space not at all
-    accelerations : (6, n), J M^-1: accelerations of the hand under torques
+    J (6, n), M (n, n) : Jacobian and joint-space inertia
+    Lambda (6, 6), out : (J M^-1 J^T)^-1. Near singularities the hand cannot move in some direction and its
+        inertia there grows without bound; in no direction it is taken for more than max_inertia (kg), for which
+        turning counts by the length (m). Elsewhere it is exact.
+    torques (n, 6), out : J^T Lambda: torques that accelerate the hand, and move the null space not at all
+    accelerations (6, n), out : J M^-1: accelerations of the hand under torques
+
+    False where M is not positive definite, or something is not finite.
     """
-
-    inertia: Array
-    torques: Array
-    accelerations: Array
-
-    @classmethod
-    def at(cls, jacobian: Array, joint_inertia: Array, length: float, max_inertia: float) -> OperationalSpace:
-        """From the Jacobian J (6, n) and the joint-space inertia M (n, n).
-
-        Near singularities the hand cannot move in some direction and its inertia there grows without bound;
-        in no direction it is taken for more than max_inertia (kg), for which turning counts by the length
-        (m). Elsewhere it is exact.
-        """
-        accelerations = np.linalg.solve(joint_inertia, jacobian.T).T
-        metric = np.array([1.0, 1.0, 1.0, length, length, length])
-        mobility, axes = np.linalg.eigh(accelerations @ jacobian.T * (metric[:, None] * metric))
-        axes *= metric[:, None]
-        inertia = (axes / np.maximum(mobility, 1.0 / max_inertia)) @ axes.T
-        return cls(inertia, jacobian.T @ inertia, accelerations)
-
-    def null_space(self, tau: Array) -> Array:
-        """The part of the torques tau (n,) that does not accelerate the hand: (I - J^T Lambda J M^-1) tau."""
-        return tau - self.torques @ (self.accelerations @ tau)
+    n = len(M)
+    inverse = np.empty((n, n))
+    if not invert_inertia(M, inverse):
+        return False
+    accelerations[:] = J @ inverse
+    mobility = accelerations @ J.T
+    for i in range(6):
+        for j in range(6):
+            if not math.isfinite(mobility[i, j]):
+                return False
+            mobility[i, j] *= (1.0 if i < 3 else length) * (1.0 if j < 3 else length)
+    eigenvalues, axes = np.linalg.eigh(mobility)
+    for i in range(3, 6):
+        for k in range(6):
+            axes[i, k] *= length
+    for i in range(6):
+        for j in range(6):
+            total = 0.0
+            for k in range(6):
+                total += axes[i, k] * axes[j, k] / max(eigenvalues[k], 1.0 / max_inertia)
+            Lambda[i, j] = total
+    torques[:] = J.T @ Lambda
+    return True

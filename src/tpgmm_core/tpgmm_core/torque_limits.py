@@ -1,28 +1,193 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last steps before a torque leaves the controller, each one short, in the order in which they are applied.
+"""What stands between a law of control and the motors: each stage one short function, compiled.
 
-`all_finite`, then `clamp` to the effort limits, then `limit_rate`. The rate comes last and keeps the limits,
-since both its ends lie within them.
+All vectors (n,) are in model order, N m, rad and s (N and m for prismatic joints); stages change `tau` in
+place. In which order they are applied, and which promise wins where two contradict each other, is said in
+`torque_pipeline`.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
+
+from tpgmm_core.kernels import compiled
 
 Array = NDArray[np.float64]
 
 
+@compiled
+def finite(values: Array) -> bool:
+    """Whether no value is NaN or infinite."""
+    for i in range(len(values)):
+        if not math.isfinite(values[i]):
+            return False
+    return True
+
+
 def all_finite(*arrays: Array) -> bool:
-    """Whether no array holds NaN or infinity."""
-    return all(np.isfinite(array).all() for array in arrays)
+    """Whether no array of any shape holds NaN or infinity."""
+    return all(finite(np.ascontiguousarray(array, dtype=np.float64).ravel()) for array in arrays)
 
 
-def clamp(tau: Array, limits: Array) -> Array:
-    """Torques (n,) within +-limits (n,), N m."""
-    return np.minimum(np.maximum(tau, -limits), limits)
+@compiled
+def blend(tau: Array, safe: Array, share: float) -> None:
+    """tau ← safe + share (tau - safe), share 0 to 1."""
+    for i in range(len(tau)):
+        tau[i] = safe[i] + share * (tau[i] - safe[i])
 
 
+@compiled
+def clamp(value: float, lower: float, upper: float) -> float:
+    """A number brought between two bounds; the upper one where they contradict each other."""
+    return min(max(value, lower), upper)
+
+
+@compiled
+def approach_speed(distance: float, max_speed: float, approach_rate: float) -> float:
+    """How fast a joint may move towards a limit at a distance (negative: beyond it): it slows down exponentially."""
+    return clamp(approach_rate * distance, -max_speed, max_speed)
+
+
+@compiled
+def clamp_at_limits(
+    tau: Array,
+    q: Array,
+    v: Array,
+    nonlinear: Array,
+    mass: Array,
+    lower: Array,
+    upper: Array,
+    max_speed: Array,
+    effort: Array,
+    approach_rate: float,
+    bandwidth: float,
+) -> bool:
+    """No torque drives a joint beyond its position or speed limit; one that is too fast is braked.
+
+    Towards each limit a joint may have the speed s of `approach_speed`. The torque beyond what carries the robot
+    (`nonlinear`) is at most `mass bandwidth (s - v)`: none at that speed, less than none above it. A joint with
+    most of its speed in reserve gets all its effort, so that a hand can push against a table. As the soft limits
+    of ros2_control's joint_limits, with the inertia that makes one gain right for shoulders and fingers.
+
+    mass (n,) : inertia that each joint feels, 1 / (M^-1)_ii
+    lower, upper, max_speed, effort (n,) : limits of positions, speeds and torques
+    approach_rate, bandwidth : 1/s
+
+    Returns whether a torque was changed.
+    """
+    changed = False
+    for i in range(len(tau)):
+        to_upper = approach_speed(upper[i] - q[i], max_speed[i], approach_rate) - v[i]
+        to_lower = approach_speed(q[i] - lower[i], max_speed[i], approach_rate) + v[i]
+        # twice the effort: at rest, far from the limits, any torque is allowed whatever carries the robot
+        reserve_up = 2.0 * effort[i] * max(0.0, 2.0 * to_upper / max_speed[i] - 1.0)
+        reserve_down = 2.0 * effort[i] * max(0.0, 2.0 * to_lower / max_speed[i] - 1.0)
+        largest = nonlinear[i] + mass[i] * bandwidth * to_upper + reserve_up
+        smallest = nonlinear[i] - mass[i] * bandwidth * to_lower - reserve_down
+        allowed = clamp(tau[i], smallest, largest)
+        if allowed != tau[i]:
+            tau[i] = allowed
+            changed = True
+    return changed
+
+
+@compiled
+def repel(
+    tau: Array, q: Array, v: Array, mass: Array, lower: Array, upper: Array, margin: float, frequency: float
+) -> bool:
+    """Push joints softly out of the margin before their position limits.
+
+    A critically damped spring of the frequency (rad/s) that only pushes, never pulls: it gives back little of the
+    energy that it took. The margin (rad or m) is a tenth of the joint's range at most. Returns whether
+    a joint was pushed.
+    """
+    pushed = False
+    for i in range(len(tau)):
+        width = min(margin, 0.1 * (upper[i] - lower[i]))
+        for sign in (1.0, -1.0):
+            distance = q[i] - lower[i] if sign > 0.0 else upper[i] - q[i]
+            # no deeper than the margin: what lies far beyond a limit is not shot back
+            depth = min(width - distance, width)
+            if depth > 0.0:
+                push = mass[i] * frequency * (frequency * depth - 2.0 * sign * v[i])
+                if push > 0.0:
+                    tau[i] += sign * push
+                    pushed = True
+    return pushed
+
+
+@compiled
+def torque_bounds(effort: Array, previous: Array, max_change: Array, lowest: Array, highest: Array) -> None:
+    """Torques that keep the effort limit and the rate limit: one interval per joint, never empty.
+
+    previous (n,) : the last torques that left; NaN where there were none
+    max_change (n,) : by which they may change, >= 0
+    lowest, highest (n,), out
+    """
+    for i in range(len(effort)):
+        lowest[i], highest[i] = -effort[i], effort[i]
+        if not math.isnan(previous[i]):
+            before = clamp(previous[i], -effort[i], effort[i])
+            lowest[i] = max(lowest[i], before - max_change[i])
+            highest[i] = min(highest[i], before + max_change[i])
+
+
+@compiled
+def keep_within(tau: Array, lowest: Array, highest: Array) -> bool:
+    """Torques within bounds (n,). Returns whether one was changed."""
+    changed = False
+    for i in range(len(tau)):
+        allowed = clamp(tau[i], lowest[i], highest[i])
+        if allowed != tau[i]:
+            tau[i] = allowed
+            changed = True
+    return changed
+
+
+@compiled
+def injected_power(tau: Array, v: Array, nonlinear: Array) -> float:
+    """Power (W) that torques put into the motion, (tau - nonlinear)^T v: beyond lifting the robot's own weight."""
+    power = 0.0
+    for i in range(len(tau)):
+        power += (tau[i] - nonlinear[i]) * v[i]
+    return power
+
+
+@compiled
+def limit_power(tau: Array, v: Array, nonlinear: Array, max_power: float, lowest: Array, highest: Array) -> bool:
+    """Shorten what drives joints, in proportion, until the injected power is within max_power (W, > 0).
+
+    Joints that brake are left alone, and no torque leaves its bounds (n,): where these do not permit so little
+    power, it is as little as they permit. Returns whether a torque was changed.
+    """
+    power = injected_power(tau, v, nonlinear)
+    if not power > max_power:
+        return False
+    least = 0.0
+    for i in range(len(tau)):
+        excess = tau[i] - nonlinear[i]
+        if excess * v[i] > 0.0:
+            excess = clamp(nonlinear[i], lowest[i], highest[i]) - nonlinear[i]
+        least += excess * v[i]
+    share = clamp((max_power - least) / (power - least), 0.0, 1.0) if power > least else 1.0
+    for i in range(len(tau)):
+        if (tau[i] - nonlinear[i]) * v[i] > 0.0:
+            floor = clamp(nonlinear[i], lowest[i], highest[i])
+            tau[i] = clamp(floor + share * (tau[i] - floor), lowest[i], highest[i])
+    return True
+
+
+@compiled
+def brake(v: Array, mass: Array, damping: float, bandwidth: float, out: Array) -> None:
+    """Torques (n,) that damp motion: -damping v (N m s/rad), less for joints so light that it would shake them."""
+    for i in range(len(v)):
+        out[i] = -min(damping, bandwidth * mass[i]) * v[i]
+
+
+@compiled
 def fit(wanted: Array, given: Array, limits: Array) -> float:
     """Largest share s in 0..1 with |given + s wanted| <= limits, all torques (n,).
 
@@ -30,13 +195,9 @@ def fit(wanted: Array, given: Array, limits: Array) -> float:
     turns it, and a hand that is pushed aside by its own controller may swing for ever. Where `given` alone is
     too much, single joints do not count.
     """
-    room = np.where(wanted > 0.0, limits - given, limits + given)
-    needed = np.abs(wanted)
-    tight = (needed > room) & (room > 0.0)
-    return float((room[tight] / needed[tight]).min()) if tight.any() else 1.0
-
-
-def limit_rate(tau: Array, previous: Array, largest_rate: Array, dt: float) -> Array:
-    """Torques (n,) that differ from the previous ones by at most largest_rate (n,) in N m/s times dt in s."""
-    largest_change = largest_rate * dt
-    return np.minimum(np.maximum(tau, previous - largest_change), previous + largest_change)
+    share = 1.0
+    for i in range(len(wanted)):
+        room = limits[i] - given[i] if wanted[i] > 0.0 else limits[i] + given[i]
+        if abs(wanted[i]) > room and room > 0.0:
+            share = min(share, room / abs(wanted[i]))
+    return share

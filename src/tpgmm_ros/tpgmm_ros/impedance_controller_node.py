@@ -1,23 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """impedance_controller: references and joint states in, joint torques out, stiff only where the task needs it.
 
-Each joint state is answered by torques that carry its stamp. A lifecycle node: while it is not active, no torque.
+Each joint state is answered by torques that carry its stamp. When joint states stop, a timer on the steady clock
+sends the safe torque for some time. A lifecycle node: while it is not active, no torque; before that, the safe one.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 
-from tpgmm_core.impedance import ImpedanceConfig, ImpedanceController, PoseReference, TorqueCommand
-from tpgmm_core.reference import Reference
+from tpgmm_core.controller import TorqueCommand
+from tpgmm_core.impedance import ImpedanceConfig, ImpedanceLaw, PoseTarget
 from tpgmm_core.robot import RobotModel
-from tpgmm_core.supervision import ControllerMode, ReferenceTimeouts, mode_of
+from tpgmm_core.supervised_controller import Answer, SupervisedController
+from tpgmm_core.supervision import ControllerMode, Timeouts
+from tpgmm_core.torque_pipeline import TorqueLimits
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
@@ -39,11 +43,15 @@ PARAMETERS = [
     Declared(
         "lockstep", False, "Wait for the reference of the same stamp before a joint state is answered", fixed=True
     ),
-    *declared_of(ReferenceTimeouts),
+    *declared_of(Timeouts),
     *declared_of(ImpedanceConfig),
+    *declared_of(TorqueLimits),
 ]
 STATE_PERIOD_NS = 100_000_000
-SECOND = 1_000_000_000
+#: How often silence is looked for, and the safe torque sent meanwhile, s.
+WATCH_PERIOD = 0.005
+#: Step of the last torques, which lead to the safe one, s; and how long that may take.
+RELEASE_STEP, RELEASE_TIME = 0.001, 0.2
 
 
 class ImpedanceControllerNode(ManagedNode):
@@ -53,16 +61,18 @@ class ImpedanceControllerNode(ManagedNode):
         self.parameters = Parameters(
             self, PARAMETERS, check=lambda values: fill(ImpedanceConfig, values), changed=self._reconfigure
         )
-        self.controller: ImpedanceController | None = None
+        self.law: ImpedanceLaw | None = None
         self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"])
         self._active = False
         self._mode, self._reason = ControllerMode.WAITING, "not active"
+        self._actions: Counter[str] = Counter()
         if self.parameters["autostart"]:
             self.start_itself()
 
     def _reconfigure(self) -> None:
-        if self.controller is not None:
-            self.controller.configure(self.parameters.fill(ImpedanceConfig))
+        if self.law is not None:
+            self.law.configure(self.parameters.fill(ImpedanceConfig))
+            self.controller.configure(self.parameters.fill(TorqueLimits), self.parameters.fill(Timeouts))
 
     # -- lifecycle ----------------------------------------------------------------------------------------------------
 
@@ -70,59 +80,79 @@ class ImpedanceControllerNode(ManagedNode):
         super().on_configure(state)
         try:
             self.robot = RobotModel.from_file(self.parameters.file("robot_file"))
-            self.controller = ImpedanceController(
-                self.robot, self.parameters["endpoint"], self.parameters.fill(ImpedanceConfig)
-            )
+            self.law = ImpedanceLaw(self.robot, self.parameters["endpoint"], self.parameters.fill(ImpedanceConfig))
         except (ValueError, OSError) as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
+        limits, timeouts = self.parameters.fill(TorqueLimits), self.parameters.fill(Timeouts)
+        self.controller: SupervisedController[PoseTarget] = SupervisedController(self.robot, self.law, limits, timeouts)
         self._names = list(self.robot.joint_names)
         self._reader = JointReader(self._names)
         self._loop_clock = loop_clock(self)
+        self._simulated = bool(self.get_parameter("use_sim_time").value)
         self._torques = self.create_lifecycle_publisher(JointState, "joint_torques", STREAM)
         self._states = self.create_lifecycle_publisher(ControllerState, "controller_state", LATCHED)
         self.create_subscription(ReferenceMessage, "reference", self._take_reference, STREAM)
         self.create_subscription(JointState, "joint_states", self._take_state, STREAM)
+        # The steady clock, also under simulated time: it calls even where that stands still. Ages are the loop clock's.
+        self.create_timer(WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         result = super().on_activate(state)
-        assert self.controller is not None
-        self.controller.reset()
-        self._reference: Reference | None = None
-        self._reference_stamp_ns = -1
-        self._reference_ns = 0
+        self.controller.start()
         self._pending: JointState | None = None
-        self._last_stamp_ns: int | None = None
+        self._reference_stamp_ns = -1
         self._state_due_ns = 0
+        self._actions.clear()
         self._active = True
-        self._change(ControllerMode.WAITING, "no joint state yet")
+        self._change(ControllerMode.WAITING, self.controller.decision.reason, self._loop_clock.now().nanoseconds)
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._active = False
-        self._change(ControllerMode.WAITING, "not active")
+        self._let_go()
         return super().on_deactivate(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._let_go()
+        return super().on_shutdown(state)
+
+    def destroy_node(self) -> None:
+        self._let_go()
+        super().destroy_node()
+
+    def _let_go(self) -> None:
+        """The last torques lead to the safe one: what the robot is left with until its own watchdog takes over."""
+        if not self._active:
+            return
+        end = time.monotonic() + RELEASE_TIME
+        last = False
+        while not last and time.monotonic() < end:
+            time.sleep(RELEASE_STEP)
+            command, last = self.controller.release(RELEASE_STEP)
+            if command is not None:
+                self._publish(command, self.controller.stamp_ns)
+        self._active = False
+        self._change(ControllerMode.WAITING, "not active", self._loop_clock.now().nanoseconds)
 
     # -- inputs -------------------------------------------------------------------------------------------------------
 
     def _take_reference(self, message: ReferenceMessage) -> None:
         if not self._active:
             return
+        stamp_ns = conversions.time_to_ns(message.header.stamp)
+        now_ns, clock_ns = self._times()
         try:
-            reference = conversions.reference(message)
             if message.header.frame_id not in ("", self.robot.base_frame):
                 raise MessageError(
                     f"the reference is expressed in '{message.header.frame_id}'; expected '{self.robot.base_frame}'"
                 )
-            if str(reference.gaussian.manifold) != "R3 x S3":
-                raise MessageError(f"the reference is on '{reference.gaussian.manifold}'; expected a pose on 'R3 x S3'")
-        except MessageError as error:
+            self.controller.take_reference(conversions.reference(message), stamp_ns, now_ns, clock_ns)
+        except ValueError as error:
+            self.controller.refuse_reference(str(error))
             self.get_logger().error(f"reference refused: {error}", throttle_duration_sec=1.0)
             return
-        self._reference = reference
-        self._reference_stamp_ns = conversions.time_to_ns(message.header.stamp)
-        self._reference_ns = self._loop_clock.now().nanoseconds
+        self._reference_stamp_ns = stamp_ns
         if self._pending is not None:
             self._answer(self._pending)
 
@@ -143,6 +173,10 @@ class ImpedanceControllerNode(ManagedNode):
         again = self._pending is not None and conversions.time_to_ns(self._pending.header.stamp) == stamp
         return self._reference_stamp_ns < stamp and not again
 
+    def _times(self) -> tuple[int, int]:
+        """The clock that watches, and that of the stamps, ns."""
+        return self._loop_clock.now().nanoseconds, self.get_clock().now().nanoseconds
+
     # -- one step -----------------------------------------------------------------------------------------------------
 
     def _answer(self, message: JointState) -> None:
@@ -150,64 +184,72 @@ class ImpedanceControllerNode(ManagedNode):
         start = time.perf_counter()
         stamp_ns = conversions.time_to_ns(message.header.stamp)
         self.monitor.tick(stamp_ns)
-        dt = 0.0 if self._last_stamp_ns is None else 1e-9 * (stamp_ns - self._last_stamp_ns)
-        self._last_stamp_ns = stamp_ns
+        now_ns, clock_ns = self._times()
+        if self._simulated:
+            # /clock and the state of the same moment race each other
+            now_ns = max(now_ns, stamp_ns)
         try:
             q, v = self._reader.read(message, "position", "velocity")
-            mode, reason, reference = self._pose_reference()
+            answer = self.controller.take_state(q, v, stamp_ns, now_ns, clock_ns)
         except MessageError as error:
-            mode, reason = ControllerMode.FAULT, f"joint state refused: {error}"
-            self.get_logger().error(reason, throttle_duration_sec=1.0)
-            # To a state that is unknown the controller's answer is to carry the weight where the robot was last.
-            q = v = np.full(self.robot.nv, np.nan)
-            reference = None
-        assert self.controller is not None
-        command = self.controller.step(q, v, reference, dt)
-        self._torques.publish(conversions.joint_state_message(self._names, stamp_ns, effort=command.tau))
-        self.monitor.done += 1
-        self.monitor.step.add(time.perf_counter() - start)
-        if command.reason and mode is not ControllerMode.FAULT:
-            mode, reason = ControllerMode.FAULT, command.reason
-        self._change(mode, reason)
-        self._tell(command, stamp_ns)
+            answer = self.controller.refuse_state(str(error), stamp_ns, now_ns)
+        self._report(answer, now_ns)
+        if answer is not None:
+            self.monitor.done += 1
+            self.monitor.step.add(time.perf_counter() - start)
 
-    def _pose_reference(self) -> tuple[ControllerMode, str, PoseReference | None]:
-        """What the controller is to follow now, by the age of the last reference, and why."""
-        reference = self._reference
-        age = None
-        if reference is not None:
-            age = (self._loop_clock.now().nanoseconds - self._reference_ns) / SECOND
-        mode, reason = mode_of(age, self.parameters.fill(ReferenceTimeouts))
-        if reference is None or mode is ControllerMode.DAMPING:
-            return mode, reason, None
-        twist = reference.velocity() if mode is ControllerMode.ACTIVE else np.zeros(6)
-        return mode, reason, PoseReference(reference.gaussian.mean, reference.gaussian.covariance, twist)
+    def _watch(self) -> None:
+        """Joint states may have stopped, which no message tells."""
+        if self._active:
+            now_ns = self._loop_clock.now().nanoseconds
+            self._report(self.controller.watch(now_ns), now_ns)
+
+    def _report(self, answer: Answer | None, now_ns: int) -> None:
+        """Send torques, if any, and tell what is done and why."""
+        if answer is not None:
+            self._publish(answer.command, answer.stamp_ns)
+        decision = self.controller.decision
+        self._change(decision.mode, decision.reason, now_ns)
+        if answer is not None and self._is_due(now_ns):
+            self._tell(answer.command, now_ns)
+
+    def _publish(self, command: TorqueCommand, stamp_ns: int) -> None:
+        self._torques.publish(conversions.joint_state_message(self._names, stamp_ns, effort=command.tau))
+        self._actions.update(command.actions)
 
     # -- what others are told -----------------------------------------------------------------------------------------
 
-    def _change(self, mode: ControllerMode, reason: str) -> None:
-        if (mode, reason) == (self._mode, self._reason):
+    def _change(self, mode: ControllerMode, reason: str, now_ns: int) -> None:
+        """Each change of the mode is told at once; other words for the same mode when the next message is due."""
+        if mode is self._mode and (reason == self._reason or not self._is_due(now_ns)):
             return
         self._mode, self._reason = mode, reason
-        self._state_due_ns = 0
-        self.get_logger().info(f"{mode.name}: {reason}")
+        text = f"{mode.name}: {reason}"
+        if mode is ControllerMode.FAULT:
+            self.get_logger().error(text)
+        else:
+            self.get_logger().info(text)
         self._states.publish(self._state_message())
+
+    def _is_due(self, now_ns: int) -> bool:
+        return not 0 < self._state_due_ns - now_ns <= STATE_PERIOD_NS
 
     def _state_message(self) -> ControllerState:
         message = ControllerState(state=int(self._mode), reason=self._reason)
         message.header.stamp = self.get_clock().now().to_msg()
+        message.header.frame_id = self.robot.base_frame
         return message
 
-    def _tell(self, command: TorqueCommand, stamp_ns: int) -> None:
-        if 0 < self._state_due_ns - stamp_ns <= STATE_PERIOD_NS:
-            return
-        self._state_due_ns = stamp_ns + STATE_PERIOD_NS
+    def _tell(self, command: TorqueCommand, now_ns: int) -> None:
+        self._state_due_ns = now_ns + STATE_PERIOD_NS
         message = self._state_message()
         message.joints = self._names
-        message.stiffness = conversions.floats(command.stiffness)
-        message.damping = conversions.floats(command.damping)
-        message.feedforward_torque = conversions.floats(command.feedforward)
-        message.feedback_torque = conversions.floats(command.tau - command.feedforward)
+        feedforward = command.tau if command.law is None else command.law.terms["feedforward"]
+        message.feedforward_torque = conversions.floats(feedforward)
+        message.feedback_torque = conversions.floats(command.tau - feedforward)
+        if command.law is not None:
+            message.stiffness = conversions.floats(command.law.stiffness)
+            message.damping = conversions.floats(command.law.damping)
         self._states.publish(message)
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
@@ -216,7 +258,8 @@ class ImpedanceControllerNode(ManagedNode):
             level = DiagnosticStatus.ERROR
         elif self._mode in (ControllerMode.HOLD, ControllerMode.WAITING):
             level = DiagnosticStatus.WARN
-        return level, f"{self._mode.name}: {self._reason}", {}
+        limited = ", ".join(f"{name} {count}" for name, count in sorted(self._actions.items()))
+        return level, f"{self._mode.name}: {self._reason}", {"torques_limited": limited}
 
 
 def main() -> int:

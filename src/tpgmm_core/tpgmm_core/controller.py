@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`Controller`: a law of control, and the pipeline that its torques pass before they leave."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core.control_law import ControlLaw, LawTorques, RobotMoment
+from tpgmm_core.robot import RobotModel
+from tpgmm_core.torque_limits import finite
+from tpgmm_core.torque_pipeline import TorqueLimits, TorquePipeline, actions
+
+Array = NDArray[np.float64]
+
+#: A robot under gravity compensation with damping loses its speed about this fast, s.
+REST_TIME = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueCommand:
+    """Torques that may leave.
+
+    tau : (nv,), N m (N), in model order
+    law : what the law asked for; None under the safe torque, gravity compensation with damping
+    actions : what the pipeline did beside passing a torque on, of `torque_pipeline.ACTIONS`
+    reason : why there was no use for the state, or for the law; empty when all is well
+    """
+
+    tau: Array
+    law: LawTorques | None
+    actions: tuple[str, ...]
+    reason: str
+
+    @property
+    def limited(self) -> bool:
+        """Whether anything took something away from what the error asked for."""
+        return bool(self.actions) or (self.law is not None and self.law.shortened)
+
+
+class Controller[TargetT]:
+    """States and targets in, torques out that may leave, one for each step; time enters as dt alone."""
+
+    def __init__(self, robot: RobotModel, law: ControlLaw[TargetT], limits: TorqueLimits | None = None) -> None:
+        self.robot, self.law = robot, law
+        self.pipeline = TorquePipeline(robot, limits)
+        self._data = robot.create_data()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, the last torques too; only where none act on the robot."""
+        self.law.reset()
+        self.pipeline.reset()
+        self._q: Array | None = None
+        self._v: Array | None = None
+
+    def restart(self) -> None:
+        """After an interruption: law and torques are blended in anew, from the state of the next step."""
+        self.law.reset()
+        self.pipeline.restart()
+
+    def step(self, q: Array, v: Array, target: TargetT | None, dt: float) -> TorqueCommand | None:
+        """Torques for positions q and velocities v (nv,), dt s after the last ones.
+
+        A state that is not finite, or beyond the law's reckoning, gives what `rest` gives, and the reason.
+        Raises ValueError for arrays of the wrong shape.
+        """
+        q, v = np.ascontiguousarray(q, dtype=np.float64), np.ascontiguousarray(v, dtype=np.float64)
+        if q.shape != (self.robot.nv,) or v.shape != (self.robot.nv,):
+            raise ValueError(f"q and v have shapes {q.shape} and {v.shape}, expected ({self.robot.nv},)")
+        if not (finite(q) and finite(v)):
+            return self.rest(0.0, dt, "the joint state is not finite")
+        moment = RobotMoment.at(self._data, q, v)
+        asked = self.law.step(moment, target, self.pipeline.time_step(dt))
+        if asked.reason:
+            return self.rest(0.0, dt, asked.reason)
+        tau, done = self.pipeline.step(asked.tau, moment, dt)
+        self._q, self._v = q.copy(), v.copy()
+        return TorqueCommand(tau, asked, actions(done), "")
+
+    def rest(self, age: float, dt: float, reason: str = "") -> TorqueCommand | None:
+        """Gravity compensation with damping, at the last good state, which is `age` s old; None if there was none.
+
+        The damping answers the last speed, which is taken to fade: a robot that stood still long ago would be
+        pushed backwards otherwise. The law starts anew afterwards.
+        """
+        self.law.reset()
+        if self._q is None or self._v is None:
+            return None
+        moment = RobotMoment.at(self._data, self._q, self._v * math.exp(-max(0.0, age) / REST_TIME))
+        tau, done = self.pipeline.step(None, moment, dt)
+        return TorqueCommand(tau, None, actions(done), reason)
+
+    def at_rest(self, command: TorqueCommand) -> bool:
+        """Whether a command of `rest` is the safe torque itself, which no rate limit holds back any more."""
+        return "effort or rate" not in command.actions

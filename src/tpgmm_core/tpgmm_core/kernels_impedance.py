@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled: the arithmetic of the impedance law; what is asked of it and why stands in `impedance.py`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core.kernels import compiled, quaternion_difference, turn
+from tpgmm_core.operational_space import bound_twist, operational_space
+from tpgmm_core.torque_limits import fit
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@compiled
+def pose_difference(base: Array, pose: Array, difference: Array) -> None:
+    """Tangent vector (6,) from one pose (7,) to another, about the fixed axes."""
+    for i in range(3):
+        difference[i] = pose[i] - base[i]
+    difference[3], difference[4], difference[5] = quaternion_difference(
+        pose[3], pose[4], pose[5], pose[6], base[3], base[4], base[5], base[6]
+    )
+
+
+@compiled
+def approach(pose: Array, goal: Array, max_linear: float, max_angular: float) -> None:
+    """Move a pose (7,) in place towards a goal (7,), by at most max_linear (m) and max_angular (rad)."""
+    way = np.empty(6)
+    pose_difference(pose, goal, way)
+    bound_twist(way, max_linear, max_angular)
+    for i in range(3):
+        pose[i] += way[i]
+    turn(pose[3:], way[3], way[4], way[5])
+
+
+@compiled
+def multiply_add(A: Array, x: Array, y: Array) -> None:
+    """y += A x, for A (n, m), x (m,), y (n,)."""
+    for i in range(len(A)):
+        total = 0.0
+        for j in range(A.shape[1]):
+            total += A[i, j] * x[j]
+        y[i] += total
+
+
+@compiled
+def arm_torques(
+    arm: Indices,
+    J_T: Array,
+    M: Array,
+    q: Array,
+    v: Array,
+    rest: Array,
+    bias_acceleration: Array,
+    pose: Array,
+    twist: Array,
+    goal: Array,
+    goal_twist: Array,
+    goal_acceleration: Array,
+    K_V: Array,
+    weight: float,
+    length: float,
+    max_inertia: float,
+    max_linear_acceleration: float,
+    max_angular_acceleration: float,
+    posture_stiffness: float,
+    posture_damping: float,
+    effort_limits: Array,
+    feedforward: Array,
+    given: Array,
+    feedback: Array,
+    null_space: Array,
+    error: Array,
+    stiffness: Array,
+    damping: Array,
+) -> int:
+    """Torques of the n joints of an arm that a pose asks for, scaled by the weight (0 to 1).
+
+    arm (n,) : places of the arm's joints in the vectors (nv,); J_T (nv, 6), M (nv, nv), q, v (nv,)
+    rest (n,) : posture that the null space goes to
+    given (nv,) : what the motors give besides, without which nothing may be shortened; the arm's bias is added
+    feedforward, feedback, null_space (nv,), error (6,), stiffness, damping (6, 6), out : see `LawTorques`
+
+    Returns 0, 1 where motors too weak made it shorten something, -1 where the inertia or the state is beyond
+    reckoning.
+    """
+    n = len(arm)
+    J, M_arm = np.empty((6, n)), np.empty((n, n))
+    for i in range(n):
+        for j in range(6):
+            J[j, i] = J_T[arm[i], j]
+        for j in range(n):
+            M_arm[i, j] = M[arm[i], arm[j]]
+    Lambda, torques, accelerations = np.empty((6, 6)), np.empty((n, 6)), np.empty((6, n))
+    if not operational_space(J, M_arm, length, max_inertia, Lambda, torques, accelerations):
+        return -1
+    pose_difference(pose, goal, error)
+    K_P = 0.5 * (K_V @ K_V)
+    pull, brake = goal_acceleration.copy(), np.zeros(6)
+    multiply_add(K_P, error, pull)
+    bound_twist(pull, max_linear_acceleration, max_angular_acceleration)
+    multiply_add(K_V, goal_twist - twist, brake)
+    posture, wanted = np.empty(n), np.zeros(n)
+    for i in range(n):
+        posture[i] = posture_stiffness * (rest[i] - q[arm[i]]) - posture_damping * v[arm[i]]
+    multiply_add(M_arm, posture, wanted)
+    # (I - J^T Lambda J M^-1) tau does not accelerate the hand
+    of_hand = np.zeros(6)
+    multiply_add(accelerations, wanted, of_hand)
+    spring, brakes, damper = np.zeros(n), np.empty(n), np.zeros(n)
+    free, sofar, limits = np.empty(n), np.empty(n), np.empty(n)
+    multiply_add(torques, pull, spring)
+    multiply_add(torques, brake, damper)
+    for i in range(n):
+        bias, shadow = 0.0, 0.0
+        for j in range(6):
+            bias -= torques[i, j] * bias_acceleration[j]
+            shadow += torques[i, j] * of_hand[j]
+        spring[i] *= weight
+        damper[i] *= weight
+        free[i] = weight * (wanted[i] - shadow)
+        feedforward[arm[i]] += weight * bias
+        given[arm[i]] += weight * bias
+        brakes[i] = damper[i] + free[i]
+        sofar[i], limits[i] = given[arm[i]], effort_limits[arm[i]]
+        if not (math.isfinite(spring[i]) and math.isfinite(brakes[i]) and math.isfinite(sofar[i])):
+            return -1
+    # what brakes goes first: a pull beyond the motors' strength must not take the damping away
+    braking = fit(brakes, sofar, limits)
+    for i in range(n):
+        sofar[i] += braking * brakes[i]
+    pulling = fit(spring, sofar, limits)
+    for i in range(n):
+        feedback[arm[i]] = braking * damper[i] + pulling * spring[i]
+        null_space[arm[i]] = braking * free[i]
+    stiffness[:] = weight * (Lambda @ K_P)
+    damping[:] = weight * (Lambda @ K_V)
+    return 1 if min(braking, pulling) < 1.0 else 0

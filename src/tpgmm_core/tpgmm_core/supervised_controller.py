@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`SupervisedController`: a controller that answers joint states, and knows what to do when they or references stop.
+
+Joint states and references come by `take_state` and `take_reference`, each with its stamp; `watch` is to be
+called all the time, some times within `joint_state_timeout`, since silence calls nobody. Each answers with what
+is to be sent. Times are ns: `now_ns` of a clock that does not jump (steady, or the simulation's), `clock_ns` of
+the clock of the stamps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core.control_law import ControlLaw
+from tpgmm_core.controller import Controller, TorqueCommand
+from tpgmm_core.reference import Reference
+from tpgmm_core.robot import RobotModel
+from tpgmm_core.supervision import SECOND, ControllerMode, Inputs, Stamp, StreamWatch, Timeouts, decide
+from tpgmm_core.torque_pipeline import TorqueLimits
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Torques to be sent, with the stamp of the joint state that they answer to."""
+
+    stamp_ns: int
+    command: TorqueCommand
+
+
+class SupervisedController[TargetT]:
+    """See the module. `decision` is what it does at present, and why."""
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        law: ControlLaw[TargetT],
+        limits: TorqueLimits | None = None,
+        timeouts: Timeouts | None = None,
+    ) -> None:
+        self.law, self.timeouts = law, timeouts or Timeouts()
+        self.controller = Controller(robot, law, limits)
+        self.start()
+
+    def start(self) -> None:
+        """Forget everything: torques begin with the first joint state, as gravity compensation with damping."""
+        self.controller.reset()
+        self._states, self._references = StreamWatch(), StreamWatch()
+        self._reference: Reference | None = None
+        self._moving: TargetT | None = None
+        self._held: TargetT | None = None
+        self._state_fault = self._reference_fault = ""
+        self._answer: Answer | None = None
+        self._answered_state = False
+        self._sent_ns = 0
+        self.decision = decide(Inputs(None, "", None, ""), self.timeouts)
+
+    def configure(self, limits: TorqueLimits, timeouts: Timeouts) -> None:
+        """Take other limits and time-outs, and let the law judge the reference with its new parameters."""
+        self.controller.pipeline.configure(limits)
+        self.timeouts = timeouts
+        if self._reference is not None:
+            self._moving, self._held = self.law.target(self._reference, True), None
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the last good joint state; 0 before the first."""
+        return self._states.stamp_ns or 0
+
+    # -- inputs --------------------------------------------------------------------------------------------------
+
+    def take_reference(self, reference: Reference, stamp_ns: int, now_ns: int, clock_ns: int) -> None:
+        """A reference to follow from now on. One that is not newer than the last is passed over, and so ages.
+
+        Raises ValueError for a reference that is refused; the last good one ages.
+        """
+        timeouts = self.timeouts
+        kind = self._references.judge(stamp_ns, now_ns, clock_ns, timeouts.reference_timeout, timeouts.max_future)
+        if kind in (Stamp.REPEATED, Stamp.OLD):
+            return
+        try:
+            if kind is Stamp.FUTURE:
+                raise ValueError(_ahead(timeouts.max_future))
+            self._moving = self.law.target(reference, True)
+        except ValueError as error:
+            self.refuse_reference(str(error))
+            raise
+        self._references.accept(stamp_ns, now_ns)
+        self._reference, self._held, self._reference_fault = reference, None, ""
+
+    def refuse_reference(self, reason: str) -> None:
+        """A reference came that cannot be used; the last good one ages."""
+        self._reference_fault = reason
+
+    def take_state(self, q: Array, v: Array, stamp_ns: int, now_ns: int, clock_ns: int) -> Answer | None:
+        """A joint state, positions and velocities (nv,), and what answers it.
+
+        A state that is not newer than the last one is none: a repeated one is answered as before (the answer may
+        have been lost) until the last new one is stale, an overtaken one is not.
+        """
+        timeouts = self.timeouts
+        kind = self._states.judge(stamp_ns, now_ns, clock_ns, timeouts.joint_state_timeout, timeouts.max_future)
+        if kind is Stamp.FUTURE:
+            return self.refuse_state(_ahead(timeouts.max_future), stamp_ns, now_ns)
+        if kind is Stamp.OLD:
+            return None
+        age = self._states.age(now_ns)
+        stale = age is not None and age > timeouts.joint_state_timeout
+        if kind is Stamp.REPEATED:
+            return None if stale else self._answer  # once it is stale, `watch` speaks
+        if kind is Stamp.RESTARTED:
+            self._references.forget()
+            self._reference = self._moving = self._held = None
+        if stale or self._state_fault:
+            self.controller.restart()
+        dt = self._since_last(stamp_ns if self._answered_state else None, now_ns)
+        self._states.accept(stamp_ns, now_ns)
+        self._state_fault = ""
+        self.decision = decide(self._inputs(now_ns), timeouts)
+        command = self.controller.step(q, v, self._target(), dt)
+        if command is None or command.reason:
+            # a state that reads well and still means nothing
+            self._state_fault = command.reason if command is not None else "the joint state is not finite"
+            self.decision = decide(self._inputs(now_ns), timeouts)
+        return self._send(command, stamp_ns, now_ns, to_state=not self._state_fault)
+
+    def refuse_state(self, reason: str, stamp_ns: int, now_ns: int) -> Answer | None:
+        """A joint state came that cannot be used: answered by the safe torque where the robot was last."""
+        self._state_fault = reason
+        return self._rest(stamp_ns, now_ns)
+
+    def watch(self, now_ns: int) -> Answer | None:
+        """What is to be sent though no joint state came: the safe torque for some time, then nothing."""
+        age = self._states.age(now_ns)
+        if age is None or age <= self.timeouts.joint_state_timeout:
+            return None
+        return self._rest(self.stamp_ns, now_ns)
+
+    def release(self, dt: float) -> tuple[TorqueCommand | None, bool]:
+        """The next of the last torques before the end, dt s after the one before, and whether it is the last one.
+
+        They go to the safe torque as fast as the rate limit permits. It is what the robot should be left with: it
+        balances gravity where the robot is, so that a robot which goes on with the last command for a while
+        neither falls nor moves on, and it is what a robot's own watchdog gives next.
+        """
+        if not self.decision.sends:
+            return None, True
+        command = self.controller.rest(0.0, dt)
+        return command, command is None or self.controller.at_rest(command)
+
+    # -- what is behind them -------------------------------------------------------------------------------------
+
+    def _rest(self, stamp_ns: int, now_ns: int) -> Answer | None:
+        inputs = self._inputs(now_ns)
+        self.decision = decide(inputs, self.timeouts)
+        if not self.decision.sends:
+            return None
+        dt = self._since_last(None, now_ns)
+        return self._send(self.controller.rest(inputs.state_age or 0.0, dt), stamp_ns, now_ns, to_state=False)
+
+    def _inputs(self, now_ns: int) -> Inputs:
+        reference_age = self._references.age(now_ns)
+        stamp, state_stamp = self._references.stamp_ns, self._states.stamp_ns
+        if reference_age is not None and stamp is not None and state_stamp is not None:
+            # what was long on its way is as old as what came long ago
+            reference_age = max(reference_age, 1e-9 * (state_stamp - stamp))
+        return Inputs(self._states.age(now_ns), self._state_fault, reference_age, self._reference_fault)
+
+    def _target(self) -> TargetT | None:
+        if self.decision.mode is ControllerMode.ACTIVE:
+            return self._moving
+        if self.decision.mode is not ControllerMode.HOLD or self._reference is None:
+            return None
+        if self._held is None:
+            self._held = self.law.target(self._reference, False)
+        return self._held
+
+    def _since_last(self, stamp_ns: int | None, now_ns: int) -> float:
+        """Seconds since the last torques: by the stamps where both answer joint states, else by the watching clock."""
+        if self._answer is None:
+            return 0.0
+        if stamp_ns is not None:
+            return (stamp_ns - self._answer.stamp_ns) / SECOND
+        return (now_ns - self._sent_ns) / SECOND
+
+    def _send(self, command: TorqueCommand | None, stamp_ns: int, now_ns: int, to_state: bool) -> Answer | None:
+        if command is None:
+            return None
+        self._answer, self._answered_state, self._sent_ns = Answer(stamp_ns, command), to_state, now_ns
+        return self._answer
+
+
+def _ahead(max_future: float) -> str:
+    return f"its stamp lies more than {max_future:g} s ahead of this machine's clock; synchronise the clocks"

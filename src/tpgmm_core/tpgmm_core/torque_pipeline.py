@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`TorquePipeline`: from what a law asks for to what leaves for the motors, in a fixed order.
+
+1. finite: a torque that is not is replaced by the safe one: gravity compensation with damping.
+2. size: one torque for each joint of the robot. (Names are matched where messages are read.)
+3. blend-in: after a start or an interruption the law takes over from the safe torque, over `recovery_time`.
+4. limits of positions and speeds: no torque drives a joint beyond them (`clamp_at_limits`).
+5. repulsion from the margin before the position limits (`repel`).
+6. effort and rate: `|tau| <= effort limit` and `|tau - last tau| <= torque_rate dt` are one interval per joint.
+7. power: what the motors put into the motion is at most `max_power`.
+
+**What holds at the output.** Finite, within the effort limits, within the rate limit: always, and at once. The
+last torque was within the effort limits, so that their interval and that of the rate overlap, and nothing that
+comes after stage 6 leaves them. Stages 3 to 5 and 7 are wishes within that interval. So the rate wins over the
+power limit: a torque that drives too much falls as fast as the rate permits, within 67 ms at the default even
+from one effort limit to the other. The other way round a power limit that is touched, or a clamp, would make a
+torque jump, which gears and people feel at once, while power needs time to become motion.
+
+**Which power.** `(tau - nonlinear)^T v`, without what lifts or lowers the robot's own weight: the rate at which
+the motors feed kinetic energy, and what the robot touches. A limit on `tau^T v` would let an arm fall that is
+lifted too fast.
+
+With dt = 0 nothing changes, whatever is asked for: the last torque is repeated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core.control_law import RobotMoment
+from tpgmm_core.kernels import compiled
+from tpgmm_core.operational_space import invert_inertia
+from tpgmm_core.robot import RobotModel
+from tpgmm_core.settings import check_settings, setting
+from tpgmm_core.torque_limits import (
+    blend,
+    brake,
+    clamp_at_limits,
+    finite,
+    keep_within,
+    limit_power,
+    repel,
+    torque_bounds,
+)
+
+Array = NDArray[np.float64]
+
+#: What a step did beside passing a torque on, by the bits of `limit_torques`.
+ACTIONS = ("not finite", "joint limit", "repulsion", "effort or rate", "power")
+NOT_FINITE, AT_LIMIT, REPELLED, BOUNDED, POWER = (1 << i for i in range(len(ACTIONS)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TorqueLimits:
+    """Parameters of the pipeline."""
+
+    torque_rate: float = setting(30.0, 0.1, 1e3, "Largest change of a torque, effort limits per second, 1/s")
+    max_power: float = setting(80.0, 1.0, 1e5, "Power that the motors put into the motion at most, W")
+    recovery_time: float = setting(0.3, 1e-3, 60.0, "After an interruption the law takes over within this time, s")
+    approach_rate: float = setting(10.0, 0.1, 1e3, "Speed towards a position limit by the distance to it, 1/s")
+    limit_bandwidth: float = setting(200.0, 1.0, 500.0, "How firmly joints are braked at their limits, 1/s")
+    repulsion_margin: float = setting(0.05, 0.0, 1.0, "Joints are pushed out of this margin before limits, rad or m")
+    repulsion_frequency: float = setting(20.0, 0.1, 100.0, "How firmly they are pushed, rad/s")
+    safe_damping: float = setting(2.0, 0.0, 50.0, "Damping of each joint under the safe torque, N m s/rad")
+    max_time_step: float = setting(0.02, 1e-3, 1.0, "A longer pause between two steps counts as this long, s")
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a value out of its range."""
+        check_settings(self)
+
+
+@compiled
+def limit_torques(
+    tau: Array,
+    q: Array,
+    v: Array,
+    nonlinear: Array,
+    inertia: Array,
+    previous: Array,
+    dt: float,
+    share: float,
+    lower: Array,
+    upper: Array,
+    max_speed: Array,
+    effort: Array,
+    torque_rate: float,
+    max_power: float,
+    approach_rate: float,
+    limit_bandwidth: float,
+    repulsion_margin: float,
+    repulsion_frequency: float,
+    safe_damping: float,
+    safe: Array,
+) -> int:
+    """Stages 1 and 3 to 7 on tau (n,) in place; see the module. Returns the bits of what was done.
+
+    inertia (n, n), nonlinear (n,) : at q and v (n,); previous (n,) : the last torques, NaN where there were none
+    share : of the law in the blend, 0 to 1
+    safe (n,), out : gravity compensation with damping
+    """
+    n = len(tau)
+    done = 0
+    mass, lowest, highest, inverse = np.zeros(n), np.empty(n), np.empty(n), np.empty((n, n))
+    known = finite(q) and finite(v) and finite(nonlinear) and invert_inertia(inertia, inverse)
+    for i in range(n):
+        safe[i] = 0.0 if not known else nonlinear[i]
+        if known:
+            mass[i] = 1.0 / inverse[i, i]
+            known = known and np.isfinite(mass[i])
+    if known:
+        slowing = np.empty(n)
+        brake(v, mass, safe_damping, 0.5 * limit_bandwidth, slowing)
+        for i in range(n):
+            safe[i] += slowing[i]
+    if not known or not finite(tau):
+        done |= NOT_FINITE
+        for i in range(n):
+            tau[i] = safe[i]
+    else:
+        blend(tau, safe, share)
+    if known:
+        if clamp_at_limits(tau, q, v, nonlinear, mass, lower, upper, max_speed, effort, approach_rate, limit_bandwidth):
+            done |= AT_LIMIT
+        if repel(tau, q, v, mass, lower, upper, repulsion_margin, repulsion_frequency):
+            done |= REPELLED
+    torque_bounds(effort, previous, torque_rate * dt * effort, lowest, highest)
+    if keep_within(tau, lowest, highest):
+        done |= BOUNDED
+    if known and limit_power(tau, v, nonlinear, max_power, lowest, highest):
+        done |= POWER
+    for i in range(n):
+        # numbers so large that the stages overflowed: of the permitted torques the one nearest to none
+        if not np.isfinite(tau[i]):
+            done |= NOT_FINITE
+            tau[i] = min(max(0.0, lowest[i]), highest[i])
+    return done
+
+
+class TorquePipeline:
+    """Passes torques on, within limits; remembers the last ones."""
+
+    def __init__(self, robot: RobotModel, limits: TorqueLimits | None = None) -> None:
+        self.robot = robot
+        self.configure(limits or TorqueLimits())
+        self.reset()
+        moment = RobotMoment.at(robot.create_data(), robot.home, np.zeros(robot.nv))
+        self.step(moment.nonlinear, moment, 0.0)  # compiles
+        self.reset()
+
+    def configure(self, limits: TorqueLimits) -> None:
+        """Take other limits; the next step keeps them."""
+        self.limits = limits
+
+    def reset(self) -> None:
+        """Forget the last torques: the next ones have no rate to keep. Only where none act on the robot."""
+        self._previous = np.full(self.robot.nv, np.nan)
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin to blend in again, from the safe torque."""
+        self._blend = 0.0
+
+    def step(self, wanted: Array | None, moment: RobotMoment, dt: float) -> tuple[Array, int]:
+        """Torques (nv,) that may leave, and the bits of what was done to those wanted (see `ACTIONS`).
+
+        wanted : (nv,), what the law asks for; None: the safe torque, into which all is blended at once
+        dt : s since the last step; a pause counts as `max_time_step`, NaN and steps backwards as none
+
+        Raises ValueError for a torque of the wrong shape.
+        """
+        limits, robot = self.limits, self.robot
+        dt = self.time_step(dt)
+        if wanted is None:
+            self._blend, tau = 0.0, np.zeros(robot.nv)
+        else:
+            if wanted.shape != (robot.nv,):
+                raise ValueError(f"the law gives torques of shape {wanted.shape}, expected ({robot.nv},)")
+            self._blend = min(1.0, self._blend + dt / limits.recovery_time)
+            tau = np.array(wanted, dtype=np.float64)
+        safe = np.empty(robot.nv)
+        done = limit_torques(
+            tau,
+            moment.q,
+            moment.v,
+            moment.nonlinear,
+            moment.inertia,
+            self._previous,
+            dt,
+            self._blend**2 * (3.0 - 2.0 * self._blend),
+            robot.lower_limits,
+            robot.upper_limits,
+            robot.velocity_limits,
+            robot.effort_limits,
+            limits.torque_rate,
+            limits.max_power,
+            limits.approach_rate,
+            limits.limit_bandwidth,
+            limits.repulsion_margin,
+            limits.repulsion_frequency,
+            limits.safe_damping,
+            safe,
+        )
+        if done & NOT_FINITE:
+            self._blend = 0.0
+        self._previous = tau
+        return tau.copy(), done
+
+    def time_step(self, dt: float) -> float:
+        """dt as the pipeline counts it: of a NaN or a step backwards nothing is known but that nothing may change."""
+        return min(dt, self.limits.max_time_step) if dt > 0.0 else 0.0
+
+
+def actions(done: int) -> tuple[str, ...]:
+    """The bits of a step in words."""
+    return tuple(name for i, name in enumerate(ACTIONS) if done >> i & 1)
