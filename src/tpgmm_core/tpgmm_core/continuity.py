@@ -52,7 +52,7 @@ class Continuity:
         self._share = 0.0
         self._is_gone = True
 
-    def take_over(self, former: Sequence[Array], means: Sequence[Array], covariance: Array | None) -> None:
+    def take_over(self, former: Sequence[Array], means: Sequence[Array], covariance: Array) -> None:
         """Go on as before, in place and velocity.
 
         former : where the reference would have been, two points (D,): now, and MOMENT later
@@ -63,7 +63,7 @@ class Continuity:
         rate = 1.0 / self.time_constant
         self._offset = here
         self._rate = (math.exp(rate * MOMENT) * ahead - here) / MOMENT - rate * here
-        self._covariance, self._share = covariance, float(covariance is not None)
+        self._covariance, self._share = covariance, 1.0
         self._is_gone = False
 
     def advance(self, seconds: float) -> None:
@@ -71,13 +71,16 @@ class Continuity:
         if not self._is_gone and seconds > 0.0:
             self._offset, self._rate = self._after(seconds)
             self._share *= math.exp(-seconds / self.time_constant)
-            left = float(np.abs(self._offset).max() + self.time_constant * np.abs(self._rate).max())
-            if left < NEGLIGIBLE and self._share < NEGLIGIBLE:
-                self.forget()
+            if self._share < NEGLIGIBLE:
+                left = np.abs(self._offset).max() + self.time_constant * np.abs(self._rate).max()
+                if left < NEGLIGIBLE:
+                    self.forget()
 
     def mean(self, mean: Array, ahead: float = 0.0) -> Array:
         """Where the reference is, (D,), where the course says `mean`; both so many seconds ahead."""
-        return mean if self._is_gone else self.manifold.exp(mean, self._after(ahead)[0])
+        if self._is_gone:
+            return mean
+        return self.manifold.exp(mean, self._after(ahead)[0] if ahead > 0.0 else self._offset)
 
     def covariance(self, covariance: Array, ahead: float = 0.0) -> Array:
         """Covariance (n, n) of the reference where the course says `covariance`."""

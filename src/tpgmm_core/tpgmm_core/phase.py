@@ -74,7 +74,8 @@ class ClockPhase:
     def advance(self, time_ns: int) -> None:
         """It is this time now, ns. A clock that steps back cannot get before the last change of speed."""
         self._last_ns = time_ns
-        self._value = min(max(self._origin + self._passed(self._since_origin()) / self._duration, 0.0), 1.0)
+        passed = float(self._passed(self._since_origin()))
+        self._value = min(max(self._origin + passed / self._duration, 0.0), 1.0)
 
     def observe(self, reference: Gaussian, state: Array) -> None:
         """The robot is at `state` (D,) while it should be at the reference."""
@@ -86,7 +87,7 @@ class ClockPhase:
 
     def times(self, ahead: Array) -> Array:
         """The model's times (H,), s, so many seconds ahead (H,) of now."""
-        values = self._origin + self._passed(self._since_origin() + ahead) / self._duration
+        values = self._origin + self._passed(self._since_origin() + ahead) * (1.0 / self._duration)
         return self._model_times(np.minimum(np.maximum(values, 0.0), 1.0))
 
     def _model_times(self, values: Array) -> Array:
@@ -95,10 +96,10 @@ class ClockPhase:
     def _since_origin(self) -> float:
         return max(0.0, (self._last_ns - self._origin_ns) / _SECOND)
 
-    def _passed[T: (float, Array)](self, seconds: T) -> T:
+    def _passed(self, seconds: float | Array) -> float | Array:
         """Own time, s, that passes within some seconds from the last change of speed on."""
         pace = self._pace
-        return pace.target * seconds if pace.rate == pace.target else pace.ahead(seconds)  # type: ignore[return-value]
+        return pace.target * seconds if pace.rate == pace.target else pace.ahead(seconds)
 
     def _go_on_from(self, value: float) -> None:
         """Let now, at this value, be the origin; at an end of the movement, what goes against it stands still."""
@@ -159,7 +160,7 @@ class ArcLengthPhase(ClockPhase):
         path = self._path = PchipInterpolator(shares / shares[-1], times)
         value = self._value
         if now is not None:
-            value = self._value_of_share(brentq(lambda share: float(path(share)) - now, 0.0, 1.0, xtol=1e-14))
+            value = self._value_of_share(share_at(path, now))
         if self.config.path_speed > 0.0 and length > 0.0:
             self._duration = length / (self.config.path_speed * (1.0 - self.config.easing))
         if now is not None:
@@ -181,6 +182,13 @@ class ArcLengthPhase(ClockPhase):
         nearer = min(share, 1.0 - share) * (1.0 - r)
         half = math.sqrt(2.0 * r * nearer) if nearer < 0.5 * r else nearer + 0.5 * r
         return half if share < 0.5 else 1.0 - half
+
+
+def share_at(path: PchipInterpolator, time: float) -> float:
+    """Where a path of model's times over shares, 0 to 1, that increases is at a time."""
+    if time <= path(0.0):
+        return 0.0
+    return 1.0 if time >= path(1.0) else float(brentq(lambda share: float(path(share)) - time, 0.0, 1.0, xtol=1e-14))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -103,7 +103,6 @@ class Reproduction:
         self._frames = None
         self._weights: Mapping[str, float] | None = None
         self._former: list[Array] = []
-        self._covariance: Array | None = None
         self._is_free = False
         self._continuity.forget()
 
