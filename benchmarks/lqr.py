@@ -10,8 +10,8 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy
 import numpy as np  # noqa: E402
 
 from benchmarks.report import alternating, write_report  # noqa: E402
-from tpgmm_core.control.finite_horizon import double_integrator, finite_horizon_gains  # noqa: E402
-from tpgmm_core.control.lqr import double_integrator_gains, riccati_gains  # noqa: E402
+from tpgmm_core.control.finite_horizon import finite_horizon_gains  # noqa: E402
+from tpgmm_core.control.lqr import double_integrator, double_integrator_gains, riccati_gains  # noqa: E402
 
 Row = dict[str, str | float | bool]
 STEPS, CONTROL_COST = 200, 0.3

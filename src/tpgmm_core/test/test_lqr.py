@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from tpgmm_core.control.lqr import double_integrator_gains, riccati_gains
+from tpgmm_core.control.finite_horizon import finite_horizon_gains
+from tpgmm_core.control.lqr import double_integrator, double_integrator_gains, double_integrator_value, riccati_gains
+from tpgmm_core.control.riccati import continuous_regulator, discrete_regulator
 
 
 @st.composite
@@ -62,6 +66,60 @@ def test_velocity_cost_adds_damping() -> None:
     damped = riccati_gains(np.eye(2), np.eye(2), 1.0)
     np.testing.assert_allclose(damped.damping, np.sqrt(3.0) * np.eye(2), rtol=1e-9)
     assert (np.diag(damped.damping) > np.diag(plain.damping)).all()
+
+
+@pytest.mark.parametrize("control_cost", [0.3, np.array([0.3, 2.0, 5.0])])
+def test_the_value_is_what_the_riccati_equation_says(control_cost: float | np.ndarray) -> None:
+    X = np.random.default_rng(2).normal(size=(3, 3))
+    zero, precision = np.zeros((3, 3)), X @ X.T + np.eye(3)
+    A, B = np.block([[zero, np.eye(3)], [zero, zero]]), np.vstack([zero, np.eye(3)])
+    Q = np.block([[precision, zero], [zero, zero]])
+    exact = continuous_regulator(A, B, Q, np.diag(np.broadcast_to(control_cost, 3)))
+    np.testing.assert_allclose(double_integrator_value(precision, control_cost), exact.value, rtol=1e-9, atol=1e-9)
+
+
+def test_short_time_steps_have_the_gains_of_continuous_time_and_long_ones_less() -> None:
+    X = np.random.default_rng(5).normal(size=(3, 3))
+    Qx, Qv = X @ X.T + np.eye(3), 0.3 * np.eye(3)
+    continuous, short, long = (riccati_gains(Qx, Qv, 0.5, step) for step in (None, 1e-4, 0.1))
+    np.testing.assert_allclose(short.stiffness, continuous.stiffness, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(short.damping, continuous.damping, rtol=1e-3, atol=1e-3)
+    assert np.trace(long.stiffness) < np.trace(continuous.stiffness)
+
+
+def test_discrete_gains_are_the_fixed_point_of_the_recursion() -> None:
+    A, B = double_integrator(2, 0.05)
+    Q, R, W = np.diag([4.0, 2.0, 0.1, 0.2]), np.array([[0.3, 0.1], [0.1, 0.4]]), np.diag([0.0, 0.0, 0.02, 0.01])
+    for risk in (0.0, 0.3, -0.3):
+        regulator = discrete_regulator(A, B, Q, R, noise=W, risk=risk)
+        long = finite_horizon_gains(A, B, np.tile(Q, (2001, 1, 1)), R, np.zeros((2001, 4)), noise=W, risk=risk)
+        np.testing.assert_allclose(regulator.gain, long.gains[0], rtol=1e-7, atol=1e-7)
+
+
+def test_risk_in_continuous_time_is_known_for_one_dimension() -> None:
+    """xdot = u + w: P^2 (1/r - theta W) = q, so that the breakdown is at theta W = 1/r."""
+    gains = [
+        continuous_regulator([[0.0]], [[1.0]], [[4.0]], 0.25, noise=[[0.5]], risk=risk).gain[0, 0]
+        for risk in (0.0, 6.0, -2.0)
+    ]
+    np.testing.assert_allclose(gains, [4.0, 4.0 * np.sqrt(4.0 / (4.0 - 3.0)), 4.0 * np.sqrt(4.0 / 5.0)], rtol=1e-9)
+
+
+@pytest.mark.parametrize("regulator", [continuous_regulator, discrete_regulator])
+def test_risk_beyond_the_breakdown_and_bad_systems_are_refused(regulator: Callable[..., object]) -> None:
+    A, B = np.array([[0.5]]), np.array([[1.0]])
+    with pytest.raises(ValueError, match="breakdown"):
+        regulator(A, B, [[4.0]], 0.25, noise=[[0.5]], risk=9.0)
+    with pytest.raises(ValueError, match="A has shape"):
+        regulator(np.eye(2), B, [[4.0]], 0.25)
+    with pytest.raises(ValueError, match="positive definite"):
+        regulator(A, B, [[4.0]], 0.0)
+    with pytest.raises(ValueError, match="finite"):
+        regulator(A, B, [[np.nan]], 1.0)
+    with pytest.raises(ValueError, match="semidefinite"):
+        regulator(A, B, [[4.0]], 0.25, noise=[[-0.5]], risk=0.1)
+    with pytest.raises(ValueError, match="no stabilising"):
+        regulator(np.diag([0.5, 2.0]), [[1.0], [0.0]], np.eye(2), 1.0)
 
 
 @pytest.mark.parametrize(

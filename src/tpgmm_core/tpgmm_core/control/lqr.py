@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solve_continuous_are
+
+from tpgmm_core.control.riccati import continuous_regulator, discrete_regulator
 
 Array = NDArray[np.float64]
 
@@ -66,12 +67,12 @@ def double_integrator_gains(
     if not 0.0 <= min_stiffness <= max_stiffness:
         raise ValueError(f"expected 0 <= min_stiffness <= max_stiffness, got {min_stiffness} and {max_stiffness}")
     D = Q.shape[-1]
-    diagonal = np.asarray(control_cost, dtype=np.float64)
+    diagonal = np.array(control_cost, dtype=np.float64)
     if diagonal.shape != (D,):
         if diagonal.ndim:
             raise ValueError(f"control_cost has shape {diagonal.shape}, expected a number or ({D},)")
         diagonal = np.full(D, control_cost, dtype=np.float64)
-    stacked = np.ascontiguousarray(Q).reshape(-1, D, D)
+    stacked = np.array(Q, order="C").reshape(-1, D, D)  # a copy, since kernels take no read-only arrays
     stiffness, damping = np.empty(Q.shape), np.empty(Q.shape)
     outputs = stiffness.reshape(-1, D, D), damping.reshape(-1, D, D)
     status = _closed_form(stacked, diagonal, min_stiffness, max_stiffness, *outputs)
@@ -85,42 +86,67 @@ def double_integrator_gains(
     return Gains(stiffness, damping)
 
 
-def riccati_gains(position_cost: ArrayLike, velocity_cost: ArrayLike, control_cost: ArrayLike) -> Gains:
+def double_integrator_value(precision: ArrayLike, control_cost: ArrayLike = 1.0) -> Array:
+    """What the state still costs under `double_integrator_gains`: P (..., 2D, 2D) of `[x - x_ref, xdot]^T P [...]`.
+
+    `P = [[R K_P K_V, R K_P], [R K_P, R K_V]]`: the terminal cost that makes a finite horizon endless. Parameters and
+    errors are those of `double_integrator_gains`.
+    """
+    gains = double_integrator_gains(precision, control_cost)
+    R = np.broadcast_to(np.asarray(control_cost, dtype=np.float64), gains.stiffness.shape[-1:])[:, None]
+    position, velocity = R * gains.stiffness, R * gains.damping
+    both = position @ gains.damping
+    return np.block([[both, position], [position, velocity]])
+
+
+def riccati_gains(
+    position_cost: ArrayLike, velocity_cost: ArrayLike, control_cost: ArrayLike, time_step: float | None = None
+) -> Gains:
     """Infinite-horizon gains by the algebraic Riccati equation, for a cost on position, velocity and control.
 
-    Slower than `double_integrator_gains` by two orders of magnitude; for the case that has no closed form.
+    Slower than `double_integrator_gains` by two orders of magnitude; for what has no closed form: a cost on velocities
+    too, any control cost, discrete time.
 
     Parameters
     ----------
     position_cost : (D, D), symmetric positive definite
     velocity_cost : (D, D), symmetric positive semidefinite
     control_cost : scalar > 0 or (D, D) symmetric positive definite
+    time_step : s, of a controller whose accelerations are constant over each step; None for continuous time. Costs are
+        per s in both cases, so that short steps have the gains of continuous time
 
     Raises
     ------
-    ValueError : shapes that do not fit, or costs for which no stabilising solution exists.
+    ValueError : shapes that do not fit, costs for which no stabilising solution exists, a time step that is not
+        positive.
     """
     Qx, Qv = np.atleast_2d(np.asarray(position_cost, float)), np.atleast_2d(np.asarray(velocity_cost, float))
     D = Qx.shape[0]
-    R = np.asarray(control_cost, float)
-    R = R * np.eye(D) if R.ndim == 0 else R
-    for name, matrix in (("position_cost", Qx), ("velocity_cost", Qv), ("control_cost", R)):
+    for name, matrix in (("position_cost", Qx), ("velocity_cost", Qv)):
         if matrix.shape != (D, D):
             raise ValueError(f"{name} has shape {matrix.shape}, expected {(D, D)}")
-    zero, eye = np.zeros((D, D)), np.eye(D)
-    A, B, Q = (
-        np.block([[zero, eye], [zero, zero]]),
-        np.vstack([zero, eye]),
-        np.block([[Qx, zero], [zero, Qv]]),
-    )
     if np.linalg.matrix_rank(Qx) < D:
         raise ValueError("position_cost must be definite: a position without cost has no stabilising gain")
-    try:
-        P = solve_continuous_are(A, B, Q, R)
-    except np.linalg.LinAlgError as error:
-        raise ValueError(f"no stabilising gains exist for these costs: {error}") from error
-    K = np.linalg.solve(R, B.T @ P)
+    zero, eye = np.zeros((D, D)), np.eye(D)
+    Q = np.block([[Qx, zero], [zero, Qv]])
+    if time_step is None:
+        A, B = np.block([[zero, eye], [zero, zero]]), np.vstack([zero, eye])
+        K = continuous_regulator(A, B, Q, control_cost).gain
+    else:
+        A, B = double_integrator(D, time_step)
+        K = discrete_regulator(A, B, time_step * Q, time_step * np.asarray(control_cost, float)).gain
     return Gains(stiffness=K[:, :D], damping=K[:, D:])
+
+
+def double_integrator(dimensions: int, time_step: float) -> tuple[Array, Array]:
+    """A (2D, 2D) and B (2D, D) of `[x, xdot]` under accelerations that are constant over each time step (s).
+
+    Raises ValueError for a time step that is not positive.
+    """
+    if not 0.0 < time_step < np.inf:
+        raise ValueError(f"a time step is positive and finite, in s; got {time_step}")
+    eye, zero = np.eye(dimensions), np.zeros((dimensions, dimensions))
+    return np.block([[eye, time_step * eye], [zero, eye]]), np.vstack([0.5 * time_step**2 * eye, time_step * eye])
 
 
 _BAD_CONTROL_COST, _NOT_FINITE, _NOT_SEMIDEFINITE = 1, 2, 3
