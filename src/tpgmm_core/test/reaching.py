@@ -23,14 +23,14 @@ def frames_at(**places: Array) -> dict[str, Frame]:
 
 
 @cache
-def reaching_demonstrations() -> tuple[Demonstration, ...]:
+def reaching_demonstrations(count: int = 6) -> tuple[Demonstration, ...]:
     """[time, pose] on "R1 x R3 x S3", frames "start" and "object", 2 s."""
     random = np.random.default_rng(0)
     times = np.linspace(0.0, DURATION, 60)
     s = times / DURATION
     blend = (s**3 * (10.0 - 15.0 * s + 6.0 * s**2))[:, None]
     demonstrations = []
-    for _ in range(6):
+    for _ in range(count):
         start = place(*random.uniform(-0.1, 0.1, 2), random.uniform(-0.5, 0.5))
         goal = place(0.5 + random.uniform(-0.1, 0.1), random.uniform(-0.1, 0.1), random.uniform(-0.5, 0.5))
         noise = 2e-3 * random.standard_normal((60, 3))

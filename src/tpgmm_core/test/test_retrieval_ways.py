@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All ways of retrieval by name: learned, saved, loaded and reproduced alike; what does not fit is refused."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from reaching import DURATION, frames_at, place, reaching_demonstrations, reaching_model
+from tpgmm_core import TPGMM
+from tpgmm_core.manifold import POSE, Manifold
+from tpgmm_core.retrieval.encodings import ENCODINGS, encoding_of
+from tpgmm_core.retrieval.recipe import Recipe
+from tpgmm_core.retrieval.ways import WAYS, load_model, make_retrieval, way_of
+
+MANIFOLD = Manifold.parse("R1 x R3 x S3")
+DIMENSIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+START, GOAL = place(0.02, -0.03, 0.2), place(0.5, 0.02, -0.2)
+SITUATION = frames_at(start=START, object=GOAL)
+TICK_NS = 10_000_000
+
+
+@cache
+def learned(way: str) -> TPGMM:
+    recipe = Recipe.of({"n_components": 4, "reg_covar": 1e-5, "retrieval": way})
+    return recipe.learn(reaching_demonstrations(20), MANIFOLD, DIMENSIONS)
+
+
+def run(model: TPGMM, seconds: float, **settings: object) -> tuple[np.ndarray, float]:
+    """Means (T, 7) of the references to a robot that is at once where it is to be, and the last phase."""
+    retrieval = make_retrieval(model, **settings)  # type: ignore[arg-type]
+    pose, phase, path = START, 0.0, []
+    retrieval.start(0, pose)
+    for i in range(1, round(1e9 * seconds) // TICK_NS):
+        reference = retrieval.step(i * TICK_NS, SITUATION, pose)
+        pose, phase = reference.gaussian.mean, reference.phase
+        path.append(pose)
+    return np.array(path), phase
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_every_way_is_learned_saved_loaded_and_reproduced_to_the_goal(way: str, tmp_path: Path) -> None:
+    learned(way).save(tmp_path / "model.tpgmm")
+    model = load_model(tmp_path / "model.tpgmm")
+    assert type(model) is WAYS[way].estimator and way_of(model).name == way
+    assert model.metadata_ == learned(way).metadata_ and model.metadata_["duration_s"] == pytest.approx(DURATION)
+    path, phase = run(model, 1.5 * DURATION)
+    assert phase == pytest.approx(1.0, abs=1e-6)
+    difference = POSE.log(path[-1], GOAL)
+    assert np.linalg.norm(difference[:3]) < 0.02 and np.linalg.norm(difference[3:]) < 0.05
+    assert np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1).max() < 0.03  # demonstrated: 0.0047 per tick
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_every_way_takes_the_duration_that_is_asked_for_and_pauses(way: str) -> None:
+    path, phase = run(learned(way), 1.5 * DURATION, duration=0.5 * DURATION)
+    assert phase == pytest.approx(1.0, abs=1e-6)
+    assert np.linalg.norm(path[round(0.8e9 * DURATION) // TICK_NS, :3] - GOAL[:3]) < 0.03
+    paused, phase = run(learned(way), 0.5 * DURATION, speed=0.0)
+    assert phase < 0.2 and np.linalg.norm(paused[-1, :3] - START[:3]) < 0.1
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS.values())
+def test_an_encoding_names_all_dimensions_and_survives_the_metadata(encoding: type) -> None:
+    names = encoding().dimensions(DIMENSIONS, MANIFOLD)
+    assert len(names) == len(set(names)) == encoding().manifold(MANIFOLD).dim
+    demonstration = encoding().encode(reaching_demonstrations()[0], MANIFOLD)
+    assert demonstration.data.shape[1] == len(names)
+    model = TPGMM()
+    model.metadata_ = encoding().metadata()
+    assert encoding_of(model) == encoding()
+
+
+def test_options_of_an_encoding_are_kept_with_the_model() -> None:
+    recipe = Recipe.of({"retrieval": "decay", "decay_rate": 2.0, "window": 5, "n_components": 3})
+    model = recipe.learn(reaching_demonstrations(), MANIFOLD)
+    assert encoding_of(model) == recipe.encoding and model.metadata_["encoding.decay_rate"] == 2.0
+    model.metadata_["encoding.decay_rate"] = -1.0
+    with pytest.raises(ValueError, match="decay_rate is -1.0, expected"):
+        encoding_of(model)
+
+
+def test_a_model_that_says_nothing_is_one_over_time() -> None:
+    assert way_of(reaching_model()).name == "adapt_regress"
+    assert make_retrieval(reaching_model(), "regress_product").duration == DURATION
+
+
+def test_a_way_named_in_settings_gives_way_to_one_that_is_asked_for() -> None:
+    assert Recipe.of({"retrieval": "decay"}, "trajectory").way.name == "trajectory"
+
+
+@pytest.mark.parametrize(
+    ("model", "way", "complaint"),
+    [
+        ("adapt_regress", "decay", r"decay retrieves from models of \[decay term, attractor\].*\[time, data\].*train"),
+        ("decay", "adapt_regress", r"adapt_regress.*'retrieval: adapt_regress', or choose decay"),
+        ("adapt_regress", "semi_markov", "semi_markov retrieves from a TPHSMM, and this model is a TPGMM"),
+        ("adapt_regress", "regression", "no way of retrieval 'regression'; known are adapt_regress"),
+    ],
+)
+def test_a_model_that_does_not_suit_is_refused_with_the_reason(model: str, way: str, complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        make_retrieval(learned(model), way)
+
+
+def test_a_phase_is_for_functions_of_time_only() -> None:
+    with pytest.raises(ValueError, match="'arc_length' is for adapt_regress, regress_product, trajectory: decay"):
+        make_retrieval(learned("decay"), phase="arc_length")
+    with pytest.raises(ValueError, match="no phase 'moon'; known are clock"):
+        make_retrieval(learned("adapt_regress"), phase="moon")
+
+
+@pytest.mark.parametrize(
+    ("settings", "complaint"),
+    [
+        ({"retrieval": "fortune"}, "no way of retrieval 'fortune'"),
+        ({"retrieval": "trajectory", "decay_rate": 3.0}, "decay_rate is no setting of trajectory"),
+        ({"max_duration": 30}, "max_duration is no setting of adapt_regress, which has n_components"),
+        ({"retrieval": "decay", "stiffness": 0.0}, "stiffness is 0.0, expected 10 to"),
+    ],
+)
+def test_a_recipe_says_what_does_not_fit(settings: dict[str, object], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        Recipe.of(settings)

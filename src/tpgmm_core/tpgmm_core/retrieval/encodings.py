@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What of a demonstration [time, data] a model learns, so that a way of retrieval can get the movement out of it again.
+
+An encoding turns demonstrations over [time, data] into those that a model is fitted to. It is written into the model's
+metadata, texts and numbers, so that a model file says what it needs. Frames are over [time, data] outside, always.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import ClassVar
+
+from tpgmm_core.demonstration import Demonstration
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.retrieval.decay import DecayLaw
+from tpgmm_core.retrieval.dynamic_features import manifold_with_derivatives, with_derivatives
+from tpgmm_core.retrieval.dynamics import with_velocity
+from tpgmm_core.settings import check_settings, configured, setting
+from tpgmm_core.tpgmm import TPGMM
+
+_WINDOW = "Samples of the parabolas that derivatives are taken from; odd"
+_KEY = "encoding"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Encoding(ABC):
+    """What a model learns of demonstrations; its fields are numbers (see `settings`).
+
+    name : in files
+    init : where EM had better start from, where that is not the estimator's own default (see `TPGMM`)
+    description : what the rows of the model's data hold
+
+    Raises ValueError for a number out of its range.
+    """
+
+    name: ClassVar[str]
+    init: ClassVar[str | None] = None
+    description: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @abstractmethod
+    def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
+        """What a model is fitted to.
+
+        demonstration : data (T, D): time, s, then a point; manifold : space of all of it, time included
+
+        Raises ValueError for a demonstration that cannot be encoded, with the reason.
+        """
+
+    @abstractmethod
+    def manifold(self, manifold: Manifold) -> Manifold:
+        """Space of the model's data, from that of the demonstrations."""
+
+    @abstractmethod
+    def dimensions(self, names: Sequence[str], manifold: Manifold) -> tuple[str, ...]:
+        """Names of the model's ambient numbers, from those of the demonstrations."""
+
+    def metadata(self) -> dict[str, str | float]:
+        """As a model keeps it: `encoding`, and a number for each option."""
+        return {_KEY: self.name, **{f"{_KEY}.{option}": float(value) for option, value in asdict(self).items()}}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimeEncoding(Encoding):
+    """[time, data], as demonstrated."""
+
+    name: ClassVar[str] = "time"
+    description: ClassVar[str] = "[time, data]"
+
+    def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
+        return demonstration
+
+    def manifold(self, manifold: Manifold) -> Manifold:
+        return manifold
+
+    def dimensions(self, names: Sequence[str], manifold: Manifold) -> tuple[str, ...]:
+        return tuple(names)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DerivativesEncoding(Encoding):
+    """[time, data, velocity, acceleration], by `with_derivatives`."""
+
+    name: ClassVar[str] = "derivatives"
+    description: ClassVar[str] = "[time, data, velocity, acceleration]"
+    window: float = setting(9, 3, 999, _WINDOW)
+
+    def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
+        return with_derivatives(demonstration, manifold, int(self.window))
+
+    def manifold(self, manifold: Manifold) -> Manifold:
+        return manifold_with_derivatives(manifold)
+
+    def dimensions(self, names: Sequence[str], manifold: Manifold) -> tuple[str, ...]:
+        tangent = _tangent_names(names[1:], _data(manifold))
+        return (*names, *(f"v_{name}" for name in tangent), *(f"a_{name}" for name in tangent))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DecayEncoding(Encoding):
+    """[s, attractor] of a spring-damper, by `DecayLaw.encode`."""
+
+    name: ClassVar[str] = "decay"
+    init: ClassVar[str | None] = "bins"  # s is not even in time
+    description: ClassVar[str] = "[decay term, attractor]"
+    decay_rate: float = setting(3.0, 0.1, 20.0, "The decay term falls to exp(-decay_rate) within the duration")
+    stiffness: float = setting(400.0, 10.0, 10000.0, "Of the spring, per duration squared")
+    window: float = setting(9, 3, 999, _WINDOW)
+
+    @property
+    def law(self) -> DecayLaw:
+        """The numbers that encoding and reproduction have in common."""
+        return DecayLaw(decay_rate=self.decay_rate, stiffness=self.stiffness)
+
+    def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
+        return self.law.encode(demonstration, manifold, int(self.window))
+
+    def manifold(self, manifold: Manifold) -> Manifold:
+        return manifold
+
+    def dimensions(self, names: Sequence[str], manifold: Manifold) -> tuple[str, ...]:
+        return ("decay", *names[1:])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VelocityEncoding(Encoding):
+    """[data, velocity] without time, by `with_velocity`."""
+
+    name: ClassVar[str] = "velocity"
+    init: ClassVar[str | None] = "bins"
+    description: ClassVar[str] = "[data, velocity]"
+    window: float = setting(9, 3, 999, _WINDOW)
+
+    def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
+        return with_velocity(demonstration, manifold, int(self.window))
+
+    def manifold(self, manifold: Manifold) -> Manifold:
+        data = _data(manifold)
+        return Manifold((*data.factors, ("R", data.tangent_dim)))
+
+    def dimensions(self, names: Sequence[str], manifold: Manifold) -> tuple[str, ...]:
+        return (*names[1:], *(f"v_{name}" for name in _tangent_names(names[1:], _data(manifold))))
+
+
+ENCODINGS: dict[str, type[Encoding]] = {
+    encoding.name: encoding for encoding in (TimeEncoding, DerivativesEncoding, DecayEncoding, VelocityEncoding)
+}
+
+
+def encoding_of(model: TPGMM) -> Encoding:
+    """What a model has learned of its demonstrations, as its metadata say; [time, data] where they say nothing.
+
+    Raises ValueError for an encoding that is not known, or options that do not fit it.
+    """
+    metadata: Mapping[str, str | float] = model.metadata_
+    name = metadata.get(_KEY, TimeEncoding.name)
+    if name not in ENCODINGS:
+        raise ValueError(f"the model encodes {name!r}, known are {', '.join(ENCODINGS)}: train it again")
+    options = {key.removeprefix(f"{_KEY}."): value for key, value in metadata.items() if key.startswith(f"{_KEY}.")}
+    return configured(ENCODINGS[str(name)], options)
+
+
+def _data(manifold: Manifold) -> Manifold:
+    return manifold.subset(range(1, manifold.dim))
+
+
+def _tangent_names(names: Sequence[str], manifold: Manifold) -> list[str]:
+    """Names of tangent dimensions: those of the Euclidean ones, and rx, ry, rz for a turn (rx2, ... for the second)."""
+    tangent = [""] * manifold.tangent_dim
+    for there, here in zip(manifold.flat_tangent, manifold.flat_ambient, strict=True):
+        tangent[there] = names[here]
+    for i, sphere in enumerate(manifold.spheres):
+        tangent[sphere.tangent] = [f"r{axis}{i + 1 if i else ''}" for axis in "xyz"]
+    return tangent

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`Recipe`: how a model is learned from demonstrations, so that a way of retrieval can get the movement out of it."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, Self
+
+import numpy as np
+
+from tpgmm_core.demonstration import Demonstration
+from tpgmm_core.estimation import Progress
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.retrieval.encodings import Encoding
+from tpgmm_core.retrieval.ways import DEFAULT, KEY, Way, way_named
+from tpgmm_core.settings import configured
+from tpgmm_core.tpgmm import TPGMM
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """A way of retrieval, what it encodes, and how the model is fitted to that.
+
+    way : what the model is for
+    encoding : of the demonstrations
+    arguments : of the way's estimator, without the manifold
+    """
+
+    way: Way
+    encoding: Encoding
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any], way: str | None = None) -> Self:
+        """From settings by name: `retrieval`, options of the encoding, arguments of the estimator.
+
+        way : in place of `retrieval`
+
+        Raises ValueError for a way that is not known, and a setting that neither encoding nor estimator have.
+        """
+        rest = dict(settings)
+        named = rest.pop(KEY, DEFAULT)
+        chosen = way_named(named if way is None else way)
+        options = {item.name for item in fields(chosen.encoding)}
+        arguments = [name for name in inspect.signature(chosen.estimator).parameters if name != "manifold"]
+        unknown = [name for name in rest if name not in options and name not in arguments]
+        if unknown:
+            known = ", ".join([*arguments, *sorted(options)])
+            raise ValueError(f"{', '.join(unknown)} is no setting of {chosen.name}, which has {known}")
+        encoding = configured(chosen.encoding, {name: rest.pop(name) for name in options if name in rest})
+        if encoding.init is not None:
+            rest.setdefault("init", encoding.init)
+        return cls(chosen, encoding, rest)
+
+    @property
+    def max_iter(self) -> int:
+        """At most this many iterations of EM."""
+        return int(self.way.estimator(**self.arguments).max_iter)
+
+    def learn(
+        self,
+        demonstrations: Sequence[Demonstration],
+        manifold: str | Manifold,
+        dimensions: Sequence[str] | None = None,
+        progress: Progress | None = None,
+    ) -> TPGMM:
+        """A model of demonstrations over [time, data], whose metadata say what it is for.
+
+        manifold : space of the demonstrations' data, time included; dimensions : names of its ambient numbers
+        progress : see `TPGMM.fit`
+
+        Raises ValueError for demonstrations that cannot be encoded or learned from.
+        """
+        space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold)
+        model = self.way.estimator(**self.arguments, manifold=self.encoding.manifold(space))
+        model.fit([self.encoding.encode(demonstration, space) for demonstration in demonstrations], progress)
+        if dimensions is not None:
+            model.dimensions_ = self.encoding.dimensions(dimensions, space)
+        model.metadata_ = {
+            KEY: self.way.name,
+            **self.encoding.metadata(),
+            "duration_s": float(np.mean([d.times[-1] - d.times[0] for d in demonstrations])),
+        }
+        return model
