@@ -20,7 +20,7 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy
 import numpy as np  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from tpgmm_core import TPGMM  # noqa: E402
+from tpgmm_core import TPGMM, Demonstration  # noqa: E402
 from tpgmm_core.learning.dirichlet import DirichletTPGMM  # noqa: E402
 from tpgmm_core.learning.selection import Candidate, Estimator, select_model, unfitted  # noqa: E402
 from tpgmm_core.learning.structure import STRUCTURES  # noqa: E402
@@ -84,12 +84,12 @@ def _reproduction(row: Candidate, estimator: Estimator, recordings: list[Recordi
     if row.error is not None:
         return {"position_rmse_m": None, "orientation_mean_deg": None}
 
-    def make_model() -> TPGMM:
+    def learn(demonstrations: list[Demonstration]) -> TPGMM:
         model = unfitted(estimator)
         assert isinstance(model, TPGMM)
-        return model
+        return model.fit(demonstrations)
 
-    folds = leave_one_out(recordings, make_model, next(iter(recordings[0].frames)))
+    folds = leave_one_out(recordings, learn, next(iter(recordings[0].frames)))
     errors = mean_errors([fold.model for fold in folds])
     return {"position_rmse_m": errors.position_rmse_m, "orientation_mean_deg": errors.orientation_mean_deg}
 

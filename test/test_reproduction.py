@@ -32,6 +32,8 @@ from ros_graph import (
 from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_core import TPGMM, Frame, quaternion
 from tpgmm_core.manifold import Manifold
+from tpgmm_core.phase import PHASES
+from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_core.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import Reference, TaskParameters
@@ -50,13 +52,25 @@ PLACES = {
 }
 
 
-@pytest.fixture(scope="module")
-def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def trained(path: Path, *options: str) -> Path:
     """A small model of the recorded demonstrations."""
-    path = tmp_path_factory.mktemp("model") / "pick_place.tpgmm"
-    few = ["--components", "5", "--every", "20"]
+    few = ["--components", "5", "--every", "20", *options]
     assert train.main(["--task", str(TASK_FILE), "--output", str(path), *few, str(ROOT / "bags" / "pick_place")]) == 0
     return path
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with a model for each way of retrieval."""
+    directory = tmp_path_factory.mktemp("models")
+    for way in WAYS:
+        trained(directory / f"{way}.tpgmm", "--retrieval", way)
+    return directory
+
+
+@pytest.fixture(scope="module")
+def model_file(models: Path) -> Path:
+    return models / "adapt_regress.tpgmm"
 
 
 class Player:
@@ -137,9 +151,9 @@ class Player:
         spin_until(self.node, is_answered, message="a reference", processes=(self.process,))
         return self.references[-1]
 
-    def start(self, duration: float = DURATION) -> object:
+    def start(self, model: str = "", duration: float = DURATION) -> object:
         """Send a goal and wait until it moves."""
-        handle = self.send(duration=duration)
+        handle = self.send(model, duration)
 
         def moving() -> bool:
             self.show(PLACES)
@@ -293,18 +307,113 @@ def test_a_deactivated_node_ends_its_movement_with_the_reason_and_sends_no_more_
     assert change_state(player.node, NODE, ACTIVATE)
 
 
-def test_models_are_loaded_on_request_and_not_while_a_movement_goes_on(
-    player: Player, model_file: Path, tmp_path: Path
-) -> None:
-    def load(path: Path) -> LoadModel.Response:
-        return call(player.node, LoadModel, "load_model", LoadModel.Request(path=str(path)))
+@pytest.mark.parametrize("way", WAYS)
+def test_every_way_of_retrieval_moves_to_the_same_end(player: Player, models: Path, model_file: Path, way: str) -> None:
+    handle = player.start(str(models / f"{way}.tpgmm"))
+    status, result = player.result(handle)
+    assert status == GoalStatus.STATUS_SUCCEEDED and result.success, result.reason
+    assert POSE.distance(end_of(model_file), np.array(player.references[-1].gaussian.mean)) < 0.03
+    assert player.references[-1].phase == 1.0 and len(player.references[-1].horizon) == 1
 
-    refused = load(tmp_path / "nowhere.tpgmm")
-    assert not refused.success and "nowhere.tpgmm" in refused.reason
-    assert load(model_file).success
-    player.start()
-    refused = load(model_file)
-    assert not refused.success and "movement" in refused.reason
+
+def end_of(model_file: Path) -> np.ndarray:
+    """Where a model over time has the movement end."""
+    model = TPGMM.load(model_file)
+    frames = {name: Frame.from_pose(pose[:3], pose[3:]).with_time() for name, pose in PLACES.items()}
+    return model.adapt(frames).condition([0], [model.metadata_["duration_s"]]).mean
+
+
+def load(player: Player, path: Path) -> LoadModel.Response:
+    """Ask for a model while ticks go on."""
+    client = player.node.create_client(LoadModel, "load_model")
+    spin_until(player.node, client.service_is_ready, message="load_model")
+    future = client.call_async(LoadModel.Request(path=str(path)))
+
+    def answered() -> bool:
+        player.tick(answered=bool(player.references))
+        return future.done()
+
+    spin_until(player.node, answered, message="load_model to answer", processes=(player.process,))
+    player.node.destroy_client(client)
+    return future.result()
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_model_that_is_loaded_during_a_movement_takes_over_without_a_jump_and_reaches_the_goal(
+    player: Player, models: Path, model_file: Path, way: str
+) -> None:
+    handle = player.start(str(model_file), duration=2.0)
+    while player.references[-1].phase < 0.4:
+        player.tick()
+    before = len(player.references)
+    loaded = load(player, models / f"{way}.tpgmm")
+    assert loaded.success, loaded.reason
+    for _ in range(60):
+        player.tick()
+    phases = [reference.phase for reference in player.references[before:]]
+    assert min(phases) > 0.3, "the movement goes on where it was"
+    # In m per tick of 5 ms: as fast as elsewhere, and no jump of the velocity
+    path = means(player.references[1:])[:, :3]
+    usual, around = path[: before - 1], path[before - 5 :]
+    step, change = (np.abs(np.diff(usual, n=n, axis=0)).max() for n in (1, 2))
+    assert np.abs(np.diff(around, axis=0)).max() < 2.0 * step
+    assert np.abs(np.diff(around, n=2, axis=0)).max() < 3.0 * change
+    status, result = player.result(handle)
+    assert status == GoalStatus.STATUS_SUCCEEDED and result.success, result.reason
+    assert POSE.distance(end_of(model_file), np.array(player.references[-1].gaussian.mean)) < 0.03
+    assert load(player, model_file).success
+
+
+def test_a_bad_model_is_refused_and_the_movement_goes_on_with_the_old_one(
+    player: Player, models: Path, tmp_path: Path
+) -> None:
+    foreign = tmp_path / "foreign.tpgmm"
+    foreign.write_bytes(b"no model at all")
+    handle = player.start()
+    for path in (foreign, tmp_path / "nowhere.tpgmm"):
+        refused = load(player, path)
+        assert not refused.success and path.name in refused.reason
+    assert set_parameters(player.node, NODE, retrieval="decay").successful
+    refused = load(player, models / "trajectory.tpgmm")
+    assert not refused.success and "decay retrieves from" in refused.reason
+    assert set_parameters(player.node, NODE, retrieval="").successful
+    status, result = player.result(handle)
+    assert status == GoalStatus.STATUS_SUCCEEDED and result.success
+
+
+def test_a_way_that_the_model_does_not_suit_aborts_the_goal_with_the_reason(player: Player) -> None:
+    for values, complaint in (
+        ({"retrieval": "dynamics"}, "train one with 'retrieval: dynamics'"),
+        ({"retrieval": "", "speed": -3.0}, None),
+    ):
+        result = set_parameters(player.node, NODE, **values)  # type: ignore[arg-type]
+        if complaint is None:
+            assert not result.successful and "speed" in result.reason
+            continue
+        status, outcome = player.result(player.send())
+        assert status == GoalStatus.STATUS_ABORTED and complaint in outcome.reason
+    assert set_parameters(player.node, NODE, retrieval="").successful
+    unknown = set_parameters(player.node, NODE, retrieval="fortune")
+    assert not unknown.successful and "adapt_regress" in unknown.reason
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_a_movement_pauses_goes_back_and_on_by_parameter(player: Player, phase: str) -> None:
+    assert set_parameters(player.node, NODE, phase=phase).successful
+    handle = player.start()
+    while player.references[-1].phase < 0.4:
+        player.tick()
+    for speed, ticks in ((0.0, 120), (-1.0, 80), (1.0, 0)):
+        assert set_parameters(player.node, NODE, speed=speed).successful
+        for _ in range(ticks):
+            player.tick()
+    phases = np.array([reference.phase for reference in player.references])
+    turned = phases.argmax() if phases[-1] < phases.max() else len(phases)
+    assert phases.max() < 0.7 and np.ptp(phases[turned - 20 : turned]) < 1e-3, "paused"
+    assert phases[-1] < phases.max() - 0.1, "gone back"
+    status, result = player.result(handle)
+    assert status == GoalStatus.STATUS_SUCCEEDED and result.success
+    assert set_parameters(player.node, NODE, phase="clock").successful
 
 
 def test_parameters_out_of_range_are_refused_with_the_reason(player: Player) -> None:

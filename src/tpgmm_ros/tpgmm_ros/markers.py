@@ -24,16 +24,19 @@ def markers(
     """Markers of one moment, replacing those of the last one.
 
     Args:
-        mixture: the adapted components over [time, x, y, z, qx, qy, qz, qw].
+        mixture: the adapted components over poses and whatever else the model encodes.
         activations: (K,), how much each component takes part now; shown by its opacity.
-        frames: the frames that took part, acting on the same dimensions as the mixture.
+        frames: the frames that took part, over [time, pose].
     """
+    sphere = mixture.manifold.spheres[0]  # the position stands before the orientation
+    place = slice(sphere.ambient.start - 3, sphere.ambient.start)
+    spread = slice(sphere.tangent.start - 3, sphere.tangent.start)
     header = conversions.header_at(nanoseconds, frame_id)
     array = MarkerArray()
     for k, (mean, covariance) in enumerate(zip(mixture.means, mixture.covariances, strict=True)):
-        values, vectors = np.linalg.eigh(covariance[1:4, 1:4])
+        values, vectors = np.linalg.eigh(covariance[spread, spread])
         vectors[:, 0] *= np.sign(np.linalg.det(vectors))
-        pose = np.concatenate([mean[1:4], quaternion.from_matrix(vectors)])
+        pose = np.concatenate([mean[place], quaternion.from_matrix(vectors)])
         marker = Marker(header=header, ns="components", id=k, type=Marker.SPHERE, action=Marker.ADD)
         marker.pose = conversions.pose_from_array(pose)
         # Two standard deviations to each side.
@@ -43,7 +46,7 @@ def markers(
     path = Marker(header=header, ns="path", id=0, type=Marker.LINE_STRIP, action=Marker.ADD)
     path.scale.x = 0.004
     path.color = ColorRGBA(r=0.2, g=0.2, b=0.2, a=0.9)
-    path.points = [Point(x=float(mean[1]), y=float(mean[2]), z=float(mean[3])) for mean in mixture.means]
+    path.points = [Point(x=float(x), y=float(y), z=float(z)) for x, y, z in mixture.means[:, place]]
     array.markers.append(path)
     for index, (name, frame) in enumerate(frames.items()):
         array.markers.append(_axes(name, index, frame, header))

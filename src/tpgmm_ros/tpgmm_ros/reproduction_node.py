@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -22,14 +24,17 @@ from visualization_msgs.msg import MarkerArray
 
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.execution import Execution, ExecutionConfig, Outcome, Stage
-from tpgmm_core.reproduction import Reproduction
+from tpgmm_core.phase import PHASES
+from tpgmm_core.retrieval.interface import Retrieval
+from tpgmm_core.retrieval.ways import WAYS, make_retrieval, way_named
 from tpgmm_core.tracking import check_pose
-from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_msgs.srv import LoadModel
 from tpgmm_ros import conversions
+from tpgmm_ros.background import Background, create_patient_service
 from tpgmm_ros.executor import run
+from tpgmm_ros.goals import Goals, finish
 from tpgmm_ros.lifecycle import ManagedNode
 from tpgmm_ros.markers import markers
 from tpgmm_ros.monitor import Monitor
@@ -47,27 +52,34 @@ PARAMETERS = [
     ),
     Declared("autostart", False, "Configure and activate at start, without a lifecycle manager", fixed=True),
     Declared("rate", 0.0, "References on a timer, Hz; 0: one for each joint state", 0.0, 2000.0, fixed=True),
+    Declared("retrieval", "", f"Way of retrieval: {', '.join(WAYS)}; empty: what the model was learned for"),
+    Declared("phase", "clock", f"What the model's time follows: {', '.join(PHASES)}"),
+    Declared("speed", 1.0, "1: as learned; 0: pause; less than 0: back", -2.0, 2.0),
     Declared("horizon_steps", 1, "Gaussians ahead in each reference", 0, 50),
     Declared("horizon_time_step", 0.005, "Time between them, s", 0.001, 1.0),
     Declared("blend_time", 0.15, "Time constant with which moved or lost frames are taken over, s", 0.001, 5.0),
     *declared_of(ExecutionConfig),
 ]
+RETRIEVAL_SETTINGS = ("retrieval", "phase", "speed", "horizon_steps", "horizon_time_step", "blend_time")
 WATCH_PERIOD = 0.5  # s
 TRACKER_TIMEOUT = 1.0  # s
 FEEDBACK_PERIOD_NS = 100_000_000
 POSE_PERIOD_NS = 33_000_000
 MARKER_PERIOD_NS = 100_000_000
 
+type Prepared = tuple[TPGMM, Retrieval]
+"""A model, and a movement of it that is not yet begun."""
+
 
 class ReproductionNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("reproduction")
-        self.parameters = Parameters(self, PARAMETERS)
-        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"])
         self.model: TPGMM | None = None
         self.execution: Execution | None = None
+        self.parameters = Parameters(self, PARAMETERS, self._check)
+        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"])
         self._active = False
-        self._goal: ServerGoalHandle | None = None
+        self._duration = 0.0
         self._received: list[tuple[Any, ...]] = []
         self._known: dict[str, tuple[Frame, float]] = {}
         self._frames: dict[str, Frame] = {}
@@ -81,6 +93,14 @@ class ReproductionNode(ManagedNode):
         self._done_ns: dict[str, int] = {}
         if self.parameters["autostart"]:
             self.start_itself()
+
+    def _check(self, values: Mapping[str, Any]) -> None:
+        if values["retrieval"]:
+            way_named(values["retrieval"])
+        if values["phase"] not in PHASES:
+            raise ValueError(f"there is no phase {values['phase']!r}; known are {', '.join(PHASES)}")
+        if self.execution is not None:  # last, since it takes effect: only the way itself knows which speeds it can go
+            self.execution.retrieval.speed = values["speed"]
 
     # -- lifecycle ----------------------------------------------------------------------------------------------------
 
@@ -107,16 +127,9 @@ class ReproductionNode(ManagedNode):
         else:
             self.create_subscription(JointState, "joint_states", self._take_joint_state, STREAM)
         self.create_timer(WATCH_PERIOD, self._watch, clock=self._steady)
-        self.create_service(LoadModel, "load_model", self._load_model)
-        self._action = ActionServer(
-            self,
-            Reproduce,
-            "reproduce",
-            execute_callback=lambda _: None,  # goals are executed by `finish`
-            handle_accepted_callback=self._accept,
-            goal_callback=lambda _: GoalResponse.ACCEPT,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
-        )
+        self._background = Background(self)
+        create_patient_service(self, LoadModel, "load_model", self._load_model)
+        self._goals = Goals(self, self._accept)
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -131,7 +144,8 @@ class ReproductionNode(ManagedNode):
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._action.destroy()
+        self._background.close()
+        self._goals.destroy()
         return super().on_cleanup(state)
 
     # -- inputs -------------------------------------------------------------------------------------------------------
@@ -169,46 +183,69 @@ class ReproductionNode(ManagedNode):
         else:
             self._pose = pose
 
-    def _load_model(self, request: LoadModel.Request, response: LoadModel.Response) -> LoadModel.Response:
-        if self.execution is not None and self.execution.stage is not Stage.ENDED:
-            response.success, response.reason = False, "a movement is being reproduced: cancel it or wait for its end"
-            return response
-        try:
-            self.model = load_model(request.path, self.task)
-        except (ValueError, OSError) as error:
-            response.success, response.reason = False, str(error)
-            return response
-        self.get_logger().info(f"loaded {request.path}")
-        response.success, response.reason = True, ""
-        return response
+    # -- models and goals, prepared in the background -----------------------------------------------------------------
 
-    # -- the action ---------------------------------------------------------------------------------------------------
+    def _prepare(self, path: str, then: Callable[[Future[Prepared]], None], duration: float) -> None:
+        """Read the model in a file (the one in use where there is none) and make it ready, while steps go on."""
+        task, model = self.task, self.model
+        settings = {name: self.parameters[name] for name in RETRIEVAL_SETTINGS}
+
+        def work() -> Prepared:
+            chosen = load_model(path, task) if path else model
+            if chosen is None:
+                raise ValueError("no model is loaded: name a model file in the goal, or set the parameter model_file")
+            way = settings.pop("retrieval") or None
+            return chosen, make_retrieval(chosen, way, duration=duration or None, **settings)
+
+        self._background.run(work, then)
+
+    def _load_model(self, request: LoadModel.Request) -> Future[LoadModel.Response]:
+        answer: Future[LoadModel.Response] = Future()
+        self._prepare(request.path, partial(self._take_model, request.path, answer), self._duration)
+        return answer
+
+    def _take_model(self, path: str, answer: Future[LoadModel.Response], job: Future[Prepared]) -> None:
+        """Use a model from now on, also for the movement that is going on."""
+        try:
+            model, retrieval = job.result()
+            self._go_on_with(retrieval)
+        except (ValueError, OSError) as error:
+            answer.set_result(LoadModel.Response(success=False, reason=str(error)))
+            return
+        self.model = model
+        self.get_logger().info(f"loaded {path}")
+        answer.set_result(LoadModel.Response(success=True))
+
+    def _go_on_with(self, retrieval: Retrieval) -> None:
+        """Let another model, or another way, carry out the movement that is going on, if one is."""
+        if self.execution is None or self.execution.stage is Stage.ENDED:
+            return
+        unseen = [name for name in retrieval.frame_names if name not in self._known]
+        if unseen:
+            raise ValueError(f"the frames {', '.join(unseen)} are not seen, and a movement is being reproduced")
+        self.execution.take_over(retrieval, self._last_ns, self._pose)
+        self._choose_frames()
 
     def _accept(self, goal: ServerGoalHandle) -> None:
+        self._prepare(goal.request.model, partial(self._begin, goal), goal.request.duration)
+
+    def _begin(self, goal: ServerGoalHandle, job: Future[Prepared]) -> None:
         try:
-            execution = self._prepare(goal.request)
+            if not self._active:
+                raise ValueError("the node is not active: activate it first")
+            _, retrieval = job.result()
+            execution = Execution(retrieval, self.parameters.fill(ExecutionConfig))
         except (ValueError, OSError) as error:
             finish(goal, Outcome(False, str(error)))
             return
+        if goal.is_cancel_requested:
+            finish(goal, Outcome(False, "canceled"))
+            return
         self._end("another movement was asked for")
-        self.execution, self._goal = execution, goal
+        self._goals.begin(goal)
+        self.execution, self._duration = execution, goal.request.duration
         self._stepped_ns = self._steady.now().nanoseconds
         self._choose_frames()
-
-    def _prepare(self, request: Reproduce.Goal) -> Execution:
-        if not self._active:
-            raise ValueError("the node is not active: activate it first")
-        model = load_model(request.model, self.task) if request.model else self.model
-        if model is None:
-            raise ValueError("no model is loaded: name a model file in the goal, or set the parameter model_file")
-        reproduction = Reproduction(
-            model,
-            duration=request.duration or None,
-            horizon_steps=self.parameters["horizon_steps"],
-            horizon_time_step=self.parameters["horizon_time_step"],
-            blend_time=self.parameters["blend_time"],
-        )
-        return Execution(reproduction, self.parameters.fill(ExecutionConfig))
 
     def _end(self, reason: str) -> None:
         """Stop the movement that is going on, if one is."""
@@ -217,17 +254,15 @@ class ReproductionNode(ManagedNode):
             self._report_end()
 
     def _report_end(self) -> None:
-        if self.execution is not None and self.execution.outcome is not None and self._goal is not None:
-            self.get_logger().info(f"movement ended: {self.execution.outcome.reason}")
-            finish(self._goal, self.execution.outcome)
-            self._goal = None
+        if self.execution is not None and self.execution.outcome is not None:
+            self._goals.end(self.execution.outcome)
 
     def _watch(self) -> None:
         """Ticks that do not come cannot notice it themselves."""
         silence = 1e-9 * (self._steady.now().nanoseconds - self._stepped_ns)
-        if self._goal is not None and self._goal.is_cancel_requested:
+        if self._goals.is_cancel_requested:
             self._end("canceled")
-        if self._goal is not None and silence > self.parameters["start_timeout"]:
+        if self._goals.is_going_on and silence > self.parameters["start_timeout"]:
             self._end(f"no joint states for {silence:.1f} s: is the robot running, and is the topic the right one?")
 
     # -- one step -----------------------------------------------------------------------------------------------------
@@ -243,9 +278,15 @@ class ReproductionNode(ManagedNode):
             self._end("time jumped backwards")
         self._last_ns = stamp_ns
         self.monitor.tick(stamp_ns)
-        if self._goal is not None and self._goal.is_cancel_requested:
+        if self._goals.is_cancel_requested:
             self._end("canceled")
-        reference = execution.step(stamp_ns, self._frames, self._pose, self._weights)
+        try:
+            reference = execution.step(stamp_ns, self._frames, self._pose, self._weights)
+        except ValueError as error:  # a situation that the model cannot be adapted to; the controller holds, then damps
+            self._end(f"no reference can be given: {error}")
+            self.get_logger().error(f"no reference can be given: {error}")
+            self.execution = None
+            return
         self._report_end()
         if reference is None:
             return
@@ -261,8 +302,8 @@ class ReproductionNode(ManagedNode):
         reference = execution.reference
         assert reference is not None
         frame_id = self.task.base_frame
-        if self._goal is not None and self._is_due("feedback", stamp_ns, FEEDBACK_PERIOD_NS):
-            self._goal.publish_feedback(Reproduce.Feedback(phase=reference.phase, frames=list(reference.frames)))
+        if self._is_due("feedback", stamp_ns, FEEDBACK_PERIOD_NS):
+            self._goals.tell(reference.phase, reference.frames)
         if self._is_due("pose", stamp_ns, POSE_PERIOD_NS):
             self._reference_poses.publish(conversions.pose_with_covariance(reference.gaussian, stamp_ns, frame_id))
         if self._markers.get_subscription_count() and self._is_due("markers", stamp_ns, MARKER_PERIOD_NS):
@@ -289,30 +330,6 @@ class ReproductionNode(ManagedNode):
         if missing:
             return DiagnosticStatus.WARN, f"reproducing without {', '.join(missing)}", values
         return DiagnosticStatus.OK, "reproducing", values
-
-
-def finish(goal: ServerGoalHandle, outcome: Outcome) -> None:
-    """Give the action's client the outcome.
-
-    A goal is "executed" only now that it is over: a coroutine that waits for the end would have the executor ask it
-    over and over, at the cost of a core.
-    """
-
-    def result(goal: ServerGoalHandle) -> Reproduce.Result:
-        if goal.is_cancel_requested:
-            goal.canceled()
-        elif outcome.success:
-            goal.succeed()
-        else:
-            goal.abort()
-        return Reproduce.Result(
-            success=outcome.success,
-            reason=outcome.reason,
-            final_position_error=outcome.position_error,
-            final_orientation_error=outcome.orientation_error,
-        )
-
-    goal.execute(result)
 
 
 def main() -> int:

@@ -9,7 +9,7 @@
       object: {topic: object/pose}           # observed
       robot: {pose: [0, 0, 0, 0, 0, 0, 1]}   # fixed: x y z (m), qx qy qz qw, in base_frame
     tracking: {visible_timeout: 0.25}        # optional, s
-    model: {n_components: 10, init: time}    # optional, arguments of TPGMM
+    model: {n_components: 10, init: time}    # optional: the way of retrieval, arguments of its estimator
 
 Reading a task file executes nothing and needs no ROS.
 """
@@ -18,13 +18,16 @@ import difflib
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from tpgmm_core.learning.structure import STRUCTURES
+from tpgmm_core.retrieval.encodings import ENCODINGS
+from tpgmm_core.retrieval.recipe import Recipe
+from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_core.settings import configured
 from tpgmm_core.tracking import TrackingConfig
 
@@ -72,7 +75,7 @@ class Task:
         endpoint: end point of the robot that follows the movement.
         frames: task frames by name, in the order of the file.
         tracking: settings of the frame tracker in s; their names and ranges are the tracker's to check.
-        model: arguments of TPGMM.
+        model: `retrieval`, options of what it encodes, arguments of its estimator: what `Recipe.of` takes.
     """
 
     name: str
@@ -154,6 +157,7 @@ def _tracking(section: "_Section") -> dict[str, float]:
 
 def _model(section: "_Section") -> dict[str, Any]:
     readers: dict[str, Callable[[Any], Any]] = {
+        "retrieval": _choice(*WAYS),
         "n_components": _integer(1),
         "init": _choice("time", "kmeans", "bins"),
         "reg_covar": _number(0.0),
@@ -164,9 +168,16 @@ def _model(section: "_Section") -> dict[str, Any]:
         "n_init": _integer(1),
         "covariance": _choice(*STRUCTURES),
         "n_factors": _integer(1),
+        "max_duration": _integer(1),
+        **{item.name: _number() for encoding in ENCODINGS.values() for item in fields(encoding)},
     }
     section.refuse_others(*readers)
-    return {key: section.required(key, readers[key]) for key in section.values}
+    values = {key: section.required(key, readers[key]) for key in section.values}
+    try:
+        Recipe.of(values)
+    except ValueError as error:
+        raise section.error(f"does not fit together: {error}") from error
+    return values
 
 
 class _Section:

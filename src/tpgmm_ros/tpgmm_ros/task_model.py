@@ -7,23 +7,27 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from tpgmm_core import TPGMM, Frame
-from tpgmm_core.manifold import POSE
+from tpgmm_core.manifold import POSE, Manifold
+from tpgmm_core.retrieval import ways
+from tpgmm_core.retrieval.encodings import encoding_of
 from tpgmm_ros.conversions import TaskFrameState
 from tpgmm_ros.task import DIMENSIONS, MANIFOLD, Task
 
 
 def load_model(path: str | Path, task: Task) -> TPGMM:
-    """A model that fits a task.
+    """A model that fits a task, whatever it encodes of the task's movements.
 
     Raises:
-        ValueError: the file is no model, or the model encodes something else than the task describes.
+        ValueError: the file is no model, or the model is of something else than the task describes.
         OSError: the file cannot be read.
     """
-    model = TPGMM.load(path)
-    if str(model.manifold_) != MANIFOLD or tuple(model.dimensions_ or ()) != DIMENSIONS:
+    model = ways.load_model(path)
+    encoding, space = encoding_of(model), Manifold.parse(MANIFOLD)
+    manifold, dimensions = encoding.manifold(space), encoding.dimensions(DIMENSIONS, space)
+    if model.manifold_ != manifold or tuple(model.dimensions_ or ()) != dimensions:
         raise ValueError(
             f"{path} encodes {model.dimensions_} on {model.manifold_}; "
-            f"task '{task.name}' needs {DIMENSIONS} on {MANIFOLD}"
+            f"task '{task.name}' needs {dimensions} on {manifold}"
         )
     unknown = [name for name in model.frame_names_ if name not in task.frames]
     if unknown:

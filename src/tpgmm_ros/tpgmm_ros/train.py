@@ -13,6 +13,8 @@ import numpy as np
 from tqdm import tqdm
 
 from tpgmm_core import TPGMM
+from tpgmm_core.retrieval.recipe import Recipe
+from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_ros.bags import Recording, align, find_bags, read_recordings
 from tpgmm_ros.reporting import format_table, write_atomically, write_report
 from tpgmm_ros.task import DIMENSIONS, MANIFOLD, Task
@@ -23,6 +25,7 @@ examples:
   train --task config/pick_place.yaml --output pick_place.tpgmm bags/
   train --task config/pick_place.yaml --output pick_place.tpgmm --report out/train demo_1 demo_2 demo_3
   train --task config/pick_place.yaml --leave-one-out bags/          (only measures, saves no model)
+  train --task config/pick_place.yaml --output decay.tpgmm --retrieval decay bags/
   train --task config/pick_place.yaml --output few.tpgmm --components 4 --every 5 --skip-bad bags/
 
 exit status: 0 the model was trained and saved; 1 it was not, the reason is on stderr; 2 wrong arguments
@@ -38,6 +41,7 @@ class Training:
     """A fitted model, and what it was fitted to."""
 
     model: TPGMM
+    recipe: Recipe
     recordings: list[Recording]
     duration_s: float
     time_s: float
@@ -72,11 +76,12 @@ def _run(options: argparse.Namespace, report: dict[str, Any]) -> None:
     if options.output is not None and options.output.is_dir():
         raise TrainingError(f"{options.output} is a directory; give the name of a model file, such as model.tpgmm")
     task = Task.load(options.task)
+    recipe = _recipe(task, options)
     recordings = _read(options, task, report)
-    training = _train(task, recordings, options)
+    training = _train(task, recipe, recordings)
     _summarize(training, task, report)
     if options.leave_one_out:
-        report["leave_one_out"] = _validate(task, recordings, options)
+        report["leave_one_out"] = _validate(task, recipe, recordings)
     if options.output is not None:
         write_atomically(options.output, training.model.save)
         report["model"] = str(options.output)
@@ -111,42 +116,39 @@ def _read(options: argparse.Namespace, task: Task, report: dict[str, Any]) -> li
     return good
 
 
-def _estimator(task: Task, options: argparse.Namespace) -> TPGMM:
-    settings = {**task.model, "manifold": MANIFOLD}
+def _recipe(task: Task, options: argparse.Namespace) -> Recipe:
+    settings = dict(task.model)
     if options.components is not None:
         settings["n_components"] = options.components
     if options.seed is not None:
         settings["random_state"] = options.seed
-    return TPGMM(**settings)
+    return Recipe.of(settings, options.retrieval)
 
 
-def _train(task: Task, recordings: list[Recording], options: argparse.Namespace) -> Training:
+def _train(task: Task, recipe: Recipe, recordings: list[Recording]) -> Training:
     demonstrations, duration = align(recordings)
-    model = _estimator(task, options)
     start = time.perf_counter()
-    with _bar(total=model.max_iter, desc="EM", unit="iteration") as bar:
+    with _bar(total=recipe.max_iter, desc="EM", unit="iteration") as bar:
 
         def progress(iteration: int, log_likelihood: float) -> None:
             bar.set_postfix_str(f"log-likelihood {log_likelihood:.4f}", refresh=False)
             bar.update()
 
-        model.fit(demonstrations, progress=progress)
+        model = recipe.learn(demonstrations, MANIFOLD, DIMENSIONS, progress)
     elapsed = time.perf_counter() - start
     if not np.isfinite(model.log_likelihood_):
         raise TrainingError(
             "the log-likelihood is not finite; raise reg_covar in the task file, or use fewer components"
         )
-    model.dimensions_ = DIMENSIONS
-    model.metadata_ = {
+    model.metadata_ |= {
         "task": task.name,
         "base_frame": task.base_frame,
         "movement": task.movement,
         "endpoint": task.endpoint,
-        "duration_s": duration,
         "demonstrations": len(recordings),
         "samples": sum(len(recording.times) for recording in recordings),
     }
-    return Training(model, recordings, duration, elapsed)
+    return Training(model, recipe, recordings, duration, elapsed)
 
 
 def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
@@ -154,6 +156,7 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
     report |= {
         "task": task.name,
         "frames": list(task.frames),
+        "retrieval": training.recipe.way.name,
         "demonstrations": len(durations),
         "samples": sum(len(recording.times) for recording in training.recordings),
         "duration_s": training.duration_s,
@@ -168,6 +171,7 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
     hint = "" if report["converged"] else " (not converged: raise max_iter)"
     rows = {
         "task": f"{task.name} (frames: {', '.join(task.frames)})",
+        "retrieval": report["retrieval"],
         "demonstrations": report["demonstrations"],
         "samples": report["samples"],
         "duration": f"{training.duration_s:.2f} s (from {min(durations):.2f} to {max(durations):.2f} s)",
@@ -179,11 +183,11 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
     print(format_table(("what", "value"), rows.items()))
 
 
-def _validate(task: Task, recordings: list[Recording], options: argparse.Namespace) -> dict[str, Any]:
+def _validate(task: Task, recipe: Recipe, recordings: list[Recording]) -> dict[str, Any]:
     anchor = list(task.topics or task.frames)[-1]
     folds: list[Fold] = []
     with _bar(total=len(recordings), desc="leave one out", unit="demonstration") as bar:
-        for fold in leave_one_out(recordings, lambda: _estimator(task, options), anchor):
+        for fold in leave_one_out(recordings, lambda demonstrations: recipe.learn(demonstrations, MANIFOLD), anchor):
             folds.append(fold)
             bar.update()
     mean = mean_errors([fold.model for fold in folds])
@@ -255,6 +259,12 @@ def _parser() -> argparse.ArgumentParser:
         type=_positive,
         metavar="K",
         help="number of Gaussians, instead of n_components of the task file",
+    )
+    parser.add_argument(
+        "--retrieval",
+        choices=WAYS,
+        metavar="WAY",
+        help=f"what the model is for, instead of retrieval of the task file: {', '.join(WAYS)}",
     )
     parser.add_argument("--seed", type=int, help="seed of random choices, instead of random_state of the task file")
     parser.add_argument(

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Leave-one-out: how well a model tells what was done in a situation that it has not seen."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Adapter, Demonstration, quaternion
+from tpgmm_core import TPGMM, Demonstration, Frame, quaternion
+from tpgmm_core.retrieval.ways import make_retrieval, way_named, way_of
 from tpgmm_ros.bags import Recording, align
 from tpgmm_ros.pose_streams import Array
 
@@ -50,7 +51,9 @@ class Fold:
     iterations: int
 
 
-def leave_one_out(recordings: Sequence[Recording], make_model: Callable[[], TPGMM], anchor: str) -> Iterator[Fold]:
+def leave_one_out(
+    recordings: Sequence[Recording], learn: Callable[[list[Demonstration]], TPGMM], anchor: str
+) -> Iterator[Fold]:
     """Train on all recordings but one, reproduce in the situation of that one; each in turn.
 
     The frames are those of the recording left out, over time. Its duration is not used: both paths are
@@ -58,7 +61,7 @@ def leave_one_out(recordings: Sequence[Recording], make_model: Callable[[], TPGM
 
     Args:
         recordings: at least two.
-        make_model: makes an estimator that is not fitted yet.
+        learn: a model of demonstrations.
         anchor: frame from which the nearest demonstration is replayed.
 
     Raises:
@@ -69,7 +72,7 @@ def leave_one_out(recordings: Sequence[Recording], make_model: Callable[[], TPGM
     for left_out in recordings:
         others = [recording for recording in recordings if recording is not left_out]
         demonstrations, duration = align(others)
-        model = make_model().fit(demonstrations)
+        model = learn(demonstrations)
         yield Fold(
             left_out,
             path_errors(reproduce(model, left_out.to_demonstration(duration)), left_out.movement),
@@ -78,19 +81,55 @@ def leave_one_out(recordings: Sequence[Recording], make_model: Callable[[], TPGM
         )
 
 
-def reproduce(model: TPGMM, situation: Demonstration) -> Array:
-    """Poses (T, 7) that the model expects at the times and with the frames of a demonstration: Eqs. (5), (6).
+def reproduce(model: TPGMM, situation: Demonstration, way: str | None = None) -> Array:
+    """Poses (T, 7) that a model gives at the times and with the frames of a demonstration, by its way of retrieval.
 
-    As long as no frame is visible the movement stays where it starts.
+    A way that knows the movement as a function of time is asked for each time in the situation of that time. One that
+    has a state of its own is stepped through the times by a robot that is at once where it is to be. As long as no
+    frame is visible the movement stays where it starts.
+
+    Args:
+        model: of [time, pose] as any way encodes it.
+        situation: on "R1 x R3 x S3".
+        way: in place of the model's own.
     """
-    adapter = Adapter(model)
-    visible = {name: situation.is_visible(name) for name in situation.frames}
+    chosen = way_of(model) if way is None else way_named(way)
+    chosen.check(model)
     poses = np.tile(situation.data[0, 1:], (len(situation.times), 1))
-    for i, time in enumerate(situation.times):
-        frames = {name: frame.at(i) for name, frame in situation.frames.items() if visible[name][i]}
-        if frames:
-            poses[i] = adapter.adapt_and_condition(frames, np.array([time]))[0][0]
+    course = None if chosen.course is None else chosen.course(model)
+    movement = None if course is not None else make_retrieval(model, chosen.name, horizon_steps=0)
+    pose, former = poses[0], None
+    for i, (time, frames) in enumerate(zip(situation.times, _frames_over_time(situation), strict=True)):
+        if not frames:
+            continue
+        if course is not None:
+            if frames is not former:
+                course.situate(frames, poses[0])
+            poses[i] = course.at(np.array([time]))[0][0]
+        elif movement is not None:
+            time_ns = round(1e9 * time)
+            if former is None:
+                movement.start(time_ns, pose)
+            poses[i] = pose = movement.step(time_ns, frames, pose).gaussian.mean
+        former = frames
     return poses
+
+
+def _frames_over_time(situation: Demonstration) -> Iterator[dict[str, Frame]]:
+    """The visible frames at each sample; the same mapping as long as nothing changes."""
+    visible = {name: situation.is_visible(name) for name in situation.frames}
+    former: dict[str, Frame] | None = None
+    for i in range(len(situation.times)):
+        now = {name: frame.at(i) for name, frame in situation.frames.items() if visible[name][i]}
+        if former is None or not _are_same(now, former):
+            former = now
+        yield former
+
+
+def _are_same(one: Mapping[str, Frame], other: Mapping[str, Frame]) -> bool:
+    return one.keys() == other.keys() and all(
+        np.array_equal(frame.A, other[name].A) and np.array_equal(frame.b, other[name].b) for name, frame in one.items()
+    )
 
 
 def replay_nearest(others: Sequence[Recording], situation: Recording, anchor: str) -> Array:
