@@ -24,7 +24,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 say = @printf '\033[1m==> %s\033[0m\n' "$(1)"
 
-.PHONY: help setup lint format test demo bags results figures bench scaling lock clean
+.PHONY: help setup lint format test properties demo bags results figures bench scaling lock clean
 
 help: ## list the targets
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -42,6 +42,9 @@ format: setup ## bring the code into the project's style
 
 test: lint ## lint, then all tests
 	$(PYTHON) -m pytest
+
+properties: setup ## no sequence of inputs makes a torque or a rate beyond its limit: 10 000 sequences (`make test`: some)
+	TPGMM_PROPERTY_SEQUENCES=10000 $(PYTHON) -m pytest src/tpgmm_core/test/test_controller_properties.py
 
 demo: setup ## train, start the nodes, do the task: out/demo/ (SEED=7 for another situation)
 	$(PROGRAMS)/demo --seed $(SEED)
