@@ -70,6 +70,11 @@ class Durations:
         return np.logaddexp.accumulate(self.log_probabilities[:, ::-1], axis=1)[:, ::-1]
 
     @property
+    def hazards(self) -> Array:
+        """p(duration = d | duration >= d), shape (K, L), for d = 1 .. L: how probably a state ends now."""
+        return np.exp(np.minimum(self.log_probabilities - self.log_survival, 0.0))
+
+    @property
     def log_prior(self) -> float:
         """Logarithm of the prior's density at these parameters, without its constant: the penalty of EM."""
         features = _features(self.max_duration)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.learning.hmm import TPHMM, Chain
 from tpgmm_core.learning.markov import SemiMarkovChain
@@ -59,6 +59,29 @@ class TPHSMM(TPHMM):
             covariance, n_factors, covariance_options, transitions,
         )  # fmt: skip
         self.max_duration = max_duration
+
+    def likeliest_course(self, n_steps: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """The most probable states and their durations in samples, both (S,), of a movement of n_steps samples.
+
+        The maximum of the forward variable when nothing is observed (Yu 2010; Calinon et al., ICRA 2011). The movement
+        ends in a state that nothing follows, where there is one. Raises ValueError when no sequence of states lasts
+        that long.
+        """
+        self._check_fitted()
+        K = len(self.priors_)
+        log_densities = np.zeros((n_steps, K))
+        goes_on = self.transitions_.any(axis=1)
+        if not goes_on.all():
+            log_densities[-1:, goes_on] = -np.inf
+        try:
+            states, _ = self.chain_.most_likely(log_densities, [n_steps])
+        except ValueError:
+            raise ValueError(
+                f"no sequence of the {K} states lasts {n_steps} samples: transitions give their order, and each lasts "
+                "1 to max_duration samples"
+            ) from None
+        begins = np.flatnonzero(np.diff(states, prepend=-1))
+        return states[begins], np.diff(begins, append=n_steps)
 
     def _check_parameters(self) -> None:
         super()._check_parameters()

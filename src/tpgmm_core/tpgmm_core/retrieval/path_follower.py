@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""States in a situation, and a reference that goes smoothly from one to the next; time is counted in samples."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.stats import chi2
+
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.mixture import GaussianMixture
+from tpgmm_core.quaternion import Array
+from tpgmm_core.retrieval.state_filter import Course
+from tpgmm_core.retrieval.tracking_plan import Plan, Planner
+
+USUAL = 0.95
+"""Share of the positions in a state that count as fully fitting. Within it, only durations tell neighbours apart."""
+PLAN_STEPS = 24
+"""Steps of a plan, four to a time constant: what lies further ahead counts less than a hundredth."""
+
+
+@lru_cache
+def _usual_distance(dimensions: int) -> float:
+    """Squared distance, in standard deviations, within which the share USUAL of a Gaussian lies."""
+    return float(chi2.ppf(USUAL, dimensions))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AdaptedStates:
+    """The K states in a situation, as points of the data's manifold, time (and derivatives) left out.
+
+    means : (K, D), in the middle of a state; rates : (K, n), per sample
+    covariances, precisions : (K, n, n), given the time within the state
+    seen : (K, n, n), precisions of where the robot is seen at any time in a state, errors of tracking included
+    mean_precisions : (n,), of a state of average precision: the same in all directions, of positions and of turns each
+    """
+
+    manifold: Manifold
+    means: Array
+    rates: Array
+    covariances: Array
+    precisions: Array
+    seen: Array
+    mean_precisions: Array
+
+    @classmethod
+    def of(cls, mixture: GaussianMixture, manifold: Manifold, sample_time: float, tolerance: Array) -> AdaptedStates:
+        """tolerance : (n,), standard deviations of the robot about its reference."""
+        means, n = mixture.means[:, 1 : 1 + manifold.dim], manifold.tangent_dim
+        S = mixture.covariances[:, : 1 + n, : 1 + n]
+        gains = S[:, 0, 1:] / S[:, :1, 0]
+        covariances = S[:, 1:, 1:] - gains[:, :, None] * S[:, :1, 1:]
+        seen = np.linalg.inv(S[:, 1:, 1:] + np.diag(tolerance**2))
+        variances, mean_precisions = np.diagonal(covariances, axis1=1, axis2=2), np.empty(n)
+        for block in (manifold.flat_tangent, *(np.r_[s.tangent] for s in manifold.spheres)):
+            if len(block):
+                mean_precisions[block] = np.exp(-np.mean(np.log(variances[:, block].mean(axis=1))))
+        precisions = np.linalg.inv(covariances)
+        return cls(manifold, means, gains * sample_time, covariances, precisions, seen, mean_precisions)
+
+    def fit(self, state: Array) -> Array:
+        """How well a position (D,) fits each state, (K,): 1 within what is usual, and then as its Gaussian falls."""
+        d = self.manifold.log(self.means, state[None])
+        squares = np.einsum("ki,kij,kj->k", d, self.seen, d)
+        return np.exp(-0.5 * np.maximum(squares - _usual_distance(self.manifold.tangent_dim), 0.0))
+
+
+class PathFollower:
+    """The reference as it goes on: a place in the course, and a plan that is made anew as it is used up.
+
+    Time is counted in samples. Plans begin at whole samples, unless the situation changes.
+    """
+
+    place: tuple[int, float]
+    states: AdaptedStates
+    plan: Plan
+
+    def __init__(self, course: Course, manifold: Manifold, smoothing: float) -> None:
+        self.course = course
+        self._time_constant = smoothing * float(np.mean(course.nominal))
+        self._stride = max(1, round(self._time_constant / 4.0))
+        self._planner = Planner(manifold, float(self._stride), PLAN_STEPS)
+
+    def begin(self, place: tuple[int, float], states: AdaptedStates, state: Array | None) -> None:
+        """At rest at a position (D,), or where the place is expected to be."""
+        self.place, self.states = place, states
+        self.fraction = 0.0
+        position = self._targets(0.0)[0][0] if state is None else np.array(state)
+        self._replan(position, np.zeros(states.manifold.tangent_dim))
+        self.covariance = self._covariances[self.place[0]]
+
+    def change(self, states: AdaptedStates) -> None:
+        """Take another situation over: position and velocity stay."""
+        self.states = states
+        self._replan(*self.plan.at(self._planned))
+
+    def advance(self, samples: float) -> bool:
+        """Go on, at most to the next whole sample; whether that was reached."""
+        self._planned += samples
+        self.fraction += samples
+        share = 1.0 - math.exp(-samples / self._time_constant)
+        self.covariance = self.covariance + share * (self._covariances[self.place[0]] - self.covariance)
+        if self.fraction < 1.0 - 1e-9:
+            return False
+        self.fraction = 0.0
+        return True
+
+    def arrive(self, place: tuple[int, float]) -> None:
+        """Be at a place, at a whole sample."""
+        self.place = place
+        if self._planned > self._stride - 1e-6:
+            self._replan(*self.plan.at(self._planned))
+
+    def at(self, samples: float = 0.0) -> Array:
+        """Position (D,), so many samples ahead."""
+        return self.plan.at(self._planned + samples)[0]
+
+    def _replan(self, position: Array, velocity: Array) -> None:
+        states = self.states
+        targets, which = self._targets(self.fraction)
+        self._covariances, precisions = states.covariances, states.precisions
+        if not states.manifold.is_euclidean:
+            T = states.manifold.transport(states.means, position)
+            self._covariances, precisions = (T @ S @ np.swapaxes(T, 1, 2) for S in (self._covariances, precisions))
+        # of accelerations per sample²: a state of average precision is met within the time constant
+        cost = np.diag(self._time_constant**4 * states.mean_precisions)
+        self.plan = self._planner.plan(position, velocity, targets, precisions[which], cost)
+        self._planned = 0.0
+
+    def _targets(self, since: float) -> tuple[Array, list[int]]:
+        """What the states expect (PLAN_STEPS + 1, D) from so many samples after the place on, and which states."""
+        course, states = self.course, self.states
+        state, age = self.place
+        if age >= course.longest[state]:
+            ahead = [course.onwards(state, age, 0.0)] * (PLAN_STEPS + 1)
+        else:
+            ahead = [course.onwards(state, age, since + i * self._stride) for i in range(PLAN_STEPS + 1)]
+        which = [state for state, _ in ahead]
+        lasts = course.nominal[which] - 1.0  # ages of a state's samples are 0 to this
+        offsets = np.minimum([age for _, age in ahead], lasts) - 0.5 * lasts
+        return states.manifold.exp(states.means[which], offsets[:, None] * states.rates[which]), which
