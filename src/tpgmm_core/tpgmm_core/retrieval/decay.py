@@ -8,9 +8,9 @@ A spring-damper is pulled to an attractor, whose path is learned over a decay te
     duration · x' = z
 
 The attractor is the mean of N(attractor | s), by regression on the adapted mixture (Eqs. 5, 6). Towards the end it
-passes over to the goal, where demonstrations ended as the frames saw it (`GoalTPGMM`), so that the movement ends there however
-many components the mixture has. Frames may move and the duration change while the movement runs: position and velocity
-never jump. On S³ z is a turn about the fixed axes.
+passes over to the goal, where demonstrations ended as the frames saw it (`GoalTPGMM`), so that the movement ends
+there however many components the mixture has. Frames may move and the duration change while the movement runs:
+position and velocity never jump. On S³ z is a turn about the fixed axes.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
 from tpgmm_core.retrieval.differences import derivatives
-from tpgmm_core.retrieval.frames import without_time
+from tpgmm_core.retrieval.frames import require_time_kept, without_time
 from tpgmm_core.retrieval.spring import critically_damped
 from tpgmm_core.retrieval.system import System, positive
 
@@ -92,7 +92,7 @@ class DecayMovement(System):
         that is held makes it wait ("phase stopping", Ijspeert et al. 2013)
 
     - The phase is the time in durations, 1 when s has come to its end. s stays there, and the spring settles, so that
-      the system converges to `goal`, whatever happened before. Beginning within the movement (`start`), it begins at rest.
+      the system converges to `goal`, whatever happened before. Within the movement (`start`), too, it begins at rest.
     - The spring is solved exactly for an attractor that stays during a step (on S³ in the tangent space at the
       position), hence stable for steps of any length.
     - The covariance of a reference is that of the attractor.
@@ -134,9 +134,9 @@ class DecayMovement(System):
     def _end(
         self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, which: int
     ) -> Gaussian:
-        without_time(frames)
-        where = None if state is None else np.concatenate([[0.0], state])
-        return self._ends.adapt(frames, where, weights).component(which).marginal(range(1, 1 + self.manifold.dim))
+        ends = self._ends.adapt(frames, None if state is None else np.concatenate([[0.0], state]), weights)
+        require_time_kept(self._ends.situation)
+        return Gaussian(ends.means[which, 1:], ends.covariances[which, 1:, 1:], self.manifold)
 
     def _begin(
         self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, phase: float
@@ -147,9 +147,8 @@ class DecayMovement(System):
         self._situate(frames, weights)
 
     def _situate(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None) -> None:
-        without_time(frames)
-        self._adapted = self._adapter.adapt(frames, np.concatenate([[0.0], self._x]), weights)
         self._goal = self._end(frames, weights, self._x, END)
+        self._adapter.situate(frames, np.concatenate([[0.0], self._x]), weights)
 
     def _advance(self, seconds: float, robot: Array | None) -> None:
         if robot is not None:
@@ -165,7 +164,7 @@ class DecayMovement(System):
             return x, z
         n_steps = int(min(max(math.ceil(time / LONGEST_STEP), 1), MAX_STEPS))
         step = time / n_steps
-        attractors, _, _ = self._attractors(own + step * (np.arange(n_steps) + 0.5))
+        attractors, _, _ = self._attractors(own + step * (np.arange(n_steps, dtype=np.float64) + 0.5))
         for attractor in attractors:
             # On S³ both ends of a geodesic see it as the same turn about the fixed axes
             error = self.manifold.log(attractor, x)
@@ -183,27 +182,24 @@ class DecayMovement(System):
             way = self.manifold.log(means[i], self._goal.mean)
             attractors[i] = self.manifold.exp(means[i], shares[i] * way)
             covariances[i] += shares[i] * (self._goal.covariance - covariances[i])
-        return attractors, covariances, activations
+        return attractors, 0.5 * (covariances + np.swapaxes(covariances, 1, 2)), activations
 
-    def _now(self) -> tuple[Gaussian, Array]:
+    def _now(self) -> tuple[Array, Array, Array]:
         _, covariances, activations = self._attractors(np.array([self._own], dtype=np.float64))
-        return self._gaussian(self._x, covariances[0]), activations
-
-    def _gaussian(self, x: Array, covariance: Array) -> Gaussian:
-        return Gaussian(x, 0.5 * (covariance + covariance.T), self.manifold)
+        return self._x, covariances[0], activations
 
     def _ahead(self, seconds: Array) -> list[Gaussian]:
         times = self._pace.ahead(seconds)
-        _, covariances, _ = self._attractors(self._own + times)
+        _, covariances, _ = self._attractors(times + self._own)
         x, z, gone, gaussians = self._x, self._z, 0.0, []
         for time, covariance in zip(times, covariances, strict=True):
             x, z = self._go(x, z, self._own + gone, time - gone)
             gone = time
-            gaussians.append(self._gaussian(x, covariance))
+            gaussians.append(Gaussian(x, covariance, self.manifold))
         return gaussians
 
     def _phase(self) -> float:
         return min(self._own, 1.0)
 
     def _mixture(self) -> GaussianMixture:
-        return self._adapted
+        return self._adapter.mixture()

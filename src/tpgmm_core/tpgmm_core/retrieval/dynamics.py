@@ -6,26 +6,28 @@ adapted to the situation by Eqs. (5), (6), on R^n and on poses. Their constraint
 product of Eq. (6). The guarantee is a control Lyapunov function (Khansari-Zadeh and Billard 2014) instead, which moves
 with the situation, and the smallest correction of the velocity that makes it fall.
 
-Let x* be the goal in the situation, where demonstrations ended as the frames saw it (`GoalTPGMM`), and d(x) the distance to
-it, in m, with an angle counted as its arc at `Convergence.metres_per_radian`. Beside x the system keeps a radius r >= d(x),
-at first (1 + detour) d(x_0), and later never more than (1 + detour) d(x):
+Let x* be the goal in the situation, where demonstrations ended as the frames saw it (`GoalTPGMM`), and d(x) the
+distance to it, in m, with an angle counted as its arc at `Convergence.metres_per_radian`. Beside x the system keeps a
+radius r >= d(x), at first (1 + detour) d(x_0), and later never more than (1 + detour) d(x):
 
     r' <= -rho(r),   rho(r) = min(rate r_0^(1/3) r^(2/3), goal_rate r, c)
 
-r_0 is the longest d(x) since the start, c the top speed of the model, rates are per duration. What of the regressed velocity
-would lead out of the ball of radius r about x* is taken from it, along the geodesic to x*; the rest stays. The power 2/3 is
-that of a movement that comes to rest with a jerk other than zero, as hands do: d falls as the third power of the time left.
+r_0 is the longest d(x) since the start, c the top speed of the model, rates are per duration. What of the regressed
+velocity would lead out of the ball of radius r about x* is taken from it, along the geodesic to x*; the rest stays.
+The power 2/3 is that of a movement that comes to rest with a jerk other than zero, as hands do: d falls as the third
+power of the time left.
 
-**Theorem.** While the frames stand still and the robot does not pull the system away, for any start and time steps of any
-length: d(x) <= r, and r falls by rho at least. Hence d(x(t)) <= (1 + detour) d(x_0) at all times, and x converges to x*:
-where top speed is not what limits it, d(x) <= r_0 ((1 + detour)^(1/3) - rate t / 3)^3, with t in durations, until the spring of
-goal_rate holds. With detour = 0, d itself is the Lyapunov function. When the goal moves by delta, or the robot pulls the
-system by delta, r grows by no more than delta: errors do not add up (input-to-state stability).
+**Theorem.** While the frames stand still and the robot does not pull the system away, for any start and time steps of
+any length: d(x) <= r, and r falls by rho at least. Hence d(x(t)) <= (1 + detour) d(x_0) at all times, and x converges
+to x*: where top speed is not what limits it, d(x) <= r_0 ((1 + detour)^(1/3) - rate t / 3)^3, with t in durations,
+until the spring of goal_rate holds. With detour = 0, d itself is the Lyapunov function. When the goal moves by delta,
+or the robot pulls the system by delta, r grows by no more than delta: errors do not add up (input-to-state
+stability).
 
-*Proof.* The laws in rho are solved exactly, each alone; what falls by their minimum is never below any of the three. A step
-of x that ends outside of the ball is brought to the ball's nearest point. The bound holds after each step by construction,
-no integration error enters. On S³, where opposite points are half a turn away, every way from there is down. Tests check
-the bound at every step, on random models, starts and time steps (`test_retrieval_dynamics.py`).
+*Proof.* The laws in rho are solved exactly, each alone; what falls by their minimum is never below any of the three.
+A step of x that ends outside of the ball is brought to the ball's nearest point. The bound holds after each step by
+construction, no integration error enters. On S³, where opposite points are half a turn away, every way from there is
+down. Tests check the bound at every step, on random models, starts and time steps (`test_retrieval_dynamics.py`).
 """
 
 from __future__ import annotations
@@ -107,9 +109,11 @@ class StableDynamics(System):
       movement, more across it. Near the goal it passes over to that of the demonstrations' ends.
     - The phase is the share of the way that is done, 1 - d / (the largest d since the start); 1 within
       `Convergence.arrival`, so that it may fall when the goal moves away.
-    - When frames change, the velocity changes at once; the difference is taken over by an offset of the reference that
+    - When frames change, the velocity changes at once, and within some mm where one component takes over from another.
+      What exceeds the acceleration from rest to top speed within blend_time goes into an offset of the reference, which
       dies out as a critically damped spring with blend_time. So does the reference start at rest.
-    - A robot that is held stays on a leash: the reference waits for it, and the movement goes on from there.
+    - A robot that is held has the reference wait for it, at one to two lengths of the leash; one that is pulled away
+      takes the reference along, by no more than leash_speed. The movement goes on from there.
 
     Attributes of the last step: velocity, regressed : (n,) per s at speed 1 and the demonstrated duration, with and
     without the correction (on the way to the former, too fast a velocity is shortened first).
@@ -158,7 +162,8 @@ class StableDynamics(System):
         self, lifted_frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, which: int
     ) -> Gaussian:
         ends = self._ends.adapt(lifted_frames, self._with_rest(state), weights)
-        return ends.component(which).marginal(range(self.manifold.dim))
+        D, n = self.manifold.dim, self.manifold.tangent_dim
+        return Gaussian(ends.means[which, :D], ends.covariances[which, :n, :n], self.manifold)
 
     def _lifted(self, frames: Mapping[str, Frame]) -> dict[str, Frame]:
         return {name: lifted(frame, self.manifold) for name, frame in without_time(frames).items()}
@@ -173,19 +178,17 @@ class StableDynamics(System):
         self._offset = np.zeros(self.manifold.tangent_dim)
         self._longest = 0.0
         self._take(frames, weights)
-        self._radius = (1.0 + self.convergence.detour) * self._distance
-        self._reach(self._distance / max(1.0 - phase, 1e-6))
-        self._find_velocity()
-        self._offset_rate = -self._pace.rate * self._model_duration * self.velocity
+        self._radius = (1.0 + self.convergence.detour) * self.distance
+        self._reach(self.distance / max(1.0 - phase, 1e-6))
+        self.velocity[:] = 0.0
+        self._offset_rate = np.zeros_like(self.velocity)
+        self._take_velocity(0.0)
 
     def _situate(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None) -> None:
-        former_goal, former_velocity = self._goal.mean, self.velocity.copy()
+        former_goal = self._goal.mean
         self._take(frames, weights)
         self._radius += self._length(self.manifold.log(former_goal, self._goal.mean))
-        self._find_velocity()
-        self._offset_rate = self._offset_rate + self._pace.rate * self._model_duration * (
-            former_velocity - self.velocity
-        )
+        self._take_velocity(0.0)
 
     def _take(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None) -> None:
         """The mixture and the goal in a situation, prepared for regression."""
@@ -212,59 +215,71 @@ class StableDynamics(System):
 
     def _reach(self, at_least: float = 0.0) -> None:
         """The longest distance since the start."""
-        self._longest = self._law[2] = max(self._longest, self._distance, at_least)
+        self._longest = self._law[2] = max(self._longest, self.distance, at_least)
 
-    def _find_velocity(self) -> None:
-        """`velocity` and `regressed` where the system is."""
-        e = np.empty(self.manifold.tangent_dim)
-        kernels.stable_velocity(self._x, max(self._radius, 1e-300), *self._system, self.velocity, e)
+    def _take_velocity(self, seconds: float, astray: Array | float = 0.0) -> None:
+        """`velocity` and `regressed` where the system is now; what of a change is too fast goes into the offset.
+
+        astray : (n,), how far the last step has led from where the former velocity would have led
+        """
+        former = self.velocity.copy()
+        kernels.stable_velocity(self._x, max(self._radius, 1e-300), *self._system, self.velocity, np.empty(len(former)))
+        scale = self._pace.rate * self._model_duration
+        change = scale * (self.velocity - former)
+        size, admitted = self._length(change), self._law[3] * scale * seconds / self.blend_time
+        if size > admitted:
+            too_fast = 1.0 - admitted / size
+            self._offset, self._offset_rate = self._offset - too_fast * astray, self._offset_rate - too_fast * change
 
     def _advance(self, seconds: float, robot: Array | None) -> None:
-        own = self._pace.advance(seconds) * self._model_duration
-        self._radius = self._go(self._x, self._radius, own, self.velocity)
-        self._offset, self._offset_rate = self._offset_after(seconds)
         if robot is not None:
             self._follow(robot, seconds)
+        own = self._pace.advance(seconds) * self._model_duration
+        before = self._x.copy()
+        self._radius = self._go(self._x, self._radius, own)
+        self._offset, self._offset_rate = self._offset_after(seconds)
         self._reach()
-        self._find_velocity()
+        self._take_velocity(seconds, self.manifold.log(before, self._x) - own * self.velocity)
 
-    def _go(self, x: Array, radius: float, own: float, velocity: Array) -> float:
+    def _go(self, x: Array, radius: float, own: float) -> float:
         """x goes on by an own time, s as demonstrated; the radius then."""
         n_steps = int(min(max(math.ceil(own / (MAX_TIME_STEP * self._model_duration)), 1), MAX_STEPS))
-        return float(kernels.go(x, radius, own, n_steps, *self._system, velocity))
+        return float(kernels.go(x, radius, own, n_steps, *self._system, np.empty(len(self.velocity))))
 
     def _follow(self, robot: Array, seconds: float) -> None:
-        """Be pulled along by a robot that is farther away than the leash: softly, hence at first not at all."""
+        """Slow down for a robot that is farther away than the leash, and be pulled along by it.
+
+        Softly: as the excess begins to grow nothing changes at once. At twice the leash the system's own movement stops.
+        """
         away = self.manifold.log(self._x, robot)
-        length = self._length(away)
-        excess = length - self.convergence.leash
+        length, leash = self._length(away), self.convergence.leash
+        excess = length - leash
         if excess > 0.0:
+            self._pace.target *= max(1.0 - excess / leash, 0.0)
             pulled = min(-math.expm1(-seconds / self.blend_time) * excess, self.convergence.leash_speed * seconds)
             self._x = self.manifold.exp(self._x, away * (pulled / length))
             self._radius += pulled
 
-    def _now(self) -> tuple[Gaussian, Array]:
-        return self._gaussian(self._x, self._activations, self._offset), self._activations.copy()
+    def _now(self) -> tuple[Array, Array, Array]:
+        covariance = self._covariance_at(self._x, self._activations)
+        return self.manifold.exp(self._x, self._offset), covariance, self._activations.copy()
 
-    def _gaussian(self, x: Array, activations: Array, offset: Array) -> Gaussian:
-        covariance = self._position_covariance(x, activations)
+    def _covariance_at(self, x: Array, activations: Array) -> Array:
+        covariance = np.empty((len(self._metric), len(self._metric)))
+        kernels.position_covariance(x, activations, self._centres, self._spreads, *self._layout, covariance)
         d = self._length(self.manifold.log(self._goal.mean, x))
         near = math.exp(-0.5 * (d / self._law[5]) ** 2)
         covariance += near * (self._goal.covariance - covariance)
-        return Gaussian(self.manifold.exp(x, offset), 0.5 * (covariance + covariance.T), self.manifold)
-
-    def _position_covariance(self, x: Array, activations: Array) -> Array:
-        covariance = np.empty((len(self._metric), len(self._metric)))
-        kernels.position_covariance(x, activations, self._centres, self._spreads, *self._layout, covariance)
-        return covariance
+        return np.asarray(0.5 * (covariance + covariance.T))
 
     def _ahead(self, seconds: Array) -> list[Gaussian]:
-        x, radius, velocity = self._x.copy(), self._radius, self.velocity.copy()
+        x, radius = self._x.copy(), self._radius
         kept = self._activations.copy(), self.regressed.copy()
         gaussians, gone = [], 0.0
         for time, own in zip(seconds, self._pace.ahead(seconds) * self._model_duration, strict=True):
-            radius, gone = self._go(x, radius, own - gone, velocity), own
-            gaussians.append(self._gaussian(x, self._activations, self._offset_after(float(time))[0]))
+            radius, gone = self._go(x, radius, own - gone), own
+            mean = self.manifold.exp(x, self._offset_after(float(time))[0])
+            gaussians.append(Gaussian(mean, self._covariance_at(x, self._activations), self.manifold))
         self._activations[:], self.regressed[:] = kept
         return gaussians
 
@@ -285,7 +300,8 @@ class StableDynamics(System):
         return self._radius
 
     @property
-    def _distance(self) -> float:
+    def distance(self) -> float:
+        """Of the system from its goal, m; at most `radius`. The reference differs from it by the offset alone."""
         return self._length(self.manifold.log(self._goal.mean, self._x))
 
     def _size(self, covariance: Array) -> float:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from tpgmm_core.frame import Frame
+from tpgmm_core.kernels_adapt import tangent_matrix
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
 
@@ -27,6 +28,15 @@ def lifted(frame: Frame, manifold: Manifold, orders: int = 1) -> Frame:
     b = np.zeros((*frame.b.shape[:-1], A.shape[-2]))
     b[..., : frame.b.shape[-1]] = frame.b
     return Frame(A, b, inverse)
+
+
+def _tangent_map(A: Array, manifold: Manifold) -> Array:
+    """`Manifold.tangent_map`, compiled for the single matrix that a loop has."""
+    if A.shape == (manifold.dim, manifold.dim):
+        tangent = np.empty((manifold.tangent_dim, manifold.tangent_dim))
+        if tangent_matrix(np.ascontiguousarray(A), manifold.ambient_of_tangent, manifold.sphere_starts, tangent):
+            return tangent
+    return manifold.tangent_map(A)
 
 
 def _block_diagonal(*blocks: Array) -> Array:

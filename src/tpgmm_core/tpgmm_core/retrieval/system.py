@@ -124,11 +124,10 @@ class System(ABC):
         if seconds > 0.0:
             self._pace.target = self._target()
             self._advance(seconds, where)
-        gaussian, activations = self._now()
-        self._blend_covariance(gaussian.covariance, seconds)
+        mean, covariance, activations = self._now()
         return Reference(
             phase=self._phase(),
-            gaussian=Gaussian(gaussian.mean, self._covariance, self.manifold),  # type: ignore[arg-type]
+            gaussian=Gaussian(mean, self._blended(covariance, seconds), self.manifold),
             horizon_time_step=self._horizon_time_step,
             horizon=tuple(self._ahead(self._ahead_times)),
             activations=activations,
@@ -164,13 +163,13 @@ class System(ABC):
             point[s.ambient] = quaternion.normalize(point[s.ambient])
         return point
 
-    def _blend_covariance(self, covariance: Array, seconds: float) -> None:
+    def _blended(self, covariance: Array, seconds: float) -> Array:
         """Covariances form a convex cone: a first-order low-pass never leaves it."""
-        if self._covariance is None:
-            self._covariance = covariance
-        else:
+        if self._covariance is not None:
             share = -math.expm1(-seconds / self.blend_time)
-            self._covariance = self._covariance + share * (covariance - self._covariance)
+            covariance = self._covariance + share * (covariance - self._covariance)
+        self._covariance = covariance
+        return covariance
 
     @abstractmethod
     def _begin(
@@ -187,8 +186,8 @@ class System(ABC):
         """Go on by a time > 0, s; robot (D,): where it is, as far as that is known."""
 
     @abstractmethod
-    def _now(self) -> tuple[Gaussian, Array]:
-        """The Gaussian of the reference, and the activations (K,)."""
+    def _now(self) -> tuple[Array, Array, Array]:
+        """Mean (D,) and covariance (n, n) of the reference, and the activations (K,)."""
 
     @abstractmethod
     def _ahead(self, seconds: Array) -> list[Gaussian]:
