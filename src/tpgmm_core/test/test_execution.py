@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import fields
 
@@ -10,8 +11,13 @@ import numpy as np
 import pytest
 
 from reaching import frames_at, place, reaching_model
+from tpgmm_core import TPGMM
 from tpgmm_core.execution import Execution, ExecutionConfig, Outcome, Stage
+from tpgmm_core.manifold import POSE
+from tpgmm_core.reference import Reference
 from tpgmm_core.reproduction import Reproduction
+from tpgmm_core.retrieval.regression import RegressThenProduct
+from worlds import planar_demonstrations
 
 FRAMES = frames_at(start=place(0.0, 0.0, 0.0), object=place(0.5, 0.1, 0.4))
 WEIGHTS = {"start": 1.0, "object": 1.0}
@@ -106,6 +112,103 @@ def test_without_any_frame_there_is_no_reference_and_it_goes_on_when_one_is_back
     assert run.step(SECOND, {}, None, {}) is None
     reference = run.step(3 * SECOND // 2, FRAMES, None, WEIGHTS)
     assert reference is not None and reference.phase == pytest.approx(0.75)
+
+
+def test_a_movement_that_goes_back_waits_at_its_start_and_may_go_forward_again() -> None:
+    run = execution()
+    pose = reaching_model().adapt(FRAMES).condition([0], [2.0]).mean
+    seen = []
+    for tenth in range(90):
+        if tenth == 22:
+            assert run.stage is Stage.SETTLING
+            run.retrieval.speed = -1.0
+        if tenth == 60:
+            run.retrieval.speed = 1.0
+        reference = run.step(tenth * SECOND // 10, FRAMES, pose, WEIGHTS)
+        assert reference is not None
+        seen.append((run.stage, reference.phase))
+    assert seen[50] == (Stage.MOVING, 0.0) and run.stage is Stage.ENDED
+    assert run.outcome is not None and run.outcome.success
+
+
+def jumps(references: list[Reference]) -> tuple[float, float]:
+    """Largest step, and largest change of steps, of the mean."""
+    means = [r.gaussian.mean for r in references]
+    steps = np.array([POSE.log(a, b) for a, b in zip(means, means[1:], strict=False)])
+    return float(np.abs(steps).max()), float(np.abs(np.diff(steps, axis=0)).max())
+
+
+def test_another_retrieval_takes_over_in_the_middle_without_a_jump() -> None:
+    """Another order of regression on another model, and back, while the former change is still being taken over."""
+    others = {
+        500: Reproduction(RegressThenProduct(shifted_model()), horizon_steps=1),
+        560: Reproduction(reaching_model()),
+    }
+    usual, swapped = execution(), execution()
+    references: dict[Execution, list[Reference]] = {usual: [], swapped: []}
+    for run, found in references.items():
+        for ms in range(1_500):
+            if run is swapped and ms in others:
+                run.take_over(others[ms])
+            reference = run.step(ms * SECOND // 1000, FRAMES, None, WEIGHTS)
+            assert reference is not None
+            found.append(reference)
+    largest_step, largest_change = jumps(references[usual])
+    step, change = jumps(references[swapped])
+    assert step < largest_step + 1e-3 and change < 3.0 * largest_change  # the models are 5 cm apart
+    np.testing.assert_allclose([r.phase for r in references[swapped]], [r.phase for r in references[usual]], atol=1e-9)
+    apart = POSE.log(references[usual][540].gaussian.mean, references[swapped][540].gaussian.mean)
+    assert np.abs(apart).max() > 2e-3
+    np.testing.assert_allclose(
+        POSE.log(references[usual][-1].gaussian.mean, references[swapped][-1].gaussian.mean), 0.0, atol=1e-3
+    )
+    covariances = np.array([r.gaussian.covariance for r in references[swapped][490:520]])
+    assert np.abs(np.diff(covariances, axis=0)).max() < 0.05 * np.abs(covariances).max()
+
+
+def shifted_model() -> TPGMM:
+    """The same movement 5 cm higher, as seen from both frames."""
+    model = copy.copy(reaching_model())
+    model.means_ = {name: means + 0.05 * np.eye(8)[3] for name, means in model.means_.items()}
+    return model
+
+
+def test_a_retrieval_that_takes_over_keeps_speed_and_horizon() -> None:
+    run = execution()
+    run.retrieval.speed = 0.5
+    for ms in range(100):
+        run.step(ms * SECOND // 1000, FRAMES, None, WEIGHTS)
+    run.take_over(Reproduction(shifted_model()))
+    run.step(100 * SECOND // 1000, FRAMES, None, WEIGHTS)
+    assert run.retrieval.speed == 0.5 and run.retrieval.frame_names == ("start", "object")
+    ahead = run.retrieval.horizon(5, 0.01)
+    for ms in range(101, 151):
+        reference = run.step(ms * SECOND // 1000, FRAMES, None, WEIGHTS)
+    assert reference is not None
+    np.testing.assert_allclose(POSE.log(reference.gaussian.mean, ahead[-1].mean), 0.0, atol=1e-9)
+    np.testing.assert_allclose(reference.gaussian.covariance, ahead[-1].covariance, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(run.retrieval.mixture().means, shifted_model().adapt(FRAMES).means)
+
+
+def test_a_retrieval_in_another_space_is_refused_and_the_movement_goes_on() -> None:
+    run = execution()
+    run.step(0, FRAMES, None, WEIGHTS)
+    flat = TPGMM(2, reg_covar=1e-5).fit(planar_demonstrations())
+    flat.metadata_ = {"duration_s": 2.0}
+    with pytest.raises(ValueError, match="same dimensions"):
+        run.take_over(Reproduction(flat))
+    reference = run.step(SECOND, FRAMES, None, WEIGHTS)
+    assert reference is not None and reference.phase == 0.5
+
+
+def test_before_the_movement_begins_another_retrieval_just_takes_its_place() -> None:
+    run = execution()
+    assert run.step(0, {}, None, {}) is None
+    other = Reproduction(shifted_model())
+    run.take_over(other)
+    assert run.retrieval is other
+    reference = run.step(SECOND // 2, FRAMES, None, WEIGHTS)
+    assert reference is not None and reference.phase == 0.0
 
 
 @pytest.mark.parametrize("name", [item.name for item in fields(ExecutionConfig)])

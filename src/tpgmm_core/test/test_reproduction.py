@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from reaching import DURATION, frames_at, place, reaching_model
-from tpgmm_core import Frame
+from tpgmm_core import TPGMM, Frame
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.reference import Reference
 from tpgmm_core.reproduction import Reproduction
 from tpgmm_core.retrieval.interface import demonstrated_duration
+from worlds import planar_demonstrations
 
 POSE = Manifold.parse("R3 x S3")
 MS = 1_000_000
@@ -108,6 +109,44 @@ def test_covariances_stay_symmetric_and_positive_while_frames_come_and_go() -> N
         covariance = reproduction.step(ms * MS, frames).gaussian.covariance
         np.testing.assert_allclose(covariance, covariance.T, atol=1e-12)
         assert np.linalg.eigvalsh(covariance).min() > 0.0
+
+
+def test_a_covariance_goes_from_the_former_one_to_what_the_model_says_without_a_jump() -> None:
+    reproduction = started()
+    before = run(reproduction, 0, 1_000, HERE)[-1].gaussian.covariance
+    covariances = np.array([r.gaussian.covariance for r in run(reproduction, 1_000, 6_500, WITHOUT)])
+    end = reaching_model().adapt(WITHOUT).condition([0], [2.0]).covariance
+    assert np.linalg.norm(end) > 2.0 * np.linalg.norm(before)
+    steps = np.abs(np.diff([before, *covariances], axis=0)).max(axis=(1, 2))
+    assert steps.max() < 0.02 * np.abs(covariances).max()
+    np.testing.assert_allclose(covariances[-1], end, rtol=0.0, atol=1e-12)
+
+
+def test_what_no_frame_constrains_goes_with_the_robot() -> None:
+    model = TPGMM(3, reg_covar=1e-5).fit(planar_demonstrations())
+    model.metadata_ = {"duration_s": DURATION}
+    reproduction = Reproduction(model)
+    reproduction.start(0)
+    frames = {"goal": Frame([[1.0, 0.0], [0.0, 0.0]], [0.4, 0.0]).with_time()}
+    for ms in range(3_000):
+        robot = np.array([0.0, -3.0 if ms < 500 else -2.5])
+        reference = reproduction.step(ms * MS, frames, robot)
+        if ms == 100:
+            assert reference.gaussian.mean[1] == pytest.approx(-3.0, abs=1e-5)
+    assert reference.gaussian.mean[1] == pytest.approx(-2.5, abs=1e-3)
+    seen = run(reproduction, 3_000, 3_001, frames)[0]  # a robot that is not seen stays where it was
+    assert seen.gaussian.mean[1] == pytest.approx(-2.5, abs=1e-3)
+
+
+def test_frames_that_are_refused_leave_no_trace() -> None:
+    reproduction, undisturbed = started(), started()
+    before = run(reproduction, 0, 500, HERE)
+    with pytest.raises(ValueError, match="unknown"):
+        reproduction.step(500 * MS, frames_at(object=place(9.0, 9.0, 0.0), nowhere=place(0.0, 0.0, 0.0)))
+    path = means(before + run(reproduction, 501, 520, HERE))
+    np.testing.assert_allclose(
+        path, means(run(undisturbed, 0, 500, HERE) + run(undisturbed, 501, 520, HERE)), atol=1e-4
+    )
 
 
 def test_a_frame_that_is_trusted_less_pulls_less() -> None:

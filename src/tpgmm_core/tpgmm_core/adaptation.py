@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -86,8 +86,8 @@ class Adapter:
             constrains stays there, with UNCONSTRAINED_VARIANCE
         weights : how far each frame is trusted, 0 to 1; 1 where not named
 
-        Raises ValueError for unknown names, matrices that do not fit, time-varying frames, and weights
-        outside 0..1.
+        Raises ValueError for unknown names, matrices that do not fit, time-varying frames, weights outside 0..1, and
+        orientations so contradictory that their product does not converge (`kernels_product.fuse`).
         """
         self.situate(frames, state, weights)
         return self.mixture()
@@ -148,7 +148,7 @@ class Adapter:
             K, n = len(self.priors), self.manifold.tangent_dim
             self._means_out, self._covariances_out = np.zeros((K, self.manifold.dim)), np.zeros((K, n, n))
 
-    def _inputs(self) -> tuple[Array | NDArray[np.int64], ...]:
+    def _inputs(self) -> tuple[NDArray[Any], ...]:
         s = self.situation
         frames = s.A, s.b, s.inverses, s.has_inverse, s.weights
         return self._means, self._precisions, s.sizes, *s.layout, *frames, s.state
@@ -157,5 +157,5 @@ class Adapter:
         return 1.0 / UNCONSTRAINED_VARIANCE, self._means_out, self._covariances_out
 
     def _check(self, failed: int) -> None:
-        if failed >= 0:
+        if failed != -1:
             self.situation.refuse(failed)

@@ -116,12 +116,11 @@ class Execution:
             self._stopped_ns = time_ns
             self._end(False, reason)
 
-    def take_over(self, retrieval: Retrieval, time_ns: int, pose: Array | None = None) -> None:
+    def take_over(self, retrieval: Retrieval, pose: Array | None = None) -> None:
         """Go on with another retrieval, at the same share of the movement and without a jump of the reference.
 
         Args:
             retrieval: a fresh one, of another model or another way.
-            time_ns: now.
             pose: as for ``step``.
 
         Raises:
@@ -129,7 +128,7 @@ class Execution:
         """
         if self.reference is not None:
             continued = Continued(retrieval, self.reference, self._reference_ns)
-            retrieval.start(time_ns, pose, self.reference.phase)
+            retrieval.start(self._reference_ns, pose, self.reference.phase)
             retrieval = continued
         retrieval.speed = self.retrieval.speed
         self.retrieval = retrieval

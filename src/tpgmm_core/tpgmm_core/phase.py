@@ -249,7 +249,7 @@ class StatePhase(ClockPhase):
         information = float(slope @ weighted)
         variance = min(self._variance + config.timing_noise**2 * seconds, (MAX_DEVIATION * T) ** 2)
         self._variance = variance = variance / (1.0 + variance * information * seconds)
-        gain = min(variance, 0.25 / config.response / max(information, np.finfo(float).tiny))
+        gain = min(variance, 0.25 / (config.response * max(information, 1e-9)))
         largest = config.catch_up / self._duration
         correction = gain * float(weighted @ manifold.log(reference.mean, state)) / T
         self._observed = min(max(correction, -largest), largest)

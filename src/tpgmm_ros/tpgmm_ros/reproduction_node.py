@@ -223,7 +223,7 @@ class ReproductionNode(ManagedNode):
         unseen = [name for name in retrieval.frame_names if name not in self._known]
         if unseen:
             raise ValueError(f"the frames {', '.join(unseen)} are not seen, and a movement is being reproduced")
-        self.execution.take_over(retrieval, self._last_ns, self._pose)
+        self.execution.take_over(retrieval, self._pose)
         self._choose_frames()
 
     def _accept(self, goal: ServerGoalHandle) -> None:
