@@ -11,6 +11,7 @@ from tpgmm_core import TPGMM, Adapter, Frame, Gaussian
 from tpgmm_core.learning.hmm import TPHMM
 from tpgmm_core.learning.hsmm import TPHSMM
 from tpgmm_core.manifold import POSE
+from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 
 
 def warm_up() -> None:
@@ -29,6 +30,8 @@ def warm_up() -> None:
     POSE.exp(pose[0], POSE.log(pose[0], pose[1]))
     chain = TPHSMM(n_components=2, max_iter=1).fit_projected({"frame": X})
     chain.chain_.most_likely(np.zeros((40, 2)), [40])
+    chain.metadata_ = {"duration_s": 1.0}
+    SemiMarkovMovement(chain)
     markov = TPHMM(n_components=2, max_iter=1).fit_projected({"frame": X})
     markov.chain_.most_likely(np.zeros((40, 2)), [40])
 
