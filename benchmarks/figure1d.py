@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy is imported
@@ -22,6 +22,7 @@ import numpy as np  # noqa: E402
 from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
+from numpy.typing import ArrayLike  # noqa: E402
 
 from benchmarks import planar  # noqa: E402
 from benchmarks.report import Row, write_report  # noqa: E402
@@ -37,17 +38,17 @@ LONGEST = 0.12  # m, half an axis of what stands for stiffness
 START, OBJECT = planar.FRAME_COLOURS  # the first and the second frame
 
 
-def frame(x: float, y: float, angle: float) -> Frame:
-    """A frame over [time, x, y]; places in m, the angle in rad."""
+def frame(place: ArrayLike, angle: float) -> Frame:
+    """A frame over [time, x, y], at a place (2,), m, turned by an angle, rad."""
     c, s = np.cos(angle), np.sin(angle)
-    return Frame(np.array([[c, -s], [s, c]]), np.array([x, y])).with_time()
+    return Frame(np.array([[c, -s], [s, c]]), np.asarray(place, dtype=float)).with_time()
 
 
 def reach(rng: np.random.Generator) -> Demonstration:
     """One reach, in a situation of its own: a cubic Bezier curve, whose tangents at both ends are the frames' axes."""
     frames = {
-        START: frame(*rng.uniform(-0.1, 0.1, 2), rng.uniform(-0.5, 0.5)),
-        OBJECT: frame(1.0 + rng.uniform(-0.15, 0.15), 0.3 + rng.uniform(-0.2, 0.2), rng.uniform(-0.6, 0.6)),
+        START: frame(rng.uniform(-0.1, 0.1, 2), rng.uniform(-0.5, 0.5)),
+        OBJECT: frame([1.0, 0.3] + rng.uniform(-0.2, 0.2, 2), rng.uniform(-0.6, 0.6)),
     }
     start, goal = (f.b[1:] for f in frames.values())
     ahead, behind = (f.A[1:, 1] for f in frames.values())
@@ -69,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rng = np.random.default_rng(options.seed)
     demonstrations = [reach(rng) for _ in range(8)]
     model = TPGMM(5, init="time", reg_covar=1e-5).fit(demonstrations)
-    situation = {START: frame(0.0, -0.05, 0.4), OBJECT: frame(1.1, 0.4, -0.5)}
+    situation = {START: frame([0.0, -0.05], 0.4), OBJECT: frame([1.1, 0.4], -0.5)}
     times = np.linspace(0.0, DURATION, 200)
     path = RegressThenProduct(model).retrieve(situation, times)
     means, covariances = np.stack([g.mean for g in path]), np.stack([g.covariance for g in path])
@@ -92,9 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         axes.plot(*means.T, color="black", lw=2.0)
         draw_axes(axes, situation)
     push = 1.0 / np.sqrt(CONTROL_COST)
-    planar.tidy(
-        variable, f"a new situation: standard deviation,\nand where a push of {push:.0f} m/s² moves the hand"
-    )
+    planar.tidy(variable, f"a new situation: standard deviation,\nand where a push of {push:.0f} m/s² moves the hand")
     planar.tidy(stiff, f"its stiffness: up to {firmest:.0f} 1/s²")
     figure.savefig(options.output / "figure1d.png", dpi=110)
     print(f"picture: {options.output / 'figure1d.png'}")
@@ -120,7 +119,7 @@ def rows(times: Array, means: Array, covariances: Array, stiffness: Array) -> li
     return result
 
 
-def draw_axes(axes: Axes, frames: dict[str, Frame], alpha: float = 1.0) -> None:
+def draw_axes(axes: Axes, frames: Mapping[str, Frame], alpha: float = 1.0) -> None:
     """Each frame as a dot and its axis, in its colour."""
     for name, one in frames.items():
         origin, tip = one.b[1:], one.b[1:] + 0.12 * one.A[1:, 1]
