@@ -51,7 +51,7 @@ def create_patient_service(node: Node, kind: type, name: str, callback: Callable
     """A service whose response may come after its callback has returned: as soon as the future that the callback
     returns has it, set in the executor's thread. Meanwhile the node goes on.
     """
-    service = node.create_service(kind, name, lambda request, _: callback(request))
+    service: Any = node.create_service(kind, name, lambda request, _: callback(request))
     send = service.send_response
     # rclpy sends what the callback returns as soon as it does.
     service.send_response = lambda answer, header: answer.add_done_callback(lambda done: send(done.result(), header))

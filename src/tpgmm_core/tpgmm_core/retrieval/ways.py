@@ -72,7 +72,7 @@ class Way:
 
 def _decay(model: TPGMM, **settings: Any) -> Retrieval:
     encoding = encoding_of(model)
-    assert isinstance(encoding, DecayEncoding)
+    assert isinstance(encoding, DecayEncoding) and isinstance(model, GoalTPGMM)  # checked by `Way.check`
     return DecayMovement(model, encoding.law, **settings)
 
 
