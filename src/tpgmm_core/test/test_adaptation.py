@@ -237,14 +237,21 @@ def test_bad_situations_are_refused_with_the_reason() -> None:
         Adapter(model_of("euclidean", {"a": 1}, 2, rng)).adapt_and_condition({"a": Frame([[1.0]], [0.0])}, [0.0])
 
 
-def test_contradicting_orientations_still_give_finite_results() -> None:
+def test_contradicting_orientations_give_finite_results_or_a_reason() -> None:
     rng = np.random.default_rng(11)
     model = model_of("R1 x R3 x S3", {"object": 8, "target": 8, "robot": 8}, 4, rng)
     adapter = Adapter(model)
+    refused = 0
     for _ in range(200):
         frames = {n: Frame.from_pose(rng.normal(size=3), random_quaternion(rng)).with_time() for n in model.means_}
-        mean, covariance, _ = adapter.adapt_and_condition(frames, [0.0])
+        try:
+            mean, covariance, _ = adapter.adapt_and_condition(frames, [0.0])
+        except ValueError as error:
+            assert "contradict each other" in str(error)
+            refused += 1
+            continue
         assert np.all(np.isfinite(mean)) and np.linalg.eigvalsh(covariance[0]).min() > 0.0
+    assert refused <= 2
 
 
 def test_regression_matches_the_closed_form_of_one_component() -> None:

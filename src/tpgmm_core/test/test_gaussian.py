@@ -10,6 +10,7 @@ from scipy.stats import multivariate_normal
 
 from random_problems import POSE, random_gaussian, random_quaternion
 from tpgmm_core import Frame, Gaussian, Manifold
+from tpgmm_core.quaternion import Array
 
 rng = np.random.default_rng(2)
 seeds = st.integers(0, 2**32 - 1)
@@ -55,6 +56,67 @@ def test_a_product_on_the_sphere_minimises_eq_3(seed: int) -> None:
     np.testing.assert_allclose(gradient, 0.0, atol=1e-7 * scale)
     found = minimize(eq3, 0.02 * rng.normal(size=6), method="Nelder-Mead", options={"maxiter": 200})
     assert eq3(np.zeros(6)) <= found.fun + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("space", "spread"), [("S3", np.inf), ("R3 x S3", np.inf), ("S3 x S3", 0.6), ("R3 x S3 x R3 x S3", 0.6)]
+)
+@pytest.mark.parametrize("count", [2, 3, 6])
+def test_a_product_of_gaussians_far_apart_is_stationary_or_refused(space: str, spread: float, count: int) -> None:
+    """Orientations are anywhere, or deviate by a spread (rad); each term counts by the better way round."""
+    manifold = Manifold.parse(space)
+    rng = np.random.default_rng(count)
+    refused = 0
+    for _ in range(40):
+        gaussians = [random_gaussian(rng, manifold) for _ in range(count)]
+        if np.isfinite(spread):
+            base = gaussians[0].mean
+            means = [manifold.exp(base, spread * rng.normal(size=manifold.tangent_dim)) for _ in range(count)]
+            gaussians = [Gaussian(x, g.covariance, manifold) for x, g in zip(means, gaussians, strict=True)]
+        try:
+            product = Gaussian.product(gaussians)
+        except ValueError as error:
+            assert "contradict each other" in str(error)
+            refused += 1
+            continue
+        n = manifold.tangent_dim
+        H, pull = np.zeros((n, n)), np.zeros(n)
+        for g in gaussians:
+            e = nearest_error(manifold, product.mean, g)
+            J = np.stack([numerical_rate(manifold, product.mean, g, e, axis) for axis in np.eye(n)], axis=1)
+            H += J.T @ g.precision @ J
+            pull += J.T @ g.precision @ e
+        np.testing.assert_allclose(product.covariance @ pull, 0.0, atol=1e-7)
+        np.testing.assert_allclose(product.covariance @ H, np.eye(n), atol=1e-4)
+    assert refused <= 2
+
+
+def nearest_error(manifold: Manifold, x: Array, g: Gaussian) -> Array:
+    """Of the turns that lead from the mean of g to x, shorter or longer than pi, those that cost less."""
+    errors = [manifold.log(g.mean, x)]
+    for s in manifold.spheres:
+        for e in list(errors):
+            angle = np.linalg.norm(e[s.tangent])
+            longer = e.copy()
+            longer[s.tangent] *= 1.0 - 2.0 * np.pi / angle
+            if angle > np.pi / 4.0:
+                errors.append(longer)
+    return min(errors, key=lambda e: float(e @ g.precision @ e))
+
+
+def numerical_rate(manifold: Manifold, x: Array, g: Gaussian, e: Array, axis: Array) -> Array:
+    """How the error e, continued, changes when x moves along an axis of the tangent space."""
+    h = 1e-6
+
+    def near(step: Array) -> Array:
+        moved = manifold.log(g.mean, manifold.exp(x, step))
+        for s in manifold.spheres:
+            turn = moved[s.tangent]
+            if np.linalg.norm(turn - e[s.tangent]) > 1e-3:
+                moved[s.tangent] = turn * (1.0 - 2.0 * np.pi / np.linalg.norm(turn))
+        return moved
+
+    return (near(h * axis) - near(-h * axis)) / (2.0 * h)
 
 
 def test_the_product_of_one_gaussian_is_itself() -> None:

@@ -100,7 +100,8 @@ def adapt(
 
     means (P, D_max, K); precisions (P, n_max, n_max K), where entry (l, m) of component k lies at [l, m K + k];
     A (P, D, D_max), b (P, D), inverses (P, D_max, D), has_inverse and weights (P,),
-    state (D,). Returns -1, or the frame whose matrix does not fit S³.
+    state (D,). Returns -1, or the frame whose matrix does not fit S³, or -2 - k for the component whose product did not
+    converge.
     """
     P, K = means.shape[0], means.shape[2]
     D, n = len(state), len(flat)
@@ -123,10 +124,11 @@ def adapt(
             for o in range(n):
                 for i in range(o, n):
                     component_terms[j, i, o] = terms[j, o, i * K + k]
-        fuse(
+        if not fuse(
             component_targets, component_terms, weights, state, min_precision, flat, spheres,
             out_means[k], out_covariances[k],
-        )  # fmt: skip
+        ):  # fmt: skip
+            return -2 - k
     return -1
 
 

@@ -7,6 +7,8 @@ index) of each S³ factor: `Manifold.ambient_of_tangent` and `Manifold.sphere_st
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from tpgmm_core.kernels import (
@@ -22,6 +24,8 @@ from tpgmm_core.quaternion import Array
 
 STEP_TOLERANCE = 1e-10  # Gauss-Newton on S³ stops at steps shorter than this
 MAX_STEPS = 100
+SHORT_TURN = math.cos(math.pi / 8.0)  # scalar product of quaternions that are a turn of pi / 4 apart
+SLOWEST_RATE = 0.95  # of convergence that extrapolation makes up for
 
 
 @compiled
@@ -58,6 +62,32 @@ def move(x: Array, step: Array, flat: Array, spheres: Array) -> None:
 
 
 @compiled
+def continued_difference(x: Array, base: Array, flat: Array, spheres: Array, out: Array) -> None:
+    """`difference`, but on S³ the turn between the quaternions as their signs are, up to 2 pi: smooth where the
+    shortest one changes sides.
+    """
+    for i in range(len(flat)):
+        if flat[i] >= 0:
+            out[i] = x[flat[i]] - base[flat[i]]
+    for s in range(len(spheres)):
+        a, t = spheres[s]
+        out[t], out[t + 1], out[t + 2] = quaternion_difference(
+            x[a], x[a + 1], x[a + 2], x[a + 3], base[a], base[a + 1], base[a + 2], base[a + 3]
+        )
+        if along(x, base, a) < 0.0:
+            angle = math.sqrt(out[t] * out[t] + out[t + 1] * out[t + 1] + out[t + 2] * out[t + 2])
+            factor = 1.0 - 2.0 * math.pi / angle
+            out[t], out[t + 1], out[t + 2] = factor * out[t], factor * out[t + 1], factor * out[t + 2]
+
+
+@compiled
+def along(x: Array, y: Array, a: int) -> float:
+    """Scalar product of the quaternions at ambient index a: positive where both lie on the same half of the sphere."""
+    total: float = x[a] * y[a] + x[a + 1] * y[a + 1] + x[a + 2] * y[a + 2] + x[a + 3] * y[a + 3]
+    return total
+
+
+@compiled
 def add_term(
     x: Array, target: Array, precision: Array, flat: Array, spheres: Array, scratch: Array, gradient: Array,
     hessian: Array,
@@ -68,9 +98,16 @@ def add_term(
     On S³ the error e = Log(x ⊗ target^-1) moves with x by the inverse left Jacobian J of SO(3).
     precision: lower triangle (n, n).
     """
-    n = len(flat)
+    difference(x, target, flat, spheres, scratch[0])
+    cost: float = add_error(precision, spheres, scratch, gradient, hessian)
+    return cost
+
+
+@compiled
+def add_error(precision: Array, spheres: Array, scratch: Array, gradient: Array, hessian: Array) -> float:
+    """`add_term` for the error (n,) that lies in the first row of scratch."""
+    n = len(gradient)
     e, force, J, B = scratch[0], scratch[1], scratch[2:5], scratch[5:]
-    difference(x, target, flat, spheres, e)
     for i in range(n):
         for m in range(i + 1):
             B[i, m] = precision[i, m]
@@ -141,22 +178,63 @@ def invert_precision(
 
 
 @compiled
+def term_cost(x: Array, target: Array, precision: Array, flat: Array, spheres: Array, e: Array) -> float:
+    """Half the cost of one term of Eq. (3), the logarithm as signs are. precision: lower triangle; e (n,): scratch."""
+    continued_difference(x, target, flat, spheres, e)
+    cost = 0.0
+    for i in range(len(flat)):
+        cost += 0.5 * precision[i, i] * e[i] * e[i]
+        for m in range(i):
+            cost += precision[i, m] * e[i] * e[m]
+    return cost
+
+
+@compiled
+def choose_ways(x: Array, target: Array, precision: Array, flat: Array, spheres: Array, e: Array) -> bool:
+    """Change signs of the target's quaternions where the other way round to x costs less; whether one was changed.
+
+    Turns below pi / 4 are not looked at. e (n,): scratch.
+    """
+    is_changed = False
+    for s in range(len(spheres)):
+        a = spheres[s, 0]
+        if along(x, target, a) < SHORT_TURN:
+            former = term_cost(x, target, precision, flat, spheres, e)
+            for i in range(a, a + 4):
+                target[i] = -target[i]
+            if term_cost(x, target, precision, flat, spheres, e) < former * (1.0 - 1e-12):
+                is_changed = True
+            else:
+                for i in range(a, a + 4):
+                    target[i] = -target[i]
+    return is_changed
+
+
+@compiled
 def fuse(
     targets: Array, precisions: Array, weights: Array, state: Array, min_precision: float, flat: Array, spheres: Array,
     mean: Array, covariance: Array,
 ) -> bool:  # fmt: skip
     """Product of Gaussians (Eqs. 3, 6) by Gauss-Newton steps, of which R^n needs one; False without convergence.
 
-    targets (P, D), precisions (P, n, n) lower triangles; terms of weight 0 are left out. Steps that do not lower
-    Eq. (3) are halved. Writes mean (D,) and covariance (n, n), the inverse Gauss-Newton Hessian there in fixed axes.
+    targets (P, D), precisions (P, n, n) lower triangles; terms of weight 0 are left out. Writes mean (D,) and
+    covariance (n, n), the inverse Gauss-Newton Hessian there in fixed axes.
+
+    On S³ it begins at the surest term, each other one the shortest way from there. The turn to a term is then
+    continued, beyond pi if need be, since a cost of shortest turns that are correlated with other dimensions jumps
+    where these change sides, and may have no minimum. At the end the other way round is taken where that costs less,
+    and the search goes on: what is minimised is the cost of the better way of each term, which does not jump. Steps
+    that do not lower the cost are halved; where the terms contradict each other so much that steps become shorter at a
+    constant rate only, they are extrapolated. Without convergence in MAX_STEPS, as when correlations ask for more than
+    a whole turn, mean and covariance mean nothing.
     """
-    n = len(flat)
+    n, P = len(flat), len(weights)
     gradient, H = np.empty(n), np.empty((n, n))
-    step, scratch = np.zeros(n), scratch_for(n)
+    step, former_step, scratch = np.zeros(n), np.zeros(n), scratch_for(n)
     # starting from the surest term keeps the residuals on S³ small
     surest = 0.0
     mean[:] = state
-    for j in range(len(weights)):
+    for j in range(P):
         trace = 0.0
         for i in range(n):
             if flat[i] < 0 or len(spheres) == 0:
@@ -164,28 +242,59 @@ def fuse(
         if weights[j] > 0.0 and trace > surest:
             surest = trace
             mean[:] = targets[j]
-    former_cost = np.inf
+    signed = np.empty((P + 1, targets.shape[1]))  # the last one is the state
+    signed[:P], signed[P] = targets, state
+    for s in range(len(spheres)):
+        a = spheres[s, 0]
+        for j in range(P + 1):
+            if along(signed[j], mean, a) < 0.0:
+                for i in range(a, a + 4):
+                    signed[j, i] = -signed[j, i]
+    former_cost, is_plain = np.inf, False
     for _ in range(MAX_STEPS):
         gradient[:] = 0.0
         H[:] = 0.0
         cost = 0.0
-        for j in range(len(weights)):
+        for j in range(P):
             if weights[j] > 0.0:
-                cost += add_term(mean, targets[j], precisions[j], flat, spheres, scratch, gradient, H)
-        cost += invert_precision(H, gradient, mean, state, min_precision, flat, spheres, scratch, covariance)
+                continued_difference(mean, signed[j], flat, spheres, scratch[0])
+                cost += add_error(precisions[j], spheres, scratch, gradient, H)
+        cost += invert_precision(H, gradient, mean, signed[P], min_precision, flat, spheres, scratch, covariance)
         if cost > former_cost * (1.0 + 1e-12) and longest(step) > STEP_TOLERANCE:
             for i in range(n):  # too far: half the way back
                 step[i] *= -0.5
             move(mean, step, flat, spheres)
             for i in range(n):
                 step[i] *= -1.0
+            is_plain = False
             continue
         former_cost = cost
+        repeated, squared = 0.0, 0.0
         for i in range(n):
-            step[i] = 0.0
+            total = 0.0
             for m in range(n):
-                step[i] -= covariance[i, m] * gradient[m]
+                total -= covariance[i, m] * gradient[m]
+            step[i] = total
+            repeated += total * former_step[i]
+            squared += former_step[i] * former_step[i]
+        is_short = longest(step) < STEP_TOLERANCE
+        former_step[:] = step
+        if is_plain and not is_short and repeated > 0.5 * squared:
+            rate = min(repeated / squared, SLOWEST_RATE)
+            for i in range(n):
+                step[i] /= 1.0 - rate
+            is_plain = False
+        else:
+            is_plain = True
         move(mean, step, flat, spheres)
-        if len(spheres) == 0 or longest(step) < STEP_TOLERANCE:
+        if len(spheres) == 0:
             return True
+        if is_short:
+            is_changed = False
+            for j in range(P):
+                if weights[j] > 0.0 and choose_ways(mean, signed[j], precisions[j], flat, spheres, gradient):
+                    is_changed = True
+            if not is_changed:
+                return True
+            former_cost, is_plain = np.inf, False
     return False

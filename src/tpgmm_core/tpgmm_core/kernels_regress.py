@@ -116,7 +116,7 @@ def adapt_and_regress(
         means, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, weights, state, min_precision,
         adapted_means, adapted_covariances,
     )  # fmt: skip
-    if failed < 0:
+    if failed == -1:
         regress_all(
             log_priors, adapted_means, adapted_covariances, flat, spheres, times,
             out_means, out_covariances, out_activations,
@@ -137,7 +137,7 @@ def regress_and_adapt(
     time first. data_flat, data_spheres, A, b, inverses, state: without time. Writes out_means (H, D), out_covariances
     (H, n, n), and activations (K,) at the first of the times, the mean over the frames.
 
-    Returns -1; the frame whose matrix does not fit S³; or P + the frame whose covariance is singular.
+    Returns what `adapt` does, or P + the frame whose covariance is singular.
     """
     P, H = len(means), len(times)
     data_sizes = sizes - 1

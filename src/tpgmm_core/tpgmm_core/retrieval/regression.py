@@ -174,7 +174,7 @@ class RegressThenProduct(_Regression):
         if failed >= len(self.frame_names):
             name = self.frame_names[failed - len(self.frame_names)]
             raise ValueError(f"the covariances of frame {name!r} are singular: fit with a larger reg_covar")
-        if failed >= 0:
+        if failed != -1:
             s.refuse(failed)
         return means, covariances, activations
 
