@@ -11,6 +11,7 @@ from tpgmm_core import TPGMM, Adapter, Frame, Gaussian
 from tpgmm_core.learning.hmm import TPHMM
 from tpgmm_core.learning.hsmm import TPHSMM
 from tpgmm_core.manifold import POSE
+from tpgmm_core.retrieval.regression import RegressThenProduct
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 
 
@@ -27,6 +28,7 @@ def warm_up() -> None:
     mixture = Adapter(model).adapt({"frame": Frame(np.eye(8), np.zeros(8))})
     Gaussian.product([mixture.component(0), mixture.component(1)])
     Adapter(model).condition([0.5])
+    RegressThenProduct(model)
     POSE.exp(pose[0], POSE.log(pose[0], pose[1]))
     chain = TPHSMM(n_components=2, max_iter=1).fit_projected({"frame": X})
     chain.chain_.most_likely(np.zeros((40, 2)), [40])
