@@ -433,6 +433,18 @@ def test_bad_input_is_refused_with_the_reason() -> None:
         movement.start(0, phase=1.5)
 
 
+def test_a_step_after_a_long_gap_is_the_end() -> None:
+    movement, situation = SemiMarkovMovement(planar_model()), planar_situation()
+    movement.start(0)
+    movement.step(0, situation)
+    late = movement.step(10**15, situation)
+    assert late.phase == 1.0
+    for i in range(200):
+        settled = movement.step(10**15 + i * TICK, situation)
+    assert np.linalg.norm(late.gaussian.mean - settled.gaussian.mean) < 0.05
+    assert movement.step(0, situation).phase == 1.0  # a clock that jumps back is no time
+
+
 def test_a_filter_is_sure_of_what_it_was_told() -> None:
     chain = planar_model().chain_
     course = Course(chain)

@@ -159,7 +159,7 @@ class SemiMarkovMovement:
         since = max(0.0, (time_ns - self._last_ns) * _SECOND)
         self._last_ns = time_ns
         if self._frames is not None:
-            samples = self._samples(since)
+            samples = min(self._samples(since), self._course.total)  # after a gap as long as that, it is over anyway
             self._rate = self._rate_after(since)
             self._advance(samples, state)
         if frames is not self._frames or weights is not self._weights:
