@@ -65,8 +65,8 @@ class DecayLaw:
         window : samples of the parabolas that velocity and acceleration are taken from; at most as many as there are
 
         The attractor is y = exp_x((z' + 2 sqrt(stiffness) z) / stiffness) with times in units of the duration. Frames
-        may move; what the robot did is seen from where they were. A movement that is not at rest at its end has its
-        attractor ahead of it, and is reproduced to end there. Raises ValueError for less than three samples, and
+        may move; what the robot did is seen from where they were. The last attractor is where the demonstration ended:
+        the goal, also of a movement that was not at rest yet. Raises ValueError for less than three samples, and
         frames that change time.
         """
         space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold, demonstration.data.shape[1])
@@ -77,6 +77,7 @@ class DecayLaw:
         window = min(window, (len(times) - 1) // 2 * 2 + 1)
         z, z_rate = derivatives(phase, x, data_space, window)
         attractor = data_space.exp(x, (z_rate + 2.0 * math.sqrt(self.stiffness) * z) / self.stiffness)
+        attractor[-1] = x[-1]
         decay = np.exp(-self.decay_rate * phase)
         return Demonstration(times, np.column_stack([decay, attractor]), demonstration.frames, demonstration.visible)
 
