@@ -115,3 +115,20 @@ def test_an_inverse_of_its_own_takes_the_place_of_the_pseudo_inverse() -> None:
     np.testing.assert_allclose(with_time, np.column_stack([np.arange(4.0), frame.project(xi)]))
     with pytest.raises(ValueError, match="transposed shape"):
         Frame(A, b, A)
+
+
+def test_stacked_frames_see_what_lies_side_by_side_as_each_alone() -> None:
+    rng = np.random.default_rng(5)
+    left = Frame.from_pose(rng.normal(size=3), random_quaternion(rng))
+    moving = Frame.from_pose(rng.normal(size=(4, 3)), random_quaternion(rng, 4))
+    poses = np.concatenate([rng.normal(size=(4, 3)), random_quaternion(rng, 4)], axis=1)
+    both = Frame.stacked([left, moving])
+    assert both.is_time_varying and both.A.shape == (4, 14, 14)
+    seen = both.project(np.concatenate([poses, poses[::-1]], axis=1))
+    np.testing.assert_allclose(seen[:, :7], left.project(poses), atol=1e-12)
+    np.testing.assert_allclose(seen[:, 7:], moving.project(poses[::-1]), atol=1e-12)
+    damped = Frame(np.eye(2), np.zeros(2), 0.5 * np.eye(2))
+    np.testing.assert_allclose(Frame.stacked([damped, left]).project(np.ones(9))[:2], 0.5)
+    for bad in ([], [moving, Frame(np.eye(2), np.zeros((3, 2)))]):
+        with pytest.raises(ValueError, match="stacked"):
+            Frame.stacked(bad)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,9 +76,27 @@ class Frame:
         b[..., :3] = position
         return cls(A, b)
 
+    @classmethod
+    def stacked(cls, frames: Sequence[Frame]) -> Frame:
+        """One frame for data that lie side by side, each seen from its own frame: A = blkdiag(A_1, A_2, ...).
+
+        For two hands, poses [left, right] on "R3 x S3 x R3 x S3", and an object that both are seen from:
+        `Frame.stacked([pose, pose])` with `pose = Frame.from_pose(...)`. Raises ValueError for no frames, and for
+        frames of different numbers of time steps.
+        """
+        steps = {len(frame.A) for frame in frames if frame.is_time_varying}
+        if not frames or len(steps) > 1:
+            raise ValueError(f"frames to be stacked are one or more, of the same time steps, got {sorted(steps)}")
+        inverse = None
+        if any(frame.inverse is not None for frame in frames):
+            inverse = block_diagonal(*(frame.pseudo_inverse() for frame in frames))
+        b = [np.broadcast_to(frame.b, (*steps, frame.b.shape[-1])) for frame in frames]
+        return cls(block_diagonal(*(frame.A for frame in frames)), np.concatenate(b, axis=-1), inverse)
+
     def with_time(self) -> Frame:
         """The same frame for data whose first dimension is time, which no frame changes."""
-        A, inverse = (None if M is None else _beside_time(M) for M in (self.A, self.inverse))
+        one = np.ones((1, 1))
+        A, inverse = (None if M is None else block_diagonal(one, M) for M in (self.A, self.inverse))
         assert A is not None
         b = np.concatenate([np.zeros((*self.b.shape[:-1], 1)), self.b], axis=-1)
         return Frame(A, b, inverse)
@@ -104,13 +123,19 @@ class Frame:
             raise ValueError(f"data for this frame has shape (T, {self.b.shape[-1]}), got {xi.shape}")
         if self.is_time_varying and xi.ndim == 2 and len(xi) != len(self.A):
             raise ValueError(f"the frame has {len(self.A)} time steps, the data {len(xi)}")
-        inverse = np.linalg.pinv(self.A, rcond=RANK_TOLERANCE) if self.inverse is None else self.inverse
-        return np.einsum("...ij,...j->...i", inverse, xi - self.b)
+        return np.einsum("...ij,...j->...i", self.pseudo_inverse(), xi - self.b)
+
+    def pseudo_inverse(self) -> Array:
+        """`inverse` where the frame has one of its own, else A^+, (..., D_j, D)."""
+        return np.linalg.pinv(self.A, rcond=RANK_TOLERANCE) if self.inverse is None else self.inverse
 
 
-def _beside_time(M: Array) -> Array:
-    """blkdiag(1, M)."""
-    result = np.zeros((*M.shape[:-2], M.shape[-2] + 1, M.shape[-1] + 1))
-    result[..., 0, 0] = 1.0
-    result[..., 1:, 1:] = M
+def block_diagonal(*blocks: Array) -> Array:
+    """Matrices (..., rows, columns) along the diagonal of one; leading axes broadcast."""
+    rows, columns = sum(block.shape[-2] for block in blocks), sum(block.shape[-1] for block in blocks)
+    result = np.zeros((*np.broadcast_shapes(*(block.shape[:-2] for block in blocks)), rows, columns))
+    i = j = 0
+    for block in blocks:
+        result[..., i : i + block.shape[-2], j : j + block.shape[-1]] = block
+        i, j = i + block.shape[-2], j + block.shape[-1]
     return result

@@ -97,7 +97,9 @@ class Gaussian:
         lower Eq. (3) are halved, until one is shorter than 1e-10 (m, rad): some 5 steps where orientations deviate by
         0.1 rad, 7 to 9 at 0.3 rad, 20 to 70 anywhere, at most 100 (`kernels_product.fuse`, docs/retrieval.md). The
         covariance is the inverse of the Gauss-Newton Hessian there, in the fixed axes.
-        Raises ValueError for an empty sequence, different manifolds, singular covariances, or orientations so contradictory that the steps do not converge.
+
+        Raises ValueError for an empty sequence, different manifolds, singular covariances, or orientations so
+        contradictory that the steps do not converge.
         """
         if not gaussians or any(g.manifold != gaussians[0].manifold for g in gaussians):
             raise ValueError("a product takes one or more Gaussians, all on the same manifold")

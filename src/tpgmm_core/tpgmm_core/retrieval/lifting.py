@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tpgmm_core.frame import Frame
+from tpgmm_core.frame import Frame, block_diagonal
 from tpgmm_core.kernels_adapt import tangent_matrix
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
@@ -21,7 +21,7 @@ def lifted(frame: Frame, manifold: Manifold, orders: int = 1) -> Frame:
     Raises ValueError for a frame that does not fit the manifold.
     """
     A, inverse = (
-        None if M is None else _block_diagonal(M, *(manifold.tangent_map(M) for _ in range(orders)))
+        None if M is None else block_diagonal(M, *[_tangent_map(M, manifold)] * orders)
         for M in (frame.A, frame.inverse)
     )
     assert A is not None
@@ -37,13 +37,3 @@ def _tangent_map(A: Array, manifold: Manifold) -> Array:
         if tangent_matrix(np.ascontiguousarray(A), manifold.ambient_of_tangent, manifold.sphere_starts, tangent):
             return tangent
     return manifold.tangent_map(A)
-
-
-def _block_diagonal(*blocks: Array) -> Array:
-    rows, columns = sum(block.shape[-2] for block in blocks), sum(block.shape[-1] for block in blocks)
-    result = np.zeros((*blocks[0].shape[:-2], rows, columns))
-    i = j = 0
-    for block in blocks:
-        result[..., i : i + block.shape[-2], j : j + block.shape[-1]] = block
-        i, j = i + block.shape[-2], j + block.shape[-1]
-    return result

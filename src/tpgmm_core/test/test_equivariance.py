@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""No way of retrieval knows where the origin of the world is, or which sign a quaternion has; with one hand and two."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+
+import numpy as np
+import pytest
+
+from random_problems import random_quaternion
+from reaching import frames_at, place, reaching_demonstrations
+from tpgmm_core import TPGMM, Demonstration, Frame, Gaussian, Manifold
+from tpgmm_core.quaternion import Array
+from tpgmm_core.retrieval.recipe import Recipe
+from tpgmm_core.retrieval.ways import WAYS, make_retrieval
+from worlds import assert_moved, moved
+
+TOLERANCE = 1e-9
+TICK_NS = 20_000_000
+MANIFOLDS = {1: Manifold.parse("R1 x R3 x S3"), 2: Manifold.parse("R1 x R3 x S3 x R3 x S3")}
+HELD = np.array([0.0, 0.3, 0.1, 0.0, 0.0, np.sin(0.4), np.cos(0.4)])
+"""The second hand's pose, as the first one sees it."""
+
+
+def signs(hands: int, first: float, second: float = 1.0) -> Array:
+    """Of [time, pose] or [time, pose, pose], by quaternion."""
+    return np.concatenate([[1.0], np.ones(3), np.full(4, first), np.ones(3), np.full(4, second)])[: 1 + 7 * hands]
+
+
+def over_hands(frames: Mapping[str, Frame], hands: int) -> dict[str, Frame]:
+    """Frames over [time, pose], which all hands are seen from."""
+    return {
+        name: Frame.stacked([Frame(frame.A[1:, 1:], frame.b[1:])] * hands).with_time() for name, frame in frames.items()
+    }
+
+
+def beside(pose: Array, hands: int) -> Array:
+    """Poses (..., 7) of the first hand, with the second one that goes along with it."""
+    hand = Frame.from_pose(pose[..., :3], pose[..., 3:])
+    return np.concatenate([pose, hand.A @ HELD + hand.b], axis=-1)[..., : 7 * hands]
+
+
+@cache
+def demonstrations(hands: int) -> tuple[Demonstration, ...]:
+    return tuple(
+        Demonstration(d.times, np.column_stack([d.times, beside(d.data[:, 1:], hands)]), over_hands(d.frames, hands))
+        for d in reaching_demonstrations(8)
+    )
+
+
+def learned_from(way: str, hands: int, shown: tuple[Demonstration, ...]) -> TPGMM:
+    names = ["time", *(f"{n}{hand}" for hand in range(hands) for n in ("x", "y", "z", "qx", "qy", "qz", "qw"))]
+    recipe = Recipe.of({"n_components": 3, "reg_covar": 1e-5, "retrieval": way})
+    return recipe.learn(shown, MANIFOLDS[hands], tuple(names))
+
+
+@cache
+def learned(way: str, hands: int) -> TPGMM:
+    return learned_from(way, hands, demonstrations(hands))
+
+
+def situations(hands: int) -> tuple[dict[str, Frame], dict[str, Frame], Array]:
+    """Before and after the object was moved; and a robot that is not where it ought to be."""
+    start = place(0.1, 0.2, 0.3)
+    before, after = (
+        over_hands(frames_at(start=start, object=place(*there)), hands)
+        for there in ((0.6, -0.2, -0.4), (0.5, 0.1, 0.2))
+    )
+    return before, after, beside(place(0.12, 0.17, 0.4), hands)
+
+
+def run(model: TPGMM, before: dict[str, Frame], after: dict[str, Frame], state: Array) -> list[Gaussian]:
+    """References and their horizons; the object moves on the way, and the robot stays behind at first."""
+    retrieval = make_retrieval(model)
+    retrieval.start(0, state)
+    found: list[Gaussian] = []
+    here = state
+    for i in range(1, 90):
+        reference = retrieval.step(i * TICK_NS, before if i < 40 else after, here)
+        here = state if i < 10 else reference.gaussian.mean
+        if i % 4 == 0:
+            found += [reference.gaussian, *reference.horizon]
+    return found + retrieval.horizon(3, 0.1)
+
+
+@pytest.mark.parametrize("hands", [1, 2])
+@pytest.mark.parametrize("way", WAYS)
+def test_moving_the_world_moves_what_is_retrieved(way: str, hands: int) -> None:
+    rng = np.random.default_rng(5)
+    model = learned(way, hands)
+    before, after, state = situations(hands)
+    expected = run(model, before, after, state)
+    for _ in range(2):
+        world = Frame.stacked([Frame.from_pose(rng.normal(size=3), random_quaternion(rng))] * hands)
+        found = run(model, moved(world, before), moved(world, after), world.A @ state + world.b)
+        assert_moved(world, expected, found, TOLERANCE)
+
+
+@pytest.mark.parametrize("hands", [1, 2])
+@pytest.mark.parametrize("way", WAYS)
+def test_signs_of_quaternions_change_nothing(way: str, hands: int) -> None:
+    """Neither those of demonstrations, one by one, nor those of the frames, nor those of the robot's state."""
+    rng = np.random.default_rng(6)
+    before, after, state = situations(hands)
+    expected = run(learned(way, hands), before, after, state)
+    flipped = []
+    for d in demonstrations(hands):
+        data = d.data * np.stack([signs(hands, *rng.choice([-1.0, 1.0], 2)) for _ in d.times])
+        flipped.append(
+            Demonstration(d.times, data, {name: turned(frame, rng, hands) for name, frame in d.frames.items()})
+        )
+    before, after = ({name: turned(f, rng, hands) for name, f in frames.items()} for frames in (before, after))
+    found = run(learned_from(way, hands, tuple(flipped)), before, after, state * signs(hands, -1.0, -1.0)[1:])
+    same = Frame(np.eye(7 * hands), np.zeros(7 * hands))
+    assert_moved(same, expected, found, TOLERANCE)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_the_second_hand_goes_where_it_belongs(way: str) -> None:
+    """End to end on R1 x R3 x S3 x R3 x S3: both hands end as the object says, the second where the first holds it."""
+    before, after, state = situations(2)
+    end = run(learned(way, 2), before, after, state)[-1]
+    goal = beside(place(0.5, 0.1, 0.2), 2)
+    manifold = MANIFOLDS[2].subset(range(1, 15))
+    assert end.manifold == manifold
+    difference = manifold.log(goal, end.mean)
+    assert np.abs(difference[[0, 1, 2, 6, 7, 8]]).max() < 0.05 and np.abs(difference[[3, 4, 5, 9, 10, 11]]).max() < 0.1
+
+
+def turned(frame: Frame, rng: np.random.Generator, hands: int) -> Frame:
+    """The same frame, of quaternions of the opposite sign."""
+    return Frame(frame.A * signs(hands, *rng.choice([-1.0, 1.0], 2)), frame.b)
