@@ -8,9 +8,11 @@ import numpy as np
 import tpgmm_core.control.finite_horizon
 import tpgmm_core.control.lqr  # noqa: F401  these two compile on import
 from tpgmm_core import TPGMM, Adapter, Frame, Gaussian
+from tpgmm_core.learning.ends import GoalTPGMM
 from tpgmm_core.learning.hmm import TPHMM
 from tpgmm_core.learning.hsmm import TPHSMM
 from tpgmm_core.manifold import POSE
+from tpgmm_core.retrieval.dynamics import StableDynamics
 from tpgmm_core.retrieval.regression import RegressThenProduct
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 
@@ -30,6 +32,9 @@ def warm_up() -> None:
     Adapter(model).condition([0.5])
     RegressThenProduct(model)
     POSE.exp(pose[0], POSE.log(pose[0], pose[1]))
+    moving = np.concatenate([pose, rng.normal(size=(40, 6))], axis=1)
+    velocities = GoalTPGMM(n_components=2, manifold="R3 x S3 x R6", max_iter=1).fit_projected({"frame": moving})
+    StableDynamics(velocities, duration=1.0)
     chain = TPHSMM(n_components=2, max_iter=1).fit_projected({"frame": X})
     chain.chain_.most_likely(np.zeros((40, 2)), [40])
     chain.metadata_ = {"duration_s": 1.0}

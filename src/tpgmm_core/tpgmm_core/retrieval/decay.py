@@ -127,6 +127,7 @@ class DecayMovement(System):
         for s in points.spheres:
             self._scale[s.tangent] = metres_per_radian / wait_distance
         self._adapter, self._ends = Adapter(model), Adapter(model.ends_)
+        self._compile()
 
     def goal(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None = None) -> Gaussian:
         """Where the movement ends in a situation: the product of what the frames saw of the attractors' ends."""

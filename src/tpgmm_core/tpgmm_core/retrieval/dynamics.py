@@ -147,13 +147,6 @@ class StableDynamics(System):
         self._layout = points.ambient_of_tangent, points.sphere_starts
         self._compile()
 
-    def _compile(self) -> None:
-        frames = {name: Frame(np.eye(d), np.zeros(d)) for name in self.frame_names for d in (1 + self.manifold.dim,)}
-        self.start(0)
-        for time_ns in (0, 1):
-            self.step(time_ns, dict(frames))
-        self._last_ns = self._frames = None
-
     def goal(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None = None) -> Gaussian:
         """Where the movement ends in a situation: the product of what the frames saw of the demonstrations' ends."""
         return self._end(self._lifted(frames), weights, None, END)
@@ -249,7 +242,7 @@ class StableDynamics(System):
     def _follow(self, robot: Array, seconds: float) -> None:
         """Slow down for a robot that is farther away than the leash, and be pulled along by it.
 
-        Softly: as the excess begins to grow nothing changes at once. At twice the leash the system's own movement stops.
+        Softly: as the excess begins to grow nothing changes at once. At twice the leash the system itself stops.
         """
         away = self.manifold.log(self._x, robot)
         length, leash = self._length(away), self.convergence.leash

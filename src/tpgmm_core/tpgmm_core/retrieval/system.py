@@ -61,6 +61,15 @@ class System(ABC):
         self._last_ns: int | None = None
         self._frames: Mapping[str, Frame] | None = None
 
+    def _compile(self) -> None:
+        """Two steps, so that no later one waits for the compiler; with one frame, since one contradicts no other."""
+        D = 1 + self.manifold.dim
+        frame = Frame(np.eye(D), np.zeros(D))
+        self.start(0)
+        for time_ns in (0, 1):
+            self.step(time_ns, {self.frame_names[0]: frame})
+        self._last_ns = self._frames = None
+
     @property
     def duration(self) -> float:
         """Of the whole movement at speed 1, s."""
