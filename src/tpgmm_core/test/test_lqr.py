@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.linalg import solve_continuous_are, solve_discrete_are
 
 from tpgmm_core.control.finite_horizon import finite_horizon_gains
 from tpgmm_core.control.lqr import double_integrator, double_integrator_gains, double_integrator_value, riccati_gains
@@ -94,6 +95,29 @@ def test_discrete_gains_are_the_fixed_point_of_the_recursion() -> None:
         regulator = discrete_regulator(A, B, Q, R, noise=W, risk=risk)
         long = finite_horizon_gains(A, B, np.tile(Q, (2001, 1, 1)), R, np.zeros((2001, 4)), noise=W, risk=risk)
         np.testing.assert_allclose(regulator.gain, long.gains[0], rtol=1e-7, atol=1e-7)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_regulators_of_any_system_solve_their_equations_as_well_as_scipy(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(1, 9)), int(rng.integers(1, 4))
+    A, B, X = rng.normal(size=(n, n)), rng.normal(size=(n, m)), rng.normal(size=(n, n))
+    Q, R = 10.0 ** rng.uniform(-3, 3) * (X @ X.T + 0.01 * np.eye(n)), np.diag(10.0 ** rng.uniform(-2, 2, size=m))
+
+    def continuous(P: np.ndarray) -> float:
+        residual = A.T @ P + P @ A + Q - P @ B @ np.linalg.solve(R, B.T @ P)
+        return float(np.abs(residual).max() / np.abs(P).max())
+
+    def discrete(P: np.ndarray) -> float:
+        residual = Q + A.T @ P @ A - P - A.T @ P @ B @ np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+        return float(np.abs(residual).max() / np.abs(P).max())
+
+    regulator = continuous_regulator(A, B, Q, R)
+    assert continuous(regulator.value) <= max(1e-9, 10.0 * continuous(solve_continuous_are(A, B, Q, R)))
+    assert np.linalg.eigvals(A - B @ regulator.gain).real.max() < 0.0
+    regulator = discrete_regulator(A, B, Q, R)
+    assert discrete(regulator.value) <= max(1e-9, 10.0 * discrete(solve_discrete_are(A, B, Q, R)))
+    assert np.abs(np.linalg.eigvals(A - B @ regulator.gain)).max() < 1.0
 
 
 def test_risk_in_continuous_time_is_known_for_one_dimension() -> None:

@@ -104,8 +104,8 @@ def riccati_gains(
 ) -> Gains:
     """Infinite-horizon gains by the algebraic Riccati equation, for a cost on position, velocity and control.
 
-    Slower than `double_integrator_gains` by two orders of magnitude; for what has no closed form: a cost on velocities
-    too, any control cost, discrete time.
+    Slower than `double_integrator_gains` by more than an order of magnitude; for what has no closed form: a cost on
+    velocities too, any control cost, discrete time.
 
     Parameters
     ----------
