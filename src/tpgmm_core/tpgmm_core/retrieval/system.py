@@ -138,7 +138,7 @@ class System(ABC):
             phase=self._phase(),
             gaussian=Gaussian(mean, self._blended(covariance, seconds), self.manifold),
             horizon_time_step=self._horizon_time_step,
-            horizon=tuple(self._ahead(self._ahead_times)),
+            horizon=tuple(self._ahead(self._ahead_times)) if len(self._ahead_times) else (),
             activations=activations,
             frames=tuple(frames),
         )
@@ -147,6 +147,8 @@ class System(ABC):
         """The next n Gaussians, dt (s) apart, should frames and robot do nothing: see `Retrieval.horizon`."""
         positive(dt=dt)
         self._check_stepped()
+        if n < 1:
+            return []
         return self._ahead(dt * np.arange(1, n + 1, dtype=np.float64))
 
     def mixture(self) -> GaussianMixture:
@@ -200,7 +202,7 @@ class System(ABC):
 
     @abstractmethod
     def _ahead(self, seconds: Array) -> list[Gaussian]:
-        """Gaussians at increasing times (H,) from now, s; the state stays as it is."""
+        """Gaussians at increasing times (H,), H > 0, from now, s; the state stays as it is."""
 
     @abstractmethod
     def _phase(self) -> float:
