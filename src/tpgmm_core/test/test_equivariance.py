@@ -9,9 +9,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from random_problems import random_quaternion
+from random_problems import random_gaussian, random_quaternion
 from reaching import frames_at, place, reaching_demonstrations
 from tpgmm_core import TPGMM, Demonstration, Frame, Gaussian, Manifold
+from tpgmm_core.control.lqr import double_integrator_gains
 from tpgmm_core.quaternion import Array
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS, make_retrieval
@@ -127,6 +128,33 @@ def test_the_second_hand_goes_where_it_belongs(way: str) -> None:
     assert end.manifold == manifold
     difference = manifold.log(goal, end.mean)
     assert np.abs(difference[[0, 1, 2, 6, 7, 8]]).max() < 0.05 and np.abs(difference[[3, 4, 5, 9, 10, 11]]).max() < 0.1
+
+
+@pytest.mark.parametrize("space", ["R3 x S3", "S3 x S3", "R3 x S3 x R3 x S3"])
+def test_a_linear_quadratic_regulator_in_the_tangent_space_moves_with_the_world(space: str) -> None:
+    """Two hands too: u = K_P log_x(x_ref) - K_V xdot, from far away, ends at the reference, wherever the world is."""
+    manifold = Manifold.parse(space)
+    rng = np.random.default_rng(7)
+    reference = random_gaussian(rng, manifold)
+    start = manifold.exp(reference.mean, rng.uniform(-1.0, 1.0, manifold.tangent_dim))
+    turn = Frame.from_pose(rng.normal(size=3), random_quaternion(rng))
+    of_factor = {"R": Frame(turn.A[:3, :3], turn.b[:3]), "S": Frame(turn.A[3:, 3:], np.zeros(4))}
+    world = Frame.stacked([of_factor[kind] for kind, _ in manifold.factors])
+
+    def regulated(reference: Gaussian, x: Array) -> list[Gaussian]:
+        gains = double_integrator_gains(reference.precision, min_stiffness=4.0)
+        rate, path, dt = np.zeros(manifold.tangent_dim), [], 0.01
+        for _ in range(600):
+            rate = rate + dt * (gains.stiffness @ manifold.log(x, reference.mean) - gains.damping @ rate)
+            x = manifold.exp(x, dt * rate)
+            path.append(Gaussian(x, reference.covariance, manifold))
+        return path
+
+    before = regulated(reference, start)
+    np.testing.assert_allclose(manifold.log(before[-1].mean, reference.mean), 0.0, atol=1e-3)
+    assert_moved(world, before, regulated(reference.transform(world), world.A @ start + world.b), TOLERANCE)
+    opposite = Gaussian(-reference.mean, reference.covariance, manifold) if space == "S3 x S3" else reference
+    assert_moved(Frame(np.eye(manifold.dim), np.zeros(manifold.dim)), before, regulated(opposite, start), TOLERANCE)
 
 
 def turned(frame: Frame, rng: np.random.Generator, hands: int) -> Frame:
