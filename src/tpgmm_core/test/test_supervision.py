@@ -65,7 +65,8 @@ def test_timeouts_that_make_no_sense_are_refused_by_name(name: str, value: float
         (100, 1000, Stamp.REPEATED),  # a stamp that stands still never becomes news
         (99, 20, Stamp.OLD),
         (99, 21, Stamp.RESTARTED),
-        (99, -1, Stamp.RESTARTED),  # the clock that watches jumped too
+        (99, -10, Stamp.OLD),  # a simulated clock that comes after the message
+        (99, -51, Stamp.RESTARTED),  # the clock that watches jumped too
         (150, 1, Stamp.NEW),
         (151, 1, Stamp.FUTURE),
     ],
@@ -90,4 +91,5 @@ def test_an_age_is_that_of_the_arrival_and_infinite_after_a_jump_of_the_clock() 
     watch = StreamWatch()
     watch.accept(5, 100 * MS)
     assert watch.age(130 * MS) == pytest.approx(0.03)
-    assert watch.age(99 * MS) == math.inf
+    assert watch.age(99 * MS) == 0.0
+    assert watch.age(49 * MS) == math.inf

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from tpgmm_core.settings import check_settings, setting
 
 SECOND = 1_000_000_000
+#: A clock that is behind a message by no more than this has been overtaken by it; by more, it has jumped back, s.
+OVERTAKEN = 0.05
 
 
 class ControllerMode(enum.IntEnum):
@@ -117,7 +119,7 @@ class StreamWatch:
         if self.stamp_ns is None:
             return None
         age = 1e-9 * (now_ns - self._received_ns)
-        return age if age >= 0.0 else math.inf
+        return max(0.0, age) if age >= -OVERTAKEN else math.inf
 
     def judge(self, stamp_ns: int, now_ns: int, clock_ns: int, timeout: float, max_future: float) -> Stamp:
         """What a message with this stamp is; it counts as the last one only if it is then accepted.

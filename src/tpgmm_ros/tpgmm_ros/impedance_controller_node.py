@@ -133,6 +133,8 @@ class ImpedanceControllerNode(ManagedNode):
             if command is not None:
                 self._publish(command, self.controller.stamp_ns)
         self._active = False
+        if limited := self._limited():
+            self.get_logger().info(f"torques were limited: {limited}")
         self._change(ControllerMode.WAITING, "not active", self._loop_clock.now().nanoseconds)
 
     # -- inputs -------------------------------------------------------------------------------------------------------
@@ -200,8 +202,8 @@ class ImpedanceControllerNode(ManagedNode):
 
     def _watch(self) -> None:
         """Joint states may have stopped, which no message tells."""
-        if self._active:
-            now_ns = self._loop_clock.now().nanoseconds
+        now_ns = self._loop_clock.now().nanoseconds if self._active else 0
+        if now_ns:  # 0: a simulated clock that has not come yet
             self._report(self.controller.watch(now_ns), now_ns)
 
     def _report(self, answer: Answer | None, now_ns: int) -> None:
@@ -258,8 +260,11 @@ class ImpedanceControllerNode(ManagedNode):
             level = DiagnosticStatus.ERROR
         elif self._mode in (ControllerMode.HOLD, ControllerMode.WAITING):
             level = DiagnosticStatus.WARN
-        limited = ", ".join(f"{name} {count}" for name, count in sorted(self._actions.items()))
-        return level, f"{self._mode.name}: {self._reason}", {"torques_limited": limited}
+        return level, f"{self._mode.name}: {self._reason}", {"torques_limited": self._limited()}
+
+    def _limited(self) -> str:
+        """How often each stage of the pipeline took something away since the activation."""
+        return ", ".join(f"{name} {count}" for name, count in sorted(self._actions.items()))
 
 
 def main() -> int:
