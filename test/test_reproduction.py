@@ -345,6 +345,11 @@ def test_a_model_that_is_loaded_during_a_movement_takes_over_without_a_jump_and_
         player.tick()
     phases = [reference.phase for reference in player.references[before:]]
     assert min(phases) > 0.3, "the movement goes on where it was"
+    backwards = set_parameters(player.node, NODE, speed=-1.0)
+    assert backwards.successful == (WAYS[way].course is not None) and (
+        backwards.successful or "speed" in backwards.reason
+    )
+    assert set_parameters(player.node, NODE, speed=1.0).successful
     # In m per tick of 5 ms: as fast as elsewhere, and no jump of the velocity
     path = means(player.references[1:])[:, :3]
     usual, around = path[: before - 1], path[before - 5 :]

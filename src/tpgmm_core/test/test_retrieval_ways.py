@@ -63,6 +63,16 @@ def test_every_way_takes_the_duration_that_is_asked_for_and_pauses(way: str) -> 
     assert phase < 0.2 and np.linalg.norm(paused[-1, :3] - START[:3]) < 0.1
 
 
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("steps", [0, 3])
+def test_references_of_every_way_hold_as_many_gaussians_ahead_as_asked_for(way: str, steps: int) -> None:
+    retrieval = make_retrieval(learned(way), horizon_steps=steps, horizon_time_step=0.02)
+    retrieval.start(0, START)
+    reference = retrieval.step(TICK_NS, SITUATION, START)
+    assert len(reference.horizon) == steps and reference.horizon_time_step == (0.02 if steps else 0.0)
+    assert len(retrieval.horizon(4, 0.01)) == 4
+
+
 @pytest.mark.parametrize("encoding", ENCODINGS.values())
 def test_an_encoding_names_all_dimensions_and_survives_the_metadata(encoding: type) -> None:
     names = encoding().dimensions(DIMENSIONS, MANIFOLD)

@@ -105,6 +105,12 @@ def test_a_missing_key_is_named(key: str) -> None:
         (changed(model={"n_components": True}), "whole number"),
         (changed(model={"init": "random"}), "one of time, kmeans, bins"),
         (changed(model={"reg_covar": "tiny"}), "finite number"),
+        (changed(model={"retrieval": "fortune"}), "one of adapt_regress, "),
+        (
+            changed(model={"decay_rate": 2.0}),
+            "'model' does not fit together: decay_rate is no setting of adapt_regress",
+        ),
+        (changed(model={"retrieval": "decay", "stiffness": 0}), "stiffness is 0.0, expected 10 to 10000"),
         ("on: 1", "quote them"),
         ("name: a\nname: b", "stands here twice"),
         ("a: &x 1\nb: *x", "aliases"),

@@ -11,9 +11,11 @@ import pytest
 
 from synthetic_bags import REACH_TASK, reach, write_bag
 from tpgmm_core import TPGMM, Frame, quaternion
+from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_ros.bags import Recording, read_recording
 from tpgmm_ros.reporting import format_table, write_atomically, write_report
 from tpgmm_ros.task import Task
+from tpgmm_ros.task_model import load_model
 from tpgmm_ros.train import main
 from tpgmm_ros.validation import path_errors, replay_nearest, reproduce
 
@@ -89,6 +91,33 @@ def test_options_go_before_the_task_file(bags: Path, tmp_path: Path) -> None:
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["components"] == 2 and report["samples"] == COUNT * 21
     assert TPGMM.load(tmp_path / "model").n_components == 2
+
+
+@pytest.mark.parametrize("way", [way for way in WAYS if way != "adapt_regress"])
+def test_every_way_of_retrieval_is_trained_and_reproduces_what_was_left_out(
+    way: str, bags: Path, tmp_path: Path
+) -> None:
+    few = [bags / f"demo_{i}" for i in range(4)]
+    output = tmp_path / "model"
+    arguments = ("--retrieval", way, "--every", "2", "--leave-one-out", "--report", tmp_path, "--output", output)
+    assert train(bags, *arguments, *few) == 0
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["retrieval"] == way and len(report["leave_one_out"]["folds"]) == len(few)
+    model = load_model(output, Task.load(bags / "task.yaml"))
+    assert isinstance(model, WAYS[way].estimator) and model.metadata_["retrieval"] == way
+    recording = read_recording(bags / "demo_7", Task.load(bags / "task.yaml"))
+    path = reproduce(model, recording.to_demonstration(5.0))
+    assert path_errors(path, recording.movement).position_end_m < 0.05
+
+
+def test_the_way_of_the_task_file_is_taken_unless_another_is_asked_for(bags: Path, tmp_path: Path) -> None:
+    task = tmp_path / "task.yaml"
+    task.write_text(REACH_TASK.replace("model: {", "model: {retrieval: decay, stiffness: 300, "))
+    for arguments, way in (([], "decay"), (["--retrieval", "trajectory"], None)):
+        status = main(["--task", str(task), "--output", str(tmp_path / "model"), "--every", "3", *arguments, str(bags)])
+        assert (status == 0) == (way is not None), "the stiffness of a spring is nothing for trajectories"
+    model = TPGMM.load(tmp_path / "model")
+    assert model.metadata_["retrieval"] == "decay" and model.metadata_["encoding.stiffness"] == 300.0
 
 
 def test_leave_one_out_reports_every_demonstration(

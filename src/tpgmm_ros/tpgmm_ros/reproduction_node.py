@@ -99,7 +99,8 @@ class ReproductionNode(ManagedNode):
             way_named(values["retrieval"])
         if values["phase"] not in PHASES:
             raise ValueError(f"there is no phase {values['phase']!r}; known are {', '.join(PHASES)}")
-        if self.execution is not None:  # last, since it takes effect: only the way itself knows which speeds it can go
+        # Last, since it takes effect: only the way itself knows which speeds it can go.
+        if self.execution is not None and self.execution.stage is not Stage.ENDED:
             self.execution.retrieval.speed = values["speed"]
 
     # -- lifecycle ----------------------------------------------------------------------------------------------------
@@ -167,11 +168,8 @@ class ReproductionNode(ManagedNode):
 
     def _choose_frames(self) -> None:
         """Of the frames that are known, those that the model has learned from."""
-        if self.execution is None:
-            return
-        names = [name for name in self.execution.retrieval.frame_names if name in self._known]
-        self._frames = {name: self._known[name][0] for name in names}
-        self._weights = {name: self._known[name][1] for name in names}
+        if self.execution is not None:
+            self._frames, self._weights = those_of(self.execution.retrieval, self._known)
 
     def _take_joint_state(self, message: JointState) -> None:
         self._step(conversions.time_to_ns(message.header.stamp))
@@ -187,15 +185,20 @@ class ReproductionNode(ManagedNode):
 
     def _prepare(self, path: str, then: Callable[[Future[Prepared]], None], duration: float) -> None:
         """Read the model in a file (the one in use where there is none) and make it ready, while steps go on."""
-        task, model = self.task, self.model
+        task, model, known, pose = self.task, self.model, self._known, self._pose
         settings = {name: self.parameters[name] for name in RETRIEVAL_SETTINGS}
+        way = settings.pop("retrieval") or None
 
         def work() -> Prepared:
             chosen = load_model(path, task) if path else model
             if chosen is None:
                 raise ValueError("no model is loaded: name a model file in the goal, or set the parameter model_file")
-            way = settings.pop("retrieval") or None
-            return chosen, make_retrieval(chosen, way, duration=duration or None, **settings)
+            retrieval = make_retrieval(chosen, way, duration=duration or None, **settings)
+            frames, weights = those_of(retrieval, known)
+            if frames:  # a rehearsal: what cannot be adapted to the situation is refused before anything depends on it
+                retrieval.start(0, pose)
+                retrieval.step(0, frames, pose, weights)
+            return chosen, retrieval
 
         self._background.run(work, then)
 
@@ -330,6 +333,14 @@ class ReproductionNode(ManagedNode):
         if missing:
             return DiagnosticStatus.WARN, f"reproducing without {', '.join(missing)}", values
         return DiagnosticStatus.OK, "reproducing", values
+
+
+def those_of(
+    retrieval: Retrieval, known: Mapping[str, tuple[Frame, float]]
+) -> tuple[dict[str, Frame], dict[str, float]]:
+    """Of the frames that are known, those that a model has learned from, and how far each is trusted."""
+    names = [name for name in retrieval.frame_names if name in known]
+    return {name: known[name][0] for name in names}, {name: known[name][1] for name in names}
 
 
 def main() -> int:
