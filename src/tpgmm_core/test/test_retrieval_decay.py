@@ -237,6 +237,14 @@ def test_the_horizon_is_what_comes() -> None:
     np.testing.assert_allclose([g.mean for g in ahead], positions(later), atol=1e-3)
 
 
+def test_references_without_a_horizon() -> None:
+    system = DecayMovement(planar_model(), LAW, horizon_steps=0)
+    system.start(0)
+    reference = system.step(0, planar_situation())
+    assert reference.horizon == () and reference.horizon_time_step == 0.0
+    assert system.horizon(0, 0.1) == []
+
+
 def test_it_may_begin_within_the_movement() -> None:
     frames = planar_situation()
     system = begun(planar_model(), 2.0, [-0.1, 0.3], frames)

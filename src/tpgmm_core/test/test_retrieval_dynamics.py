@@ -353,6 +353,7 @@ def test_the_horizon_is_what_comes_and_disturbs_nothing() -> None:
     np.testing.assert_array_equal(means(later), plain[25:])
     np.testing.assert_allclose([g.mean for g in ahead], means(later), atol=5e-3)
     np.testing.assert_allclose([g.mean for g in ahead[:10]], means(later)[:10], atol=1e-3)
+    assert system.horizon(0, 0.02) == []
 
 
 def test_position_matters_across_the_movement_and_at_its_end() -> None:

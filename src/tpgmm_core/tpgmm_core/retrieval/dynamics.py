@@ -244,7 +244,7 @@ class StableDynamics(System):
 
         Softly: as the excess begins to grow nothing changes at once. At twice the leash the system itself stops.
         """
-        away = self.manifold.log(self._x, robot)
+        away = self.manifold.log(self.manifold.exp(self._x, self._offset), robot)
         length, leash = self._length(away), self.convergence.leash
         excess = length - leash
         if excess > 0.0:
