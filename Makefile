@@ -44,7 +44,7 @@ test: lint ## lint, then all tests
 	$(PYTHON) -m pytest
 
 properties: setup ## no sequence of inputs makes a torque or a rate beyond its limit: 10 000 sequences (`make test`: some)
-	TPGMM_PROPERTY_SEQUENCES=10000 $(PYTHON) -m pytest src/tpgmm_core/test/test_controller_properties.py
+	TPGMM_PROPERTY_SEQUENCES=10000 $(PYTHON) -m pytest --timeout 3600 src/tpgmm_core/test/test_controller_properties.py
 
 demo: setup ## train, start the nodes, do the task: out/demo/ (SEED=7 for another situation)
 	$(PROGRAMS)/demo --seed $(SEED)
