@@ -117,6 +117,17 @@ def test_a_solver_that_is_stopped_gives_the_law_without_limits_cut_to_its_torque
     np.testing.assert_allclose(plan.torque, INERTIA @ plan.accelerations[0] + BIAS, rtol=1e-9)
 
 
+def test_the_answer_depends_on_nothing_but_the_question() -> None:
+    """Also after a problem whose limits were all met: nothing of it is kept."""
+    mpc = controller(limits(2, torque=6.0, velocity=0.8, position=1.0))
+    question = np.array([-0.9, 0.9]), np.zeros(2), np.array([0.95, -0.95])
+    first = solve(mpc, *question)
+    assert solve(mpc, np.array([1.4, 0.0]), np.array([3.0, -3.0]), np.array([9.0, 9.0])).status == "softened"
+    again = solve(mpc, *question)
+    np.testing.assert_array_equal(again.accelerations, first.accelerations)
+    assert again.status == "optimal"
+
+
 def test_velocities_are_tracked_where_they_matter() -> None:
     mpc = controller(limits(2))
     wanted = JointReference(
