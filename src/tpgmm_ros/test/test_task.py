@@ -8,7 +8,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tpgmm_ros.task import MAX_BYTES, Task, TaskError, TaskFrameSpec
+from tpgmm_ros.task import Task, TaskError, TaskFrameSpec
+from tpgmm_ros.yaml_sections import MAX_BYTES
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""YAML that people write: read safely, key by key, with errors that say where and what was expected.
+
+Executes nothing, and refuses what makes a file say other things than it seems to: aliases, doubled keys, unknown keys.
+"""
+
+import difflib
+import math
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+MAX_BYTES = 64 * 1024
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_QUATERNION_TOLERANCE = 1e-3
+"""How far from 1 the norm of a written quaternion may be: three or four digits are what people type."""
+
+
+class YamlError(ValueError):
+    """A YAML file that cannot be used; the text names the file, the key, and what was expected."""
+
+
+class Section:
+    """One mapping of the file, and where it stands there, so that errors can say so."""
+
+    def __init__(self, source: str, where: str, values: Any) -> None:
+        self.source, self.where = source, where
+        if not isinstance(values, Mapping):
+            raise self.error(f"is {shown(values)}, expected a mapping of keys to values")
+        for key in values:
+            if not isinstance(key, str):
+                raise self.error(
+                    f"has the key {shown(key)}, expected a word "
+                    "(YAML reads bare on, off, yes, no and numbers as other things: quote them)"
+                )
+        self.values: Mapping[str, Any] = values
+
+    def error(self, text: str) -> YamlError:
+        return YamlError(f"{self.source}: {f"'{self.where}'" if self.where else 'the file'} {text}")
+
+    def path(self, key: str) -> str:
+        return f"{self.where}.{key}" if self.where else key
+
+    def refuse_others(self, *known: str) -> None:
+        for key in self.values:
+            if key not in known:
+                close = difflib.get_close_matches(key, known, n=1)
+                hint = f"; did you mean {close[0]!r}?" if close else ""
+                raise self.error(f"has the unknown key {shown(key)}, expected {', '.join(known)}{hint}")
+
+    def required(self, key: str, read: Callable[[Any], Any]) -> Any:
+        if key not in self.values:
+            raise self.error(f"lacks the key '{key}'")
+        try:
+            return read(self.values[key])
+        except ValueError as error:
+            found = shown(self.values[key])
+            raise YamlError(f"{self.source}: '{self.path(key)}' is {found}, expected {error}") from None
+
+    def section(self, key: str, optional: bool = False) -> "Section":
+        if key not in self.values and not optional:
+            raise self.error(f"lacks the key '{key}'")
+        return Section(self.source, self.path(key), self.values.get(key, {}))
+
+
+# Readers turn one YAML value into what a program needs, or raise ValueError(what was expected).
+
+
+def is_name(text: str) -> bool:
+    """Letters, digits and underscores, no digit first."""
+    return _NAME.fullmatch(text) is not None
+
+
+def a_name(value: Any) -> str:
+    if not isinstance(value, str) or not is_name(value):
+        raise ValueError("a name of letters, digits and underscores")
+    return value
+
+
+def a_number(least: float = -math.inf) -> Callable[[Any], float]:
+    def read(value: Any) -> float:
+        what = "a finite number" + (f" of at least {least:g}" if math.isfinite(least) else "")
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(what)
+        try:
+            number = float(value)
+        except OverflowError:
+            raise ValueError(what) from None
+        if not math.isfinite(number) or number < least:
+            raise ValueError(what)
+        return number
+
+    return read
+
+
+def numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
+    def read(value: Any) -> tuple[float, ...]:
+        if not isinstance(value, list) or len(value) != count:
+            raise ValueError(f"{count} finite numbers")
+        try:
+            return tuple(a_number()(number) for number in value)
+        except ValueError:
+            raise ValueError(f"{count} finite numbers") from None
+
+    return read
+
+
+def a_quaternion(value: Any) -> tuple[float, ...]:
+    try:
+        quaternion = numbers(4)(value)
+    except ValueError:
+        quaternion = (0.0,)
+    norm = math.hypot(*quaternion)
+    if abs(norm - 1.0) > _QUATERNION_TOLERANCE:
+        raise ValueError("four finite numbers qx qy qz qw of norm 1")
+    return tuple(number / norm for number in quaternion)
+
+
+def an_integer(least: int) -> Callable[[Any], int]:
+    def read(value: Any) -> int:
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value < 2**32:
+            raise ValueError(f"a whole number of at least {least}")
+        return value
+
+    return read
+
+
+def a_choice(*choices: str) -> Callable[[Any], str]:
+    def read(value: Any) -> str:
+        if not isinstance(value, str) or value not in choices:
+            raise ValueError("one of " + ", ".join(choices))
+        return value
+
+    return read
+
+
+def shown(value: Any, limit: int = 60) -> str:
+    """A value as text, short enough for an error."""
+    try:
+        text = repr(value)
+    except ValueError:  # integers beyond Python's limit of digits have no text
+        text = f"a {type(value).__name__} too large to show"
+    return text if len(text) <= limit else text[:limit] + "…"
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML without aliases (a small file can unfold to gigabytes) and without doubled keys."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark
+            raise yaml.MarkedYAMLError(problem="aliases (*name) are not allowed here", problem_mark=mark)
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key_node, _ in node.value:
+            key = key_node.value
+            if isinstance(key, str) and key in seen:
+                raise yaml.MarkedYAMLError(
+                    problem=f"the key {shown(key)} stands here twice", problem_mark=key_node.start_mark
+                )
+            if isinstance(key, str):
+                seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+# YAML 1.1 reads 1e-6 as text, since it has no point; YAML 1.2 and people read a number.
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
+)
+
+
+def load_yaml(path: Path, what: str) -> Any:
+    """What a YAML file holds; `what` is what errors say was expected, such as "a task file".
+
+    Raises:
+        YamlError: the file cannot be read, is too large, or is no YAML.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise YamlError(f"{path}: cannot be read ({error.strerror}); expected {what} in YAML") from None
+    if len(content) > MAX_BYTES:
+        raise YamlError(f"{path}: is larger than {MAX_BYTES} bytes; expected {what} in YAML")
+    try:
+        return parse_yaml(content.decode("utf-8"), str(path))
+    except UnicodeDecodeError:
+        raise YamlError(f"{path}: is not UTF-8 text; expected {what} in YAML") from None
+
+
+def parse_yaml(text: str, source: str) -> Any:
+    """What YAML text says; `source` is what errors call it.
+
+    Raises:
+        YamlError: it is no YAML, or holds aliases or doubled keys.
+    """
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except RecursionError:
+        raise YamlError(f"{source}: is nested too deeply") from None
+    # PyYAML lets more than YAMLError out of malformed scalars: KeyError, IndexError, AttributeError, …
+    except Exception as error:
+        raise YamlError(f"{source}: is not a YAML file that can be read: {error}") from None
