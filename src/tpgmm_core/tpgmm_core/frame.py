@@ -52,7 +52,9 @@ class Frame:
                 raise ValueError(
                     f"the inverse of A {A.shape} is finite and has the transposed shape, got {inverse.shape}"
                 )
-            object.__setattr__(self, "inverse", np.broadcast_to(inverse, transposed))
+            object.__setattr__(
+                self, "inverse", inverse if inverse.shape == transposed else np.broadcast_to(inverse, transposed)
+            )
         object.__setattr__(self, "A", A)
         object.__setattr__(self, "b", b)
 

@@ -9,9 +9,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from tpgmm_core import quaternion
 from tpgmm_core.frame import Frame
-from tpgmm_core.kernels import inverse_left_jacobian
+from tpgmm_core.kernels import inverse_left_jacobian, quaternion_difference
 from tpgmm_core.kinematics import inverse
 from tpgmm_core.kinematics.chains import Kinematics
 from tpgmm_core.quaternion import Array
@@ -123,7 +122,7 @@ class Moment:
         A, b, target = self._object(task, m, len(place))
         if task.part == "position":
             return View(J, A, b - place[:m])
-        turned = quaternion.log(quaternion.multiply(place[3:], quaternion.conjugate(target)))
+        turned = np.array(quaternion_difference(*place[3:], *target))
         rate = np.empty((3, 3))  # of the rotation vector, for an angular velocity of one
         inverse_left_jacobian(turned[0], turned[1], turned[2], rate)
         J[-3:] = rate @ J[-3:]
