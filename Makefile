@@ -58,12 +58,14 @@ results: setup ## the numbers of docs/results.md: leave-one-out on real demonstr
 		$(DATA)/baxter_valve
 	PYTHONPATH=. $(PYTHON) benchmarks/valve_selection.py --data $(DATA)/baxter_valve
 
-figures: setup ## figures 1, 3 and 4 of the paper, in out/figures/ and out/figure4/ (DATA=directory of the data sets)
+figures: setup ## figures 1, 3 and 4 of the paper and weights of frames, in out/ (DATA=directory of the data sets)
 	PYTHONPATH=. $(PYTHON) benchmarks/figure1.py --data $(DATA)/pbdlib
 	PYTHONPATH=. $(PYTHON) benchmarks/figure3.py --data $(DATA)/pbdlib
 	PYTHONPATH=. $(PYTHON) benchmarks/figure4.py
+	PYTHONPATH=. $(PYTHON) benchmarks/figure1d.py
+	PYTHONPATH=. $(PYTHON) benchmarks/frame_weights.py
 
-BENCHMARKS := em reproduction_step lqr simulator loop latency
+BENCHMARKS := em reproduction_step lqr control simulator loop latency
 bench: setup ## benchmarks: tables, and JSON in out/bench/ (wants two idle cores)
 	@for name in $(BENCHMARKS); do PYTHONPATH=. $(PYTHON) benchmarks/$$name.py; done
 
