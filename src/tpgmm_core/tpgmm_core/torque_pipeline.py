@@ -61,7 +61,7 @@ class TorqueLimits:
     max_power: float = setting(80.0, 1.0, 1e5, "Power that the motors put into the motion at most, W")
     recovery_time: float = setting(0.3, 1e-3, 60.0, "After an interruption the law takes over within this time, s")
     approach_rate: float = setting(10.0, 0.1, 1e3, "Speed towards a position limit by the distance to it, 1/s")
-    limit_bandwidth: float = setting(200.0, 1.0, 500.0, "How firmly joints are braked at their limits, 1/s")
+    limit_bandwidth: float = setting(100.0, 1.0, 500.0, "How firmly joints are braked at their limits, 1/s")
     repulsion_margin: float = setting(0.05, 0.0, 1.0, "Joints are pushed out of this margin before limits, rad or m")
     repulsion_frequency: float = setting(20.0, 0.1, 100.0, "How firmly they are pushed, rad/s")
     safe_damping: float = setting(2.0, 0.0, 50.0, "Damping of each joint under the safe torque, N m s/rad")

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
+
 import numpy as np
 
 import tpgmm_core.control.finite_horizon
@@ -41,6 +44,32 @@ def warm_up() -> None:
     SemiMarkovMovement(chain)
     markov = TPHMM(n_components=2, max_iter=1).fit_projected({"frame": X})
     markov.chain_.most_likely(np.zeros((40, 2)), [40])
+    warm_up_control()
+
+
+def warm_up_control() -> None:
+    """The same for the controller, with the smallest of arms; nothing where Pinocchio is not installed."""
+    try:
+        from tpgmm_core.controller import Controller
+        from tpgmm_core.impedance import ImpedanceLaw
+        from tpgmm_core.robot import RobotModel
+    except ImportError:
+        return
+    with tempfile.TemporaryDirectory() as directory:
+        (Path(directory) / "arm.urdf").write_text(ARM_URDF)
+        (Path(directory) / "arm.yaml").write_text(ARM)
+        robot = RobotModel.from_file(Path(directory) / "arm.yaml")
+        Controller(robot, ImpedanceLaw(robot, "hand"))
+
+
+LINK = """<link name="{name}"><inertial><mass value="1"/><origin xyz="1 0 0"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="to_{name}" type="revolute"><parent link="{parent}"/><child link="{name}"/><axis xyz="0 0 1"/>
+<origin xyz="1 0 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>"""
+ARM_URDF = f"""<robot name="arm"><link name="base"/>{LINK.format(name="elbow", parent="base")}
+{LINK.format(name="hand", parent="elbow")}</robot>"""
+ARM = """{urdf: arm.urdf, base_frame: base, joint_groups: {arm: [to_elbow, to_hand]},
+endpoints: {hand: {frame: hand, joints: arm}}, home: {to_elbow: 0.0, to_hand: 0.0}}"""
 
 
 if __name__ == "__main__":
