@@ -65,7 +65,7 @@ class TorqueLimits:
     repulsion_margin: float = setting(0.05, 0.0, 1.0, "Joints are pushed out of this margin before limits, rad or m")
     repulsion_frequency: float = setting(20.0, 0.1, 100.0, "How firmly they are pushed, rad/s")
     safe_damping: float = setting(2.0, 0.0, 50.0, "Damping of each joint under the safe torque, N m s/rad")
-    max_time_step: float = setting(0.02, 1e-3, 1.0, "A longer pause between two steps counts as this long, s")
+    max_time_step: float = setting(0.005, 1e-3, 1.0, "A longer pause between two steps counts as this long, s")
 
     def __post_init__(self) -> None:
         """Raises ValueError for a value out of its range."""

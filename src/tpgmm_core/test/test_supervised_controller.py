@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The controller under supervision, on a simulated robot and a clock that the tests move."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from robots import BAXTER
+from tpgmm_core import Gaussian
+from tpgmm_core.impedance import ImpedanceLaw, PoseTarget
+from tpgmm_core.manifold import POSE
+from tpgmm_core.reference import Reference
+from tpgmm_core.robot import RobotModel
+from tpgmm_core.simulation import RobotSimulator
+from tpgmm_core.supervised_controller import SupervisedController
+from tpgmm_core.supervision import ControllerMode, Timeouts
+from tpgmm_core.torque_pipeline import TorqueLimits
+
+MS = 1_000_000
+AWAY = np.array([0.0, 0.05, 0.05, 0.0, 0.0, 0.0, 0.0])
+TIMEOUTS = Timeouts()
+
+
+class Bench:
+    """Robot, controller and clock; a tick is a millisecond."""
+
+    def __init__(self, robot: RobotModel, limits: TorqueLimits | None = None) -> None:
+        self.robot, self.simulator = robot, RobotSimulator(robot)
+        self.controller: SupervisedController[PoseTarget] = SupervisedController(robot, ImpedanceLaw(robot), limits)
+        self.now_ns = 1000 * MS
+        data = robot.create_data()
+        data.update(robot.home)
+        self.home = data.pose("left")
+
+    def refer(self, pose: np.ndarray, stamp_ns: int | None = None) -> None:
+        gaussian = Gaussian(pose, np.diag([0.01**2] * 3 + [0.1**2] * 3), POSE)
+        stamp_ns = self.now_ns if stamp_ns is None else stamp_ns
+        reference = Reference(0.5, gaussian, 0.0, (), np.ones(1), ("object",))
+        self.controller.take_reference(reference, stamp_ns, self.now_ns, self.now_ns)
+
+    def tick(self, pose: np.ndarray | None = None) -> np.ndarray:
+        """A state and perhaps a reference in, torques (nv,) out, which move the robot."""
+        self.now_ns += MS
+        if pose is not None:
+            self.refer(pose)
+        state = self.simulator.state
+        answer = self.controller.take_state(state.q, state.v, self.now_ns, self.now_ns, self.now_ns)
+        assert answer is not None and answer.stamp_ns == self.now_ns
+        self.simulator.step(answer.command.tau)
+        return answer.command.tau
+
+    def idle(self) -> np.ndarray:
+        """What the robot does by itself when nobody commands it: carry its weight, damp its motion."""
+        state = self.simulator.state
+        return self.robot.create_data().nonlinear_effects(state.q, state.v) - 2.0 * state.v
+
+    @property
+    def mode(self) -> ControllerMode:
+        return self.controller.decision.mode
+
+    def shares(self, torques: list[np.ndarray]) -> float:
+        """Largest change from one torque to the next, in effort limits."""
+        return float((np.abs(np.diff(torques, axis=0)) / self.robot.effort_limits).max())
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotModel:
+    return RobotModel.from_file(BAXTER)
+
+
+@pytest.fixture
+def bench(robot: RobotModel) -> Bench:
+    return Bench(robot)
+
+
+def test_silence_is_answered_by_damping_for_its_time_and_then_by_silence(bench: Bench) -> None:
+    for _ in range(200):
+        last = bench.tick(bench.home + AWAY)
+    stamp_ns, torques = bench.now_ns, [last]
+    modes = []
+    for _ in range(60):
+        bench.now_ns += 5 * MS
+        answer = bench.controller.watch(bench.now_ns)
+        modes.append(bench.mode)
+        if answer is not None:
+            assert answer.stamp_ns == stamp_ns
+            torques.append(answer.command.tau)
+    assert modes[:4] == [ControllerMode.ACTIVE] * 4
+    assert modes[4] is ControllerMode.DAMPING and modes[-1] is ControllerMode.WAITING
+    assert len(torques) - 1 == 40  # every 5 ms for 0.2 s
+    gravity = bench.robot.create_data().gravity(bench.simulator.state.q)
+    np.testing.assert_allclose(torques[-1], gravity, atol=0.05)
+
+
+@pytest.mark.parametrize("gap_ms", [30, 150, 1000])
+def test_after_a_silence_the_law_takes_over_from_the_measured_state(bench: Bench, gap_ms: int) -> None:
+    for _ in range(600):
+        bench.tick(bench.home + AWAY)
+    torques = [bench.tick(bench.home + AWAY)]
+    for _ in range(gap_ms // 5):
+        bench.now_ns += 5 * MS
+        answer = bench.controller.watch(bench.now_ns)
+        torques += [answer.command.tau] if answer is not None else []
+        for _ in range(5):
+            bench.simulator.step(torques[-1] if answer is not None else bench.idle())
+    torques += [bench.tick(bench.home + AWAY) for _ in range(900)]
+    assert bench.mode is ControllerMode.ACTIVE
+    assert bench.shares(torques) < 0.16  # 5 ms at 30 effort limits per second, where the safe torque takes over
+    assert bench.shares(torques[-899:]) < 0.02
+
+
+def test_a_repeated_state_is_answered_as_before_and_an_overtaken_one_not_at_all(bench: Bench) -> None:
+    tau = bench.tick()
+    state = bench.simulator.state
+    again = bench.controller.take_state(state.q, state.v, bench.now_ns, bench.now_ns + MS, bench.now_ns)
+    assert again is not None
+    np.testing.assert_array_equal(again.command.tau, tau)
+    assert bench.controller.take_state(state.q, state.v, bench.now_ns - MS, bench.now_ns + MS, bench.now_ns) is None
+
+
+def test_a_clock_that_jumps_backwards_is_a_new_start_without_the_old_reference(bench: Bench) -> None:
+    for _ in range(300):
+        before = bench.tick(bench.home + AWAY)
+    bench.now_ns -= 200 * MS
+    tau = bench.tick()
+    assert bench.mode is ControllerMode.DAMPING and "no reference yet" in bench.controller.decision.reason
+    assert (np.abs(tau - before) <= 30.0 * 0.005 * bench.robot.effort_limits).all()
+    bench.tick(bench.home)
+    assert bench.mode is ControllerMode.ACTIVE
+
+
+def test_a_reference_counts_by_its_stamp_where_that_is_older_than_its_arrival(bench: Bench) -> None:
+    bench.tick()
+    bench.refer(bench.home, stamp_ns=bench.now_ns - 90 * MS)
+    bench.tick()
+    assert bench.mode is ControllerMode.ACTIVE
+    for _ in range(10):
+        bench.tick()
+    assert bench.mode is ControllerMode.HOLD
+
+
+def test_a_state_or_a_reference_from_the_future_is_refused(bench: Bench) -> None:
+    bench.tick(bench.home)
+    with pytest.raises(ValueError, match="ahead of this machine's clock"):
+        bench.refer(bench.home, stamp_ns=bench.now_ns + 51 * MS)
+    state = bench.simulator.state
+    answer = bench.controller.take_state(state.q, state.v, bench.now_ns + 51 * MS, bench.now_ns, bench.now_ns)
+    assert bench.mode is ControllerMode.FAULT
+    assert answer is not None and answer.command.law is None
+
+
+@pytest.mark.parametrize("rate", [30.0, 2.0])
+def test_the_last_torques_lead_to_the_safe_one_as_fast_as_the_rate_permits(robot: RobotModel, rate: float) -> None:
+    bench = Bench(robot, TorqueLimits(torque_rate=rate))
+    stuck = bench.simulator.state.q
+    for tick in range(500):
+        last = bench.tick(bench.home + min(1.0, tick / 300) * AWAY)
+        bench.simulator.reset(stuck)
+    torques, done = [last], False
+    while not done:
+        command, done = bench.controller.release(0.001)
+        assert command is not None and len(torques) < 1000
+        torques.append(command.tau)
+    gravity = bench.robot.create_data().gravity(stuck)
+    assert np.abs(last - gravity).max() > 1.0
+    np.testing.assert_allclose(torques[-1], gravity, atol=0.01)
+    assert bench.shares(torques) <= 0.001 * rate + 1e-12
+    assert len(torques) > 2
+
+
+def test_before_the_first_state_nothing_is_sent_whatever_comes(bench: Bench) -> None:
+    bench.refer(bench.home)
+    assert bench.controller.watch(bench.now_ns + 500 * MS) is None
+    assert bench.controller.refuse_state("it lacks joints", bench.now_ns, bench.now_ns) is None
+    assert bench.mode is ControllerMode.FAULT
+    assert bench.controller.release(0.001) == (None, True)
+    bench.tick()
+    assert bench.mode in (ControllerMode.ACTIVE, ControllerMode.DAMPING)
+
+
+def test_changed_parameters_change_the_gains_of_the_reference_that_is_followed(bench: Bench) -> None:
+    for _ in range(800):
+        bench.tick(bench.home)
+    law = bench.controller.law
+    assert isinstance(law, ImpedanceLaw)
+    law.configure(replace(law.config, max_stiffness=20.0))
+    bench.controller.configure(TorqueLimits(), TIMEOUTS)
+    state = bench.simulator.state
+    answer = None
+    for _ in range(400):
+        bench.now_ns += MS
+        bench.refer(bench.home)
+        answer = bench.controller.take_state(state.q, state.v, bench.now_ns, bench.now_ns, bench.now_ns)
+    assert answer is not None and answer.command.law is not None
+    eigenvalues = np.linalg.eigvals(answer.command.law.stiffness @ np.linalg.inv(answer.command.law.damping))
+    assert eigenvalues.real.max() < 1.01 * np.sqrt(20.0 / 2.0)  # K_P K_V^-1 = K_V / 2
