@@ -4,13 +4,18 @@
 A file is a zip archive in numpy's npz format: `model.json` as an array of bytes with the names, texts and
 settings, and plain numeric arrays. It is written beside its place and then moved there, so that an
 interrupted save loses nothing.
+
+A file may come from a stranger: what it announces is held against limits and against what it holds, before memory is
+taken for it.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
+import stat
 import tempfile
 import zipfile
 from collections.abc import Mapping
@@ -29,6 +34,12 @@ from tpgmm_core.quaternion import Array
 FORMAT = "tpgmm model"
 VERSION = 2  # 2 knows structures and kinds; a mixture of full covariances is written as 1
 MAX_BYTES = 100_000_000  # unpacked; a model of 100 components, 20 frames and 20 dimensions has 7 MB
+MAX_HEADER_BYTES = 1_000_000  # of model.json
+MAX_MEMBERS = 10_000
+MAX_COMPONENTS = 10_000
+MAX_DIMENSIONS = 10_000
+MAX_NUMBERS = MAX_BYTES // 8
+"""Of all dense covariances together: structures of few numbers are small in the file and large in memory."""
 
 
 class ModelFileError(ValueError):
@@ -110,12 +121,7 @@ def read(path: str | PathLike[str]) -> ModelContents:
     there is none.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            size = sum(entry.file_size for entry in archive.infolist())
-        if size > MAX_BYTES:
-            raise ModelFileError(f"{path}: {size} bytes unpacked, a model file has at most {MAX_BYTES}")
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        arrays = _arrays(path)
         return _contents(json.loads(arrays.pop("model.json").tobytes()), arrays)
     except (FileNotFoundError, IsADirectoryError, PermissionError):
         raise
@@ -127,39 +133,90 @@ def read(path: str | PathLike[str]) -> ModelContents:
         ) from error
 
 
+def _arrays(path: str | PathLike[str]) -> dict[str, Any]:
+    """The arrays of the archive by name, as many and as large as a model file may have."""
+    status = os.stat(path)
+    if stat.S_ISDIR(status.st_mode):
+        raise IsADirectoryError(f"{path} is a folder, expected a model file")
+    if not stat.S_ISREG(status.st_mode) or status.st_size > MAX_BYTES:
+        raise ModelFileError(f"no regular file of at most {MAX_BYTES} bytes")
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        size = sum(member.file_size for member in members)
+        if size > MAX_BYTES or len(members) > MAX_MEMBERS:
+            raise ModelFileError(
+                f"{size} bytes unpacked in {len(members)} members, a model file has at most {MAX_BYTES} in "
+                f"{MAX_MEMBERS}"
+            )
+        # zipfile unpacks no more of a member than the size that is announced
+        arrays = {m.filename.removesuffix(".npy"): _array(m.filename, archive.read(m)) for m in members}
+    if arrays["model.json"].nbytes > MAX_HEADER_BYTES:
+        raise ModelFileError(f"model.json has more than {MAX_HEADER_BYTES} bytes")
+    return arrays
+
+
+def _array(name: str, content: bytes) -> Any:
+    """A numeric array in numpy's npy format. numpy's own reader takes the memory that the file announces first."""
+    stream = io.BytesIO(content)
+    version = np.lib.format.read_magic(stream)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, is_fortran, dtype = read_header(stream)
+    if dtype not in (np.float64, np.uint8):
+        raise ModelFileError(f"{name} must be finite float64 numbers, got {dtype}")
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != len(content) - stream.tell():
+        raise ModelFileError(f"{name} announces shape {shape}, and holds {len(content) - stream.tell()} bytes")
+    flat = np.frombuffer(content, dtype, offset=stream.tell())
+    return flat.reshape(shape, order="F" if is_fortran else "C").copy()
+
+
 def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise ModelFileError("no model file: it does not say so in its header")
     if header.get("version") not in range(1, VERSION + 1):
         raise ModelFileError(f"version {header.get('version')!r}, this software reads versions up to {VERSION}")
     names = header["frames"]
-    if not names or len(set(names)) != len(names) or not all(isinstance(name, str) for name in names):
+    is_list = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    if not names or not is_list or len(set(names)) != len(names):
         raise ModelFileError(f"frames are distinct names, got {names!r}")
     manifold = Manifold.parse(header["manifold"])
+    if manifold.dim > MAX_DIMENSIONS:
+        raise ModelFileError(f"the manifold has {manifold.dim} dimensions, a model file at most {MAX_DIMENSIONS}")
     means = {name: _numbers(arrays, f"means_{j}", 2) for j, name in enumerate(names)}
-    frames = None if "structure" not in header else _frames(header, arrays)
-    if frames is None:
-        covariances = {name: _numbers(arrays, f"covariances_{j}", 3) for j, name in enumerate(names)}
-    else:
-        covariances = {name: frame.dense() for name, frame in frames.items()}
     priors = _numbers(arrays, "priors", 1)
     K = len(priors)
     if K == 0 or priors.min() < 0.0 or not math.isclose(priors.sum(), 1.0, abs_tol=1e-6):
         raise ModelFileError("priors must be from 0 and sum to 1")
+    if K > MAX_COMPONENTS:
+        raise ModelFileError(f"{K} components, a model file has at most {MAX_COMPONENTS}")
+    frames = None if "structure" not in header else _frames(header, arrays)
+    covariances = {} if frames else {name: _numbers(arrays, f"covariances_{j}", 3) for j, name in enumerate(names)}
+    n_numbers = 0
     for name in names:
         D = means[name].shape[1]
         space = Manifold.euclidean(D) if manifold.is_euclidean and D else manifold
         n = space.tangent_dim
-        if means[name].shape != (K, space.dim) or covariances[name].shape != (K, n, n):
+        shape = (*frames[name].shape, n) if frames else covariances[name].shape
+        if means[name].shape != (K, space.dim) or shape != (K, n, n):
             raise ModelFileError(
-                f"frame {name!r} has means {means[name].shape} and covariances {covariances[name].shape}, "
+                f"frame {name!r} has means {means[name].shape} and covariances {shape}, "
                 f"expected {(K, space.dim)} and {(K, n, n)}"
             )
+        n_numbers += K * n * n
+        if n_numbers > MAX_NUMBERS:
+            raise ModelFileError(f"covariances of {n_numbers} numbers, a model file has at most {MAX_NUMBERS}")
+        if frames:
+            covariances[name] = frames[name].dense()
         np.linalg.cholesky(covariances[name])
     dimensions = header["dimensions"]
-    if dimensions is not None and (len(dimensions) != manifold.dim or not all(isinstance(d, str) for d in dimensions)):
+    if dimensions is not None and not (
+        isinstance(dimensions, list)
+        and len(dimensions) == manifold.dim
+        and all(isinstance(name, str) for name in dimensions)
+    ):
         raise ModelFileError(f"dimensions are {manifold.dim} names, got {dimensions!r}")
     _check_metadata(header["metadata"])
+    # a setting that is not given, such as no random state, is None, and no fault
+    _check_metadata({key: value for key, value in dict(header["settings"]).items() if value is not None})
     return ModelContents(
         manifold=manifold,
         priors=priors,
@@ -186,6 +243,10 @@ def _frames(header: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Covaria
     for j, name in enumerate(header["frames"]):
         prefix = f"frame_{j}_"
         own = {key.removeprefix(prefix): _numbers(arrays, key) for key in arrays if key.startswith(prefix)}
+        for key, array in own.items():
+            # some structures multiply their factors out when they are made
+            if array.ndim == 3 and array.shape[0] * max(array.shape[1:]) ** 2 > MAX_NUMBERS:
+                raise ModelFileError(f"{prefix}{key} of shape {array.shape} stands for more than {MAX_NUMBERS} numbers")
         frames[name] = covariances_class(structure).from_arrays(structure, own)
     return frames
 
@@ -201,6 +262,6 @@ def _check_metadata(metadata: Any) -> None:
     if not isinstance(metadata, Mapping):
         raise ValueError(f"metadata is a mapping from names to texts and numbers, got {metadata!r}")
     for key, value in metadata.items():
-        is_number = isinstance(value, int | float) and math.isfinite(value)
+        is_number = isinstance(value, int | float) and abs(value) < 1e300  # larger integers are no float any more
         if not isinstance(key, str) or not (isinstance(value, str) or is_number):
             raise ValueError(f"metadata maps names to texts and finite numbers, got {key!r}: {value!r}")

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from tpgmm_core.robot_description import Endpoint, RobotDescription, RobotFileError
+from tpgmm_core.robot_description import Endpoint, RobotDescription, RobotFileError, check_urdf
 
 Array = NDArray[np.float64]
 
@@ -236,8 +236,9 @@ class RobotData:
 
 def _load_urdf(description: RobotDescription) -> pin.Model:
     try:
+        check_urdf(description.urdf)
         model = pin.buildModelFromUrdf(str(description.urdf))
-    except ValueError as error:
+    except (ValueError, RuntimeError, OSError) as error:  # RuntimeError: what C++ throws
         raise RobotFileError(f"{description.path}: cannot load the URDF {description.urdf}: {error}") from error
     for i in range(1, model.njoints):
         if (model.joints[i].nq, model.joints[i].nv) != (1, 1):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot file: a YAML that says what a URDF does not, with every joint called by its name.
 
-    urdf: package://example-robot-data/robots/baxter_description/urdf/baxter.urdf   # or a path from this file
+    urdf: package://example-robot-data/robots/baxter_description/urdf/baxter.urdf   # or a file in this one's folder
     base_frame: base                      # poses, Jacobians and wrenches are expressed in its axes
     joint_groups: {left_arm: [left_s0, ...], ...}
     endpoints: {left: {frame: left_gripper, joints: left_arm}, ...}
@@ -10,6 +10,8 @@
     home: {left_s0: 0.0, ...}                              # every joint
 
 Keys of `limits` and `friction` are joints or groups; where both are given, the joint's own entry counts.
+
+A robot file may come from a stranger: it reads no files but those of installed packages and of its own folder.
 """
 
 from __future__ import annotations
@@ -20,14 +22,18 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.parsers import expat
 
-import yaml
+from tpgmm_core.safe_yaml import YamlError, load_yaml, shown
 
 PACKAGE_SCHEME = "package://"
 REQUIRED_KEYS = ("urdf", "base_frame", "joint_groups", "endpoints", "home")
 OPTIONAL_KEYS = ("limits", "friction")
 LIMIT_KEYS = ("effort", "velocity", "lower", "upper")
 FRICTION_KEYS = ("viscous", "coulomb")
+MAX_URDF_BYTES = 4_000_000
+MAX_URDF_DEPTH, MAX_URDF_JOINTS = 50, 500
+"""The depth of a URDF's XML, and its joints: its parser descends both by recursion, to the end of the stack."""
 
 
 class RobotFileError(ValueError):
@@ -60,9 +66,9 @@ class RobotDescription:
         """Read a robot file. Raises RobotFileError with the file, the key and what was expected."""
         path = Path(path)
         try:
-            content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise RobotFileError(f"cannot read the robot file {path}: {error}") from error
+            content = load_yaml(path, "a robot file")
+        except YamlError as error:
+            raise RobotFileError(str(error)) from None
         try:
             return cls._from_mapping(path, _mapping(content, "the robot file"))
         except RobotFileError as error:
@@ -73,7 +79,7 @@ class RobotDescription:
         missing = [key for key in REQUIRED_KEYS if key not in content]
         unknown = [key for key in content if key not in REQUIRED_KEYS + OPTIONAL_KEYS]
         if missing or unknown:
-            raise RobotFileError(f"missing keys {missing}, unknown keys {unknown}; required are {REQUIRED_KEYS}")
+            raise RobotFileError(f"missing keys {missing}, unknown keys {shown(unknown)}; required are {REQUIRED_KEYS}")
         groups = {name: _names(joints, name) for name, joints in _items(content, "joint_groups")}
         endpoints = {name: _endpoint(value, name, groups) for name, value in _items(content, "endpoints")}
         return cls(
@@ -89,18 +95,62 @@ class RobotDescription:
 
 
 def resolve_urdf(reference: str, folder: Path) -> Path:
-    """File of `package://NAME/path` (in wheels and ROS workspaces), or of a path relative to `folder`."""
-    if not reference.startswith(PACKAGE_SCHEME):
-        candidates = [folder / reference]
-    else:
-        candidates = [share / reference.removeprefix(PACKAGE_SCHEME) for share in _share_folders()]
+    """File of `package://NAME/path` (in wheels and ROS workspaces), or of a path in `folder`.
+
+    Raises RobotFileError where there is none, and for a path that leads out of the package or the folder. Links that
+    lie in installed packages are followed, since workspaces are made of them; links in `folder` not out of it.
+    """
+    is_package = reference.startswith(PACKAGE_SCHEME)
+    relative = Path(reference.removeprefix(PACKAGE_SCHEME))
+    if relative.is_absolute() or ".." in relative.parts or "\0" in reference:
+        raise RobotFileError(
+            f"urdf {shown(reference)} leads out of its folder; expected a file beside the robot file or below, "
+            f"or {PACKAGE_SCHEME}NAME/path"
+        )
+    candidates = [share / relative for share in _share_folders()] if is_package else [folder / relative]
     for candidate in candidates:
         if candidate.is_file():
-            return candidate.resolve()
+            found = candidate.resolve()
+            if not is_package and not found.is_relative_to(folder.resolve()):
+                raise RobotFileError(f"urdf {shown(reference)} is a link to {found}, out of the robot file's folder")
+            return found
     places = ", ".join(map(str, candidates))
     raise RobotFileError(
-        f"no URDF {reference!r} in {places}. Is its package installed (pip install example-robot-data)?"
+        f"no URDF {shown(reference)} in {places}. Is its package installed (pip install example-robot-data)?"
     )
+
+
+def check_urdf(path: Path) -> None:
+    """Raise RobotFileError for a URDF that its parser should not be given: no XML, too large or too deep, or with a
+    document type, which XML entities need that refer to files or unfold to gigabytes. Meshes are never opened."""
+    with path.open("rb") as file:
+        content = file.read(MAX_URDF_BYTES + 1)
+    if len(content) > MAX_URDF_BYTES:
+        raise RobotFileError(f"the URDF {path} has more than {MAX_URDF_BYTES} bytes")
+    depth = joints = 0
+
+    def start(tag: str, _: dict[str, str]) -> None:
+        nonlocal depth, joints
+        depth, joints = depth + 1, joints + (tag == "joint")
+        if depth > MAX_URDF_DEPTH or joints > MAX_URDF_JOINTS:
+            raise RobotFileError(
+                f"the URDF {path} has more than {MAX_URDF_JOINTS} joints or levels within {MAX_URDF_DEPTH} others"
+            )
+
+    def end(_: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def refuse(*_: object) -> None:
+        raise RobotFileError(f"the URDF {path} has a document type (<!DOCTYPE>); expected plain XML")
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        raise RobotFileError(f"the URDF {path} is no XML: {error}") from None
 
 
 def _share_folders() -> Iterator[Path]:
@@ -124,25 +174,26 @@ def _items(content: Mapping[str, Any], key: str) -> Iterator[tuple[str, Any]]:
 
 def _number(value: Any, what: str) -> float:
     # bool is an int to Python, but `yes` is no number to the author of a file
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < float("inf"):
-        raise RobotFileError(f"{what} must be a finite number, got {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+        raise RobotFileError(f"{what} must be a finite number, got {shown(value)}")
     return float(value)
 
 
 def _names(value: Any, group: str) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value) or not value:
-        raise RobotFileError(f"joint group {group!r} must be a list of joint names, got {value!r}")
+        raise RobotFileError(f"joint group {group!r} must be a list of joint names, got {shown(value)}")
     if len(set(value)) != len(value):
-        raise RobotFileError(f"joint group {group!r} names a joint twice: {value}")
+        raise RobotFileError(f"joint group {group!r} names a joint twice: {shown(value)}")
     return tuple(value)
 
 
 def _endpoint(value: Any, name: str, groups: Mapping[str, tuple[str, ...]]) -> Endpoint:
     entry = _mapping(value, f"end point {name!r}")
     if set(entry) != {"frame", "joints"}:
-        raise RobotFileError(f"end point {name!r} needs the keys 'frame' and 'joints', got {sorted(entry)}")
-    if entry["joints"] not in groups:
-        raise RobotFileError(f"end point {name!r} names the unknown joint group {entry['joints']!r}; {list(groups)}")
+        raise RobotFileError(f"end point {name!r} needs the keys 'frame' and 'joints', got {shown(list(entry))}")
+    if str(entry["joints"]) not in groups:
+        unknown = shown(entry["joints"])
+        raise RobotFileError(f"end point {name!r} names the unknown joint group {unknown}; {list(groups)}")
     return Endpoint(frame=str(entry["frame"]), joints=str(entry["joints"]))
 
 

@@ -24,20 +24,18 @@ from tpgmm_core.learning.structure import STRUCTURES
 from tpgmm_core.retrieval.encodings import ENCODINGS
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS
+from tpgmm_core.safe_yaml import YamlError, load_yaml, parse_yaml
 from tpgmm_core.settings import configured
 from tpgmm_core.tracking import TrackingConfig
 from tpgmm_ros.yaml_sections import (
     Section,
-    YamlError,
     a_choice,
     a_name,
     a_number,
     a_quaternion,
     an_integer,
     is_name,
-    load_yaml,
     numbers,
-    parse_yaml,
 )
 
 MANIFOLD = "R1 x R3 x S3"

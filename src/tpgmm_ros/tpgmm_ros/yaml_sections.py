@@ -1,27 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML that people write: read safely, key by key, with errors that say where and what was expected.
+"""YAML that people write: read key by key, with errors that say where and what was expected.
 
-Executes nothing, and refuses what makes a file say other things than it seems to: aliases, doubled keys, unknown keys.
+Unknown keys are refused.
 """
 
 import difflib
 import math
 import re
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
-import yaml
-
-MAX_BYTES = 64 * 1024
+from tpgmm_core.safe_yaml import YamlError, shown
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _QUATERNION_TOLERANCE = 1e-3
 """How far from 1 the norm of a written quaternion may be: three or four digits are what people type."""
-
-
-class YamlError(ValueError):
-    """A YAML file that cannot be used; the text names the file, the key, and what was expected."""
 
 
 class Section:
@@ -136,74 +129,3 @@ def a_choice(*choices: str) -> Callable[[Any], str]:
         return value
 
     return read
-
-
-def shown(value: Any, limit: int = 60) -> str:
-    """A value as text, short enough for an error."""
-    try:
-        text = repr(value)
-    except ValueError:  # integers beyond Python's limit of digits have no text
-        text = f"a {type(value).__name__} too large to show"
-    return text if len(text) <= limit else text[:limit] + "…"
-
-
-class _Loader(yaml.SafeLoader):
-    """Safe YAML without aliases (a small file can unfold to gigabytes) and without doubled keys."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            mark = self.peek_event().start_mark
-            raise yaml.MarkedYAMLError(problem="aliases (*name) are not allowed here", problem_mark=mark)
-        return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key_node, _ in node.value:
-            key = key_node.value
-            if isinstance(key, str) and key in seen:
-                raise yaml.MarkedYAMLError(
-                    problem=f"the key {shown(key)} stands here twice", problem_mark=key_node.start_mark
-                )
-            if isinstance(key, str):
-                seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
-# YAML 1.1 reads 1e-6 as text, since it has no point; YAML 1.2 and people read a number.
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
-)
-
-
-def load_yaml(path: Path, what: str) -> Any:
-    """What a YAML file holds; `what` is what errors say was expected, such as "a task file".
-
-    Raises:
-        YamlError: the file cannot be read, is too large, or is no YAML.
-    """
-    try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise YamlError(f"{path}: cannot be read ({error.strerror}); expected {what} in YAML") from None
-    if len(content) > MAX_BYTES:
-        raise YamlError(f"{path}: is larger than {MAX_BYTES} bytes; expected {what} in YAML")
-    try:
-        return parse_yaml(content.decode("utf-8"), str(path))
-    except UnicodeDecodeError:
-        raise YamlError(f"{path}: is not UTF-8 text; expected {what} in YAML") from None
-
-
-def parse_yaml(text: str, source: str) -> Any:
-    """What YAML text says; `source` is what errors call it.
-
-    Raises:
-        YamlError: it is no YAML, or holds aliases or doubled keys.
-    """
-    try:
-        return yaml.load(text, Loader=_Loader)
-    except RecursionError:
-        raise YamlError(f"{source}: is nested too deeply") from None
-    # PyYAML lets more than YAMLError out of malformed scalars: KeyError, IndexError, AttributeError, …
-    except Exception as error:
-        raise YamlError(f"{source}: is not a YAML file that can be read: {error}") from None

@@ -18,6 +18,8 @@ from tpgmm_core.learning import kernels_hmm, kernels_hsmm
 from tpgmm_core.learning.durations import Durations
 from tpgmm_core.quaternion import Array
 
+MAX_TABLE = 2_000_000
+"""Largest number of states times durations that a model file may ask for."""
 NEVER = 1e-10  # states that are expected less often than this keep their probabilities
 
 
@@ -218,10 +220,10 @@ class SemiMarkovChain:
         start, transitions = _checked_probabilities(arrays, n_states)
         natural, prior_moments = arrays["durations"], arrays["duration_prior_moments"]
         longest = float(arrays["max_duration"].item())
-        if not natural.shape == prior_moments.shape == (n_states, 2) or not 1.0 <= longest < 1e7:
+        if not natural.shape == prior_moments.shape == (n_states, 2) or not 1.0 <= longest <= MAX_TABLE / n_states:
             raise ValueError(
-                f"durations of {n_states} states are of shape {(n_states, 2)} and at least a sample long, got "
-                f"{natural.shape}, {prior_moments.shape}, {longest}"
+                f"durations of {n_states} states are of shape {(n_states, 2)} and 1 to {MAX_TABLE // n_states} samples "
+                f"long, got {natural.shape}, {prior_moments.shape}, {longest}"
             )
         return cls(start, transitions, Durations(natural, int(longest), prior_moments))
 
