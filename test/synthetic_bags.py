@@ -16,6 +16,7 @@ from tpgmm_core import quaternion
 
 Storage = Literal["mcap", "sqlite3", "ros1"]
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+POSE_ARRAY = "geometry_msgs/msg/PoseArray"
 
 START_S = 1_700_000_000.0
 """When the recordings begin, in s since 1970."""
@@ -105,11 +106,32 @@ def _message(typestore: Any, topic: Topic, i: int, **header: int) -> Any:
     types = typestore.types
     ns = 0 if topic.stamps is None else _nanoseconds(topic.stamps[i])
     stamp = types["builtin_interfaces/msg/Time"](sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)
-    x, y, z, qx, qy, qz, qw = map(float, topic.poses[i])
     return types[POSE_STAMPED](
         header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=topic.frame_id, **header),
-        pose=types["geometry_msgs/msg/Pose"](
-            position=types["geometry_msgs/msg/Point"](x=x, y=y, z=z),
-            orientation=types["geometry_msgs/msg/Quaternion"](x=qx, y=qy, z=qz, w=qw),
-        ),
+        pose=_pose(types, topic.poses[i]),
     )
+
+
+def _pose(types: Any, numbers: NDArray[np.float64]) -> Any:
+    x, y, z, qx, qy, qz, qw = map(float, numbers)
+    return types["geometry_msgs/msg/Pose"](
+        position=types["geometry_msgs/msg/Point"](x=x, y=y, z=z),
+        orientation=types["geometry_msgs/msg/Quaternion"](x=qx, y=qy, z=qz, w=qw),
+    )
+
+
+def write_pose_arrays(
+    path: Path, arrays: Sequence[NDArray[np.float64]], topic: str = "/demo", frame_id: str = "base", ros1: bool = True
+) -> Path:
+    """Write a bag with PoseArrays (T, 7) without stamps on one topic."""
+    typestore = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
+    types = typestore.types
+    with Ros1Writer(path) if ros1 else Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection(topic, POSE_ARRAY, typestore=typestore)
+        for i, poses in enumerate(arrays):
+            stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id, **({"seq": i} if ros1 else {}))
+            message = types[POSE_ARRAY](header=header, poses=[_pose(types, numbers) for numbers in poses])
+            serialize = typestore.serialize_ros1 if ros1 else typestore.serialize_cdr
+            writer.write(connection, _nanoseconds(i), serialize(message, POSE_ARRAY))
+    return path

@@ -2,15 +2,17 @@
 """Bags to demonstrations: one clock, every frame at every sample of the movement, one common duration."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core import Demonstration, Frame
-from tpgmm_ros.pose_streams import Array, BagError, Nanoseconds, PoseStream, read_pose_streams
-from tpgmm_ros.task import Task
+from tpgmm_core import Demonstration, Frame, quaternion
+from tpgmm_ros.bag_messages import Array, BagError, Nanoseconds
+from tpgmm_ros.pose_arrays import read_pose_array
+from tpgmm_ros.pose_streams import PoseStream, read_pose_streams
+from tpgmm_ros.task import PoseArraySpec, Task
 
 __all__ = [
     "BagError",
@@ -111,13 +113,14 @@ def _is_bag(path: Path) -> bool:
 
 
 def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
-    """Read one bag.
+    """Read one bag, as `Task.recordings` says it was recorded: PoseStamped on topics, or one PoseArray.
 
-    Times are the header stamps when those of all topics are sane (not zero, never backwards, of one clock),
-    else the times of the recorder for all topics; a note says when. Messages that repeat a stamp are dropped,
-    and counted in a note. A frame holds its latest pose, however long ago that was seen. Before its first
+    Of PoseStamped, times are the header stamps when those of all topics are sane (not zero, never backwards, of
+    one clock), else the times of the recorder for all topics; a note says when. Messages that repeat a stamp are
+    dropped, and counted in a note. A frame holds its latest pose, however long ago that was seen. Before its first
     observation a frame is not visible, unless that observation comes within 0.5 s of the first sample: then
-    the frame counts as seen from the start.
+    the frame counts as seen from the start. Of a PoseArray, times are the numbers of the poses times `period`, and
+    frames stand still.
 
     Args:
         path: a bag.
@@ -128,6 +131,47 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
         BagError: anything that is wrong with the bag.
     """
     path = Path(path)
+    recording = _from_streams(path, task) if task.recordings is None else _from_pose_array(path, task, task.recordings)
+    if len(recording.times) < MIN_SAMPLES:
+        raise BagError(
+            path,
+            f"the movement has {len(recording.times)} samples, expected at least {MIN_SAMPLES}; "
+            "record the whole movement",
+        )
+    return recording if every == 1 else _thinned(recording, every)
+
+
+def _thinned(recording: Recording, every: int) -> Recording:
+    """Every n-th sample, and the last one."""
+    last = len(recording.times) - 1
+    kept = np.unique(np.append(np.arange(0, last + 1, every), last))
+    return replace(
+        recording,
+        times=recording.times[kept],
+        movement=recording.movement[kept],
+        frames={name: poses[kept] for name, poses in recording.frames.items()},
+        visible={name: seen[kept] for name, seen in recording.visible.items()},
+    )
+
+
+def _from_pose_array(path: Path, task: Task, spec: PoseArraySpec) -> Recording:
+    movement, places = read_pose_array(path, spec, list(task.topics), task.base_frame)
+    places |= {name: np.array(frame.pose) for name, frame in task.frames.items() if frame.pose is not None}
+    T = len(movement)
+    notes = []
+    if T > 1 and (movement[:, 3:] == quaternion.IDENTITY).all():
+        notes.append("every orientation is 0 0 0 1: none was recorded; what a model says of it means nothing")
+    return Recording(
+        path,
+        spec.period * np.arange(T, dtype=float),
+        movement,
+        {name: np.tile(places[name], (T, 1)) for name in task.frames},
+        {name: np.ones(T, bool) for name in task.frames},
+        tuple(notes),
+    )
+
+
+def _from_streams(path: Path, task: Task) -> Recording:
     streams = read_pose_streams(path, [task.movement, *task.topics.values()], task.base_frame)
     complaint = _complaint_about_stamps(streams[task.movement], streams.values())
     notes = [f"{complaint}: times of the recorder used"] if complaint else []
@@ -140,15 +184,6 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
         series[topic] = ns[fresh], stream.poses[fresh]
 
     ns, movement = series[task.movement]
-    if len(ns) < MIN_SAMPLES:
-        raise BagError(
-            path,
-            f"{streams[task.movement].topic} has {len(ns)} samples, expected at least {MIN_SAMPLES}; "
-            "record the whole movement",
-        )
-    kept = np.unique(np.append(np.arange(0, len(ns), every), len(ns) - 1))
-    ns, movement = ns[kept], movement[kept]
-
     frames: dict[str, Array] = {}
     visible: dict[str, NDArray[np.bool_]] = {}
     for name, spec in task.frames.items():

@@ -1,38 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of PoseStamped out of one bag, without losing anything silently.
-
-rosbag2 (MCAP, sqlite3) and ROS 1 bags, by rosbags: no ROS installation takes part. Whatever is wrong with a
-bag ends in one BagError that says which bag, what was found, what was expected and what to do.
-"""
+"""Topics of PoseStamped out of one bag."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection
-from rosbags.typesys import Stores, get_typestore
 
-from tpgmm_core import quaternion
-
-Array = NDArray[np.float64]
-Nanoseconds = NDArray[np.int64]
+from tpgmm_ros.bag_messages import Array, Nanoseconds, checked_poses, read_messages
 
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
-
-_QUATERNION_TOLERANCE = 0.1
-"""Norms further from 1 are no rounding: the message holds something else, or was never filled in."""
-
-
-class BagError(ValueError):
-    """A bag that cannot be used; the text names the bag, what was found, what was expected, what to do."""
-
-    def __init__(self, path: Path, text: str) -> None:
-        super().__init__(f"{path}: {text}")
-        self.path = path
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,113 +39,15 @@ def read_pose_streams(path: Path, topics: Iterable[str], base_frame: str) -> dic
         BagError: the bag is damaged or incomplete, a topic is absent, empty or of another type, or a pose is
             not in `base_frame`, not finite, or has no unit quaternion.
     """
-    if path.is_dir() and not (path / "metadata.yaml").exists():
-        raise BagError(
-            path,
-            "has no metadata.yaml, which a rosbag2 directory has; run 'ros2 bag reindex' on it, or "
-            "give the .mcap or .db3 file itself",
+    streams = {}
+    for topic, several in read_messages(path, topics, POSE_STAMPED).items():
+        headers = [message.header for message in several.messages]
+        streams[topic] = PoseStream(
+            several.topic,
+            stamps=np.array([h.stamp.sec * 1_000_000_000 + h.stamp.nanosec for h in headers], np.int64),
+            recorded=several.recorded,
+            poses=checked_poses(
+                path, several.topic, [m.pose for m in several.messages], [h.frame_id for h in headers], base_frame
+            ),
         )
-    messages: dict[str, list[tuple[int, Any]]] = {topic: [] for topic in topics}
-    # Each kind of damage surfaces in rosbags as an exception of its own (AnyReaderError, apsw's, KeyError,
-    # OverflowError, struct.error, ...): this is the one place where they all become a BagError.
-    try:
-        # Bags of ROS 2 before Iron do not carry their message definitions.
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            chosen = _connections(path, list(messages), reader.connections)
-            names = {connection.id: topic for topic, several in chosen.items() for connection in several}
-            counts = {topic: sum(connection.msgcount for connection in several) for topic, several in chosen.items()}
-            bag_topics = {topic: several[0].topic for topic, several in chosen.items()}
-            selected = [connection for several in chosen.values() for connection in several]
-            for connection, recorded, raw in reader.messages(connections=selected):
-                message = reader.deserialize(raw, connection.msgtype)
-                messages[names[connection.id]].append((recorded, message))
-    except BagError:
-        raise
-    except Exception as error:
-        raise BagError(
-            path,
-            f"cannot be read ({type(error).__name__}: {error}); expected a complete bag. If it was cut "
-            "off, 'ros2 bag reindex' or 'mcap recover' may save what is left; else record it again",
-        ) from error
-    for topic, count in counts.items():
-        if len(messages[topic]) < count:
-            raise BagError(
-                path,
-                f"lost messages: {bag_topics[topic]} holds {len(messages[topic])} of the {count} that "
-                "were recorded; the file is damaged, record it again",
-            )
-    return {topic: _stream(path, bag_topics[topic], several, base_frame) for topic, several in messages.items()}
-
-
-def _connections(path: Path, topics: list[str], connections: list[Connection]) -> dict[str, list[Connection]]:
-    """Connections of each topic. Never empty: to rosbags, an empty list means every topic."""
-    by_name: dict[str, list[Connection]] = {}
-    for connection in connections:
-        by_name.setdefault(connection.topic.strip("/"), []).append(connection)
-    poses = sorted(connection.topic for connection in connections if connection.msgtype == POSE_STAMPED)
-    there = (
-        ("its PoseStamped topics are " + ", ".join(dict.fromkeys(poses))) if poses else "it has no PoseStamped topics"
-    )
-
-    prefixes = {name.removesuffix(topics[0]) for name in by_name if f"/{name}".endswith(f"/{topics[0]}")}
-    complete = sorted(prefix for prefix in prefixes if all(prefix + topic in by_name for topic in topics))
-    if "" not in complete and len(complete) != 1:
-        if complete:
-            raise BagError(
-                path,
-                f"holds the topics {', '.join(topics)} in several namespaces ({', '.join(complete)}); "
-                "write the namespace into the topics of the task file",
-            )
-        prefix = min(prefixes, default="")
-        absent = ", ".join(topic for topic in topics if prefix + topic not in by_name)
-        raise BagError(path, f"lacks the topic {absent}; {there}. Record it, or correct the topics of the task file")
-
-    prefix = "" if "" in complete else complete[0]
-    chosen = {topic: by_name[prefix + topic] for topic in topics}
-    for topic, several in chosen.items():
-        for connection in several:
-            if connection.msgtype != POSE_STAMPED:
-                raise BagError(
-                    path,
-                    f"{connection.topic} is of type {connection.msgtype}, expected {POSE_STAMPED}; "
-                    f"{there}. Correct the topic in the task file",
-                )
-        if not any(connection.msgcount for connection in several):
-            raise BagError(path, f"{topic} is there, but without a message; nothing published it while recording")
-    return chosen
-
-
-def _stream(path: Path, topic: str, messages: list[tuple[int, Any]], base_frame: str) -> PoseStream:
-    foreign = sorted({message.header.frame_id for _, message in messages} - {base_frame, f"/{base_frame}"})
-    if foreign:
-        raise BagError(
-            path,
-            f"{topic} has poses in the frame {', '.join(map(repr, foreign))}, expected the base frame "
-            f"{base_frame!r}; transform them before recording, or correct base_frame in the task file",
-        )
-    poses = np.array([_numbers(message.pose) for _, message in messages])
-    finite = np.isfinite(poses).all(axis=1)
-    norms = np.linalg.norm(poses[:, 3:], axis=1)
-    for good, what in (
-        (finite, "numbers that are not finite"),
-        (abs(norms - 1.0) <= _QUATERNION_TOLERANCE, "a quaternion whose norm is not 1"),
-    ):
-        if not good.all():
-            first = int(np.argmin(good))
-            raise BagError(
-                path,
-                f"{topic} has {what} in {np.count_nonzero(~good)} of {len(poses)} messages, the first "
-                f"is number {first}: {poses[first].tolist()}; correct what publishes it, and record again",
-            )
-    poses[:, 3:] = quaternion.continuous(quaternion.normalize(poses[:, 3:]))
-    return PoseStream(
-        topic,
-        stamps=np.array([m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for _, m in messages], np.int64),
-        recorded=np.array([recorded for recorded, _ in messages], np.int64),
-        poses=poses,
-    )
-
-
-def _numbers(pose: Any) -> tuple[float, ...]:
-    p, q = pose.position, pose.orientation
-    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
+    return streams

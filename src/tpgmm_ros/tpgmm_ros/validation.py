@@ -8,8 +8,8 @@ import numpy as np
 
 from tpgmm_core import TPGMM, Demonstration, Frame, quaternion
 from tpgmm_core.retrieval.ways import make_retrieval, way_named, way_of
+from tpgmm_ros.bag_messages import Array
 from tpgmm_ros.bags import Recording, align
-from tpgmm_ros.pose_streams import Array
 
 _METRES_PER_RADIAN = 0.1
 """How far apart two situations are: a turn by 0.1 rad counts as a centimetre."""
