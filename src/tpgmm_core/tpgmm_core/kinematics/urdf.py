@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +17,7 @@ class UrdfKinematics:
 
     robot : the robot; may be shared
     joints : group of the robot file, or joints by name; their order is the order in q
-    points : end points of the robot file, or frames of the URDF; the end points where None
+    points : end points of the robot file, or frames of the URDF; or names for such; the end points where None
     posture : (nv,), where the other joints are, rad and m; the robot's home where None
 
     Poses and Jacobians are in the robot's base frame. Raises ValueError for unknown names.
@@ -27,14 +27,15 @@ class UrdfKinematics:
         self,
         robot: RobotModel,
         joints: str | Sequence[str],
-        points: Sequence[str] | None = None,
+        points: Sequence[str] | Mapping[str, str] | None = None,
         posture: ArrayLike | None = None,
     ) -> None:
         self._data = robot.create_data()
         self._joints = robot.indices(joints)
-        names = tuple(robot.endpoints) if points is None else tuple(points)
+        chosen = tuple(robot.endpoints) if points is None else points
+        named = chosen if isinstance(chosen, Mapping) else {name: name for name in chosen}
         ends = robot.endpoint_frame_ids
-        self._frame_ids = {name: ends[name] if name in ends else robot.frame_id(name) for name in names}
+        self._frame_ids = {name: ends[of] if of in ends else robot.frame_id(of) for name, of in named.items()}
         self._posture = np.array(robot.home if posture is None else posture, dtype=float)
         self.update(self._posture[self._joints])
 

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a model found to matter: how many directions of configuration space each of its frames determines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tpgmm_core.frame import Frame
+from tpgmm_core.mixture import GaussianMixture
+from tpgmm_core.tpgmm import TPGMM
+
+
+def directions_determined(
+    model: TPGMM, frames: Mapping[str, Frame], time: float | None = None, component: int = 0
+) -> dict[str, float]:
+    """How many of the n directions each frame determines, name → 0 to n: the trace of H^-1 H_j.
+
+    H_j = M_j^T Lambda_j M_j is the precision of frame j in configuration space (Eq. 5), H their sum (Eq. 6). It has no
+    unit, so that frames over joints, positions and turns can be compared, and adds up to n, or to the number of
+    directions that any frame constrains.
+
+    model, frames : over configurations, without time; or model over time and frames without it, at a time, s, by
+        regression in each frame
+    component : of a model without time
+    """
+    precisions = {}
+    for name, frame in frames.items():
+        if time is None:
+            seen = np.linalg.inv(model.covariances_[name][component])
+        else:
+            mixture = GaussianMixture(model.priors_, model.means_[name], model.covariances_[name])
+            seen = mixture.condition([0], [time]).precision
+        M = np.linalg.pinv(frame.A) if frame.inverse is None else frame.inverse
+        precisions[name] = M.T @ seen @ M
+    # directions without any constraint count for nobody
+    inverse = np.linalg.pinv(np.sum(list(precisions.values()), axis=0), rcond=1e-12, hermitian=True)
+    return {name: float(np.trace(inverse @ H)) for name, H in precisions.items()}
