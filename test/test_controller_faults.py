@@ -2,111 +2,30 @@
 """What the impedance_controller does about stale and bad inputs, and how it ends: the rows of docs/interfaces.md.
 
 Each fault is a function that takes a `FaultBench` and asserts its promise: the real node, the simulated robot, and
-time that really passes.
+time that really passes. All wait with deadlines.
 """
 
 from __future__ import annotations
 
-import itertools
 import signal
-import time
 from array import array
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from ros_graph import ACTIVATE, ALL, ALL_LATCHED, CONFIGURE, DEACTIVATE, ROBOT_FILE, Inbox, change_state, ros_arguments
-from ros_testing import RunningProcess, StartProcess, spin_until
-from simulated_hand import NAMES, ROBOT, TICK_NS, SimulatedHand, pose_reference
+from fault_bench import AWAY, RATE, FaultBench, bench_of
+from ros_graph import ACTIVATE, CONFIGURE, DEACTIVATE, ROBOT_FILE, change_state, ros_arguments
+from ros_testing import StartProcess, spin_until
+from simulated_hand import NAMES, TICK_NS, pose_reference
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_ros import conversions
 
 NODE = "impedance_controller"
 #: Longer than the default, so that a machine that is busy with other things makes no false alarm in a test, s.
 STATE_TIMEOUT, SILENCE_AFTER = 0.25, 0.4
-#: Of the effort limits, per step; the rate limit is 0.03 per ms.
-RATE = 0.03
-AWAY = np.array([0.0, 0.03, 0.03, 0.0, 0.0, 0.0, 0.0])
-
-
-@dataclass
-class FaultBench:
-    """A controller, the robot that it drives, and what it has said since it was activated."""
-
-    node: Node
-    process: RunningProcess
-    hand: SimulatedHand
-    states: Inbox
-    torques: Inbox
-
-    def follow(self, ticks: int = 300) -> np.ndarray:
-        """Follow a reference a little way off; returns the pose (7,) that is asked for."""
-        goal = self.hand.pose + AWAY
-        for _ in range(ticks):
-            self.hand.tick(pose_reference(goal, self.hand.stamp_ns + TICK_NS))
-        return goal
-
-    def modes(self) -> list[int]:
-        """The modes one after the other, each change once."""
-        return [mode for mode, _ in itertools.groupby(message.state for message in self.states.messages)]
-
-    def wait_for(self, mode: int, reason: str = "", meanwhile: Callable[[], object] = lambda: None) -> ControllerState:
-        """The message that says that it is in a mode for a reason; `meanwhile` is done all the time."""
-
-        def reached() -> bool:
-            meanwhile()
-            return any(message.state == mode and reason in message.reason for message in self.states.messages)
-
-        spin_until(self.node, reached, message=f"mode {mode}: {reason}", processes=(self.process,))
-        return next(message for message in self.states.messages if message.state == mode and reason in message.reason)
-
-    def efforts(self) -> np.ndarray:
-        """All torques that were sent (T, nv), in shares of their limits."""
-        return np.array([message.effort for message in self.torques.messages]).reshape(-1, ROBOT.nv) / (
-            ROBOT.effort_limits
-        )
-
-    def weight(self) -> np.ndarray:
-        """What carries the robot where it is, in shares of the limits (nv,)."""
-        data = ROBOT.create_data()
-        return data.gravity(self.hand.simulator.state.q).copy() / ROBOT.effort_limits
-
-    def assert_sound(self) -> None:
-        """No torque beyond its limit, and none that is not finite."""
-        efforts = self.efforts()
-        assert np.isfinite(efforts).all()
-        assert (np.abs(efforts) <= 1.0).all()
-
-    def assert_silent(self, seconds: float, meanwhile: Callable[[], object] = lambda: None) -> None:
-        """No torque leaves for some time."""
-        sent, end = len(self.torques.messages), time.monotonic() + seconds
-
-        def over() -> bool:
-            meanwhile()
-            return time.monotonic() > end
-
-        spin_until(self.node, over)
-        assert len(self.torques.messages) == sent
-
-    def assert_comes_back_without_a_jump(self) -> None:
-        """Good inputs again: it follows again, and no torque moves faster than the rate limit meanwhile."""
-        self.states.clear()
-        before = len(self.torques.messages)
-        goal = self.hand.pose
-        # the first torque after a silence has had more time
-        for tick in range(700):
-            self.hand.tick(pose_reference(goal, self.hand.stamp_ns + TICK_NS))
-            if tick == 0:
-                before = len(self.torques.messages)
-        assert self.states.last.state == ControllerState.ACTIVE
-        steps = np.abs(np.diff(self.efforts()[before:], axis=0))
-        assert len(steps) > 600 and steps.max() < RATE
-        np.testing.assert_allclose(self.hand.pose[:3], goal[:3], atol=0.02)
-        self.assert_sound()
 
 
 @pytest.fixture(scope="module")
@@ -119,20 +38,6 @@ def module_bench(module_node: Node, start_module_process: StartProcess) -> Fault
     )
     assert change_state(module_node, NODE, CONFIGURE)
     return bench_of(module_node, process)
-
-
-def bench_of(node: Node, process: RunningProcess) -> FaultBench:
-    """A bench for a controller that is configured."""
-    hand = SimulatedHand(node, process)
-    states = Inbox(node, ControllerState, "controller_state", ALL_LATCHED)
-    torques = Inbox(node, JointState, "joint_torques", ALL)
-    spin_until(
-        node,
-        lambda: hand.states.get_subscription_count() and hand.references.get_subscription_count(),
-        message="the controller to listen",
-        processes=(process,),
-    )
-    return FaultBench(node, process, hand, states, torques)
 
 
 @pytest.fixture
@@ -188,8 +93,7 @@ def test_stamps_of_joint_states_lie_in_the_future(bench: FaultBench) -> None:
         bench.hand.states.publish(ahead)
 
     bench.wait_for(ControllerState.FAULT, "ahead of this machine's clock", early)
-    end = time.monotonic() + STATE_TIMEOUT + SILENCE_AFTER + 0.2
-    spin_until(bench.node, lambda: early() or time.monotonic() > end)
+    bench.spin_for(STATE_TIMEOUT + SILENCE_AFTER + 0.2, early)
     bench.assert_silent(0.2, early)
     assert bench.modes() == [ControllerState.ACTIVE, ControllerState.FAULT] or bench.modes() == [ControllerState.FAULT]
     np.testing.assert_allclose(bench.efforts()[-1], bench.weight(), atol=0.01)
@@ -239,7 +143,7 @@ def out_of_all_proportion(state: JointState) -> None:
     state.velocity = array("d", [1e200] * len(NAMES))
 
 
-BAD_STATES = {
+BAD_STATES: dict[Callable[[JointState], None], str] = {
     with_nan: "not finite",
     with_infinity: "not finite",
     too_short: "numbers for",
@@ -274,8 +178,7 @@ def test_bad_joint_states_that_go_on_end_in_silence(bench: FaultBench) -> None:
         with_nan(state)
         bench.hand.offer(state)
 
-    end = time.monotonic() + STATE_TIMEOUT + SILENCE_AFTER + 0.2
-    spin_until(bench.node, lambda: bad() or time.monotonic() > end)
+    bench.spin_for(STATE_TIMEOUT + SILENCE_AFTER + 0.2, bad)
     bench.assert_silent(0.2, bad)
     assert bench.states.last.state == ControllerState.FAULT
     np.testing.assert_allclose(bench.efforts()[-1], bench.weight(), atol=0.01)
@@ -328,8 +231,7 @@ def test_stamps_of_references_lie_in_the_future(bench: FaultBench) -> None:
 
 def assert_let_go(bench: FaultBench, pushed: np.ndarray) -> None:
     """The last torque carries the robot, and the way there kept the rate limit."""
-    drained = time.monotonic() + 0.1
-    spin_until(bench.node, lambda: time.monotonic() > drained)
+    bench.spin_for(0.1)  # what is still on its way
     efforts = bench.efforts()
     assert np.abs(pushed - bench.weight()).max() > 0.05  # there was something to let go of
     np.testing.assert_allclose(efforts[-1], bench.weight(), atol=0.02)
