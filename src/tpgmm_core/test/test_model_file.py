@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import zipfile
 from pathlib import Path
@@ -14,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.workloads import pose_demonstrations
+from model_parts import read_parts, write_parts
 from tpgmm_core import TPGMM, Frame, ModelFileError, model_file
 
 
@@ -134,14 +134,10 @@ def test_a_damaged_file_gives_a_clear_error_or_the_same_model(path: Path, data: 
 
 def rewrite(path: Path, **changes: Any) -> None:
     """Change the header or arrays of a model file, keeping it a sound archive."""
-    with np.load(path) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    header = json.loads(arrays["model.json"].tobytes())
+    header, arrays = read_parts(path)
     for key, value in changes.items():
         (arrays if key in arrays else header)[key] = value
-    arrays["model.json"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    with open(path, "wb") as stream:
-        np.savez(stream, **arrays)
+    write_parts(path, header, arrays)
 
 
 @pytest.mark.parametrize(
