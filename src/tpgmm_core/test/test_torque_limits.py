@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from tpgmm_core.torque_limits import (
-    all_finite,
     approach_speed,
     blend,
     brake,
@@ -22,11 +21,9 @@ from tpgmm_core.torque_limits import (
 ONE = np.ones(1)
 
 
-def test_nan_and_infinity_are_found_in_any_array() -> None:
+def test_nan_and_infinity_are_found() -> None:
     assert finite(np.zeros(2)) and not finite(np.array([0.0, np.nan]))
-    assert all_finite(np.zeros(2), np.ones((3, 3)))
-    assert not all_finite(np.zeros(2), np.array([[0.0, 1.0], [np.nan, 0.0]]))
-    assert not all_finite(np.array([-np.inf]), np.zeros(2))
+    assert not finite(np.array([-np.inf, 0.0]))
 
 
 @pytest.mark.parametrize(("share", "expected"), [(0.0, 2.0), (0.25, 4.0), (1.0, 10.0)])

@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.control.lqr import double_integrator_gains
 from tpgmm_core.control_law import LawTorques, RobotMoment
-from tpgmm_core.kernels_impedance import approach, arm_torques
+from tpgmm_core.kernels_impedance import approach, arm_torques, standing_torques
 from tpgmm_core.operational_space import bound_twist
 from tpgmm_core.reference import Reference
 from tpgmm_core.robot import RobotModel
 from tpgmm_core.settings import check_settings, setting
-from tpgmm_core.torque_limits import all_finite, finite
+from tpgmm_core.torque_limits import finite
 
 Array = NDArray[np.float64]
 
@@ -158,7 +158,8 @@ class ImpedanceLaw:
 
     def pose_target(self, reference: PoseReference) -> PoseTarget:
         """A pose with the gains that the LQR gives it. Raises ValueError for values that cannot be used."""
-        if not all_finite(reference.pose, reference.covariance, reference.twist, reference.acceleration):
+        parts = (reference.pose, reference.covariance.ravel(), reference.twist, reference.acceleration)
+        if not finite(np.concatenate(parts)):
             raise ValueError("the reference is not finite")
         length = np.linalg.norm(reference.pose[3:])
         if not length > 1e-6:
@@ -188,10 +189,23 @@ class ImpedanceLaw:
         feedforward, feedback, null_space, hold, leading, given = rows = np.zeros((6, nv))
         error, stiffness, damping = np.zeros(6), np.zeros((6, 6)), np.zeros((6, 6))
         weight = self._weight()
-        feedforward[:] = moment.nonlinear
-        leading[self._arm] = -(1.0 - weight) * config.leading_damping * moment.v[self._arm]
-        hold[self._others] = self._hold(moment)
-        given[:] = feedforward + hold + leading
+        if self._posture is None:
+            self._posture = moment.q.copy()
+        standing_torques(
+            self._arm,
+            self._others,
+            moment.inertia,
+            moment.q,
+            moment.v,
+            self._posture,
+            moment.nonlinear,
+            config.hold_frequency,
+            (1.0 - weight) * config.leading_damping,
+            feedforward,
+            hold,
+            leading,
+            given,
+        )
         found = 0
         if self._target is not None:
             goal = self._target.reference
@@ -269,11 +283,3 @@ class ImpedanceLaw:
         share = min(1.0, dt / config.gain_time)
         K_V = target.K_V if last is None else last.K_V + share * (target.K_V - last.K_V)
         return PoseTarget(PoseReference(pose, reference.covariance, twist, reference.acceleration), K_V)
-
-    def _hold(self, moment: RobotMoment) -> Array:
-        """Torques of the joints that are not the arm's."""
-        if self._posture is None:
-            self._posture = moment.q.copy()
-        others, omega = self._others, self.config.hold_frequency
-        away = self._posture[others] - moment.q[others]
-        return moment.inertia[others, others] * omega * (omega * away - 2.0 * moment.v[others])

@@ -48,6 +48,38 @@ def multiply_add(A: Array, x: Array, y: Array) -> None:
 
 
 @compiled
+def standing_torques(
+    arm: Indices,
+    others: Indices,
+    M: Array,
+    q: Array,
+    v: Array,
+    posture: Array,
+    nonlinear: Array,
+    frequency: float,
+    damping: float,
+    feedforward: Array,
+    hold: Array,
+    leading: Array,
+    given: Array,
+) -> None:
+    """What the robot needs whatever the arm is to do: its weight, joints that hold still, an arm that is damped.
+
+    others (m,) : joints that hold the posture (nv,), with a critically damped spring of the frequency (rad/s)
+    damping : of the arm's joints, N m s/rad
+    feedforward, hold, leading, given (nv,), out : the terms, zero before, and their sum
+    """
+    for i in range(len(q)):
+        feedforward[i] = nonlinear[i]
+    for i in arm:
+        leading[i] = -damping * v[i]
+    for i in others:
+        hold[i] = M[i, i] * frequency * (frequency * (posture[i] - q[i]) - 2.0 * v[i])
+    for i in range(len(q)):
+        given[i] = feedforward[i] + hold[i] + leading[i]
+
+
+@compiled
 def arm_torques(
     arm: Indices,
     J_T: Array,

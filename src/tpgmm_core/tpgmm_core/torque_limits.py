@@ -27,11 +27,6 @@ def finite(values: Array) -> bool:
     return True
 
 
-def all_finite(*arrays: Array) -> bool:
-    """Whether no array of any shape holds NaN or infinity."""
-    return all(finite(np.ascontiguousarray(array, dtype=np.float64).ravel()) for array in arrays)
-
-
 @compiled
 def blend(tau: Array, safe: Array, share: float) -> None:
     """tau ← safe + share (tau - safe), share 0 to 1."""
