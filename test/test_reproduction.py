@@ -319,8 +319,8 @@ def distance_from_the_end(reference: Reference) -> float:
     return float(np.linalg.norm(np.array(reference.gaussian.mean[:3]) - PLACES["target"][:3] - [0.0, 0.0, 0.02]))
 
 
-def load(player: Player, path: Path) -> LoadModel.Response:
-    """Ask for a model while ticks go on."""
+def load(player: Player, path: Path | str) -> LoadModel.Response:
+    """Ask for a model, or for that in use, while ticks go on."""
     client = player.node.create_client(LoadModel, "load_model")
     spin_until(player.node, client.service_is_ready, message="load_model")
     future = client.call_async(LoadModel.Request(path=str(path)))
@@ -360,6 +360,20 @@ def test_a_model_that_is_loaded_during_a_movement_takes_over_without_a_jump_and_
     assert status == GoalStatus.STATUS_SUCCEEDED and result.success, result.reason
     assert distance_from_the_end(player.references[-1]) < 0.025
     assert load(player, model_file).success
+
+
+def test_the_way_of_the_model_in_use_is_changed_during_a_movement(player: Player) -> None:
+    handle = player.start()
+    assert set_parameters(player.node, NODE, retrieval="regress_product", phase="arc_length").successful
+    changed = load(player, "")
+    assert changed.success, changed.reason
+    assert set_parameters(player.node, NODE, retrieval="dynamics").successful
+    refused = load(player, "")
+    assert not refused.success and "'retrieval: dynamics'" in refused.reason
+    assert set_parameters(player.node, NODE, retrieval="", phase="clock").successful
+    status, result = player.result(handle)
+    assert status == GoalStatus.STATUS_SUCCEEDED and result.success
+    assert distance_from_the_end(player.references[-1]) < 0.025
 
 
 def test_a_bad_model_is_refused_and_the_movement_goes_on_with_the_old_one(
