@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.reference import Reference
+from tpgmm_core.settings import check_settings, setting
 
 if TYPE_CHECKING:
     from tpgmm_core.robot import RobotData
@@ -68,6 +69,20 @@ class LawTorques:
     blend: float
     shortened: bool
     reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LawConfig:
+    """Parameters that all laws have."""
+
+    gain_time: float = setting(0.05, 1e-3, 5.0, "Time constant with which the gains follow the precision, s")
+    hold_frequency: float = setting(20.0, 0.1, 100.0, "Bandwidth with which the other joints hold still, rad/s")
+    leading_damping: float = setting(0.3, 1e-3, 50.0, "Damping of an arm without reference, N m s/rad")
+    blend_time: float = setting(0.5, 1e-3, 60.0, "A reference takes hold, and lets go, over this time, s")
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for values out of their range."""
+        check_settings(self)
 
 
 class ControlLaw[TargetT](Protocol):

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.control.lqr import double_integrator_gains
-from tpgmm_core.control_law import LawTorques, RobotMoment
+from tpgmm_core.control_law import LawConfig, LawTorques, RobotMoment
 from tpgmm_core.kernels_impedance import approach, arm_torques, standing_torques
 from tpgmm_core.operational_space import bound_twist
 from tpgmm_core.reference import Reference
 from tpgmm_core.robot import RobotModel
-from tpgmm_core.settings import check_settings, setting
+from tpgmm_core.settings import setting
 from tpgmm_core.torque_limits import finite
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ TERMS = ("feedforward", "feedback", "null_space", "hold", "leading")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ImpedanceConfig:
+class ImpedanceConfig(LawConfig):
     """Parameters of the law.
 
     The control cost r is what an acceleration of 1 m/s^2 costs beside the squared Mahalanobis distance to the
@@ -42,7 +42,6 @@ class ImpedanceConfig:
     characteristic_length: float = setting(0.3, 0.01, 10.0, "Turning by 1 rad/s^2 costs as moving by this, m/s^2")
     min_stiffness: float = setting(10.0, 1e-3, 1e4, "Smallest eigenvalue of K_P, 1/s^2")
     max_stiffness: float = setting(2500.0, 1e-3, 1e4, "Largest eigenvalue of K_P, 1/s^2")
-    gain_time: float = setting(0.05, 1e-3, 5.0, "Time constant with which the gains follow the precision, s")
     max_linear_speed: float = setting(0.4, 1e-3, 5.0, "A reference that leaps is followed at this speed, m/s")
     max_angular_speed: float = setting(1.2, 1e-3, 20.0, "A reference that leaps is followed at this speed, rad/s")
     max_linear_acceleration: float = setting(40.0, 0.1, 1e3, "What an error asks for at most, m/s^2")
@@ -50,13 +49,10 @@ class ImpedanceConfig:
     max_inertia: float = setting(100.0, 1.0, 1e4, "What a hand is taken for at most where the arm is stretched, kg")
     posture_stiffness: float = setting(4.0, 1e-3, 1e3, "Stiffness of the null space towards the rest posture, 1/s^2")
     posture_damping: float = setting(4.0, 1e-3, 1e3, "Damping of the null space, 1/s")
-    hold_frequency: float = setting(20.0, 0.1, 100.0, "Bandwidth with which the other joints hold still, rad/s")
-    leading_damping: float = setting(0.3, 1e-3, 50.0, "Damping of an arm without reference, N m s/rad")
-    blend_time: float = setting(0.5, 1e-3, 60.0, "A reference takes hold, and lets go, over this time, s")
 
     def __post_init__(self) -> None:
         """Raises ValueError for values out of their range, or bounds out of order."""
-        check_settings(self)
+        LawConfig.__post_init__(self)
         if self.min_stiffness > self.max_stiffness:
             raise ValueError(f"min_stiffness {self.min_stiffness} is above max_stiffness {self.max_stiffness}")
 

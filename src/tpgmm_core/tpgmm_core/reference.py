@@ -21,6 +21,7 @@ class Reference:
     horizon: the Gaussians ahead, the first one ``horizon_time_step`` after this step.
     activations: (K,), the weights of the components at this time.
     frames: names of the frames that took part.
+    dimensions: names of the mean's coordinates; empty where they go without saying.
     """
 
     phase: float
@@ -29,6 +30,7 @@ class Reference:
     horizon: tuple[Gaussian, ...]
     activations: Array
     frames: tuple[str, ...]
+    dimensions: tuple[str, ...] = ()
 
     def velocity(self) -> Array:
         """Velocity (D_tangent,) of the mean towards the next Gaussian of the horizon; zero where there is none."""
