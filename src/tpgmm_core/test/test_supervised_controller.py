@@ -97,6 +97,18 @@ def test_silence_is_answered_by_damping_for_its_time_and_then_by_silence(bench: 
     np.testing.assert_allclose(torques[-1], gravity, atol=0.05)
 
 
+def test_after_a_pause_of_its_own_it_reads_what_came_before_it_calls_the_others_silent(bench: Bench) -> None:
+    for _ in range(2):
+        bench.tick(bench.home)
+        bench.controller.watch(bench.now_ns)
+    bench.now_ns += 500 * MS
+    assert bench.controller.watch(bench.now_ns) is None
+    assert bench.mode is ControllerMode.ACTIVE
+    bench.now_ns += 5 * MS
+    assert bench.controller.watch(bench.now_ns) is None
+    assert bench.mode is ControllerMode.WAITING
+
+
 @pytest.mark.parametrize("gap_ms", [30, 150, 1000])
 def test_after_a_silence_the_law_takes_over_from_the_measured_state(bench: Bench, gap_ms: int) -> None:
     for _ in range(600):

@@ -56,7 +56,8 @@ class SupervisedController[TargetT]:
         self._state_fault = self._reference_fault = ""
         self._answer: Answer | None = None
         self._answered_state = False
-        self._sent_ns = 0
+        self._sent_ns = self._watched_ns = 0
+        self._paused = False
         self.decision = decide(Inputs(None, "", None, ""), self.timeouts)
 
     def configure(self, limits: TorqueLimits, timeouts: Timeouts) -> None:
@@ -135,8 +136,12 @@ class SupervisedController[TargetT]:
 
     def watch(self, now_ns: int) -> Answer | None:
         """What is to be sent though no joint state came: the safe torque for some time, then nothing."""
+        timeout = self.timeouts.joint_state_timeout
+        # after a pause of its own it must not call the others silent: what came meanwhile is still to be read
+        self._paused = not self._paused and now_ns - self._watched_ns > timeout * SECOND
+        self._watched_ns = now_ns
         age = self._states.age(now_ns)
-        if age is None or age <= self.timeouts.joint_state_timeout:
+        if self._paused or age is None or age <= timeout:
             return None
         return self._rest(self.stamp_ns, now_ns)
 
