@@ -16,7 +16,7 @@ from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.kinematics.chains import Kinematics
 from tpgmm_core.kinematics.frames import KinematicFrame
 from tpgmm_core.kinematics.inverse import THRESHOLD
-from tpgmm_core.kinematics.tasks import Moment
+from tpgmm_core.kinematics.tasks import Moment, compile_kernels
 from tpgmm_core.tpgmm import TPGMM
 
 
@@ -28,7 +28,8 @@ class MovingFrames:
     candidates : name → frame
     threshold : singular values of Jacobians below it are damped, see `kinematics.inverse`
 
-    Raises ValueError for no candidates, and a threshold that is not positive.
+    The constructor makes sure that everything is compiled, so that no step waits for the compiler. Raises ValueError
+    for no candidates, and a threshold that is not positive.
     """
 
     kinematics: Kinematics
@@ -40,6 +41,7 @@ class MovingFrames:
             raise ValueError("there must be at least one candidate frame")
         if not (np.isfinite(self.threshold) and self.threshold > 0.0):
             raise ValueError(f"the threshold of the damping is a positive number, got {self.threshold!r}")
+        compile_kernels()
 
     def at(self, q: ArrayLike, objects: Mapping[str, Frame] | None = None) -> dict[str, Frame]:
         """All frames about the configuration q_{t-1} (n,), with the objects as they are now.
@@ -103,9 +105,8 @@ class ConfigurationProduct:
     model : fitted to `MovingFrames.demonstration`s, over time as the first dimension or with one component
     frames : at least the model's
 
-    What no frame constrains stays at the configuration of the step before. The constructor makes one step, so that none
-    waits for the compiler. Raises ValueError for a model over time whose frames differ, and a timeless mixture, which
-    does not say when which component counts.
+    What no frame constrains stays at the configuration of the step before. Raises ValueError for a model of other
+    frames, and a timeless mixture, which does not say when which component counts.
     """
 
     def __init__(self, model: TPGMM, frames: MovingFrames) -> None:

@@ -146,3 +146,10 @@ class Moment:
             )
         target = frame.A[3:, 6] if frame.A.shape == (7, 7) else np.array([0.0, 0.0, 0.0, 1.0])  # L(q) (0, 0, 0, 1) = q
         return frame.A[:m, :m], frame.b[:m], target
+
+
+def compile_kernels() -> None:
+    """Run what moments and frames call, so that no later step waits for the compiler."""
+    inverse.null_space(np.eye(1), inverse.THRESHOLD)
+    quaternion_difference(0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    inverse_left_jacobian(0.0, 0.0, 0.0, np.empty((3, 3)))
