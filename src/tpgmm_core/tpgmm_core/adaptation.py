@@ -66,8 +66,8 @@ class Adapter:
         return self.situation.manifold
 
     def _compile(self) -> None:
-        """One step with identity frames."""
-        frames = self.situation.identity_frames()
+        """One step with one frame at the origin."""
+        frames = self.situation.identity_frame()
         self.situate(frames)
         if self.manifold.ambient_of_tangent[0] == 0:
             self.adapt_and_condition(frames, np.zeros(1))

@@ -23,6 +23,9 @@ from tpgmm_core.kernels import (
 from tpgmm_core.quaternion import Array
 
 STEP_TOLERANCE = 1e-10  # Gauss-Newton on S³ stops at steps shorter than this
+# Gains of a step are what it lowers the cost by, twice: its length squared, in standard deviations of the product
+SMALL_GAIN = 1e-9  # of the cost: below it a step is not too long, whatever the rounding of the cost says
+ROUNDED_GAIN = 1e-13  # below it a gain that does not fall any more is rounding: large precisions of large numbers
 MAX_STEPS = 100
 SHORT_TURN = math.cos(math.pi / 8.0)  # scalar product of quaternions that are a turn of pi / 4 apart
 SLOWEST_RATE = 0.95  # of convergence that extrapolation makes up for
@@ -71,13 +74,16 @@ def continued_difference(x: Array, base: Array, flat: Array, spheres: Array, out
             out[i] = x[flat[i]] - base[flat[i]]
     for s in range(len(spheres)):
         a, t = spheres[s]
-        out[t], out[t + 1], out[t + 2] = quaternion_difference(
-            x[a], x[a + 1], x[a + 2], x[a + 3], base[a], base[a + 1], base[a + 2], base[a + 3]
-        )
-        if along(x, base, a) < 0.0:
-            angle = math.sqrt(out[t] * out[t] + out[t + 1] * out[t + 1] + out[t + 2] * out[t + 2])
-            factor = 1.0 - 2.0 * math.pi / angle
-            out[t], out[t + 1], out[t + 2] = factor * out[t], factor * out[t + 1], factor * out[t + 2]
+        px, py, pz, pw = x[a], x[a + 1], x[a + 2], x[a + 3]
+        qx, qy, qz, qw = base[a], base[a + 1], base[a + 2], base[a + 3]
+        vx = -pw * qx + px * qw - py * qz + pz * qy
+        vy = -pw * qy + px * qz + py * qw - pz * qx
+        vz = -pw * qz - px * qy + py * qx + pz * qw
+        sine = math.sqrt(vx * vx + vy * vy + vz * vz)
+        factor = 2.0
+        if sine > 1e-9:
+            factor = 2.0 * math.atan2(sine, pw * qw + px * qx + py * qy + pz * qz) / sine
+        out[t], out[t + 1], out[t + 2] = factor * vx, factor * vy, factor * vz
 
 
 @compiled
@@ -250,7 +256,7 @@ def fuse(
             if along(signed[j], mean, a) < 0.0:
                 for i in range(a, a + 4):
                     signed[j, i] = -signed[j, i]
-    former_cost, is_plain = np.inf, False
+    former_cost, gain, is_plain = np.inf, np.inf, False
     for _ in range(MAX_STEPS):
         gradient[:] = 0.0
         H[:] = 0.0
@@ -260,27 +266,31 @@ def fuse(
                 continued_difference(mean, signed[j], flat, spheres, scratch[0])
                 cost += add_error(precisions[j], spheres, scratch, gradient, H)
         cost += invert_precision(H, gradient, mean, signed[P], min_precision, flat, spheres, scratch, covariance)
-        if cost > former_cost * (1.0 + 1e-12) and longest(step) > STEP_TOLERANCE:
+        if cost > former_cost * (1.0 + 1e-12) and gain > SMALL_GAIN * cost:
             for i in range(n):  # too far: half the way back
                 step[i] *= -0.5
             move(mean, step, flat, spheres)
             for i in range(n):
                 step[i] *= -1.0
+            gain *= 0.25
             is_plain = False
             continue
-        former_cost = cost
-        repeated, squared = 0.0, 0.0
+        former_cost, former_gain = cost, gain
+        repeated, squared, former_squared, gain = 0.0, 0.0, 0.0, 0.0
         for i in range(n):
             total = 0.0
             for m in range(n):
                 total -= covariance[i, m] * gradient[m]
             step[i] = total
+            gain -= total * gradient[i]
             repeated += total * former_step[i]
-            squared += former_step[i] * former_step[i]
-        is_short = longest(step) < STEP_TOLERANCE
+            squared += total * total
+            former_squared += former_step[i] * former_step[i]
+        is_short = longest(step) < STEP_TOLERANCE or (gain < ROUNDED_GAIN and gain > 0.25 * former_gain)
         former_step[:] = step
-        if is_plain and not is_short and repeated > 0.5 * squared:
-            rate = min(repeated / squared, SLOWEST_RATE)
+        is_along = repeated > 0.5 * former_squared and repeated * repeated > 0.8 * squared * former_squared
+        if is_plain and not is_short and is_along:
+            rate = min(repeated / former_squared, SLOWEST_RATE)
             for i in range(n):
                 step[i] /= 1.0 - rate
             is_plain = False
@@ -296,5 +306,5 @@ def fuse(
                     is_changed = True
             if not is_changed:
                 return True
-            former_cost, is_plain = np.inf, False
+            former_cost, gain, is_plain = np.inf, np.inf, False
     return False

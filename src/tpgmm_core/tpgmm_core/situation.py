@@ -61,13 +61,10 @@ class Situation:
         """The manifold's arrangement as kernels take it: `flat` and `spheres`."""
         return self.manifold.ambient_of_tangent, self.manifold.sphere_starts
 
-    def identity_frames(self) -> dict[str, Frame]:
-        """Frames at the origin, to make a step with before the first one that matters."""
+    def identity_frame(self) -> dict[str, Frame]:
+        """One frame at the origin, which nothing contradicts, to make a step with before the first one that matters."""
         D = self.manifold.dim
-        return {
-            name: Frame(np.eye(D, size), np.zeros(D))
-            for name, (size, _) in zip(self.frame_names, self.sizes, strict=True)
-        }
+        return {self.frame_names[0]: Frame(np.eye(D, self.sizes[0, 0]), np.zeros(D))}
 
     def take(
         self, frames: Mapping[str, Frame], state: ArrayLike | None = None, weights: Mapping[str, float] | None = None

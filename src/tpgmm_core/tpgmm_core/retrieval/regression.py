@@ -148,7 +148,7 @@ class RegressThenProduct(_Regression):
             means[j, :, :D], covariances[j, :, :n, :n] = model.means_[name], model.covariances_[name]
         flat = np.arange(n_max) if model.manifold_.is_euclidean else model.manifold_.ambient_of_tangent
         self._views = self._log_priors, means, covariances, sizes, flat, model.manifold_.sphere_starts
-        self.situate(self._situation.identity_frames())
+        self.situate(self._situation.identity_frame())
         self.at(np.zeros(1))  # compiled, or loaded from the cache
 
     def situate(

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.kernels import compiled, inverse_left_jacobian
-from tpgmm_core.kernels_product import difference, longest, move
+from tpgmm_core.kernels_product import ROUNDED_GAIN, difference, longest, move
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
 from tpgmm_core.retrieval.banded import cholesky_band, inverse_band, solve_band
@@ -231,6 +231,7 @@ def _solve(
     T, n = len(points), len(flat)
     band, step, former_points = np.empty((T * n, 3 * n)), np.zeros(T * n), points.copy()
     former_cost, length, iterations, is_factor = np.inf, np.inf, NOT_CONVERGED, False
+    gain, is_rounded = np.inf, False
     is_curved = len(spheres) > 0
     for i in range(MAX_ITERATIONS):
         with_hessian = not is_factor or (is_curved and length > LINEAR_STEP)
@@ -248,14 +249,16 @@ def _solve(
                 is_factor = cholesky_band(band)
                 if not is_factor:
                     return NOT_DEFINITE
+            downhill, former_gain = step.copy(), gain
             solve_band(band, step)
-            length = longest(step)
+            length, gain = longest(step), np.dot(step, downhill)
+            is_rounded = is_curved and gain < ROUNDED_GAIN and gain > 0.25 * former_gain
             former_points[:] = points
         points[:] = former_points
         for t in range(T):
             move(points[t], step[t * n : (t + 1) * n], flat, spheres)
         extent, largest = _extent(points, flat, spheres)
-        if length <= max(STEP_TOLERANCE * extent, 4.0 * 2.2e-16 * largest):
+        if is_rounded or length <= max(STEP_TOLERANCE * extent, 4.0 * 2.2e-16 * largest):
             iterations = i + 1
             break
     if iterations == NOT_CONVERGED:
