@@ -214,6 +214,9 @@ def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
         and all(isinstance(name, str) for name in dimensions)
     ):
         raise ModelFileError(f"dimensions are {manifold.dim} names, got {dimensions!r}")
+    course = [_numbers(arrays, name, 1) for name in ("log_likelihoods", "objectives")]
+    if len(course[0]) != len(course[1]) or len(course[0]) == 0:
+        raise ModelFileError(f"log_likelihoods and objectives are of all iterations, got {[len(c) for c in course]}")
     _check_metadata(header["metadata"])
     # a setting that is not given, such as no random state, is None, and no fault
     _check_metadata({key: value for key, value in dict(header["settings"]).items() if value is not None})
@@ -222,8 +225,8 @@ def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
         priors=priors,
         means=means,
         covariances=covariances,
-        log_likelihoods=_numbers(arrays, "log_likelihoods", 1),
-        objectives=_numbers(arrays, "objectives", 1),
+        log_likelihoods=course[0],
+        objectives=course[1],
         converged=bool(header["converged"]),
         settings=dict(header["settings"]),
         dimensions=None if dimensions is None else tuple(dimensions),
