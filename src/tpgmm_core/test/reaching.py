@@ -6,6 +6,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tpgmm_core import TPGMM, Demonstration, Frame, quaternion
 from tpgmm_core.quaternion import Array
@@ -26,19 +27,46 @@ def frames_at(**places: Array) -> dict[str, Frame]:
 def reaching_demonstrations(count: int = 6) -> tuple[Demonstration, ...]:
     """[time, pose] on "R1 x R3 x S3", frames "start" and "object", 2 s."""
     random = np.random.default_rng(0)
-    times = np.linspace(0.0, DURATION, 60)
-    s = times / DURATION
-    blend = (s**3 * (10.0 - 15.0 * s + 6.0 * s**2))[:, None]
     demonstrations = []
     for _ in range(count):
         start = place(*random.uniform(-0.1, 0.1, 2), random.uniform(-0.5, 0.5))
         goal = place(0.5 + random.uniform(-0.1, 0.1), random.uniform(-0.1, 0.1), random.uniform(-0.5, 0.5))
-        noise = 2e-3 * random.standard_normal((60, 3))
-        positions = start[:3] + blend * (goal - start)[:3] + noise
-        turns = quaternion.slerp(np.tile(start[3:], (60, 1)), goal[3:], blend[:, 0])
-        frames = frames_at(start=start, object=goal)
-        demonstrations.append(Demonstration(times, np.column_stack([times, positions, turns]), frames))
+        demonstrations.append(demonstrate(start, goal, random))
     return tuple(demonstrations)
+
+
+def demonstrate(start: Array, goal: Array, random: np.random.Generator) -> Demonstration:
+    """A smooth movement from pose to pose (7,), as a hand that trembles does it."""
+    times = np.linspace(0.0, DURATION, 60)
+    s = times / DURATION
+    blend = (s**3 * (10.0 - 15.0 * s + 6.0 * s**2))[:, None]
+    noise = 2e-3 * random.standard_normal((60, 3))
+    positions = start[:3] + blend * (goal - start)[:3] + noise
+    turns = quaternion.slerp(np.tile(start[3:], (60, 1)), goal[3:], blend[:, 0])
+    return Demonstration(times, np.column_stack([times, positions, turns]), frames_at(start=start, object=goal))
+
+
+def displaced(pose: Array, shift: ArrayLike, turn: ArrayLike) -> Array:
+    """A pose (7,) moved by a shift (m) and turned about its origin by a rotation vector (rad)."""
+    return np.concatenate([pose[:3] + shift, quaternion.multiply(quaternion.exp(turn), pose[3:])])
+
+
+def reaching_near(hand: Array, count: int = 10) -> tuple[TPGMM, dict[str, Array]]:
+    """A model of reaching in the workspace of a robot whose hand is at a pose (7,), and a new situation for it.
+
+    The object lies some 0.2 m aside, elsewhere and turned otherwise in each demonstration; the situation is the poses
+    by frame, of which "start" is the hand's.
+    """
+    random = np.random.default_rng(1)
+
+    def goal() -> Array:
+        shift = np.array([0.05, 0.18, -0.05]) + random.uniform(-0.05, 0.05, 3)
+        return displaced(hand, shift, [0.0, 0.0, random.uniform(-0.4, 0.4)])
+
+    demonstrations = [demonstrate(hand, goal(), random) for _ in range(count)]
+    model = TPGMM(n_components=5, reg_covar=1e-5, manifold="R1 x R3 x S3").fit(demonstrations)
+    model.metadata_ = {"duration_s": DURATION}
+    return model, {"start": hand.copy(), "object": goal()}
 
 
 @cache

@@ -10,10 +10,13 @@ pytest.importorskip("pinocchio")
 
 import pinocchio as pin
 
-from robots import BAXTER, write_arm
+from robots import BAXTER, GRIPPER_URDF, write_arm
 from tpgmm_core import quaternion
+from tpgmm_core.controller import Controller
+from tpgmm_core.impedance import ImpedanceLaw
 from tpgmm_core.robot import RobotModel
 from tpgmm_core.robot_description import RobotFileError
+from tpgmm_core.simulation import RobotSimulator
 
 
 @pytest.fixture(scope="module")
@@ -148,9 +151,143 @@ def test_an_incredible_effort_limit_needs_an_override(tmp_path: Path) -> None:
     assert robot.effort_limits[robot.indices(["turn"])] == 5.0
 
 
-def test_joints_without_end_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(RobotFileError, match="'turn' is "):
-        RobotModel.from_file(write_arm(tmp_path, turn="continuous"))
+WITH_GRIPPER = ("</robot>", GRIPPER_URDF)
+LIMIT_OF_TURN = '<limit lower="-2" upper="2" effort="10" velocity="2"/>'
+
+
+@pytest.mark.parametrize(
+    ("limit", "message"),
+    [
+        ("", "effort limit 0 of 'turn' is not credible"),
+        ('<limit lower="-2" upper="2" velocity="2"/>', "effort limit 0 of 'turn' is not credible"),
+        ('<limit lower="-2" upper="2" effort="0" velocity="2"/>', "effort limit 0 .* limits: .* locked: "),
+        ('<limit lower="-2" upper="2" effort="10"/>', "velocity limit 0 of 'turn' is not credible"),
+        ('<limit effort="10" velocity="2"/>', "'turn' may move from 0 to 0"),
+        ('<limit lower="2" upper="-2" effort="10" velocity="2"/>', "'turn' may move from 2 to -2"),
+        ('<limit lower="-2" upper="2" effort="a" velocity="2"/>', "cannot load the URDF"),
+    ],
+)
+def test_limits_that_a_urdf_lacks_are_asked_for(tmp_path: Path, limit: str, message: str) -> None:
+    with pytest.raises(RobotFileError, match=message) as error:
+        RobotModel.from_file(write_arm(tmp_path, replace=(LIMIT_OF_TURN, limit)))
+    assert "arm.yaml" in str(error.value)
+
+
+def test_the_robot_file_gives_the_limits_that_a_urdf_lacks(tmp_path: Path) -> None:
+    limits = {"turn": {"effort": 5.0, "velocity": 1.0, "lower": -1.0, "upper": 1.5}}
+    robot = RobotModel.from_file(write_arm(tmp_path, {"limits": limits}, replace=(LIMIT_OF_TURN, "")))
+    turn = robot.indices("turn")[0]
+    found = (robot.effort_limits, robot.velocity_limits, robot.lower_limits, robot.upper_limits)
+    assert [values[turn] for values in found] == [5.0, 1.0, -1.0, 1.5]
+
+
+def test_a_continuous_joint_is_one_angle_without_limits(tmp_path: Path) -> None:
+    robot, bounded = (RobotModel.from_file(write_arm(tmp_path, turn=kind)) for kind in ("continuous", "revolute"))
+    turn = robot.indices("turn")
+    assert (robot.lower_limits[turn], robot.upper_limits[turn]) == (-np.inf, np.inf)
+    q = robot.ordered(["turn", "slide"], [1.2, 0.1])
+    data, expected = robot.create_data(), bounded.create_data()
+    for far in (q, q + robot.ordered(["turn", "slide"], [4 * np.pi, 0.0])):
+        data.update(far)
+        expected.update(q)
+        np.testing.assert_allclose(data.pose("tool"), expected.pose("tool"), atol=1e-9)
+        np.testing.assert_allclose(data.jacobian("tool"), expected.jacobian("tool"), atol=1e-9)
+
+
+def test_a_continuous_joint_may_have_limits_of_the_robot_file(tmp_path: Path) -> None:
+    limits = {"turn": {"lower": -6.0, "upper": 6.0}}
+    robot = RobotModel.from_file(write_arm(tmp_path, {"limits": limits}, turn="continuous"))
+    assert robot.upper_limits[robot.indices("turn")] == 6.0
+    q = np.array([7.0, 7.0])
+    np.testing.assert_array_equal(robot.unwound(q, np.zeros(2)), q)
+
+
+def test_angles_of_continuous_joints_are_unwound_to_the_nearest_turn(tmp_path: Path) -> None:
+    robot = RobotModel.from_file(write_arm(tmp_path, turn="continuous"))
+    near, wrapped = (robot.ordered(["turn", "slide"], values) for values in ([3.1, 0.0], [-3.1, 0.4]))
+    expected = robot.ordered(["turn", "slide"], [2 * np.pi - 3.1, 0.4])
+    np.testing.assert_allclose(robot.unwound(wrapped, near), expected, atol=1e-12)
+    np.testing.assert_array_equal(wrapped, robot.ordered(["turn", "slide"], [-3.1, 0.4]))
+
+
+def test_locked_joints_are_part_of_their_links(tmp_path: Path) -> None:
+    home = {"turn": 0.1, "slide": 0.2}
+    locked = {"locked": {"grip": 0.01, "grip_too": 0.03}, "home": home}
+    free = {"home": {**home, **locked["locked"]}}
+    whole, arm = (RobotModel.from_file(write_arm(tmp_path, keys, replace=WITH_GRIPPER)) for keys in (free, locked))
+    assert set(arm.joint_names) == {"turn", "slide"}
+    data, expected = arm.create_data(), whole.create_data()
+    data.update(arm.home)
+    expected.update(whole.home)
+    np.testing.assert_allclose(
+        data.frame_pose(arm.frame_id("thumb")), expected.frame_pose(whole.frame_id("thumb")), atol=1e-12
+    )
+    both = whole.indices(arm.joint_names)
+    np.testing.assert_allclose(
+        data.mass_matrix(arm.home), expected.mass_matrix(whole.home)[np.ix_(both, both)], atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "replace", "message"),
+    [
+        ({"locked": {"wheel": 0.0}}, WITH_GRIPPER, "locked names the unknown joints .*wheel"),
+        ({"locked": {"slide": 0.1}}, ("", ""), "unknown joints .*slide"),
+        ({"locked": {"slide": True}}, ("", ""), "locked of slide must be a finite number"),
+        (
+            {"joint_groups": {"all": ["turn", "grip_too"]}, "home": {"turn": 0, "slide": 0, "grip": 0, "grip_too": 0}},
+            WITH_GRIPPER,
+            "'tool' is moved by 'grip_too', which has no motor but mimics 'grip'",
+        ),
+        ({"gravity": [0, 0]}, ("", ""), "gravity must be three numbers"),
+        ({"armature": {"turn": {"inertia": -1}}}, ("", ""), "armature of 'turn' must not be negative"),
+        ({"armature": {"wheel": {"inertia": 1}}}, ("", ""), "armature names the unknown joints .*wheel"),
+        ({}, ('<mass value="0.5"/>', '<mass value="0"/>'), "slide.* move nothing that has a mass"),
+        ({}, ('type="{turn}"'.format(turn="revolute"), 'type="planar"'), "'turn' of arm.urdf is .*one degree"),
+        ({}, ("<robot ", '<robot xmlns:xacro="x"><xacro:arm/></robot><robot '), "no XML"),
+        ({}, ('<link name="world"/>', '<xacro:arm xmlns:xacro="wiki.ros.org/xacro"/>'), "is a xacro.* expand it"),
+    ],
+)
+def test_what_is_not_supported_is_said(tmp_path: Path, changes: dict, replace: tuple[str, str], message: str) -> None:
+    with pytest.raises(RobotFileError, match=message) as error:
+        RobotModel.from_file(write_arm(tmp_path, changes, replace=replace))
+    assert "arm.yaml" in str(error.value)
+
+
+def test_grippers_outside_of_the_joint_groups_are_held_by_the_controller(tmp_path: Path) -> None:
+    home = {"turn": 0.1, "slide": 0.2, "grip": 0.02, "grip_too": 0.01}
+    robot = RobotModel.from_file(write_arm(tmp_path, {"home": home}, replace=WITH_GRIPPER))
+    simulator, controller = RobotSimulator(robot), Controller(robot, ImpedanceLaw(robot, "tool"))
+    fingers = robot.indices(["grip", "grip_too"])
+    for _ in range(300):
+        state = simulator.state
+        command = controller.step(state.q, state.v, None, 0.001)
+        assert command is not None
+        simulator.step(command.tau)
+    np.testing.assert_allclose(simulator.state.q[fingers], [0.02, 0.01], atol=1e-4)
+
+
+def test_gravity_points_where_the_robot_file_says_in_base_axes(tmp_path: Path) -> None:
+    # the base is turned by 90 degrees about z: base y is the -x of the world; the slide runs along base x
+    for gravity, weight in (([-9.81, 0, 0], 0.5 * 9.81), ([0, -9.81, 0], 0.0)):
+        robot = RobotModel.from_file(write_arm(tmp_path, {"gravity": gravity}))
+        tau = robot.create_data().gravity(robot.home)
+        assert tau[robot.indices("slide")[0]] == pytest.approx(weight, abs=1e-9)
+
+
+def test_the_inertia_of_motors_is_felt_by_the_joint(tmp_path: Path) -> None:
+    plain = RobotModel.from_file(write_arm(tmp_path))
+    geared = RobotModel.from_file(write_arm(tmp_path, {"armature": {"all": {"inertia": 0.3}}}))
+    masses = [robot.create_data().mass_matrix(robot.home) for robot in (geared, plain)]
+    np.testing.assert_allclose(masses[0] - masses[1], 0.3 * np.eye(2), atol=1e-12)
+
+
+def test_friction_of_the_urdf_counts_where_the_robot_file_says_nothing(tmp_path: Path) -> None:
+    changes = {"friction": {"slide": {"coulomb": 2.0}}}
+    path = write_arm(tmp_path, changes, replace=('damping="0.3"', 'damping="0.3" friction="0.4"'))
+    robot = RobotModel.from_file(path)
+    np.testing.assert_array_equal(robot.coulomb_friction[robot.indices(["turn", "slide"])], [0.4, 2.0])
+    np.testing.assert_array_equal(robot.viscous_friction[robot.indices(["turn", "slide"])], [0.3, 0.0])
 
 
 @pytest.mark.parametrize("content", [None, "[1, 2", "- a list", "\xff"])

@@ -15,19 +15,22 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from tpgmm_core.robot_description import Endpoint, RobotDescription, RobotFileError, check_urdf
+from tpgmm_core.robot_description import Endpoint, RobotDescription, RobotFileError
+from tpgmm_core.robot_urdf import read_urdf
 
 Array = NDArray[np.float64]
 
 # No joint of an arm has more (N m or N; rad/s or m/s): URDFs hold such numbers where nobody knew the limit.
 CREDIBLE_EFFORT = 1000.0
 CREDIBLE_VELOCITY = 100.0
+#: A joint that moves less than this (kg m^2 or kg) moves nothing, and its acceleration under a torque means nothing.
+LEAST_INERTIA = 1e-9
 
 AXES = pin.LOCAL_WORLD_ALIGNED
 
 
 class RobotModel:
-    """A robot with a fixed base and joints of one degree of freedom each (nq = nv).
+    """A robot with a fixed base and joints of one degree of freedom each (nq = nv); those locked are none.
 
     Attributes
     ----------
@@ -36,14 +39,19 @@ class RobotModel:
     base_frame : name of the frame in whose axes poses, Jacobians and wrenches are expressed
     endpoints : name -> Endpoint(frame, joints)
     joint_groups : name -> joint names
-    effort_limits, velocity_limits, lower_limits, upper_limits : (nv,), N m and N, rad and m, and per second
+    effort_limits, velocity_limits : (nv,), N m and N; rad/s and m/s
+    lower_limits, upper_limits : (nv,), rad and m; infinite for joints that may turn for ever
     viscous_friction, coulomb_friction : (nv,), N m s/rad and N m (N s/m and N for prismatic joints)
     home : (nv,) posture, rad and m
     """
 
     def __init__(self, description: RobotDescription) -> None:
         """Load the URDF. Raises RobotFileError where the robot file and the URDF do not fit each other."""
-        model = _load_urdf(description)
+        try:
+            urdf = read_urdf(description.urdf, description.locked)
+        except RobotFileError as error:
+            raise RobotFileError(f"{description.path}: {error}") from error
+        model = urdf.model
         self.pinocchio = model
         self.nv: int = model.nv
         self.joint_names: tuple[str, ...] = tuple(model.names[1:])
@@ -56,12 +64,17 @@ class RobotModel:
         self._check_names(description)
         self.effort_limits = self._limits(description, "effort", model.effortLimit)
         self.velocity_limits = self._limits(description, "velocity", model.velocityLimit)
-        self.lower_limits = self._limits(description, "lower", model.lowerPositionLimit)
-        self.upper_limits = self._limits(description, "upper", model.upperPositionLimit)
+        endless = np.array([name in urdf.endless for name in self.joint_names], dtype=bool)
+        self.lower_limits = self._limits(description, "lower", np.where(endless, -np.inf, model.lowerPositionLimit))
+        self.upper_limits = self._limits(description, "upper", np.where(endless, np.inf, model.upperPositionLimit))
+        self._endless = np.flatnonzero(np.isinf(self.upper_limits - self.lower_limits))
         self.viscous_friction = self._spread(model.damping, description.friction, "viscous")
-        self.coulomb_friction = self._spread(np.zeros(self.nv), description.friction, "coulomb")
+        self.coulomb_friction = self._spread(model.friction, description.friction, "coulomb")
+        model.armature = self._spread(model.armature, description.armature, "inertia")
         self.home = self.ordered(tuple(description.home), tuple(description.home.values()))
         self._check_values(description)
+        self._check_mimics(description, urdf.mimics)
+        self._check_inertia(description)
         model.effortLimit, model.velocityLimit = self.effort_limits, self.velocity_limits
         model.lowerPositionLimit, model.upperPositionLimit = self.lower_limits, self.upper_limits
 
@@ -70,6 +83,8 @@ class RobotModel:
         if base.parentJoint != 0:
             raise RobotFileError(f"{description.path}: base_frame {self.base_frame!r} moves with a joint")
         self.world_to_base: pin.SE3 = base.placement.inverse()
+        if description.gravity is not None:
+            model.gravity.linear = base.placement.rotation @ np.array(description.gravity)
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> RobotModel:
@@ -110,6 +125,18 @@ class RobotModel:
             raise ValueError(f"got {len(key)} joint names but values of shape {array.shape}")
         return array[order]
 
+    def unwound(self, q: Array, near: Array) -> Array:
+        """Positions (nv,) with those of endless joints at the turn that is nearest to `near` (nv,).
+
+        Many drivers wrap such angles to -pi..pi; what controls by differences of angles must not see the leap.
+        """
+        if len(self._endless) == 0:
+            return q
+        turns = np.round((near[self._endless] - q[self._endless]) / (2.0 * np.pi))
+        q = q.copy()
+        q[self._endless] += 2.0 * np.pi * turns
+        return q
+
     def _order(self, names: tuple[str, ...]) -> NDArray[np.intp]:
         missing = [name for name in self.joint_names if name not in names]
         unknown = [name for name in names if name not in self._index]
@@ -124,6 +151,7 @@ class RobotModel:
             ("joint_groups", groups),
             ("limits", list(description.limits)),
             ("friction", list(description.friction)),
+            ("armature", list(description.armature)),
             ("home", list(description.home)),
         ):
             unknown = sorted({name for name in names if name not in self._index})
@@ -154,19 +182,45 @@ class RobotModel:
                 if not 0.0 < value <= bound:
                     raise RobotFileError(
                         f"{description.path}: {word} limit {value:g} of {joint!r} is not credible (expected "
-                        f"above 0, up to {bound:g}); give the real one: limits: {{{joint}: {{{word}: ...}}}}"
+                        f"above 0, up to {bound:g}); give the real one: limits: {{{joint}: {{{word}: ...}}}}, or "
+                        f"take a joint that has no motor out of the model: locked: {{{joint}: POSITION}}"
                     )
         return values
 
     def _check_values(self, description: RobotDescription) -> None:
         for i, joint in enumerate(self.joint_names):
             lower, upper, home = self.lower_limits[i], self.upper_limits[i], self.home[i]
+            if not lower < upper:
+                raise RobotFileError(
+                    f"{description.path}: {joint!r} may move from {lower:g} to {upper:g}, which is nowhere; give the "
+                    f"real limits: limits: {{{joint}: {{lower: ..., upper: ...}}}}"
+                )
             if not lower <= home <= upper:
                 raise RobotFileError(
                     f"{description.path}: home of {joint!r} is {home:g}, outside {lower:g} to {upper:g}"
                 )
             if self.viscous_friction[i] < 0.0 or self.coulomb_friction[i] < 0.0:
                 raise RobotFileError(f"{description.path}: friction of {joint!r} must not be negative")
+            if self.pinocchio.armature[i] < 0.0:
+                raise RobotFileError(f"{description.path}: armature of {joint!r} must not be negative")
+
+    def _check_mimics(self, description: RobotDescription, mimics: Mapping[str, str]) -> None:
+        for name, end in self.endpoints.items():
+            for joint in self.joint_groups[end.joints]:
+                if joint in mimics:
+                    raise RobotFileError(
+                        f"{description.path}: the end point {name!r} is moved by {joint!r}, which has no motor but "
+                        f"mimics {mimics[joint]!r}; robots with such joints in their arms are not supported"
+                    )
+
+    def _check_inertia(self, description: RobotDescription) -> None:
+        inertia = np.diag(pin.crba(self.pinocchio, self.pinocchio.createData(), self.home))
+        weightless = [joint for joint, value in zip(self.joint_names, inertia, strict=True) if value < LEAST_INERTIA]
+        if weightless:
+            raise RobotFileError(
+                f"{description.path}: the joints {weightless} move nothing that has a mass; the URDF lacks "
+                "<inertial> elements, without which no torque can be computed"
+            )
 
 
 class RobotData:
@@ -232,18 +286,3 @@ class RobotData:
 
     def _in_base(self, motion: Array) -> Array:
         return motion if self._turn is None else self._turn @ motion
-
-
-def _load_urdf(description: RobotDescription) -> pin.Model:
-    try:
-        check_urdf(description.urdf)
-        model = pin.buildModelFromUrdf(str(description.urdf))
-    except (ValueError, RuntimeError, OSError) as error:  # RuntimeError: what C++ throws
-        raise RobotFileError(f"{description.path}: cannot load the URDF {description.urdf}: {error}") from error
-    for i in range(1, model.njoints):
-        if (model.joints[i].nq, model.joints[i].nv) != (1, 1):
-            raise RobotFileError(
-                f"{description.path}: joint {model.names[i]!r} is {model.joints[i].shortname()}; only joints "
-                "of one degree of freedom with limits are supported (revolute, prismatic)"
-            )
-    return model

@@ -6,10 +6,13 @@
     joint_groups: {left_arm: [left_s0, ...], ...}
     endpoints: {left: {frame: left_gripper, joints: left_arm}, ...}
     limits: {head_pan: {effort: 5.0, velocity: 1.5}}       # optional; these replace the URDF's
-    friction: {left_arm: {coulomb: 0.2}, ...}              # optional; `viscous` replaces the URDF's damping
-    home: {left_s0: 0.0, ...}                              # every joint
+    friction: {left_arm: {coulomb: 0.2}, ...}              # optional; replaces the URDF's damping and friction
+    armature: {left_arm: {inertia: 0.1}, ...}              # optional, kg m^2: of the motors, as the joint feels it
+    locked: {finger: 0.02, ...}                            # optional; joints that nobody here commands or measures
+    gravity: [0, 0, -9.81]                                 # optional, m/s^2, in the axes of the base frame
+    home: {left_s0: 0.0, ...}                              # every joint that is not locked
 
-Keys of `limits` and `friction` are joints or groups; where both are given, the joint's own entry counts.
+Keys of `limits`, `friction` and `armature` are joints or groups; where both are given, the joint's own entry counts.
 
 A robot file may come from a stranger: it reads no files but those of installed packages and of its own folder.
 """
@@ -19,7 +22,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -28,9 +31,10 @@ from tpgmm_core.safe_yaml import YamlError, load_yaml, shown
 
 PACKAGE_SCHEME = "package://"
 REQUIRED_KEYS = ("urdf", "base_frame", "joint_groups", "endpoints", "home")
-OPTIONAL_KEYS = ("limits", "friction")
+OPTIONAL_KEYS = ("limits", "friction", "armature", "locked", "gravity")
 LIMIT_KEYS = ("effort", "velocity", "lower", "upper")
 FRICTION_KEYS = ("viscous", "coulomb")
+ARMATURE_KEYS = ("inertia",)
 MAX_URDF_BYTES = 4_000_000
 MAX_URDF_DEPTH, MAX_URDF_JOINTS = 50, 500
 """The depth of a URDF's XML, and its joints: its parser descends both by recursion, to the end of the stack."""
@@ -60,6 +64,9 @@ class RobotDescription:
     limits: Mapping[str, Mapping[str, float]]
     friction: Mapping[str, Mapping[str, float]]
     home: Mapping[str, float]
+    armature: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    locked: Mapping[str, float] = field(default_factory=dict)
+    gravity: tuple[float, float, float] | None = None
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> RobotDescription:
@@ -84,13 +91,16 @@ class RobotDescription:
         endpoints = {name: _endpoint(value, name, groups) for name, value in _items(content, "endpoints")}
         return cls(
             path=path,
-            urdf=resolve_urdf(str(content["urdf"]), path.parent),
-            base_frame=str(content["base_frame"]),
+            urdf=resolve_urdf(_text(content["urdf"], "urdf"), path.parent),
+            base_frame=_text(content["base_frame"], "base_frame"),
             joint_groups=groups,
             endpoints=endpoints,
             limits=_per_joint(content, "limits", groups, LIMIT_KEYS),
             friction=_per_joint(content, "friction", groups, FRICTION_KEYS),
-            home={name: _number(value, f"home of {name}") for name, value in _items(content, "home")},
+            armature=_per_joint(content, "armature", groups, ARMATURE_KEYS),
+            home=_positions(content, "home"),
+            locked=_positions({"locked": {}, **content}, "locked"),
+            gravity=_gravity(content.get("gravity")),
         )
 
 
@@ -109,7 +119,7 @@ def resolve_urdf(reference: str, folder: Path) -> Path:
         )
     candidates = [share / relative for share in _share_folders()] if is_package else [folder / relative]
     for candidate in candidates:
-        if candidate.is_file():
+        if os.path.isfile(candidate):  # unlike Path.is_file, also says no to names that no file can have
             found = candidate.resolve()
             if not is_package and not found.is_relative_to(folder.resolve()):
                 raise RobotFileError(f"urdf {shown(reference)} is a link to {found}, out of the robot file's folder")
@@ -169,7 +179,13 @@ def _mapping(value: Any, what: str) -> Mapping[str, Any]:
 
 
 def _items(content: Mapping[str, Any], key: str) -> Iterator[tuple[str, Any]]:
-    return ((str(name), value) for name, value in _mapping(content[key], key).items())
+    return ((_text(name, f"a name in {key}"), value) for name, value in _mapping(content[key], key).items())
+
+
+def _text(value: Any, what: str) -> str:
+    if not isinstance(value, str):
+        raise RobotFileError(f"{what} must be a text, got {shown(value)}; quote it if it looks like something else")
+    return value
 
 
 def _number(value: Any, what: str) -> float:
@@ -177,6 +193,19 @@ def _number(value: Any, what: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
         raise RobotFileError(f"{what} must be a finite number, got {shown(value)}")
     return float(value)
+
+
+def _positions(content: Mapping[str, Any], key: str) -> dict[str, float]:
+    return {name: _number(value, f"{key} of {name}") for name, value in _items(content, key)}
+
+
+def _gravity(value: Any) -> tuple[float, float, float] | None:
+    if value is None:
+        return None
+    if not isinstance(value, list) or len(value) != 3:
+        raise RobotFileError(f"gravity must be three numbers, m/s^2 in the axes of the base frame, got {shown(value)}")
+    x, y, z = (_number(number, "gravity") for number in value)
+    return x, y, z
 
 
 def _names(value: Any, group: str) -> tuple[str, ...]:
@@ -191,10 +220,10 @@ def _endpoint(value: Any, name: str, groups: Mapping[str, tuple[str, ...]]) -> E
     entry = _mapping(value, f"end point {name!r}")
     if set(entry) != {"frame", "joints"}:
         raise RobotFileError(f"end point {name!r} needs the keys 'frame' and 'joints', got {shown(list(entry))}")
-    if str(entry["joints"]) not in groups:
-        unknown = shown(entry["joints"])
-        raise RobotFileError(f"end point {name!r} names the unknown joint group {unknown}; {list(groups)}")
-    return Endpoint(frame=str(entry["frame"]), joints=str(entry["joints"]))
+    frame, joints = (_text(entry[key], f"{key} of end point {name!r}") for key in ("frame", "joints"))
+    if joints not in groups:
+        raise RobotFileError(f"end point {name!r} names the unknown joint group {joints!r}; {list(groups)}")
+    return Endpoint(frame, joints)
 
 
 def _per_joint(

@@ -130,7 +130,8 @@ class RobotSimulator:
             # a stop brakes what comes, it does not hold back what leaves
             brake = np.where(touched * v_new > 0.0, self._stop_damping, 0.0)
             stiffness = np.where(touched, self._stop_stiffness, 0.0)
-            depth = q - np.where(touched > 0.0, upper, lower)
+            # a joint that touches nothing may have no stops
+            depth = np.where(touched, q - np.where(touched > 0.0, upper, lower), 0.0)
             drag = np.where(racing, self._speed_damping, 0.0)
             limiting = drag * racing * fastest - stiffness * depth
             v_new = v + dt * self._solve(friction + brake + drag, stiffness, force + limiting)
