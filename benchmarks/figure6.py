@@ -51,10 +51,10 @@ START = np.array([0.0, 1.2, -1.6, -1.2, 1.6])
 MIRRORED = [0, 3, 4, 1, 2]  # joints of the robot in the mirror, where all angles change their sign
 STEPS, DURATION = 200, 8.0  # samples of a path, and s
 SUBSTEPS = 10  # of the reproduction for each sample of a path: at 250 Hz
-THRESHOLD = 0.1  # of the damping, m/rad
+THRESHOLD = 0.2  # of the damping, m/rad
 TREMOR = 0.01  # m
 OUT_OF_REACH = 0.05  # m that the better compromise leaves to one of the objects
-SHOWN_SHARE = 0.15  # of each demonstration in which both objects are out of reach, at least
+SHOWN_SHARE = 0.2  # of each demonstration in which both objects are out of reach, at least
 
 
 @dataclass(frozen=True, slots=True)
