@@ -94,8 +94,8 @@ class Gaussian:
         On S³ the minimiser is found by Gauss-Newton in the tangent space at the present point (Zeestraten et al. 2017;
         Calinon 2020, "Gaussians on Riemannian manifolds"), with the inverse left Jacobian of SO(3) as the exact
         derivative of the logarithm, which takes the place of transporting each covariance there. Steps that do not
-        lower Eq. (3) are halved, until one is shorter than 1e-10 (m, rad): some 5 steps where orientations deviate by
-        0.1 rad, 7 to 9 at 0.3 rad, 20 to 70 anywhere, at most 100 (`kernels_product.fuse`, docs/retrieval.md). The
+        lower Eq. (3) are halved, until one is shorter than 1e-10 (m, rad) or only rounding is left: a few where
+        orientations agree to some tenths of a rad, dozens anywhere, at most 100 (`kernels_product.fuse`). The
         covariance is the inverse of the Gauss-Newton Hessian there, in the fixed axes.
 
         Raises ValueError for an empty sequence, different manifolds, singular covariances, or orientations so
