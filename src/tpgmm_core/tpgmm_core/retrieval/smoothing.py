@@ -252,7 +252,7 @@ def _solve(
             downhill, former_gain = step.copy(), gain
             solve_band(band, step)
             length, gain = longest(step), np.dot(step, downhill)
-            is_rounded = is_curved and gain < ROUNDED_GAIN * len(step) and gain > 0.25 * former_gain
+            is_rounded = bool(is_curved and 0.25 * former_gain < gain < ROUNDED_GAIN * len(step))
             former_points[:] = points
         points[:] = former_points
         for t in range(T):
