@@ -11,11 +11,12 @@ import yaml
 
 pytest.importorskip("pinocchio")
 
-from reaching import DURATION, frames_at, reaching_near
+from reaching import DURATION, displaced, frames_at, reaching_near
 from robots import CONFIG, KINOVA
 from tpgmm_core import quaternion
+from tpgmm_core.control_law import LawTorques, RobotMoment
 from tpgmm_core.controller import Controller
-from tpgmm_core.impedance import ImpedanceLaw
+from tpgmm_core.impedance import ImpedanceLaw, PoseReference
 from tpgmm_core.reproduction import Reproduction
 from tpgmm_core.robot import RobotModel
 from tpgmm_core.simulation import RobotSimulator
@@ -62,3 +63,50 @@ def test_a_robot_follows_a_movement_learned_in_its_workspace(name: str, tmp_path
     assert max(distances) < 0.03
     assert np.linalg.norm(turn) < 0.01
     assert max(shares) <= 1.0
+
+
+def test_a_driver_that_wraps_the_angles_of_endless_joints_makes_no_difference(tmp_path: Path) -> None:
+    robot = load("kinova", tmp_path)
+    endless = np.flatnonzero(np.isinf(robot.upper_limits))
+    assert len(endless) == 3
+    torques = []
+    for wrap in (False, True):
+        simulator, law = RobotSimulator(robot), ImpedanceLaw(robot, "hand")
+        controller, data = Controller(robot, law), robot.create_data()
+        data.update(robot.home)
+        goal = law.pose_target(
+            PoseReference(displaced(data.pose("hand"), [0.0, 0.2, 0.0], np.zeros(3)), 1e-4 * np.eye(6))
+        )
+        torques.append([])
+        for _ in range(1500):
+            q = simulator.state.q.copy()
+            if wrap:
+                q[endless] = np.arctan2(np.sin(q[endless]), np.cos(q[endless]))
+            command = controller.step(q, simulator.state.v, goal, 0.001)
+            assert command is not None
+            torques[-1].append(command.tau)
+            simulator.step(command.tau)
+    assert np.abs(simulator.state.q - robot.home)[endless].max() > 0.1
+    np.testing.assert_allclose(torques[1], torques[0], atol=1e-6)
+
+
+def test_joint_gains_are_how_torques_answer_a_displacement() -> None:
+    robot = RobotModel.from_file(CONFIG / "ur5.yaml")  # six joints: the hand's pose says where each of them is
+    data, law = robot.create_data(), ImpedanceLaw(robot, "tool")
+    data.update(robot.home)
+    still = law.pose_target(PoseReference(data.pose("tool"), np.diag([1e-4] * 3 + [1e-2] * 3)))
+    still_at = {"q": robot.home, "v": np.zeros(robot.nv)}
+
+    def feedback(changes: dict[str, np.ndarray]) -> LawTorques:
+        law.reset()
+        for _ in range(1000):  # until the reference has full hold
+            torques = law.step(RobotMoment.at(data, **still_at), still, 0.001)
+        torques = law.step(RobotMoment.at(data, **{**still_at, **changes}), still, 0.0)
+        return torques
+
+    stiffness, damping = feedback({}).joint_gains()
+    for name, gains in (("q", stiffness), ("v", damping)):
+        for joint in range(robot.nv):
+            step = 1e-6 * np.eye(robot.nv)[joint]
+            ahead, behind = (feedback({name: still_at[name] + sign * step}).terms["feedback"] for sign in (1, -1))
+            np.testing.assert_allclose((behind - ahead) / 2e-6, gains[:, joint], atol=1e-3 * np.abs(gains).max())

@@ -56,6 +56,7 @@ class LawTorques:
     error : from the robot to the reference, in the tangent space of the reference; zero without reference
     stiffness, damping : (n, n), what the robot shows to the outside, N/m and N m/rad, N s/m and N m s/rad;
         zero without reference
+    jacobian : (n, nv), the velocity of what has this stiffness, by the joints' velocities
     blend : 0 (gravity compensation) to 1 (the reference has full hold)
     shortened : whether the law itself asked for less than its error did, since the motors are too weak
     reason : why no torques could be computed, tau then means nothing; empty when all is well
@@ -66,9 +67,15 @@ class LawTorques:
     error: Array
     stiffness: Array
     damping: Array
+    jacobian: Array
     blend: float
     shortened: bool
     reason: str
+
+    def joint_gains(self) -> tuple[Array, Array]:
+        """Stiffness and damping as joints feel them, J^T K J and J^T D J, both (nv, nv)."""
+        J = self.jacobian
+        return J.T @ self.stiffness @ J, J.T @ self.damping @ J
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,12 +25,15 @@ class TorqueCommand:
     """Torques that may leave.
 
     tau : (nv,), N m (N), in model order
+    q, v : (nv,), the state that they answer to
     law : what the law asked for; None under the safe torque, gravity compensation with damping
     actions : what the pipeline did beside passing a torque on, of `torque_pipeline.ACTIONS`
     reason : why there was no use for the state, or for the law; empty when all is well
     """
 
     tau: Array
+    q: Array
+    v: Array
     law: LawTorques | None
     actions: tuple[str, ...]
     reason: str
@@ -73,13 +76,14 @@ class Controller[TargetT]:
             raise ValueError(f"q and v have shapes {q.shape} and {v.shape}, expected ({self.robot.nv},)")
         if not (finite(q) and finite(v)):
             return self.rest(0.0, dt, "the joint state is not finite")
+        q = self.robot.unwound(q, self.robot.home if self._q is None else self._q)
         moment = RobotMoment.at(self._data, q, v)
         asked = self.law.step(moment, target, self.pipeline.time_step(dt))
         if asked.reason:
             return self.rest(0.0, dt, asked.reason)
         tau, done = self.pipeline.step(asked.tau, moment, dt)
         self._q, self._v = q.copy(), v.copy()
-        return TorqueCommand(tau, asked, actions(done), "")
+        return TorqueCommand(tau, self._q, self._v, asked, actions(done), "")
 
     def rest(self, age: float, dt: float, reason: str = "") -> TorqueCommand | None:
         """Gravity compensation with damping, at the last good state, which is `age` s old; None if there was none.
@@ -92,7 +96,7 @@ class Controller[TargetT]:
             return None
         moment = RobotMoment.at(self._data, self._q, self._v * math.exp(-max(0.0, age) / REST_TIME))
         tau, done = self.pipeline.step(None, moment, dt)
-        return TorqueCommand(tau, None, actions(done), reason)
+        return TorqueCommand(tau, moment.q, moment.v, None, actions(done), reason)
 
     def at_rest(self, command: TorqueCommand) -> bool:
         """Whether a command of `rest` is the safe torque itself, which no rate limit holds back any more."""

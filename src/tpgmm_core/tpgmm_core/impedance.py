@@ -183,7 +183,7 @@ class ImpedanceLaw:
         pose = moment.data.pose(self.endpoint)
         self._take(target, pose, dt)
         feedforward, feedback, null_space, hold, leading, given = rows = np.zeros((6, nv))
-        error, stiffness, damping = np.zeros(6), np.zeros((6, 6)), np.zeros((6, 6))
+        error, stiffness, damping, jacobian = np.zeros(6), np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((6, nv))
         weight = self._weight()
         if self._posture is None:
             self._posture = moment.q.copy()
@@ -205,9 +205,10 @@ class ImpedanceLaw:
         found = 0
         if self._target is not None:
             goal = self._target.reference
+            jacobian = moment.data.jacobian(self.endpoint)
             found = arm_torques(
                 self._arm,
-                np.ascontiguousarray(moment.data.jacobian(self.endpoint).T),
+                np.ascontiguousarray(jacobian.T),
                 moment.inertia,
                 moment.q,
                 moment.v,
@@ -243,6 +244,7 @@ class ImpedanceLaw:
             error=error,
             stiffness=stiffness,
             damping=damping,
+            jacobian=jacobian,
             blend=self._blend,
             shortened=found == 1,
             reason="the joint velocities are out of all proportion" if unusable else "",

@@ -79,6 +79,7 @@ class JointImpedanceLaw:
         if len(np.unique(self._joints)) != len(self._joints) or not len(self._joints):
             raise ValueError(f"the law moves one or more joints, each named once; got {list(joints)}")
         self.joint_names = tuple(robot.joint_names[i] for i in self._joints)
+        self._selection = np.eye(robot.nv)[self._joints]
         self._others = np.setdiff1d(np.arange(robot.nv), self._joints)
         self.configure(config or JointImpedanceConfig())
         self.reset()
@@ -191,6 +192,7 @@ class JointImpedanceLaw:
             error=error,
             stiffness=stiffness,
             damping=damping,
+            jacobian=self._selection,
             blend=self._blend,
             shortened=found == 1,
             reason="the joint state is out of all proportion" if unusable else "",
