@@ -57,15 +57,17 @@ results: setup ## the numbers of docs/results.md: leave-one-out on real demonstr
 	$(PROGRAMS)/train --task config/baxter_valve.yaml --leave-one-out --report out/results/baxter_valve \
 		$(DATA)/baxter_valve
 	PYTHONPATH=. $(PYTHON) benchmarks/valve_selection.py --data $(DATA)/baxter_valve
+	PYTHONPATH=. $(PYTHON) benchmarks/retrieval_table.py --data $(DATA)
 
-figures: setup ## figures 1, 3 and 4 of the paper and weights of frames, in out/ (DATA=directory of the data sets)
+figures: setup ## figures 1, 3 and 4 of the paper, extrapolation, weights of frames, in out/ (DATA=directory of the data sets)
 	PYTHONPATH=. $(PYTHON) benchmarks/figure1.py --data $(DATA)/pbdlib
 	PYTHONPATH=. $(PYTHON) benchmarks/figure3.py --data $(DATA)/pbdlib
+	PYTHONPATH=. $(PYTHON) benchmarks/extrapolation.py --data $(DATA)/pbdlib
 	PYTHONPATH=. $(PYTHON) benchmarks/figure4.py
 	PYTHONPATH=. $(PYTHON) benchmarks/figure1d.py
 	PYTHONPATH=. $(PYTHON) benchmarks/frame_weights.py
 
-BENCHMARKS := em reproduction_step lqr control simulator loop latency
+BENCHMARKS := em reproduction_step retrieval_step lqr control simulator loop latency
 bench: setup ## benchmarks: tables, and JSON in out/bench/ (wants two idle cores)
 	@for name in $(BENCHMARKS); do PYTHONPATH=. $(PYTHON) benchmarks/$$name.py; done
 

@@ -81,17 +81,19 @@ def leave_one_out(
         )
 
 
-def reproduce(model: TPGMM, situation: Demonstration, way: str | None = None) -> Array:
-    """Poses (T, 7) that a model gives at the times and with the frames of a demonstration, by its way of retrieval.
+def reproduce(model: TPGMM, situation: Demonstration, way: str | None = None, settle: float = 0.0) -> Array:
+    """Points (T, D), such as poses, that a model gives at the times and with the frames of a demonstration.
 
     A way that knows the movement as a function of time is asked for each time in the situation of that time. One that
     has a state of its own is stepped through the times by a robot that is at once where it is to be. As long as no
     frame is visible the movement stays where it starts.
 
     Args:
-        model: of [time, pose] as any way encodes it.
-        situation: on "R1 x R3 x S3".
+        model: of [time, point] as any way encodes it.
+        situation: [time, point], in the space that the model was learned in.
         way: in place of the model's own.
+        settle: a movement with a state of its own need not be at its end at the last time: it goes on in the last
+            situation for this share of the whole time, and then there are more than T points.
     """
     chosen = way_of(model) if way is None else way_named(way)
     chosen.check(model)
@@ -112,7 +114,14 @@ def reproduce(model: TPGMM, situation: Demonstration, way: str | None = None) ->
                 movement.start(time_ns, pose)
             poses[i] = pose = movement.step(time_ns, frames, pose).gaussian.mean
         former = frames
-    return poses
+    if movement is None or former is None or settle == 0.0:
+        return poses
+    times, more = situation.times, []
+    step = float(times[-1] - times[-2])
+    for time in np.arange(times[-1] + step, times[-1] + settle * (times[-1] - times[0]), step):
+        pose = movement.step(round(1e9 * time), former, pose).gaussian.mean
+        more.append(pose)
+    return np.vstack([poses, *more])
 
 
 def _frames_over_time(situation: Demonstration) -> Iterator[dict[str, Frame]]:
@@ -130,6 +139,12 @@ def _are_same(one: Mapping[str, Frame], other: Mapping[str, Frame]) -> bool:
     return one.keys() == other.keys() and all(
         np.array_equal(frame.A, other[name].A) and np.array_equal(frame.b, other[name].b) for name, frame in one.items()
     )
+
+
+def without_frames(demonstration: Demonstration) -> Demonstration:
+    """The same, seen from the base alone: what a model without task parameters learns of it, and reproduces."""
+    D = demonstration.data.shape[1]
+    return Demonstration(demonstration.times, demonstration.data, {"base": Frame(np.eye(D), np.zeros(D))})
 
 
 def replay_nearest(others: Sequence[Recording], situation: Recording, anchor: str) -> Array:
