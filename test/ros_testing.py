@@ -133,7 +133,8 @@ def spin_until(
 
 
 @contextlib.contextmanager
-def _own_domain(log_directory: Path) -> Iterator[int]:
+def own_domain(log_directory: Path) -> Iterator[int]:
+    """A ROS domain that nobody else on this machine uses, in the environment of this process and its children."""
     from domain_coordinator import domain_id
 
     with domain_id() as domain, pytest.MonkeyPatch.context() as environment:
@@ -144,7 +145,8 @@ def _own_domain(log_directory: Path) -> Iterator[int]:
 
 
 @contextlib.contextmanager
-def _node_on(domain: int) -> Iterator[Node]:
+def node_on(domain: int) -> Iterator[Node]:
+    """A node on a domain, whose callbacks `spin_until` serves."""
     import rclpy
     from rclpy.context import Context
     from rclpy.experimental import EventsExecutor
@@ -162,7 +164,8 @@ def _node_on(domain: int) -> Iterator[Node]:
 
 
 @contextlib.contextmanager
-def _process_starter(directory: Path) -> Iterator[StartProcess]:
+def process_starter(directory: Path) -> Iterator[StartProcess]:
+    """Starts processes whose output goes to a directory, and ends them all."""
     started: list[RunningProcess] = []
 
     def start(program: str, *arguments: str, env: dict[str, str] | None = None) -> RunningProcess:
@@ -183,14 +186,14 @@ def _process_starter(directory: Path) -> Iterator[StartProcess]:
 @pytest.fixture
 def ros_domain(tmp_path: Path) -> Iterator[int]:
     """A ROS domain of this test's own, set in the environment of this process and its children."""
-    with _own_domain(tmp_path / "log") as domain:
+    with own_domain(tmp_path / "log") as domain:
         yield domain
 
 
 @pytest.fixture
 def ros_node(ros_domain: int) -> Iterator[Node]:
     """A node in the test's own process, on the test's own domain; serve its callbacks with `spin_until`."""
-    with _node_on(ros_domain) as node:
+    with node_on(ros_domain) as node:
         yield node
 
 
@@ -201,26 +204,26 @@ def start_process(ros_domain: int, tmp_path: Path) -> Iterator[StartProcess]:
     The first argument is an executable of tpgmm_ros, or a path. All processes and their children
     are ended with the test; what they wrote is shown when the test fails.
     """
-    with _process_starter(tmp_path) as start:
+    with process_starter(tmp_path) as start:
         yield start
 
 
 @pytest.fixture(scope="module")
 def module_domain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     """As `ros_domain`, for all tests of a file."""
-    with _own_domain(tmp_path_factory.mktemp("ros_log")) as domain:
+    with own_domain(tmp_path_factory.mktemp("ros_log")) as domain:
         yield domain
 
 
 @pytest.fixture(scope="module")
 def module_node(module_domain: int) -> Iterator[Node]:
     """As `ros_node`, for all tests of a file."""
-    with _node_on(module_domain) as node:
+    with node_on(module_domain) as node:
         yield node
 
 
 @pytest.fixture(scope="module")
 def start_module_process(module_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartProcess]:
     """As `start_process`, for all tests of a file."""
-    with _process_starter(tmp_path_factory.mktemp("processes")) as start:
+    with process_starter(tmp_path_factory.mktemp("processes")) as start:
         yield start

@@ -166,6 +166,7 @@ def test_a_frame_that_disappears_is_held_then_missing_and_comes_back_without_a_j
         ("future", "stamp in the future", {"age": -1.0}),
         ("nan", "not finite", {"pose": BAD * [1, math.nan, 1, 1, 1, 1, 1]}),
         ("zero", "zero quaternion", {"pose": BAD * [1, 1, 1, 0, 0, 0, 0]}),
+        ("foreign", "wrong frame_id", {"frame_id": "camera"}),
     ],
 )
 def test_a_pose_that_cannot_be_used_is_refused_and_the_last_good_one_stays(
@@ -185,25 +186,6 @@ def test_a_pose_that_cannot_be_used_is_refused_and_the_last_good_one_stays(
     spin_until(module_node, refused, message=f"the diagnostics to count '{reason}'")
     for message in inbox.messages:
         assert_is_pose(frame_of(message, frame), GOOD)
-
-
-def test_a_pose_in_another_frame_id_is_refused_and_the_last_good_one_stays(
-    module_node: Node, inbox: Inbox, show: Callable, tracker: RunningProcess
-) -> None:
-    def known() -> bool:
-        show("foreign", GOOD)
-        return frame_of(inbox.last, "foreign").status == TaskFrame.VISIBLE
-
-    spin_until(module_node, known, message="the good pose")
-    inbox.clear()
-
-    def refused() -> bool:
-        show("foreign", BAD, frame_id="camera")
-        return "frame 'foreign': pose is expressed in 'camera', expected 'base'" in tracker.output
-
-    spin_until(module_node, refused, message="a warning that names both frames")
-    for message in inbox.messages:
-        assert_is_pose(frame_of(message, "foreign"), GOOD)
 
 
 def test_the_same_observation_again_and_again_does_not_keep_a_frame_visible(

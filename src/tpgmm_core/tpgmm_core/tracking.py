@@ -136,11 +136,20 @@ class FrameTracker:
         if checked is not None:
             reason = self._check_stamp(track, stamp_ns, now_ns)
         if reason:
-            kind = reason.split(":", 1)[0]
-            track.refused[kind] = track.refused.get(kind, 0) + 1
-            return f"frame '{name}': {reason}"
+            return self.refuse(name, reason)
         track.pose, track.stamp_ns, track.seen_ns = checked, stamp_ns, steady_ns
         return None
+
+    def refuse(self, name: str, reason: str) -> str:
+        """Count an observation that is not taken; returns the reason with the frame's name.
+
+        Args:
+            reason: its kind, ":", and the details.
+        """
+        kind = reason.split(":", 1)[0]
+        refused = self._tracks[name].refused
+        refused[kind] = refused.get(kind, 0) + 1
+        return f"frame '{name}': {reason}"
 
     def _check_stamp(self, track: _Track, stamp_ns: int, now_ns: int) -> str:
         if track.fixed:

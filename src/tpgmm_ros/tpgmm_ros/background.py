@@ -10,6 +10,8 @@ from typing import Any
 
 from rclpy.node import Node
 
+from tpgmm_ros.scheduling import yield_realtime
+
 _SWITCH_INTERVAL = 2e-4
 """How long one thread's Python may keep the other's waiting, s. Python's own 5 ms would be five steps at 1 kHz."""
 
@@ -24,7 +26,7 @@ class Background:
         sys.setswitchinterval(_SWITCH_INTERVAL)
         self._node = node
         self._open = True
-        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="background")
+        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="background", initializer=yield_realtime)
 
     def run[ResultT](self, work: Callable[[], ResultT], then: Callable[[Future[ResultT]], None]) -> None:
         """Do the work in the background; ``then`` gets it in the executor's thread, where ``result()`` gives what

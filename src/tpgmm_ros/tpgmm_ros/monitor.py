@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well a node keeps up: ticks asked and done, time per step, age of what it used; published once a second."""
+"""How well a node keeps up: ticks asked and done, time per step, age of what it used; published once a second.
+
+Once a second too: whether other nodes fit to its topics (`peers`), in the diagnostics and, when it is news, in the log.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from tpgmm_ros.peers import complaints
 from tpgmm_ros.qos import EVENTS
 
 #: A longer silence is a pause, not lost ticks.
@@ -56,6 +60,7 @@ class Monitor:
         self._last_tick_ns = 0
         self._ticks = 0.0
         self._rate = rate
+        self._complaints: list[str] = []
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", EVENTS)
         # A timer on ROS time would stall with a paused simulation, just when one wants to know.
         self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -70,6 +75,12 @@ class Monitor:
 
     def publish(self) -> None:
         level, message, extra = self._status()
+        complained, self._complaints = self._complaints, complaints(self._node)
+        for text in self._complaints:
+            if text not in complained:
+                self._node.get_logger().warning(text)
+        if self._complaints:
+            level, message = max(level, DiagnosticStatus.WARN), "; ".join([message, *self._complaints])
         step_p50, step_p99, step_max = self.step.percentile_ms(50, 99, 100)
         age_p50, age_p99 = self.age.percentile_ms(50, 99)
         values = {

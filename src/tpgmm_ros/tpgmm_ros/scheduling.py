@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 
@@ -23,3 +24,13 @@ def request_realtime(priority: int) -> str:
     except (OSError, AttributeError) as error:  # AttributeError: a system without these calls
         return f"{error}; it needs CAP_SYS_NICE, or 'rtprio' in /etc/security/limits.conf"
     return ""
+
+
+def yield_realtime() -> None:
+    """Have the calling thread, where it has such a priority, run behind all loops: still ahead of ordinary programs.
+
+    A new thread inherits the priority of the one that starts it. One that computes for long would keep a core to
+    itself, and the loops of the other nodes would wait.
+    """
+    if sys.platform == "linux" and os.sched_getscheduler(0) == os.SCHED_FIFO:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who a node's topics are shared with: others that cannot be heard or cannot hear, and topics with two writers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+#: Topics that every node writes to, or anyone may.
+SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/external_wrench")
+
+
+def complaints(node: Node) -> list[str]:
+    """What is wrong with the topics of a node at present, in words: which topic, which other node, what to set.
+
+    Nothing of it raises an error by itself: messages of incompatible quality of service just do not come, and of two
+    that write to one topic, each command is followed by one of the other.
+    """
+    found = []
+    written = {publisher.topic_name for publisher in node.publishers}
+    heard = {subscription.topic_name for subscription in node.subscriptions}
+    for topic in sorted(written | heard):
+        writers = node.get_publishers_info_by_topic(topic)
+        if len(writers) > 1 and not topic.endswith(SHARED):
+            found.append(f"{len(writers)} publishers on {topic}, {_names(writers)}: expected one; end the others")
+        for profile in (item.qos_profile for item in node.publishers if item.topic_name == topic):
+            for info in node.get_subscriptions_info_by_topic(topic):
+                if not _fit(profile, info.qos_profile):
+                    found.append(f"{_name(info)} cannot hear {topic}: {_advice(profile, info.qos_profile)} there")
+        for profile in (item.qos_profile for item in node.subscriptions if item.topic_name == topic):
+            for info in writers:
+                if not _fit(info.qos_profile, profile):
+                    found.append(f"{_name(info)} is not heard on {topic}: {_advice(profile, info.qos_profile)} there")
+    return found
+
+
+def _fit(offered: QoSProfile, requested: QoSProfile) -> bool:
+    return qos_check_compatible(offered, requested)[0] is not QoSCompatibility.ERROR
+
+
+def _advice(own: QoSProfile, others: QoSProfile) -> str:
+    """What the other side has to set to fit to this node's profile."""
+    wanted = []
+    if own.reliability != others.reliability:
+        wanted.append(f"reliability {_word(own.reliability)}")
+    if own.durability != others.durability and own.reliability is ReliabilityPolicy.RELIABLE:
+        wanted.append(f"durability {_word(own.durability)}")
+    return f"set {' and '.join(wanted) or 'the same deadline and liveliness'}"
+
+
+def _word(policy: object) -> str:
+    return getattr(policy, "name", str(policy)).lower()
+
+
+def _name(info: TopicEndpointInfo) -> str:
+    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+
+
+def _names(infos: Iterable[TopicEndpointInfo]) -> str:
+    return " and ".join(sorted(_name(info) for info in infos))
