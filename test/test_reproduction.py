@@ -183,7 +183,7 @@ def process(start_module_process: StartProcess, model_file: Path) -> RunningProc
 
 @pytest.fixture(scope="module")
 def inactive(module_node: Node, process: RunningProcess) -> Player:
-    assert change_state(module_node, NODE, CONFIGURE)
+    assert change_state(module_node, NODE, CONFIGURE), process.output
     player = Player(module_node, process)
     player.wait_until_heard()
     return player

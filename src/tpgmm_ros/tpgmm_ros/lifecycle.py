@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
 from typing import Any
 
@@ -23,6 +24,19 @@ class ManagedNode(LifecycleNode):
         self._follow = self._service_change_state.callback
         self._service_change_state.callback = self._change_state
         self._own: set[int] = set()
+        self._callbacks = {state: self._telling(callback) for state, callback in self._callbacks.items()}
+
+    def _telling(self, callback: Callable[[LifecycleState], TransitionCallbackReturn]) -> Callable[..., Any]:
+        """The callback of a transition, whose exceptions are in the log: rclpy keeps them to itself."""
+
+        def call(state: LifecycleState) -> TransitionCallbackReturn:
+            try:
+                return callback(state)
+            except Exception:
+                self.get_logger().error(traceback.format_exc())
+                raise
+
+        return call
 
     def _change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
         try:
