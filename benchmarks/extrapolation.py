@@ -147,7 +147,9 @@ def draw(axes: Axes, rows: Sequence[Mapping[str, Any]], key: str, title: str, la
     for i, (way, (distances, values)) in enumerate(medians(rows, key).items()):
         # wider below narrower, so that lines which fall together are seen
         width = 5.0 - 0.6 * i
-        style = {"color": "black", "ls": "--"} if way == WITHOUT_FRAMES else {"color": f"C{i}", "marker": "o"}
+        style: dict[str, Any] = (
+            {"color": "black", "ls": "--"} if way == WITHOUT_FRAMES else {"color": f"C{i}", "marker": "o"}
+        )
         axes.plot(distances, values, markersize=1.5 * width, lw=width, label=way, **style)
     for factor in (1.0, 2.0, 4.0):
         at = float(distances[FACTORS.index(factor)])

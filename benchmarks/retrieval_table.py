@@ -95,8 +95,8 @@ def measure(data: DataSet) -> Iterator[dict[str, Any]]:
     """
     settings = candidates(data.task)
     learners: dict[Any, list[str]] = {}
-    for name, way in WAYS.items():
-        learners.setdefault((way.encoding, way.estimator), []).append(name)
+    for name, learner in WAYS.items():
+        learners.setdefault((learner.encoding, learner.estimator), []).append(name)
     for left_out in tqdm(data.recordings, desc="left out", disable=None, file=sys.stderr):
         others = [recording for recording in data.recordings if recording is not left_out]
         duration = float(np.mean([recording.duration for recording in others]))
