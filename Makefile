@@ -24,10 +24,10 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 say = @printf '\033[1m==> %s\033[0m\n' "$(1)"
 
-.PHONY: help setup lint format test properties demo bags results figures bench scaling lock clean
+.PHONY: help setup lint format test properties demo bags results figures figure6 bench scaling lock clean
 
 help: ## list the targets
-	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
+	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
 
 setup: $(DONE)/packages $(DONE)/kernels ## virtual environment, ROS wheels, interface package, kernels
 
@@ -67,7 +67,11 @@ figures: setup ## figures 1, 3 and 4 of the paper, extrapolation, weights of fra
 	PYTHONPATH=. $(PYTHON) benchmarks/figure1d.py
 	PYTHONPATH=. $(PYTHON) benchmarks/frame_weights.py
 
-BENCHMARKS := em reproduction_step retrieval_step lqr control simulator loop latency
+figure6: setup ## figure 6 of the paper: priorities learned by a planar robot with two hands, in out/figure6/ and out/kinematic_relevance/
+	PYTHONPATH=. $(PYTHON) benchmarks/figure6.py
+	PYTHONPATH=. $(PYTHON) benchmarks/kinematic_relevance.py
+
+BENCHMARKS := em reproduction_step retrieval_step lqr control simulator loop latency kinematic_frames
 bench: setup ## benchmarks: tables, and JSON in out/bench/ (wants two idle cores)
 	@for name in $(BENCHMARKS); do PYTHONPATH=. $(PYTHON) benchmarks/$$name.py; done
 
