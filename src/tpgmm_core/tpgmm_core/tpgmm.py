@@ -349,7 +349,7 @@ class TPGMM:
                 raise model_file.ModelFileError(f"{path} holds a {contents.kind}, no {cls.__name__}")
             try:
                 model._restore(contents.more)
-            except (KeyError, ValueError) as error:
+            except (LookupError, ValueError, TypeError) as error:  # what arrays of any shape may lead to
                 raise model_file.ModelFileError(f"{path}: {error}") from error
         return model
 

@@ -16,6 +16,7 @@ from tpgmm_core.tracking import FrameStatus, FrameTracker, TrackedFrame, Trackin
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros import conversions
 from tpgmm_ros.executor import run
+from tpgmm_ros.lockstep import Barrier, is_nothing_seen
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters
 from tpgmm_ros.qos import LATCHED, STREAM
@@ -25,6 +26,9 @@ from tpgmm_ros.timing import loop_clock
 PARAMETERS = [
     Declared("task_file", "", "Task file (YAML): frames, their topics, time-outs", fixed=True),
     Declared("rate", 100.0, "Task parameters are published this often, Hz", 1.0, 1000.0, fixed=True),
+    Declared(
+        "lockstep", False, "Answer each pose of the movement when all frames have a pose of this stamp", fixed=True
+    ),
 ]
 
 #: Changes are published at once, but a flood of poses must not become a flood of task parameters: beyond so many
@@ -46,31 +50,45 @@ class FrameTrackerNode(Node):
         self._known: list[TrackedFrame] = []
         self._changes = 0
         self._publisher = self.create_publisher(TaskParameters, "task_parameters", LATCHED)
+        take = self._observe
+        if parameters["lockstep"]:
+            take = self._collect
+            self._seen: dict[str, PoseStamped] = {}
+            self._answered_ns = -1
+            self._barrier = Barrier(self.task.topics, self._answer)
+            self.create_subscription(PoseStamped, self.task.movement, self._tick, STREAM)
+        else:
+            self.create_timer(1.0 / parameters["rate"], self._publish_regularly, clock=self._loop_clock)
         for name, topic in self.task.topics.items():
-            self.create_subscription(PoseStamped, topic, functools.partial(self._observe, name), STREAM)
-        self.create_timer(1.0 / parameters["rate"], self._publish_regularly, clock=self._loop_clock)
+            self.create_subscription(PoseStamped, topic, functools.partial(take, name), STREAM)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
         self._jump = self.get_clock().create_jump_callback(backwards, post_callback=lambda _: self._forget())
         self.monitor = Monitor(self, self._status)
 
+    # -- in lockstep --------------------------------------------------------------------------------------------------
+
+    def _tick(self, message: PoseStamped) -> None:
+        stamp_ns = conversions.time_to_ns(message.header.stamp)
+        self._barrier.take(stamp_ns, stamp_ns)
+
+    def _collect(self, name: str, message: PoseStamped) -> None:
+        self._seen[name] = message
+        self._barrier.came(name, conversions.time_to_ns(message.header.stamp))
+
+    def _answer(self, stamp_ns: int) -> None:
+        if stamp_ns != self._answered_ns:
+            self._answered_ns = stamp_ns
+            for name, message in self._seen.items():
+                if not is_nothing_seen(message):
+                    self._take(name, message, stamp_ns, stamp_ns)
+            self._update(stamp_ns)
+        self._send(stamp_ns)
+
+    # -- otherwise ----------------------------------------------------------------------------------------------------
+
     def _observe(self, name: str, message: PoseStamped) -> None:
-        if message.header.frame_id != self.task.base_frame:
-            self._warn(
-                f"frame '{name}': pose is expressed in '{message.header.frame_id}', expected "
-                f"'{self.task.base_frame}'; transform it before it is published"
-            )
-            return
-        steady = self._loop_clock.now().nanoseconds
-        refusal = self.tracker.observe(
-            name,
-            conversions.pose_to_array(message.pose),
-            conversions.time_to_ns(message.header.stamp),
-            self.get_clock().now().nanoseconds,
-            steady,
-        )
-        if refusal:
-            self._warn(refusal)
-        elif self._changes < MAX_CHANGES:
+        steady_ns = self._loop_clock.now().nanoseconds
+        if self._take(name, message, self.get_clock().now().nanoseconds, steady_ns) and self._changes < MAX_CHANGES:
             self._changes += 1
             self._publish()
 
@@ -79,17 +97,35 @@ class FrameTrackerNode(Node):
         self._publish()
 
     def _publish(self) -> None:
+        self._update(self._loop_clock.now().nanoseconds)
+        self._send(self.get_clock().now().nanoseconds)
+
+    # -- always -------------------------------------------------------------------------------------------------------
+
+    def _take(self, name: str, message: PoseStamped, now_ns: int, steady_ns: int) -> bool:
+        """Whether the observation was taken."""
+        if message.header.frame_id != self.task.base_frame:
+            found, expected = message.header.frame_id, self.task.base_frame
+            reason = f"wrong frame_id: '{found}', expected '{expected}'; transform poses before they are published"
+            self._warn(self.tracker.refuse(name, reason))
+            return False
+        pose, stamp_ns = conversions.pose_to_array(message.pose), conversions.time_to_ns(message.header.stamp)
+        refusal = self.tracker.observe(name, pose, stamp_ns, now_ns, steady_ns)
+        if refusal:
+            self._warn(refusal)
+        return refusal is None
+
+    def _update(self, steady_ns: int) -> None:
         self.monitor.asked += 1
-        steady = self._loop_clock.now().nanoseconds
         before = {frame.name: frame.status for frame in self._known}
-        self._known = self.tracker.update(steady)
+        self._known = self.tracker.update(steady_ns)
         for frame in self._known:
             if before.get(frame.name, frame.status) is not frame.status:
                 self.get_logger().info(f"frame '{frame.name}' is {frame.status.name}")
-        self._publisher.publish(
-            conversions.task_parameters_message(self._known, self.get_clock().now().nanoseconds, self.task.base_frame)
-        )
         self.monitor.done += 1
+
+    def _send(self, stamp_ns: int) -> None:
+        self._publisher.publish(conversions.task_parameters_message(self._known, stamp_ns, self.task.base_frame))
 
     def _forget(self) -> None:
         self.get_logger().warning("time jumped backwards: all observations are forgotten")

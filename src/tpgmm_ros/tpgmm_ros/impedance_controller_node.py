@@ -28,6 +28,7 @@ from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader, MessageError
 from tpgmm_ros.executor import run
 from tpgmm_ros.lifecycle import ManagedNode
+from tpgmm_ros.lockstep import Barrier, is_no_reference
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters, declared_of, fill
 from tpgmm_ros.qos import LATCHED, STREAM
@@ -41,7 +42,7 @@ PARAMETERS = [
     ),
     Declared("autostart", False, "Configure and activate at start, without a lifecycle manager", fixed=True),
     Declared(
-        "lockstep", False, "Wait for the reference of the same stamp before a joint state is answered", fixed=True
+        "lockstep", False, "Answer each joint state only when the reference of the same stamp is there", fixed=True
     ),
     *declared_of(Timeouts),
     *declared_of(ImpedanceConfig),
@@ -101,8 +102,7 @@ class ImpedanceControllerNode(ManagedNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         result = super().on_activate(state)
         self.controller.start()
-        self._pending: JointState | None = None
-        self._reference_stamp_ns = -1
+        self._barrier = Barrier(("reference",), self._answer) if self.parameters["lockstep"] else None
         self._state_due_ns = 0
         self._actions.clear()
         self._active = True
@@ -143,7 +143,13 @@ class ImpedanceControllerNode(ManagedNode):
         if not self._active:
             return
         stamp_ns = conversions.time_to_ns(message.header.stamp)
-        now_ns, clock_ns = self._times()
+        if self._barrier is None or not is_no_reference(message):
+            self._follow_reference(message, stamp_ns)
+        if self._barrier is not None:
+            self._barrier.came("reference", stamp_ns)
+
+    def _follow_reference(self, message: ReferenceMessage, stamp_ns: int) -> None:
+        now_ns, clock_ns = self._times(stamp_ns)
         try:
             if message.header.frame_id not in ("", self.robot.base_frame):
                 raise MessageError(
@@ -153,43 +159,28 @@ class ImpedanceControllerNode(ManagedNode):
         except ValueError as error:
             self.controller.refuse_reference(str(error))
             self.get_logger().error(f"reference refused: {error}", throttle_duration_sec=1.0)
-            return
-        self._reference_stamp_ns = stamp_ns
-        if self._pending is not None:
-            self._answer(self._pending)
 
     def _take_state(self, message: JointState) -> None:
         if not self._active:
             return
-        if self._must_wait(message):
-            self._pending = message
-        else:
+        if self._barrier is None:
             self._answer(message)
+        else:
+            self._barrier.take(message, conversions.time_to_ns(message.header.stamp))
 
-    def _must_wait(self, message: JointState) -> bool:
-        """In lockstep, the reference that belongs to a state comes a moment after it."""
-        if not self.parameters["lockstep"] or self._mode is not ControllerMode.ACTIVE:
-            return False
-        stamp = conversions.time_to_ns(message.header.stamp)
-        # A state that comes again was answered by nobody: the reference is not coming.
-        again = self._pending is not None and conversions.time_to_ns(self._pending.header.stamp) == stamp
-        return self._reference_stamp_ns < stamp and not again
-
-    def _times(self) -> tuple[int, int]:
-        """The clock that watches, and that of the stamps, ns."""
-        return self._loop_clock.now().nanoseconds, self.get_clock().now().nanoseconds
+    def _times(self, stamp_ns: int) -> tuple[int, int]:
+        """The clock that watches, and that of the stamps, ns, when a message came."""
+        now_ns, clock_ns = self._loop_clock.now().nanoseconds, self.get_clock().now().nanoseconds
+        # /clock and the message of the same moment race each other
+        return (max(now_ns, stamp_ns) if self._simulated else now_ns), clock_ns
 
     # -- one step -----------------------------------------------------------------------------------------------------
 
     def _answer(self, message: JointState) -> None:
-        self._pending = None
         start = time.perf_counter()
         stamp_ns = conversions.time_to_ns(message.header.stamp)
         self.monitor.tick(stamp_ns)
-        now_ns, clock_ns = self._times()
-        if self._simulated:
-            # /clock and the state of the same moment race each other
-            now_ns = max(now_ns, stamp_ns)
+        now_ns, clock_ns = self._times(stamp_ns)
         try:
             q, v = self._reader.read(message, "position", "velocity")
             answer = self.controller.take_state(q, v, stamp_ns, now_ns, clock_ns)

@@ -29,6 +29,7 @@ from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros import conversions
 from tpgmm_ros.executor import run
 from tpgmm_ros.lifecycle import ManagedNode
+from tpgmm_ros.lockstep import Barrier, no_reference
 from tpgmm_ros.markers import markers
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.movements import Movements
@@ -45,6 +46,14 @@ PARAMETERS = [
         "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
     ),
     Declared("autostart", False, "Configure and activate at start, without a lifecycle manager", fixed=True),
+    Declared(
+        "lockstep_rate",
+        0.0,
+        "In lockstep: how often poses and task parameters come, Hz; each step waits for those of its tick; 0: never",
+        0.0,
+        1000.0,
+        fixed=True,
+    ),
     Declared("rate", 0.0, "References on a timer, Hz; 0: one for each joint state", 0.0, 2000.0, fixed=True),
     Declared("retrieval", "", f"Way of retrieval: {', '.join(WAYS)}; empty: what the model was learned for"),
     Declared("phase", "clock", f"What the model's time follows: {', '.join(PHASES)}"),
@@ -72,6 +81,10 @@ class ReproductionNode(ManagedNode):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._received_ns = 0
         self._done_ns: dict[str, int] = {}
+        self._sent: ReferenceMessage | None = None
+        self._barrier: Barrier[int] | None = None
+        if rate := self.parameters["lockstep_rate"]:
+            self._barrier = Barrier(("task_parameters", "pose"), self._answer, round(1e9 / rate))
         if self.parameters["autostart"]:
             self.start_itself()
 
@@ -132,6 +145,11 @@ class ReproductionNode(ManagedNode):
 
     def _take_task_parameters(self, message: TaskParameters) -> None:
         self._received_ns = self._steady.now().nanoseconds
+        self._take_frames(message)
+        if self._barrier is not None:
+            self._barrier.came("task_parameters", conversions.time_to_ns(message.header.stamp))
+
+    def _take_frames(self, message: TaskParameters) -> None:
         # The same frames again, only observed later, are no change: the reproduction need not adapt to them anew.
         received = [(item.name, item.status, item.confidence, item.a, item.b) for item in message.frames]
         if received == self._received:
@@ -146,7 +164,11 @@ class ReproductionNode(ManagedNode):
             self.movements.take_frames(known)
 
     def _take_joint_state(self, message: JointState) -> None:
-        self._step(conversions.time_to_ns(message.header.stamp))
+        stamp_ns = conversions.time_to_ns(message.header.stamp)
+        if self._barrier is None:
+            self._step(stamp_ns)
+        else:
+            self._barrier.take(stamp_ns, stamp_ns)
 
     def _take_pose(self, message: PoseStamped) -> None:
         pose, reason = check_pose(conversions.pose_to_array(message.pose))
@@ -154,8 +176,24 @@ class ReproductionNode(ManagedNode):
             self.get_logger().error(f"pose of the robot refused: {reason}", throttle_duration_sec=1.0)
         elif self.movements is not None:
             self.movements.pose = pose
+        if self._barrier is not None:
+            self._barrier.came("pose", conversions.time_to_ns(message.header.stamp))
 
     # -- one step -----------------------------------------------------------------------------------------------------
+
+    def _answer(self, stamp_ns: int) -> None:
+        """In lockstep, each state has an answer, and the same one however often it comes."""
+        if self._sent is None or conversions.time_to_ns(self._sent.header.stamp) != stamp_ns:
+            self._sent = None
+            self._step(stamp_ns)
+            if self._sent is None:
+                self._send(no_reference(stamp_ns, self.task.base_frame))
+        else:
+            self._send(self._sent)
+
+    def _send(self, message: ReferenceMessage) -> None:
+        self._sent = message
+        self._references.publish(message)
 
     def _step(self, stamp_ns: int) -> None:
         if self.movements is None or self.movements.execution is None:
@@ -165,9 +203,7 @@ class ReproductionNode(ManagedNode):
         reference = self.movements.step(stamp_ns)
         if reference is None:
             return
-        self._references.publish(
-            conversions.reference_message(reference, DIMENSIONS[1:], stamp_ns, self.task.base_frame)
-        )
+        self._send(conversions.reference_message(reference, DIMENSIONS[1:], stamp_ns, self.task.base_frame))
         self.monitor.done += 1
         self.monitor.step.add(time.perf_counter() - start)
         self._show(stamp_ns, self.movements, reference)

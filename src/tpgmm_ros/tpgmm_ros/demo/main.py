@@ -7,6 +7,7 @@ import argparse
 import contextlib
 import os
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from rclpy.action import ActionClient
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.task import Future
 
 import tpgmm_ros.demo as package
 from tpgmm_core import TPGMM, Frame
@@ -75,18 +77,30 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
         executor.add_node(node)
         recorder = Node("demo_recorder")
         recording = Recording(recorder, task, list(robot.joint_names))
-        world = World(node, task, situation, disturbances)
+        world = World(node, task, situation, disturbances, arguments.lockstep)
         with NodeProcesses(arguments.output / "log") as processes:
             graph = Graph(node, executor, processes)
             print(f"2. starting the nodes (logs: {processes.log_directory})")
             _start(graph, arguments, model_file)
             print("3. reproducing in a new situation; the object is pushed and the target hidden on the way")
-            outcome = _reproduce(graph, recording, world)
+            begun = time.monotonic()
+            if arguments.lockstep:  # simulated time begins with the movement, so that it is the same each time
+                result = _ask(graph, recording)
+                _start_simulator(graph, arguments)
+            else:
+                _start_simulator(graph, arguments)
+                graph.wait_for(recording.hand_is_known, START_TIMEOUT, "the hand's pose")
+                result = _ask(graph, recording)
+            outcome = _outcome(graph, recording, world, result)
+            took = time.monotonic() - begun
         executor.remove_node(node)
         node.destroy_node()
         recorder.destroy_node()
         rclpy.shutdown()
     report = evaluate(recording, world, robot.effort_limits, outcome, arguments.lockstep)
+    assert world.started_ns is not None
+    report["real_time_factor"] = report["movement_time_s"] / took
+    report["digest"] = recording.digest(world.started_ns, demonstrated_duration(model))
     pushed = disturbances.pushed(situation.object, np.inf)
     frames = {name: np.array(spec.pose) for name, spec in task.frames.items() if spec.pose is not None}
     frames |= {"object": pushed, "target": situation.target}
@@ -110,30 +124,46 @@ def _domain(given: int | None) -> Iterator[None]:
 
 
 def _start(graph: Graph, arguments: argparse.Namespace, model_file: Path) -> None:
+    """All nodes but the simulator."""
     processes, simulated = graph.processes, arguments.lockstep
-    priority = 0 if simulated else REALTIME_PRIORITY
-    both = {"use_sim_time": simulated, "realtime_priority": priority}
-    processes.start("frame_tracker", task_file=arguments.task, **both)
-    processes.start("reproduction", task_file=arguments.task, model_file=model_file, **both)
+    both = {"use_sim_time": simulated, "realtime_priority": _priority(arguments)}
+    lockstep = {"lockstep_rate": 100.0, "start_timeout": START_TIMEOUT} if simulated else {}
+    processes.start("frame_tracker", task_file=arguments.task, lockstep=simulated, **both)
+    processes.start("reproduction", task_file=arguments.task, model_file=model_file, **lockstep, **both)
     processes.start("impedance_controller", robot_file=arguments.robot, lockstep=simulated, **both)
-    processes.start("baxter_simulator", robot_file=arguments.robot, lockstep=simulated, realtime_priority=priority)
     graph.bring_up("impedance_controller", START_TIMEOUT)
     graph.bring_up("reproduction", START_TIMEOUT)
 
 
-def _reproduce(graph: Graph, recording: Recording, world: World) -> tuple[bool, str]:
+def _start_simulator(graph: Graph, arguments: argparse.Namespace) -> None:
+    graph.processes.start(
+        "baxter_simulator",
+        robot_file=arguments.robot,
+        lockstep=arguments.lockstep,
+        realtime_priority=_priority(arguments),
+    )
+
+
+def _priority(arguments: argparse.Namespace) -> int:
+    return 0 if arguments.lockstep else REALTIME_PRIORITY
+
+
+def _ask(graph: Graph, recording: Recording) -> Future:
+    """Ask for the movement; returns its result to come once the movement waits for nothing but the robot."""
     client = ActionClient(graph.node, Reproduce, "reproduce")
     graph.wait_for(client.server_is_ready, START_TIMEOUT, "the action 'reproduce'")
-
-    def hand_is_known() -> bool:
-        recording.poll()
-        return recording.hand_is_known()
-
-    graph.wait_for(hand_is_known, START_TIMEOUT, "the hand's pose")
     goal = graph.result(client.send_goal_async(Reproduce.Goal()), START_TIMEOUT, "the goal to be accepted")
     if not goal.accepted:
         raise GraphError("reproduction refused the goal")
     result = goal.get_result_async()
+    graph.wait_for(
+        lambda: result.done() or recording.says("reproduction", "stage"), START_TIMEOUT, "the movement to begin"
+    )
+    return result
+
+
+def _outcome(graph: Graph, recording: Recording, world: World, result: Future) -> tuple[bool, str]:
+    """Whether the movement succeeded, and what the action said."""
 
     def ended() -> bool:
         recording.poll()
@@ -141,7 +171,7 @@ def _reproduce(graph: Graph, recording: Recording, world: World) -> tuple[bool, 
             world.started_ns = recording.first_reference_ns()
         return result.done()
 
-    graph.wait_for(ended, 180.0, "the end of the movement")
+    graph.wait_for(ended, 300.0, "the end of the movement")
     if world.started_ns is None:
         raise GraphError(f"the movement never started: {result.result().result.reason}")
     response = result.result()

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -81,12 +82,29 @@ class Recording:
 
     def first_reference_ns(self) -> int | None:
         """Stamp of the first reference: the start of the movement."""
-        first = next(self._messages(Reference), None)
+        first = next((message for message in self._messages(Reference) if message.gaussian.mean), None)
         return None if first is None else conversions.time_to_ns(first.header.stamp)
 
     def hand_is_known(self) -> bool:
         """Whether the hand's pose came at least once."""
+        self.poll()
         return bool(self._raw[PoseStamped])
+
+    def says(self, node: str, key: str) -> bool:
+        """Whether the last diagnostics of a node hold a key."""
+        self.poll()
+        rows = self.diagnostics(node, 0)
+        return bool(rows) and key in rows[-1]
+
+    def digest(self, start_ns: int, duration: float) -> str:
+        """Of all torques and poses of the hand within a time (ns, s): the same for the same numbers, bit by bit."""
+        digest = hashlib.sha256()
+        for series in (self.torque(), self.hand()):
+            stamps, first = np.unique(series.stamps_ns, return_index=True)  # some are sent again
+            chosen = (stamps >= start_ns) & (stamps <= start_ns + 1e9 * duration)
+            digest.update(stamps[chosen].tobytes())
+            digest.update(np.ascontiguousarray(series.values[first[chosen]]).tobytes())
+        return digest.hexdigest()
 
     def torque(self) -> Series:
         """Torques (T, nv), N m."""
@@ -95,7 +113,9 @@ class Recording:
 
     def reference(self) -> Series:
         """Means of the references (T, 7)."""
-        return _series((message, np.array(message.gaussian.mean)) for message in self._messages(Reference))
+        # in lockstep, references come also while nothing is reproduced, and are empty then
+        moving = (message for message in self._messages(Reference) if message.gaussian.mean)
+        return _series((message, np.array(message.gaussian.mean)) for message in moving)
 
     def hand(self) -> Series:
         """Poses of the hand (T, 7)."""

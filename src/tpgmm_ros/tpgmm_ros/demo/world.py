@@ -11,6 +11,7 @@ from rclpy.node import Node
 
 from tpgmm_core.manifold import POSE
 from tpgmm_ros import conversions
+from tpgmm_ros.lockstep import nothing_seen
 from tpgmm_ros.pick_place import Array, Grasp, Situation
 from tpgmm_ros.qos import STREAM
 from tpgmm_ros.task import Task
@@ -68,18 +69,25 @@ class World:
         task: the topics.
         situation: where things lie at first.
         disturbances: what happens on the way.
+        lockstep: answer each pose of the hand with one of each frame, also where it is not seen; the movement starts
+            with the first one.
 
     Attributes:
         started_ns: stamp of the movement's start, ns; as long as it is None, the disturbances wait.
     """
 
-    def __init__(self, node: Node, task: Task, situation: Situation, disturbances: Disturbances) -> None:
+    def __init__(
+        self, node: Node, task: Task, situation: Situation, disturbances: Disturbances, lockstep: bool = False
+    ) -> None:
         self.situation = situation
         self.disturbances = disturbances
         self.grasp = Grasp(situation.object)
         self.started_ns: int | None = None
         self._task = task
+        self._lockstep = lockstep
         self._ticks = 0
+        self._answered_ns = -1
+        self._said: dict[str, PoseStamped] = {}
         self._publishers = {
             name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()
         }
@@ -87,16 +95,26 @@ class World:
 
     def _answer(self, message: PoseStamped) -> None:
         stamp_ns = conversions.time_to_ns(message.header.stamp)
-        hand = conversions.pose_to_array(message.pose)
+        if stamp_ns != self._answered_ns:
+            self._answered_ns = stamp_ns
+            if self._lockstep and self.started_ns is None:
+                self.started_ns = stamp_ns
+            self._live(conversions.pose_to_array(message.pose), stamp_ns)
+        for name, said in self._said.items():
+            self._publishers[name].publish(said)
+
+    def _live(self, hand: Array, stamp_ns: int) -> None:
+        """What happens until a moment, with the hand where it is then, and what is seen of it."""
         time = -np.inf if self.started_ns is None else 1e-9 * (stamp_ns - self.started_ns)
         self.grasp.move_object(self.disturbances.pushed(self.situation.object, time))
         self.grasp.update(hand, 1e-9 * stamp_ns)
-        if self._ticks % TICKS_PER_OBSERVATION == 0:
-            self._see("target", self.situation.target, stamp_ns, time)
-            if not self.grasp.holds:
-                self._see("object", self.grasp.object, stamp_ns, time)
+        places = {"target": self.situation.target, "object": self.grasp.object}
+        looks = self._ticks % TICKS_PER_OBSERVATION == 0
+        self._said = {}
+        for name, place in places.items():
+            is_held = name == "object" and self.grasp.holds
+            if looks and not is_held and not self.disturbances.hides(name, time):
+                self._said[name] = conversions.pose_stamped(place, stamp_ns, self._task.base_frame)
+            elif self._lockstep:
+                self._said[name] = nothing_seen(stamp_ns, self._task.base_frame)
         self._ticks += 1
-
-    def _see(self, name: str, place: Array, stamp_ns: int, time: float) -> None:
-        if not self.disturbances.hides(name, time):
-            self._publishers[name].publish(conversions.pose_stamped(place, stamp_ns, self._task.base_frame))
