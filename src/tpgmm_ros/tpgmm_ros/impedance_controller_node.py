@@ -33,6 +33,7 @@ from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters, declared_of, fill
 from tpgmm_ros.qos import LATCHED, STREAM
 from tpgmm_ros.timing import loop_clock
+from tpgmm_ros.torque_outputs import OUTPUTS, TorqueOutputs
 
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
@@ -44,6 +45,9 @@ PARAMETERS = [
     Declared(
         "lockstep", False, "Answer each joint state only when the reference of the same stamp is there", fixed=True
     ),
+    Declared("torque_outputs", ["joint_state"], f"How torques leave, some of {', '.join(OUTPUTS)}", fixed=True),
+    Declared("torque_joints", "", "Joint group whose torques leave, in its order; empty: all joints", fixed=True),
+    Declared("gravity_compensated", False, "The robot adds the torques of gravity itself: leave them out", fixed=True),
     *declared_of(Timeouts),
     *declared_of(ImpedanceConfig),
     *declared_of(TorqueLimits),
@@ -82,6 +86,13 @@ class ImpedanceControllerNode(ManagedNode):
         try:
             self.robot = RobotModel.from_file(self.parameters.file("robot_file"))
             self.law = ImpedanceLaw(self.robot, self.parameters["endpoint"], self.parameters.fill(ImpedanceConfig))
+            self._outputs = TorqueOutputs(
+                self,
+                self.robot,
+                self.parameters["torque_outputs"],
+                self.parameters["torque_joints"],
+                self.parameters["gravity_compensated"],
+            )
         except (ValueError, OSError) as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
@@ -91,7 +102,6 @@ class ImpedanceControllerNode(ManagedNode):
         self._reader = JointReader(self._names)
         self._loop_clock = loop_clock(self)
         self._simulated = bool(self.get_parameter("use_sim_time").value)
-        self._torques = self.create_lifecycle_publisher(JointState, "joint_torques", STREAM)
         self._states = self.create_lifecycle_publisher(ControllerState, "controller_state", LATCHED)
         self.create_subscription(ReferenceMessage, "reference", self._take_reference, STREAM)
         self.create_subscription(JointState, "joint_states", self._take_state, STREAM)
@@ -207,7 +217,7 @@ class ImpedanceControllerNode(ManagedNode):
             self._tell(answer.command, now_ns)
 
     def _publish(self, command: TorqueCommand, stamp_ns: int) -> None:
-        self._torques.publish(conversions.joint_state_message(self._names, stamp_ns, effort=command.tau))
+        self._outputs.publish(command, stamp_ns)
         self._actions.update(command.actions)
 
     # -- what others are told -----------------------------------------------------------------------------------------

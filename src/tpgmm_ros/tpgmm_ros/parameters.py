@@ -24,7 +24,7 @@ class Declared:
     """
 
     name: str
-    default: bool | int | float | str
+    default: bool | int | float | str | list[str]
     description: str
     lower: float | None = None
     upper: float | None = None

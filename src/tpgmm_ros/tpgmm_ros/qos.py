@@ -6,6 +6,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 #: Streams (references, joint states, torques, poses): only the newest counts, and a late one is worth nothing.
 STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
+#: Streams to programs of others, which may insist on reliable ones, as ros2_control's controllers do.
+COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+
 #: State that a node which starts later must get too (task parameters, controller state).
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
