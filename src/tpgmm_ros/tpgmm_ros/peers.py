@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from rclpy.node import Node
-from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 #: Topics that every node writes to, or anyone may.
@@ -26,33 +26,31 @@ def complaints(node: Node) -> list[str]:
         writers = node.get_publishers_info_by_topic(topic)
         if len(writers) > 1 and not topic.endswith(SHARED):
             found.append(f"{len(writers)} publishers on {topic}, {_names(writers)}: expected one; end the others")
-        for profile in (item.qos_profile for item in node.publishers if item.topic_name == topic):
+        for own in (item.qos_profile for item in node.publishers if item.topic_name == topic):
             for info in node.get_subscriptions_info_by_topic(topic):
-                if not _fit(profile, info.qos_profile):
-                    found.append(f"{_name(info)} cannot hear {topic}: {_advice(profile, info.qos_profile)} there")
-        for profile in (item.qos_profile for item in node.subscriptions if item.topic_name == topic):
+                if misfits := _misfits(own, info.qos_profile):
+                    found.append(f"{_name(info)} cannot hear {topic}: {_advice(misfits, own)}")
+        for own in (item.qos_profile for item in node.subscriptions if item.topic_name == topic):
             for info in writers:
-                if not _fit(info.qos_profile, profile):
-                    found.append(f"{_name(info)} is not heard on {topic}: {_advice(profile, info.qos_profile)} there")
+                if misfits := _misfits(info.qos_profile, own):
+                    found.append(f"{_name(info)} is not heard on {topic}: {_advice(misfits, own)}")
     return found
 
 
-def _fit(offered: QoSProfile, requested: QoSProfile) -> bool:
-    return qos_check_compatible(offered, requested)[0] is not QoSCompatibility.ERROR
+def _misfits(offered: QoSProfile, requested: QoSProfile) -> list[str]:
+    """The policies by which less is offered than requested. Nobody here sets deadlines or liveliness."""
+    reliable, latched = ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL
+    misfits = []
+    if requested.reliability == reliable != offered.reliability:
+        misfits.append("reliability")
+    if requested.durability == latched != offered.durability:
+        misfits.append("durability")
+    return misfits
 
 
-def _advice(own: QoSProfile, others: QoSProfile) -> str:
+def _advice(misfits: Iterable[str], own: QoSProfile) -> str:
     """What the other side has to set to fit to this node's profile."""
-    wanted = []
-    if own.reliability != others.reliability:
-        wanted.append(f"reliability {_word(own.reliability)}")
-    if own.durability != others.durability and own.reliability is ReliabilityPolicy.RELIABLE:
-        wanted.append(f"durability {_word(own.durability)}")
-    return f"set {' and '.join(wanted) or 'the same deadline and liveliness'}"
-
-
-def _word(policy: object) -> str:
-    return getattr(policy, "name", str(policy)).lower()
+    return "set " + " and ".join(f"{name} {getattr(own, name).name.lower()}" for name in misfits) + " there"
 
 
 def _name(info: TopicEndpointInfo) -> str:

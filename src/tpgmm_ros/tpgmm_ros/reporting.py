@@ -33,7 +33,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def write_report(directory: str | Path, values: dict[str, Any]) -> Path:
+def write_report(directory: str | Path, values: dict[str, Any] | list[dict[str, Any]]) -> Path:
     """Write `values` to report.json in a directory, which is made where it is missing.
 
     Raises:

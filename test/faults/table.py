@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of faults: each is a name, a promise in words, and a function that makes it happen."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, Self
+
+from rclpy.node import Node
+
+from ros_testing import StartProcess, node_on, own_domain, process_starter
+
+#: In the order of the table.
+MODULES = ("controller", "controller_ends")
+
+
+class Bench(Protocol):
+    """Running nodes, and this process on the other side of their topics."""
+
+    name: ClassVar[str]
+
+    @classmethod
+    def open(cls, node: Node, start: StartProcess, directory: Path) -> Self:
+        """Start the nodes; `directory` is for files that they need."""
+        ...
+
+    def prepare(self) -> None:
+        """Before each fault: all is well, and nothing is known of what was before."""
+        ...
+
+    def settle(self) -> str:
+        """After each fault: good inputs lead back to work, without a restart of anything; in words and numbers."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One row.
+
+    bench : what it happens to
+    run : makes it happen; returns in words and numbers what was observed, AssertionError where that was not promised
+    quick : it is part of the tests, not only of `make faults`
+    """
+
+    name: str
+    promise: str
+    bench: type[Bench]
+    run: Callable[[Any], str]
+    quick: bool
+
+
+_table: list[Fault] = []
+
+
+def fault[BenchT: Bench](
+    bench: type[BenchT], name: str, promise: str, *, quick: bool = True
+) -> Callable[[Callable[[BenchT], str]], Callable[[BenchT], str]]:
+    """Puts the decorated function into the table."""
+
+    def enter(run: Callable[[BenchT], str]) -> Callable[[BenchT], str]:
+        _table.append(Fault(name, promise, bench, run, quick))
+        return run
+
+    return enter
+
+
+def all_faults() -> list[Fault]:
+    """The whole table; faults of one bench are next to each other."""
+    for module in MODULES:
+        importlib.import_module(f"faults.{module}")
+    names = [item.name for item in _table]
+    assert len(set(names)) == len(names), "two faults of one name"
+    return list(_table)
+
+
+@contextlib.contextmanager
+def _opened(kind: type[Bench], directory: Path) -> Iterator[Bench]:
+    directory.mkdir(parents=True, exist_ok=True)
+    with (
+        own_domain(directory / "ros_log") as domain,
+        node_on(domain) as node,
+        process_starter(directory) as start,
+    ):
+        yield kind.open(node, start, directory)
+
+
+class Benches:
+    """Keeps one bench, on a ROS domain of its own, for one fault after the other; after a failure it makes a new one.
+
+    directory : what the nodes write, one directory for each bench
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._stack = contextlib.ExitStack()
+        self._bench: Bench | None = None
+        self._opened = 0
+
+    def run(self, row: Fault) -> str:
+        """Make a fault happen; what was observed. AssertionError where a promise was not kept."""
+        if type(self._bench) is not row.bench:
+            self.close()
+            self._opened += 1
+            directory = self._directory / f"{self._opened}-{row.bench.name}"
+            self._bench = self._stack.enter_context(_opened(row.bench, directory))
+        assert self._bench is not None
+        try:
+            self._bench.prepare()
+            observed = row.run(self._bench)
+            return f"{observed}; {self._bench.settle()}"
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """End all that runs."""
+        self._bench = None
+        self._stack.close()
