@@ -46,6 +46,8 @@ Array = NDArray[np.float64]
 SECOND = 1_000_000_000
 #: In lockstep, a state without an answer is published again after this long, s: best effort may lose a message.
 REPEAT_AFTER = 0.1
+#: In lockstep, Hz of simulated time: every node hears the clock, and what is to be exact has a stamp of its own.
+CLOCK_RATE = 100.0
 #: After a pause (a suspended process) time is let go of rather than simulated in one go, ticks.
 MAX_CATCH_UP = 50
 
@@ -66,6 +68,7 @@ class BaxterSimulatorNode(Node):
         self._data = self.robot.create_data()
         self.lockstep: bool = self.parameters["lockstep"]
         self._steps_per_pose = max(1, round(self.parameters["rate"] / self.parameters["pose_rate"]))
+        self._steps_per_clock = max(1, round(self.parameters["rate"] / CLOCK_RATE))
         self._names = list(self.robot.joint_names)
         self._reader = JointReader(self._names)
         self._steps = 0
@@ -173,7 +176,8 @@ class BaxterSimulatorNode(Node):
         while not stop.set:
             # Simulated time starts at 1 s: in ROS, zero means that time is not known yet.
             self._stamp_ns = SECOND + round(self._steps * self.time_step * SECOND)
-            self._clock_publisher.publish(Clock(clock=conversions.time_from_ns(self._stamp_ns)))
+            if self._steps % self._steps_per_clock == 0:
+                self._clock_publisher.publish(Clock(clock=conversions.time_from_ns(self._stamp_ns)))
             self._publish_state()
             self._publish_poses()
             repeat_at = time.perf_counter() + REPEAT_AFTER

@@ -24,7 +24,7 @@ class Samples:
     """The last ``size`` values of a quantity, in seconds; recording one is a store."""
 
     def __init__(self, size: int = 1 << 16) -> None:
-        self._values = np.zeros(size)
+        self._values = np.full(size, 0.0)  # zeros would take their memory one by one, later
         self.count = 0
 
     def add(self, value: float) -> None:

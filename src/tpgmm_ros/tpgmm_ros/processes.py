@@ -61,6 +61,16 @@ class NodeProcesses:
             if status is not None:
                 raise GraphError(f"{name} ended with status {status}; its last words:\n{self.last_words(name)}")
 
+    def pid(self, name: str) -> int:
+        """Process id of a node that was started."""
+        return self._processes[name].pid
+
+    def kill(self, name: str) -> None:
+        """End a node as a crash would, by SIGKILL; it may be started again."""
+        process = self._processes.pop(name)
+        process.kill()
+        process.wait()
+
     def last_words(self, name: str, lines: int = 15) -> str:
         text = (self.log_directory / f"{name}.log").read_text(errors="replace")
         return "\n".join(text.splitlines()[-lines:])
