@@ -15,7 +15,7 @@ from rclpy.node import Node
 from ros_testing import StartProcess, node_on, own_domain, process_starter
 
 #: In the order of the table.
-MODULES = ("controller", "controller_ends")
+MODULES = ("controller", "controller_ends", "processes")
 
 
 class Bench(Protocol):
