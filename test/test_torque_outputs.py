@@ -41,7 +41,9 @@ def controller_at_home(shift: tuple[float, float, float]) -> tuple[Controller, o
     law, data = ImpedanceLaw(PANDA, "hand"), PANDA.create_data()
     data.update(PANDA.home)
     pose = data.pose("hand") + np.array([*shift, 0, 0, 0, 0])
-    return Controller(PANDA, law, TorqueLimits(max_time_step=0.05)), law.pose_target(PoseReference(pose, np.diag([1e-5] * 3 + [1e-3] * 3)))
+    return Controller(PANDA, law, TorqueLimits(max_time_step=0.05)), law.pose_target(
+        PoseReference(pose, np.diag([1e-5] * 3 + [1e-3] * 3))
+    )
 
 
 @pytest.fixture(scope="module")

@@ -28,6 +28,8 @@ setup(
             "reproduction = tpgmm_ros.reproduction_node:main",
             "impedance_controller = tpgmm_ros.impedance_controller_node:main",
             "baxter_simulator = tpgmm_ros.baxter_simulator_node:main",
+            "endpoint_poses = tpgmm_ros.endpoint_poses_node:main",
+            "check_robot = tpgmm_ros.check_robot:main",
             "teach = tpgmm_ros.teach:main",
             "train = tpgmm_ros.train:main",
             "demo = tpgmm_ros.demo:main",

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""endpoint_poses: joint states in, poses of the end points out, for robots whose drivers publish joints alone."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from tpgmm_core.robot import RobotModel
+from tpgmm_ros import conversions
+from tpgmm_ros.conversions import JointReader, MessageError
+from tpgmm_ros.executor import run
+from tpgmm_ros.monitor import Monitor
+from tpgmm_ros.parameters import Declared, Parameters
+from tpgmm_ros.qos import STREAM
+
+PARAMETERS = [
+    Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
+    Declared("pose_rate", 100.0, "End point poses, at most as often as joint states, Hz", 1.0, 1000.0, fixed=True),
+]
+
+
+class EndpointPosesNode(Node):
+    def __init__(self) -> None:
+        super().__init__("endpoint_poses")
+        parameters = Parameters(self, PARAMETERS)
+        self.robot = RobotModel.from_file(parameters.file("robot_file"))
+        self._data = self.robot.create_data()
+        self._reader = JointReader(self.robot.joint_names)
+        self._period_ns = round(1e9 / parameters["pose_rate"])
+        self._due_ns = 0
+        self._poses = {
+            name: self.create_publisher(PoseStamped, f"endpoint/{name}/pose", STREAM) for name in self.robot.endpoints
+        }
+        self.create_subscription(JointState, "joint_states", self._take, STREAM)
+        self.monitor = Monitor(self, self._status, parameters["pose_rate"])
+
+    def _take(self, message: JointState) -> None:
+        stamp_ns = conversions.time_to_ns(message.header.stamp)
+        # by the stamps, on a grid of the period; further ahead than a period: time jumped backwards
+        if 0 < self._due_ns - stamp_ns <= self._period_ns:
+            return
+        start = time.perf_counter()
+        try:
+            (q,) = self._reader.read(message, "position")
+        except MessageError as error:
+            self.get_logger().error(f"joint state refused: {error}", throttle_duration_sec=1.0)
+            return
+        self._due_ns = stamp_ns - stamp_ns % self._period_ns + self._period_ns
+        self.monitor.tick(stamp_ns)
+        self._data.update(q)
+        for name, publisher in self._poses.items():
+            publisher.publish(conversions.pose_stamped(self._data.pose(name), stamp_ns, self.robot.base_frame))
+        self.monitor.done += 1
+        self.monitor.step.add(time.perf_counter() - start)
+
+    def _status(self) -> tuple[bytes, str, dict[str, str]]:
+        if not self.monitor.done:
+            return DiagnosticStatus.WARN, "no joint states yet", {}
+        return DiagnosticStatus.OK, f"poses of {', '.join(self._poses)}", {}
+
+
+def main() -> int:
+    return run(EndpointPosesNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
