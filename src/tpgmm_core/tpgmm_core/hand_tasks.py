@@ -52,7 +52,7 @@ class HandTask:
         missing = sorted(set(self.model.frame_names_) - set(self.places))
         if missing:
             raise ValueError(f"nothing says where the frames {missing} are; places are given for {sorted(self.places)}")
-        if self.endpoint in self.places.values():
+        if any(isinstance(place, str) and place == self.endpoint for place in self.places.values()):
             raise ValueError(f"the hand {self.endpoint!r} cannot be seen from itself")
 
 

@@ -42,14 +42,15 @@ class JointImpedanceConfig(LawConfig):
 
     joint_control_cost: float = setting(0.1, 1e-6, 1e3, "Cost of accelerations, r in R = r M, of the joint-space law")
     joint_min_stiffness: float = setting(1.0, 1e-3, 1e4, "Smallest eigenvalue of K_P of the joint-space law, 1/s^2")
-    joint_max_stiffness: float = setting(900.0, 1e-3, 1e4, "Largest eigenvalue of K_P of the joint-space law, 1/s^2")
+    joint_max_stiffness: float = setting(1e4, 1e-3, 1e4, "Largest eigenvalue of K_P of the joint-space law, 1/s^2")
 
     def __post_init__(self) -> None:
         """Raises ValueError for values out of their range, or bounds out of order."""
         LawConfig.__post_init__(self)
         if self.joint_min_stiffness > self.joint_max_stiffness:
             raise ValueError(
-                f"joint_min_stiffness {self.joint_min_stiffness} is above joint_max_stiffness {self.joint_max_stiffness}"
+                f"joint_min_stiffness {self.joint_min_stiffness} is above "
+                f"joint_max_stiffness {self.joint_max_stiffness}"
             )
 
 

@@ -242,6 +242,7 @@ def reference(message: ReferenceMessage) -> Reference:
         horizon=tuple(gaussian(ahead) for ahead in message.horizon),
         activations=np.array(message.activations),
         frames=tuple(message.frames),
+        dimensions=tuple(message.dimensions),
     )
 
 

@@ -10,14 +10,18 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
+from collections.abc import Mapping
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 
+from tpgmm_core.control_law import ControlLaw
 from tpgmm_core.controller import TorqueCommand
-from tpgmm_core.impedance import ImpedanceConfig, ImpedanceLaw, PoseTarget
+from tpgmm_core.impedance import ImpedanceConfig, ImpedanceLaw
+from tpgmm_core.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
 from tpgmm_core.robot import RobotModel
 from tpgmm_core.supervised_controller import Answer, SupervisedController
 from tpgmm_core.supervision import ControllerMode, Timeouts
@@ -35,9 +39,16 @@ from tpgmm_ros.qos import LATCHED, STREAM
 from tpgmm_ros.timing import loop_clock
 from tpgmm_ros.torque_outputs import OUTPUTS, TorqueOutputs
 
+#: What follows references: poses of an end point, or positions of joints.
+LAWS = {"infinite_horizon": ImpedanceConfig, "joint_space": JointImpedanceConfig}
+
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
+    Declared("law", "infinite_horizon", f"Law of control: {', '.join(LAWS)}", fixed=True),
     Declared("endpoint", "left", "The end point that follows the reference", fixed=True),
+    Declared(
+        "joints", ["left_arm", "right_arm"], "joint_space: joints or their groups that follow, in order", fixed=True
+    ),
     Declared(
         "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
     ),
@@ -49,7 +60,7 @@ PARAMETERS = [
     Declared("torque_joints", "", "Joint group whose torques leave, in its order; empty: all joints", fixed=True),
     Declared("gravity_compensated", False, "The robot adds the torques of gravity itself: leave them out", fixed=True),
     *declared_of(Timeouts),
-    *declared_of(ImpedanceConfig),
+    *{item.name: item for config in LAWS.values() for item in declared_of(config)}.values(),
     *declared_of(TorqueLimits),
 ]
 STATE_PERIOD_NS = 100_000_000
@@ -63,10 +74,8 @@ class ImpedanceControllerNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("impedance_controller")
         # Every value may be in its range and the whole still make no sense.
-        self.parameters = Parameters(
-            self, PARAMETERS, check=lambda values: fill(ImpedanceConfig, values), changed=self._reconfigure
-        )
-        self.law: ImpedanceLaw | None = None
+        self.parameters = Parameters(self, PARAMETERS, check=self._check_parameters, changed=self._reconfigure)
+        self.law: ImpedanceLaw | JointImpedanceLaw | None = None
         self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"])
         self._active = False
         self._mode, self._reason = ControllerMode.WAITING, "not active"
@@ -74,9 +83,25 @@ class ImpedanceControllerNode(ManagedNode):
         if self.parameters["autostart"]:
             self.start_itself()
 
+    @staticmethod
+    def _check_parameters(values: Mapping[str, Any]) -> None:
+        if values["law"] not in LAWS:
+            raise ValueError(f"law is '{values['law']}', expected one of {', '.join(LAWS)}")
+        for config in LAWS.values():
+            fill(config, values)
+
+    def _make_law(self) -> ImpedanceLaw | JointImpedanceLaw:
+        if self.parameters["law"] == "joint_space":
+            joints = self.parameters["joints"]
+            return JointImpedanceLaw(self.robot, joints, self.parameters.fill(JointImpedanceConfig))
+        return ImpedanceLaw(self.robot, self.parameters["endpoint"], self.parameters.fill(ImpedanceConfig))
+
     def _reconfigure(self) -> None:
-        if self.law is not None:
+        if isinstance(self.law, JointImpedanceLaw):
+            self.law.configure(self.parameters.fill(JointImpedanceConfig))
+        elif self.law is not None:
             self.law.configure(self.parameters.fill(ImpedanceConfig))
+        if self.law is not None:
             self.controller.configure(self.parameters.fill(TorqueLimits), self.parameters.fill(Timeouts))
 
     # -- lifecycle ----------------------------------------------------------------------------------------------------
@@ -85,7 +110,7 @@ class ImpedanceControllerNode(ManagedNode):
         super().on_configure(state)
         try:
             self.robot = RobotModel.from_file(self.parameters.file("robot_file"))
-            self.law = ImpedanceLaw(self.robot, self.parameters["endpoint"], self.parameters.fill(ImpedanceConfig))
+            self.law = self._make_law()
             self._outputs = TorqueOutputs(
                 self,
                 self.robot,
@@ -97,7 +122,8 @@ class ImpedanceControllerNode(ManagedNode):
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
         limits, timeouts = self.parameters.fill(TorqueLimits), self.parameters.fill(Timeouts)
-        self.controller: SupervisedController[PoseTarget] = SupervisedController(self.robot, self.law, limits, timeouts)
+        law: ControlLaw[Any] = self.law
+        self.controller: SupervisedController[Any] = SupervisedController(self.robot, law, limits, timeouts)
         self._names = list(self.robot.joint_names)
         self._reader = JointReader(self._names)
         self._loop_clock = loop_clock(self)
