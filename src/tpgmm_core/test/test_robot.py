@@ -267,6 +267,18 @@ def test_grippers_outside_of_the_joint_groups_are_held_by_the_controller(tmp_pat
     np.testing.assert_allclose(simulator.state.q[fingers], [0.02, 0.01], atol=1e-4)
 
 
+def test_a_frame_is_the_link_where_a_joint_has_the_same_name(tmp_path: Path) -> None:
+    changes = {
+        "joint_groups": {"all": ["turn", "tool"]},
+        "friction": None,
+        "home": {"turn": 0.0, "tool": 0.25},
+    }
+    robot = RobotModel.from_file(write_arm(tmp_path, changes, replace=('name="slide"', 'name="tool"')))
+    data = robot.create_data()
+    data.update(robot.home)
+    np.testing.assert_allclose(data.pose("tool")[:3], [1.25, 0.0, 0.0], atol=1e-9)
+
+
 def test_gravity_points_where_the_robot_file_says_in_base_axes(tmp_path: Path) -> None:
     # the base is turned by 90 degrees about z: base y is the -x of the world; the slide runs along base x
     for gravity, weight in (([-9.81, 0, 0], 0.5 * 9.81), ([0, -9.81, 0], 0.0)):

@@ -105,11 +105,13 @@ class RobotModel:
         return np.array([self._index[name] for name in names], dtype=np.intp)
 
     def frame_id(self, frame: str) -> int:
-        """Pinocchio's index of a frame of the URDF. Raises ValueError when there is none of that name."""
+        """Pinocchio's index of a frame of the URDF, a link or else a joint. Raises ValueError for an unknown name."""
         if not self.pinocchio.existFrame(frame):
             bodies = [f.name for f in self.pinocchio.frames if f.type == pin.FrameType.BODY]
             raise ValueError(f"the URDF has no frame {frame!r}; its links are {bodies}")
-        return int(self.pinocchio.getFrameId(frame))
+        # a link and a joint may have the same name
+        link = self.pinocchio.existFrame(frame, pin.FrameType.BODY)
+        return int(self.pinocchio.getFrameId(frame, *((pin.FrameType.BODY,) if link else ())))
 
     def ordered(self, names: Sequence[str], values: ArrayLike) -> Array:
         """Values (nv,) in model order from names and values in any order, as in a JointState.
