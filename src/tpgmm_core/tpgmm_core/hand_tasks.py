@@ -13,7 +13,7 @@ Which frame matters nobody says: one in which the demonstration varied says next
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,7 +79,7 @@ class HandTasks:
     """
 
     def __init__(
-        self, robot: RobotModel, tasks: Mapping[str, HandTask], joints: tuple[str, ...], rest_deviation: float = 1.0
+        self, robot: RobotModel, tasks: Mapping[str, HandTask], joints: Sequence[str], rest_deviation: float = 1.0
     ) -> None:
         if not 0.0 < rest_deviation < np.inf:
             raise ValueError(f"the deviation about the rest posture is positive and finite, got {rest_deviation}")
@@ -123,6 +123,52 @@ class HandTasks:
         precision, mean = to_joint_space(precisions, maps, errors, q[self.joints])
         covariance = np.linalg.inv(precision)
         return Gaussian(mean, 0.5 * (covariance + covariance.T))
+
+
+class ActiveTasks:
+    """Which of the tasks hold at present: each takes hold, and lets go, over a time.
+
+    tasks : all of them; none holds at first
+    blend_time : s
+
+    The rest posture is that in which the robot is when the first task takes hold.
+    """
+
+    def __init__(self, tasks: HandTasks, blend_time: float = 0.5) -> None:
+        self.tasks, self.blend_time = tasks, blend_time
+        self._shares = dict.fromkeys(tasks.names, 0.0)
+        self._chosen: frozenset[str] = frozenset()
+        self._rest: Array | None = None
+
+    def check(self, names: Collection[str]) -> None:
+        """Raises ValueError for names of tasks that there are not."""
+        unknown = sorted(set(names) - set(self.tasks.names))
+        if unknown:
+            raise ValueError(f"there are no tasks {unknown}; there are {list(self.tasks.names)}")
+
+    def choose(self, names: Collection[str]) -> None:
+        """The tasks that are to hold from now on. Raises ValueError like `check`."""
+        self.check(names)
+        self._chosen = frozenset(names)
+
+    @property
+    def holding(self) -> tuple[str, ...]:
+        """The tasks that have hold, were it little."""
+        return tuple(name for name, share in self._shares.items() if share > 0.0)
+
+    def step(self, q: Array, dt: float) -> Gaussian | None:
+        """The Gaussian over the joints at positions q (nv,), dt s after the last step; None while no task holds."""
+        for name, share in self._shares.items():
+            change = dt / self.blend_time if name in self._chosen else -dt / self.blend_time
+            self._shares[name] = min(1.0, max(0.0, share + change))
+        if not self.holding:
+            self._rest = None
+            return None
+        if self._rest is None:
+            self._rest = q.copy()
+        # smooth at both ends; a precision, of which stiffness is the root, may well begin as a square
+        weights = {name: share**2 * (3.0 - 2.0 * share) for name, share in self._shares.items()}
+        return self.tasks.at(q, self._rest, weights)
 
 
 def _views(name: str, task: HandTask) -> list[_View]:

@@ -65,7 +65,7 @@ class ScriptedLesson:
         self._random = random
         self._grasp = Grasp(situation.object)
         self._start: float | None = None
-        self._teacher: Teacher | None = None
+        self._teacher: Teacher[Intention] | None = None
         self._ticks = 0
         self._stamp_ns = -1
         self._wrench = np.zeros(6)

@@ -8,6 +8,7 @@ where it matters they correct until the hand is where it should be.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -107,7 +108,14 @@ class Intention:
         return POSE.exp(pose, sway), resting
 
 
-class Teacher:
+class Aim(Protocol):
+    """Where a hand is meant to be."""
+
+    def at(self, time: float) -> tuple[Array, bool]:
+        """The pose (7,) at a time in s, and whether it matters that the hand is there, so that one corrects."""
+
+
+class Teacher[AimT: Aim]:
     """The force with which the teacher leads the hand: a spring and a damper towards the intention, and a correction.
 
     Args:
@@ -115,7 +123,7 @@ class Teacher:
         config: how firmly.
     """
 
-    def __init__(self, intention: Intention, config: TeacherConfig) -> None:
+    def __init__(self, intention: AimT, config: TeacherConfig) -> None:
         self.intention = intention
         self._stiffness = np.repeat(config.stiffness, 3)
         self._damping = np.repeat(config.damping, 3)
