@@ -19,6 +19,9 @@ from tpgmm_core import quaternion
 from tpgmm_core.kernels_product import difference, move
 from tpgmm_core.quaternion import Array
 
+MAX_TEXT = 1000
+"""Characters of a manifold's text, which messages and files of others bring along."""
+
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
@@ -49,6 +52,8 @@ class Manifold:
 
         Raises ValueError when the text is not understood, or has not `dim` ambient dimensions (where given).
         """
+        if len(text) > MAX_TEXT:
+            raise ValueError(f"a manifold is a text of at most {MAX_TEXT} characters, got {len(text)}")
         if text.strip().lower() == "euclidean":
             if dim is None:
                 raise ValueError('"euclidean" says nothing of the dimension: give dim, or write "R3"')

@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 
 #: No task has frames of more dimensions than this; a message that says so lies.
 MAX_DIMENSION = 256
+#: Nor has it more frames, or references more Gaussians ahead.
+MAX_ITEMS = 256
 
 
 class MessageError(ValueError):
@@ -141,8 +143,10 @@ def task_parameters(message: TaskParameters) -> dict[str, TaskFrameState]:
     """The frames of a message by name.
 
     Raises:
-        MessageError: sizes that contradict each other, not finite, an unknown status, a name given twice.
+        MessageError: sizes that contradict each other, not finite, an unknown status, a name given twice, too many.
     """
+    if len(message.frames) > MAX_ITEMS:
+        raise MessageError(f"task parameters name {len(message.frames)} frames; expected {MAX_ITEMS} at most")
     states: dict[str, TaskFrameState] = {}
     for item in message.frames:
         if item.name in states:
@@ -235,6 +239,8 @@ def reference(message: ReferenceMessage) -> Reference:
         raise MessageError(
             f"a reference's phase ({message.phase}) or horizon time step ({message.horizon_time_step}) is not finite"
         )
+    if len(message.horizon) > MAX_ITEMS:
+        raise MessageError(f"a reference holds {len(message.horizon)} Gaussians ahead; expected {MAX_ITEMS} at most")
     return Reference(
         phase=message.phase,
         gaussian=gaussian(message.gaussian),
