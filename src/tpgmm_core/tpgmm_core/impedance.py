@@ -83,10 +83,16 @@ class PoseReference:
 
 @dataclass(frozen=True, slots=True)
 class PoseTarget:
-    """A reference that was found good, and its K_V (6, 6) in 1/s; K_P = K_V^2 / 2."""
+    """A reference that was found good, and its gains.
+
+    K_V : (6, 6), 1/s
+    ratio : (6, 6), C of K_P = K_V C K_V: I / 2 for the infinite-horizon LQR. Gains that follow by way of K_V and C stay
+        definite, and keep the damping ratio where C stays
+    """
 
     reference: PoseReference
     K_V: Array
+    ratio: Array = field(default_factory=lambda: 0.5 * np.eye(6))
 
 
 class ImpedanceLaw:
@@ -219,6 +225,7 @@ class ImpedanceLaw:
                 goal.pose,
                 goal.twist,
                 goal.acceleration,
+                self._target.K_V @ self._target.ratio @ self._target.K_V,
                 self._target.K_V,
                 weight,
                 config.characteristic_length,
@@ -277,7 +284,9 @@ class ImpedanceLaw:
         approach(pose, reference.pose, config.max_linear_speed * reach, config.max_angular_speed * reach)
         twist = reference.twist.copy()
         bound_twist(twist, config.max_linear_speed, config.max_angular_speed)
-        # K_P follows as K_V^2 / 2, which keeps the damping ratio; leaps of the stiffness would feed in energy
-        share = min(1.0, dt / config.gain_time)
-        K_V = target.K_V if last is None else last.K_V + share * (target.K_V - last.K_V)
-        return PoseTarget(PoseReference(pose, reference.covariance, twist, reference.acceleration), K_V)
+        # leaps of the stiffness would feed in energy
+        share = 1.0 if last is None else min(1.0, dt / config.gain_time)
+        before = target if last is None else last
+        K_V = before.K_V + share * (target.K_V - before.K_V)
+        ratio = before.ratio + share * (target.ratio - before.ratio)
+        return PoseTarget(PoseReference(pose, reference.covariance, twist, reference.acceleration), K_V, ratio)

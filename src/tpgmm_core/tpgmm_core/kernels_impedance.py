@@ -93,6 +93,7 @@ def arm_torques(
     goal: Array,
     goal_twist: Array,
     goal_acceleration: Array,
+    K_P: Array,
     K_V: Array,
     weight: float,
     length: float,
@@ -114,6 +115,7 @@ def arm_torques(
 
     arm (n,) : places of the arm's joints in the vectors (nv,); J_T (nv, 6), M (nv, nv), q, v (nv,)
     rest (n,) : posture that the null space goes to
+    K_P, K_V (6, 6) : of the hand, 1/s^2 and 1/s
     given (nv,) : what the motors give besides, without which nothing may be shortened; the arm's bias is added
     feedforward, feedback, null_space (nv,), error (6,), stiffness, damping (6, 6), out : see `LawTorques`
 
@@ -131,7 +133,6 @@ def arm_torques(
     if not operational_space(J, M_arm, length, max_inertia, Lambda, torques, accelerations):
         return -1
     pose_difference(pose, goal, error)
-    K_P = 0.5 * (K_V @ K_V)
     pull, brake = goal_acceleration.copy(), np.zeros(6)
     multiply_add(K_P, error, pull)
     bound_twist(pull, max_linear_acceleration, max_angular_acceleration)

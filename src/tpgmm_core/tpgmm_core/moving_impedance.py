@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`MovingImpedanceLaw`: the hand's impedance with the gains of a finite horizon, risk-sensitive if asked for.
+
+What comes counts already: the hand grows stiff before the Gaussians do, and begins to turn before the corner. Gains and
+feedforward are those of the LQR along the reference's horizon (`control.receding_horizon`), `plan_rate` times per
+second; the reference itself is followed at every step. All else is as in `ImpedanceLaw`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tpgmm_core.control.receding_horizon import receding_horizon_gains
+from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.impedance import ImpedanceConfig, ImpedanceLaw, PoseTarget
+from tpgmm_core.planning import PlanConfig, Schedule
+from tpgmm_core.reference import Reference
+from tpgmm_core.robot import RobotModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class MovingPoseTarget(PoseTarget):
+    """A pose and the Gaussians ahead of it, `time_step` s apart, which its gains are to be made from."""
+
+    course: tuple[Gaussian, ...] = ()
+    time_step: float = 0.0
+
+
+class MovingImpedanceLaw(ImpedanceLaw):
+    """See the module; parameters and terms are those of `ImpedanceLaw`.
+
+    plan : parameters of planning
+    fears : whether to be risk-sensitive; then a reference may come without a horizon, whose Gaussian goes on for ever
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        endpoint: str = "left",
+        config: ImpedanceConfig | None = None,
+        rest_posture: ArrayLike | None = None,
+        *,
+        plan: PlanConfig | None = None,
+        fears: bool = False,
+    ) -> None:
+        self.plan, self.fears = plan or PlanConfig(), fears
+        super().__init__(robot, endpoint, config, rest_posture)
+        receding_horizon_gains(np.zeros((3, 6)), np.tile(np.eye(6), (3, 1, 1)), 0.1, 1.0)  # compiles
+
+    def reset(self) -> None:
+        """As `ImpedanceLaw.reset`."""
+        super().reset()
+        self._schedule = Schedule()
+        self._planned: PoseTarget | None = None
+        self._push = np.zeros(6)
+
+    def target(self, reference: Reference, moving: bool) -> PoseTarget:
+        """As `ImpedanceLaw.target`, with what comes. Raises ValueError also for a reference without a horizon."""
+        here = super().target(reference, moving)
+        check_horizon(reference, needed=not self.fears)
+        course = (reference.gaussian, *reference.horizon) if moving else (reference.gaussian,)
+        return MovingPoseTarget(here.reference, here.K_V, here.ratio, course, reference.horizon_time_step)
+
+    def _take(self, target: PoseTarget | None, pose: Array, dt: float) -> None:
+        if isinstance(target, MovingPoseTarget):
+            target = self._with_gains(target, dt)
+        super()._take(target, pose, dt)
+
+    def _with_gains(self, target: MovingPoseTarget, dt: float) -> PoseTarget:
+        if self._schedule.due(dt, self.plan.plan_rate) or self._planned is None:
+            self._schedule.begun()
+            self._planned = self._solve(target)
+        planned = self._planned
+        # the feedforward belongs to the gains, and comes as they do
+        self._push += min(1.0, dt / self.config.gain_time) * (planned.reference.acceleration - self._push)
+        return PoseTarget(replace(target.reference, acceleration=self._push.copy()), planned.K_V, planned.ratio)
+
+    def _solve(self, target: MovingPoseTarget) -> PoseTarget:
+        config, plan = self.config, self.plan
+        # coordinates in which turning costs as moving does
+        scale = np.array([1.0, 1.0, 1.0, *[config.characteristic_length] * 3])
+        manifold, here = target.course[0].manifold, target.course[0].mean
+        gains = receding_horizon_gains(
+            scale * np.stack([manifold.log(here, ahead.mean) for ahead in target.course]),
+            np.outer(scale, scale) * np.stack([ahead.covariance for ahead in target.course]),
+            target.time_step,
+            config.control_cost,
+            min_stiffness=config.min_stiffness,
+            max_stiffness=config.max_stiffness,
+            risk=plan.risk if self.fears else 0.0,
+            risk_stiffness=plan.risk_stiffness,
+        )
+        back = np.outer(1.0 / scale, scale)
+        inverse = np.linalg.inv(gains.damping)
+        reference = replace(target.reference, acceleration=gains.acceleration / scale)
+        return PoseTarget(reference, back * gains.damping, back * (inverse @ gains.stiffness @ inverse))
+
+
+def check_horizon(reference: Reference, needed: bool) -> None:
+    """Raises ValueError for a horizon that cannot be planned with, or for none where it is needed."""
+    if not reference.horizon:
+        if needed:
+            raise ValueError(
+                "the reference has no horizon, which the law 'finite_horizon' plans along; set horizon_steps and "
+                "horizon_time_step of the reproduction, or take the law 'infinite_horizon'"
+            )
+        return
+    if not 0.0 < reference.horizon_time_step < np.inf:
+        raise ValueError(f"the time step of the horizon is {reference.horizon_time_step} s; expected one above 0")
+    manifold = reference.gaussian.manifold
+    for ahead in reference.horizon:
+        if ahead.manifold != manifold:
+            raise ValueError(f"the horizon is on '{ahead.manifold}', the reference on '{manifold}'; expected the same")
+        if not (np.isfinite(ahead.mean).all() and np.isfinite(ahead.covariance).all()):
+            raise ValueError("the horizon of the reference is not finite")

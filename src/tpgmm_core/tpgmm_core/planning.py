@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What laws that look ahead have in common: their parameters, when they plan, and where."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+
+from tpgmm_core.settings import check_settings, setting
+
+#: Does a piece of work, at once or in another thread, and holds its outcome.
+type Submit[PlanT] = Callable[[Callable[[], PlanT]], Future[PlanT]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanConfig:
+    """Parameters of the laws that look ahead; see `control.receding_horizon` for the risk."""
+
+    plan_rate: float = setting(100.0, 1.0, 1000.0, "Laws that look ahead plan anew this often, Hz")
+    risk: float = setting(0.5, -10.0, 10.0, "Share of the control's authority that is feared for; below 0: hoped for")
+    risk_stiffness: float = setting(100.0, 1e-3, 1e4, "The share is meant for this K_P, softer ones fear more, 1/s^2")
+    plan_horizon: float = setting(0.5, 0.05, 5.0, "The predictive law looks this far ahead, s")
+    plan_speed: float = setting(1.0, 1e-2, 10.0, "No joint is planned to move faster than this, rad/s")
+    plan_margin: float = setting(0.06, 0.0, 1.0, "Nor to come nearer to its position limits than this, rad")
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for values out of their range."""
+        check_settings(self)
+
+
+def at_once[PlanT](work: Callable[[], PlanT]) -> Future[PlanT]:
+    """The `Submit` that waits for the outcome: the same numbers however fast the machine is."""
+    future: Future[PlanT] = Future()
+    try:
+        future.set_result(work())
+    except Exception as error:  # whoever asks for the result gets it
+        future.set_exception(error)
+    return future
+
+
+class Schedule:
+    """When to plan, by the time that steps report; the first time at once."""
+
+    def __init__(self) -> None:
+        self._age = float("inf")
+
+    def due(self, dt: float, rate: float) -> bool:
+        """Whether a plan should begin now, dt s after the last call, `rate` times per s."""
+        self._age += dt
+        # half a step of rounding must not cost a whole one
+        return self._age >= 1.0 / rate - 0.5 * dt
+
+    def begun(self) -> None:
+        """A plan has begun."""
+        self._age = 0.0
