@@ -46,6 +46,7 @@ class ControllerBench:
     """A controller, the robot that it drives, and what it has said since it was activated."""
 
     name: ClassVar[str] = "controller"
+    realtime: ClassVar[bool] = False
 
     def __init__(self, node: Node, start: StartProcess) -> None:
         self.node, self._start = node, start

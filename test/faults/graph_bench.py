@@ -45,6 +45,7 @@ class GraphBench:
     """
 
     name: ClassVar[str] = "graph"
+    realtime: ClassVar[bool] = True
 
     def __init__(self, node: Node, start: StartProcess, directory: Path) -> None:
         self.node, self._start, self.directory = node, start, directory

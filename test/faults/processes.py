@@ -12,9 +12,10 @@ import numpy as np
 
 from faults.graph_bench import GraphBench
 from faults.table import fault
+from ros_graph import ALL_LATCHED, Inbox
 from simulated_hand import ROBOT
 from tpgmm_core.supervision import ControllerMode
-from tpgmm_msgs.msg import TaskFrame
+from tpgmm_msgs.msg import ControllerState, TaskFrame, TaskParameters
 
 #: A joint that is slower than this is at rest, rad/s.
 AT_REST = 0.05
@@ -198,15 +199,10 @@ def load(bench: GraphBench) -> str:
     "gets the last task parameters and the controller's state at once: both are latched",
 )
 def late_joiner(bench: GraphBench) -> str:
-    from ros_graph import ALL_LATCHED, Inbox
-    from tpgmm_msgs.msg import ControllerState, TaskParameters
-
     bench.places = {}
-    bench.kill("frame_tracker")  # nothing new can come
-    bench.start("frame_tracker")
     late = Inbox(bench.node, TaskParameters, "task_parameters", ALL_LATCHED)
     state = Inbox(bench.node, ControllerState, "controller_state", ALL_LATCHED)
     seconds = bench.wait(lambda: late.messages and state.messages, "what is latched")
     frames = {item.name: item.status for item in late.messages[0].frames}
-    assert frames["robot"] == TaskFrame.VISIBLE
+    assert frames["robot"] == TaskFrame.VISIBLE and state.messages[0].reason
     return f"both within {seconds:.2f} s"

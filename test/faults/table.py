@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,15 +14,21 @@ from typing import Any, ClassVar, Protocol, Self
 from rclpy.node import Node
 
 from ros_testing import StartProcess, node_on, own_domain, process_starter
+from tpgmm_ros.processes import REALTIME_PRIORITY
 
 #: In the order of the table.
 MODULES = ("controller", "controller_ends", "processes")
 
 
 class Bench(Protocol):
-    """Running nodes, and this process on the other side of their topics."""
+    """Running nodes, and this process on the other side of their topics.
+
+    Attributes:
+        realtime: this process has to keep up with nodes that run ahead of ordinary programs.
+    """
 
     name: ClassVar[str]
+    realtime: ClassVar[bool]
 
     @classmethod
     def open(cls, node: Node, start: StartProcess, directory: Path) -> Self:
@@ -78,12 +85,29 @@ def all_faults() -> list[Fault]:
 
 
 @contextlib.contextmanager
+def _ahead_of_ordinary_programs() -> Iterator[None]:
+    """This process, but none that it starts; where it is not permitted, all goes on as it is."""
+    with contextlib.suppress(OSError):
+        _schedule(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, REALTIME_PRIORITY - 1)
+    try:
+        yield
+    finally:
+        _schedule(os.SCHED_OTHER, 0)
+
+
+def _schedule(policy: int, priority: int) -> None:
+    for thread in Path("/proc/self/task").iterdir():
+        os.sched_setscheduler(int(thread.name), policy, os.sched_param(priority))
+
+
+@contextlib.contextmanager
 def _opened(kind: type[Bench], directory: Path) -> Iterator[Bench]:
     directory.mkdir(parents=True, exist_ok=True)
     with (
         own_domain(directory / "ros_log") as domain,
         node_on(domain) as node,
         process_starter(directory) as start,
+        _ahead_of_ordinary_programs() if kind.realtime else contextlib.nullcontext(),
     ):
         yield kind.open(node, start, directory)
 
