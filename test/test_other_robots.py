@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docs/your-robot.md as it stands, with real processes; and the poses of robots whose drivers publish joints alone."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from ros_graph import ROOT, Inbox, ros_arguments
+from ros_testing import RunningProcess, StartProcess, executable, spin_until
+from tpgmm_core.robot import RobotModel
+from tpgmm_ros import conversions
+from tpgmm_ros.qos import STREAM
+
+PAGE = (ROOT / "docs" / "your-robot.md").read_text()
+BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+#: A machine that is busy with other tests: fewer steps per second, and more time for each.
+SLOWER = {
+    "baxter_simulator": ["-p", "rate:=250.0"],
+    "impedance_controller": ["-p", "joint_state_timeout:=2.0", "-p", "reference_timeout:=2.0"],
+    "reproduction": ["-p", "start_timeout:=60.0"],
+}
+
+
+def write_files(folder: Path) -> None:
+    """The files of the page."""
+    for _, text in BLOCKS:
+        head, _, body = text.partition("\n")
+        if found := re.match(r"# (file|append): (\S+)", head):
+            with (folder / found[2]).open("w" if found[1] == "file" else "a") as file:
+                file.write(body)
+
+
+def commands(kind: str = "") -> list[list[str]]:
+    """The commands of the page's shell blocks with the first line `# kind`, or without one."""
+    found = []
+    for language, text in BLOCKS:
+        lines = text.splitlines()
+        named = lines[0].removeprefix("# ") if lines[0].startswith("# ") else ""
+        if language == "sh" and named == kind:
+            found += [shlex.split(line) for line in lines if not line.startswith("#")]
+    return found
+
+
+def run(command: list[str], folder: Path) -> str:
+    """What a program of the page prints."""
+    assert command[0] == ".venv/bin/python", command
+    done = subprocess.run([sys.executable, *command[1:]], cwd=folder, capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def start(command: list[str], folder: Path, start_process: StartProcess) -> RunningProcess:
+    """A node of the page, in a folder."""
+    program = Path(command[0])
+    assert program.parent == Path(".venv/lib/tpgmm_ros")
+    arguments = [re.sub(r":=(\w+\.(yaml|tpgmm))$", rf":={folder}/\1", word) for word in command[1:]]
+    return start_process(program.name, *arguments, *SLOWER.get(program.name, []))
+
+
+def test_a_newcomer_comes_from_a_urdf_to_a_movement(
+    tmp_path: Path, ros_node: Node, start_process: StartProcess
+) -> None:
+    write_files(tmp_path)
+    checked, taught, asked = commands()
+    whole = (tmp_path / "z1.yaml").read_text()
+    (tmp_path / "z1.yaml").write_text(whole.partition("armature:")[0])
+    before = run(checked, tmp_path)
+    (tmp_path / "z1.yaml").write_text(whole)
+    shown = re.search(r"^    6 joints.*?(?=^\S)", PAGE, re.MULTILINE | re.DOTALL)
+    assert shown is not None
+    for line in shown[0].splitlines():
+        assert line.strip().removesuffix("...") in before
+    assert "nothing suspicious" in run(checked, tmp_path)
+    run(taught, tmp_path)
+
+    robot = RobotModel.from_file(tmp_path / "z1.yaml")
+    torques = Inbox(ros_node, JointState, "joint_torques")
+    poses = Inbox(ros_node, PoseStamped, "endpoint/hand/pose")
+    processes = tuple(start(command, tmp_path, start_process) for command in commands("nodes"))
+    spin_until(ros_node, lambda: torques.messages and poses.messages, message="torques", processes=processes)
+    asking = start_process(sys.executable, str(tmp_path / asked[1]))
+    spin_until(ros_node, lambda: asking.returncode is not None, 120.0, "the end of the movement", processes)
+    assert re.search(r"^reached: ", asking.output, re.MULTILINE), asking.output
+    pose = conversions.pose_to_array(poses.last.pose)
+    np.testing.assert_allclose(pose[:3], [0.40, 0.13, 0.32], atol=0.01)
+    efforts = np.array([message.effort for message in torques.messages])
+    assert len(efforts) > 200
+    assert (np.abs(efforts) <= robot.effort_limits + 1e-9).all()
+
+
+def test_poses_of_the_end_points_come_from_joint_states(
+    tmp_path: Path, ros_node: Node, start_process: StartProcess
+) -> None:
+    write_files(tmp_path)
+    ((*command,),) = commands("node")
+    process = start([*command, "-p", "pose_rate:=50.0"], tmp_path, start_process)
+    robot = RobotModel.from_file(tmp_path / "z1.yaml")
+    states = ros_node.create_publisher(JointState, "joint_states", STREAM)
+    poses = Inbox(ros_node, PoseStamped, "endpoint/hand/pose")
+    names = ["gripper", *robot.joint_names[::-1]]  # more joints, in another order
+    q = robot.home + 0.1
+    stamp_ns = 0
+
+    def publish(step_ns: int) -> None:
+        nonlocal stamp_ns
+        stamp_ns += step_ns
+        states.publish(conversions.joint_state_message(names, stamp_ns, np.array([9.0, *q[::-1]])))
+
+    def heard() -> bool:
+        publish(5_000_000)
+        return len(poses.messages) >= 20
+
+    spin_until(ros_node, heard, message="poses", processes=(process,))
+    data = robot.create_data()
+    data.update(q)
+    np.testing.assert_allclose(conversions.pose_to_array(poses.last.pose), data.pose("hand"), atol=1e-12)
+    assert poses.last.header.frame_id == "link00"
+    stamps = np.array([conversions.time_to_ns(message.header.stamp) for message in poses.messages])
+    assert np.diff(stamps)[1:].min() >= 20_000_000  # the rate that was asked for, though four times as many states come
+    last_ns, stamp_ns = stamp_ns, 0
+    spin_until(
+        ros_node,
+        lambda: publish(20_000_000) or conversions.time_to_ns(poses.last.header.stamp) < last_ns // 2,
+        message="poses after the clock was set back",
+        processes=(process,),
+    )
+
+
+def test_joint_states_without_the_robots_joints_are_refused_in_words(
+    tmp_path: Path, ros_node: Node, start_process: StartProcess
+) -> None:
+    process = start_process("endpoint_poses", *ros_arguments(robot_file=ROOT / "config" / "ur5.yaml"))
+    states = ros_node.create_publisher(JointState, "joint_states", STREAM)
+
+    def refused() -> bool:
+        states.publish(conversions.joint_state_message(["wheel"], 1, np.zeros(1)))
+        return "joint state refused: joints missing: shoulder_pan_joint" in process.output
+
+    spin_until(ros_node, refused, message="words", processes=(process,))
+
+
+@pytest.mark.parametrize(("content", "reason"), [("urdf: a.urdf", "missing keys"), (None, "cannot read|No such file")])
+def test_a_robot_file_that_cannot_be_used_is_one_line_and_status_1(
+    tmp_path: Path, content: str | None, reason: str
+) -> None:
+    if content is not None:
+        (tmp_path / "robot.yaml").write_text(content)
+    done = subprocess.run(
+        [executable("check_robot"), str(tmp_path / "robot.yaml")], capture_output=True, text=True, timeout=100
+    )
+    assert done.returncode == 1
+    assert re.match(f"error: .*({reason}).*\n$", done.stderr), done.stderr
