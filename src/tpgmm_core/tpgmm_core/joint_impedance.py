@@ -22,15 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.control_law import LawConfig, LawTorques, RobotMoment
-from tpgmm_core.kernels import cholesky, compiled, invert_lower
 from tpgmm_core.kernels_impedance import standing_torques
+from tpgmm_core.kernels_joint import inertia_factor, joint_torques, precision_damping
 from tpgmm_core.reference import Reference
 from tpgmm_core.robot import RobotModel
 from tpgmm_core.settings import setting
-from tpgmm_core.torque_limits import finite, fit
+from tpgmm_core.torque_limits import finite
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 #: The terms of which the torque is the sum.
 TERMS = ("feedforward", "feedback", "hold", "leading")
@@ -61,6 +60,28 @@ class JointTarget:
     positions: Array
     velocities: Array
     precision: Array
+
+
+@dataclass(frozen=True, slots=True)
+class JointGains:
+    """What leads to a target, from where gains have got to. In the coordinates L^T q of the inertia M = L L^T:
+
+    damping : (n, n), D in joint coordinates, N m s/rad
+    ratio : (n, n), C of K = D L^-T C L^-1 D; I / 2 for the infinite horizon, which makes the damping ratio 1 / sqrt(2)
+    push : (n,), accelerations of these coordinates beside what follows the reference
+    """
+
+    damping: Array
+    ratio: Array
+    push: Array
+
+    def towards(self, other: JointGains, share: float) -> JointGains:
+        """A share (0 to 1) of the way to others. K stays definite, since D and C do."""
+        return JointGains(
+            self.damping + share * (other.damping - self.damping),
+            self.ratio + share * (other.ratio - self.ratio),
+            self.push + share * (other.push - self.push),
+        )
 
 
 class JointImpedanceLaw:
@@ -102,7 +123,7 @@ class JointImpedanceLaw:
         """Forget the target and the posture; the next step starts from the state that it is given."""
         self._target: JointTarget | None = None
         self._blend = 0.0
-        self._damping: Array | None = None
+        self._gains: JointGains | None = None
         self._posture: Array | None = None
 
     def target(self, reference: Reference, moving: bool) -> JointTarget:
@@ -159,32 +180,34 @@ class JointImpedanceLaw:
         error, stiffness, damping = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
         found = 0
         if self._target is not None:
-            # gains follow through D alone, which keeps every mode's damping ratio; leaps of K would feed in energy
-            known = self._damping is not None
-            share = min(1.0, dt / config.gain_time) if known else 1.0
-            self._damping = self._damping if self._damping is not None else np.zeros((n, n))
-            error[:] = self._target.positions - moment.q[joints]
-            found = joint_torques(
-                joints,
-                moment.inertia,
-                error,
-                self._target.velocities if target is not None else np.zeros(n),
-                moment.v,
-                self._target.precision,
-                config.joint_control_cost,
-                config.joint_min_stiffness,
-                config.joint_max_stiffness,
-                share,
-                weight,
-                self.robot.effort_limits,
-                given,
-                self._damping,
-                feedback,
-                stiffness,
-                damping,
-            )
+            L, F = np.zeros((n, n)), np.zeros((n, n))
+            wanted = self._wanted(self._target, L, F, dt) if inertia_factor(joints, moment.inertia, L, F) else None
+            if wanted is not None:
+                # leaps of K would feed in energy
+                last = wanted if self._gains is None else self._gains
+                self._gains = last.towards(wanted, min(1.0, dt / config.gain_time))
+                error[:] = self._target.positions - moment.q[joints]
+                found = joint_torques(
+                    joints,
+                    L,
+                    F,
+                    error,
+                    self._target.velocities if target is not None else np.zeros(n),
+                    moment.v,
+                    self._gains.damping,
+                    self._gains.ratio,
+                    self._gains.push if target is not None else np.zeros(n),
+                    weight,
+                    self.robot.effort_limits,
+                    given,
+                    feedback,
+                    stiffness,
+                    damping,
+                )
+            else:
+                found = -1
         else:
-            self._damping = None
+            self._gains = None
         tau = given + feedback
         unusable = found < 0 or not finite(tau)
         return LawTorques(
@@ -199,82 +222,11 @@ class JointImpedanceLaw:
             reason="the joint state is out of all proportion" if unusable else "",
         )
 
-
-@compiled
-def joint_torques(
-    joints: Indices,
-    M: Array,
-    error: Array,
-    velocities: Array,
-    v: Array,
-    precision: Array,
-    control_cost: float,
-    min_stiffness: float,
-    max_stiffness: float,
-    share: float,
-    weight: float,
-    effort_limits: Array,
-    given: Array,
-    D: Array,
-    feedback: Array,
-    stiffness: Array,
-    damping: Array,
-) -> int:
-    """Torques (nv,) that the reference of n joints asks for, scaled by the weight (0 to 1).
-
-    joints (n,) : places in the vectors (nv,); M (nv, nv), v (nv,); error, velocities (n,) of the reference
-    precision (n, n), symmetric; share : by which the gains go on to those of the precision
-    given (nv,) : what the motors give besides; D (n, n), in and out : the damping of the last step
-    feedback (nv,), stiffness, damping (n, n), out
-
-    Returns 0, 1 where motors too weak made it shorten something, -1 where the inertia or the precision is beyond
-    reckoning.
-    """
-    n = len(joints)
-    M_j, L, F = np.empty((n, n)), np.zeros((n, n)), np.empty((n, n))
-    for i in range(n):
-        for j in range(n):
-            M_j[i, j] = M[joints[i], joints[j]]
-    if not cholesky(M_j, n, L):
-        return -1
-    invert_lower(L, n, F)
-    for i in range(n):
-        L[i, i] = 1.0 / L[i, i]  # the kernel keeps reciprocals
-    S = F @ precision @ F.T
-    for i in range(n):
-        for j in range(i + 1):
-            if not np.isfinite(S[i, j]):
-                return -1
-            S[i, j] = S[j, i] = 0.5 * (S[i, j] + S[j, i])
-    values, vectors = np.linalg.eigh(S)
-    for k in range(n):
-        frequency = np.sqrt(max(values[k], 0.0) / control_cost)
-        # a fourth root, since the product with its own transpose follows
-        root = (2.0 * min(max(frequency, min_stiffness), max_stiffness)) ** 0.25
-        for i in range(n):
-            vectors[i, k] *= root
-    modes = L @ vectors
-    wanted = modes @ modes.T
-    for i in range(n):
-        for j in range(n):
-            D[i, j] += share * (wanted[i, j] - D[i, j])
-    half = F @ D
-    K = 0.5 * (half.T @ half)
-    pull, brake = K @ error, np.zeros(n)
-    sofar, limits = np.empty(n), np.empty(n)
-    for i in range(n):
-        for j in range(n):
-            brake[i] += weight * D[i, j] * (velocities[j] - v[joints[j]])
-            stiffness[i, j], damping[i, j] = weight * K[i, j], weight * D[i, j]
-        pull[i] *= weight
-        sofar[i], limits[i] = given[joints[i]], effort_limits[joints[i]]
-        if not (np.isfinite(pull[i]) and np.isfinite(brake[i]) and np.isfinite(sofar[i])):
-            return -1
-    # what brakes goes first: a pull beyond the motors' strength must not take the damping away
-    braking = fit(brake, sofar, limits)
-    for i in range(n):
-        sofar[i] += braking * brake[i]
-    pulling = fit(pull, sofar, limits)
-    for i in range(n):
-        feedback[joints[i]] = braking * brake[i] + pulling * pull[i]
-    return 1 if min(braking, pulling) < 1.0 else 0
+    def _wanted(self, target: JointTarget, L: Array, F: Array, dt: float) -> JointGains | None:
+        """The gains of a target, L and F = L^-1 (n, n) of the inertia; None where they are beyond reckoning."""
+        config, n = self.config, len(L)
+        damping = np.empty((n, n))
+        cost, lowest, highest = config.joint_control_cost, config.joint_min_stiffness, config.joint_max_stiffness
+        if not precision_damping(L, F, target.precision, cost, lowest, highest, damping):
+            return None
+        return JointGains(damping, 0.5 * np.eye(n), np.zeros(n))

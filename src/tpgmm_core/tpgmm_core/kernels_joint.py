@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled: the arithmetic of the joint-space laws; what is asked of it and why stands in `joint_impedance.py`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core.kernels import cholesky, compiled, invert_lower
+from tpgmm_core.torque_limits import fit
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@compiled
+def inertia_factor(joints: Indices, M: Array, L: Array, F: Array) -> bool:
+    """L (n, n) of the inertia of n joints, L L^T, and F = L^-1, from M (nv, nv); False where it is not definite.
+
+    L, F : out, zero before
+    """
+    n = len(joints)
+    part = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            part[i, j] = M[joints[i], joints[j]]
+    if not cholesky(part, n, L):
+        return False
+    invert_lower(L, n, F)
+    for i in range(n):
+        L[i, i] = 1.0 / L[i, i]  # the kernel keeps reciprocals
+    return True
+
+
+@compiled
+def precision_damping(
+    L: Array, F: Array, precision: Array, control_cost: float, min_stiffness: float, max_stiffness: float, D: Array
+) -> bool:
+    """D = L (2 S)^(1/2) L^T, S^2 = F Q F^T / r with the precision Q (n, n); False where S is beyond reckoning.
+
+    min_stiffness, max_stiffness : bounds of the eigenvalues of S, 1/s^2
+    """
+    n = len(L)
+    S = F @ precision @ F.T
+    for i in range(n):
+        for j in range(i + 1):
+            if not np.isfinite(S[i, j]):
+                return False
+            S[i, j] = S[j, i] = 0.5 * (S[i, j] + S[j, i])
+    values, vectors = np.linalg.eigh(S)
+    for k in range(n):
+        frequency = np.sqrt(max(values[k], 0.0) / control_cost)
+        # a fourth root, since the product with its own transpose follows
+        root = (2.0 * min(max(frequency, min_stiffness), max_stiffness)) ** 0.25
+        for i in range(n):
+            vectors[i, k] *= root
+    modes = L @ vectors
+    D[:] = modes @ modes.T
+    return True
+
+
+@compiled
+def joint_torques(
+    joints: Indices,
+    L: Array,
+    F: Array,
+    error: Array,
+    velocities: Array,
+    v: Array,
+    D: Array,
+    ratio: Array,
+    push: Array,
+    weight: float,
+    effort_limits: Array,
+    given: Array,
+    feedback: Array,
+    stiffness: Array,
+    damping: Array,
+) -> int:
+    """Torques (nv,) that the reference of n joints asks for, scaled by the weight (0 to 1).
+
+    joints (n,) : places in the vectors (nv,); L, F (n, n) of their inertia; error, velocities (n,) of the reference
+    v (nv,); D, ratio (n, n), push (n,) : of `JointGains`
+    given (nv,) : what the motors give besides
+    feedback (nv,), stiffness, damping (n, n), out
+
+    Returns 0, 1 where motors too weak made it shorten something, -1 where the state is beyond reckoning.
+    """
+    n = len(joints)
+    half = F @ D
+    K = half.T @ (ratio @ half)
+    pull, brake = K @ error + L @ push, np.zeros(n)
+    sofar, limits = np.empty(n), np.empty(n)
+    for i in range(n):
+        for j in range(n):
+            brake[i] += weight * D[i, j] * (velocities[j] - v[joints[j]])
+            stiffness[i, j], damping[i, j] = weight * K[i, j], weight * D[i, j]
+        pull[i] *= weight
+        sofar[i], limits[i] = given[joints[i]], effort_limits[joints[i]]
+        if not (np.isfinite(pull[i]) and np.isfinite(brake[i]) and np.isfinite(sofar[i])):
+            return -1
+    # what brakes goes first: a pull beyond the motors' strength must not take the damping away
+    braking = fit(brake, sofar, limits)
+    for i in range(n):
+        sofar[i] += braking * brake[i]
+    pulling = fit(pull, sofar, limits)
+    for i in range(n):
+        feedback[joints[i]] = braking * brake[i] + pulling * pull[i]
+    return 1 if min(braking, pulling) < 1.0 else 0

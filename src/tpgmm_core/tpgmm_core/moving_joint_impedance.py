@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`MovingJointImpedanceLaw`: joint-space impedance with the gains of a finite horizon, risk-sensitive if asked for.
+
+As `MovingImpedanceLaw`, for a Gaussian over joints: the cost of accelerations is R = r M(q), hence the horizon is that
+of a double integrator in the coordinates L^T q of M = L L^T, with the inertia of the present.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core.control.receding_horizon import receding_horizon_gains
+from tpgmm_core.joint_impedance import JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
+from tpgmm_core.moving_impedance import check_horizon
+from tpgmm_core.planning import PlanConfig, Schedule
+from tpgmm_core.reference import Reference
+from tpgmm_core.robot import RobotModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class MovingJointTarget(JointTarget):
+    """A reference and its course: positions (T, n) and covariances (T, n, n), `time_step` s apart; the first is now."""
+
+    course: Array
+    covariances: Array
+    time_step: float
+
+
+class MovingJointImpedanceLaw(JointImpedanceLaw):
+    """See the module; parameters and terms are those of `JointImpedanceLaw`.
+
+    plan : parameters of planning
+    fears : whether to be risk-sensitive; then a reference may come without a horizon, whose Gaussian goes on for ever
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        joints: Sequence[str],
+        config: JointImpedanceConfig | None = None,
+        *,
+        plan: PlanConfig | None = None,
+        fears: bool = False,
+    ) -> None:
+        self.plan, self.fears = plan or PlanConfig(), fears
+        super().__init__(robot, joints, config)
+        n = len(self.joint_names)
+        receding_horizon_gains(np.zeros((3, n)), np.tile(np.eye(n), (3, 1, 1)), 0.1, 1.0)  # compiles
+
+    def reset(self) -> None:
+        """As `JointImpedanceLaw.reset`."""
+        super().reset()
+        self._schedule = Schedule()
+        self._planned: JointGains | None = None
+
+    def target(self, reference: Reference, moving: bool) -> JointTarget:
+        """As `JointImpedanceLaw.target`, with what comes. Raises ValueError also for a reference without a horizon."""
+        here = super().target(reference, moving)
+        check_horizon(reference, needed=not self.fears)
+        course = (reference.gaussian, *reference.horizon) if moving else (reference.gaussian,)
+        positions, covariances = (np.stack([getattr(g, name) for g in course]) for name in ("mean", "covariance"))
+        return MovingJointTarget(
+            here.positions, here.velocities, here.precision, positions, covariances, reference.horizon_time_step
+        )
+
+    def _wanted(self, target: JointTarget, L: Array, F: Array, dt: float) -> JointGains | None:
+        if not isinstance(target, MovingJointTarget):
+            return super()._wanted(target, L, F, dt)
+        if self._schedule.due(dt, self.plan.plan_rate) or self._planned is None:
+            self._schedule.begun()
+            self._planned = self._solve(target, L)
+        return self._planned
+
+    def _solve(self, target: MovingJointTarget, L: Array) -> JointGains:
+        config, plan = self.config, self.plan
+        gains = receding_horizon_gains(
+            (target.course - target.course[0]) @ L,
+            L.T @ target.covariances @ L,
+            target.time_step,
+            config.joint_control_cost,
+            min_stiffness=config.joint_min_stiffness,
+            max_stiffness=config.joint_max_stiffness,
+            risk=plan.risk if self.fears else 0.0,
+            risk_stiffness=plan.risk_stiffness,
+        )
+        inverse = np.linalg.inv(gains.damping)
+        return JointGains(L @ gains.damping @ L.T, inverse @ gains.stiffness @ inverse, gains.acceleration)
