@@ -17,6 +17,8 @@ from tpgmm_core.kinematics.chains import Kinematics
 from tpgmm_core.kinematics.frames import KinematicFrame
 from tpgmm_core.kinematics.inverse import THRESHOLD
 from tpgmm_core.kinematics.tasks import Moment, compile_kernels
+from tpgmm_core.mixture import GaussianMixture
+from tpgmm_core.quaternion import Array
 from tpgmm_core.tpgmm import TPGMM
 
 
@@ -43,6 +45,15 @@ class MovingFrames:
             raise ValueError(f"the threshold of the damping is a positive number, got {self.threshold!r}")
         compile_kernels()
 
+    @property
+    def objects(self) -> frozenset[str]:
+        """Names of the objects that any of the frames needs; points of the robot are always there."""
+        return frozenset[str]().union(*map(self.objects_of, self.candidates))
+
+    def objects_of(self, name: str) -> frozenset[str]:
+        """Names of the objects that one of the frames needs."""
+        return self.candidates[name].objects - set(self.kinematics.points)
+
     def at(self, q: ArrayLike, objects: Mapping[str, Frame] | None = None) -> dict[str, Frame]:
         """All frames about the configuration q_{t-1} (n,), with the objects as they are now.
 
@@ -55,7 +66,8 @@ class MovingFrames:
             raise ValueError(f"a configuration has shape ({self.kinematics.n_joints},) and is finite, got {q}")
         objects = objects or {}
         moment = Moment(self.kinematics, q, objects, self.threshold)
-        frames = {name: f.at(moment) for name, f in self.candidates.items() if f.objects <= objects.keys()}
+        there = objects.keys() | set(self.kinematics.points)
+        frames = {name: f.at(moment) for name, f in self.candidates.items() if f.objects <= there}
         if not frames:
             raise ValueError(f"none of the objects that the frames need is there; there are {sorted(objects)}")
         return frames
@@ -78,9 +90,8 @@ class MovingFrames:
         """
         data = np.asarray(configurations, dtype=float)
         objects = objects or {}
-        needed = frozenset[str]().union(*(f.objects for f in self.candidates.values()))
-        if not needed <= objects.keys():
-            raise ValueError(f"the frames need the objects {sorted(needed)}, there are {sorted(objects)}")
+        if not self.objects <= objects.keys():
+            raise ValueError(f"the frames need the objects {sorted(self.objects)}, there are {sorted(objects)}")
         steps: dict[str, list[Frame]] = {name: [] for name in self.candidates}
         for t in range(len(data)):
             now = {name: frame.at(t) for name, frame in objects.items()}
@@ -105,6 +116,8 @@ class ConfigurationProduct:
     model : fitted to `MovingFrames.demonstration`s, over time as the first dimension or with one component
     frames : at least the model's
 
+    activations (K,) : weights of the components in the last step
+
     What no frame constrains stays at the configuration of the step before. Raises ValueError for a model of other
     frames, and a timeless mixture, which does not say when which component counts.
     """
@@ -125,6 +138,7 @@ class ConfigurationProduct:
         candidates = {name: frames.candidates[name] for name in model.frame_names_}
         self.frames = MovingFrames(frames.kinematics, candidates, frames.threshold)
         self._adapter = Adapter(model)
+        self.activations: Array = np.ones(1)
 
     def step(
         self,
@@ -140,12 +154,30 @@ class ConfigurationProduct:
 
         Raises ValueError like `MovingFrames.at`, and for a time too many or missing.
         """
-        frames = self.frames.at(q, objects)
         if (time is None) == self.over_time:
             raise ValueError(f"the model is {'' if self.over_time else 'not '}over time, got time = {time!r}")
+        frames, state = self._situation(q, objects, time)
         if time is None:
-            return self._adapter.adapt(frames, q, weights).component(0)
-        frames = {name: frame.with_time() for name, frame in frames.items()}
-        state = np.concatenate([[time], np.asarray(q, dtype=float)])
-        means, covariances, _ = self._adapter.adapt_and_condition(frames, [time], weights, state)
+            return self._adapter.adapt(frames, state, weights).component(0)
+        means, covariances, self.activations = self._adapter.adapt_and_condition(frames, [time], weights, state)
         return Gaussian(means[0], 0.5 * (covariances[0] + covariances[0].T))
+
+    def mixture(
+        self,
+        q: ArrayLike,
+        objects: Mapping[str, Frame] | None = None,
+        time: float | None = None,
+        weights: Mapping[str, float] | None = None,
+    ) -> GaussianMixture:
+        """All components in the situation of such a step, over time as the first dimension where the model is."""
+        frames, state = self._situation(q, objects, time)
+        return self._adapter.adapt(frames, state, weights)
+
+    def _situation(
+        self, q: ArrayLike, objects: Mapping[str, Frame] | None, time: float | None
+    ) -> tuple[dict[str, Frame], Array]:
+        """Frames and the state of the step before, with time where the model is over time."""
+        frames, state = self.frames.at(q, objects), np.asarray(q, dtype=float)
+        if time is None:
+            return frames, state
+        return {name: frame.with_time() for name, frame in frames.items()}, np.concatenate([[time], state])

@@ -13,7 +13,7 @@ from tpgmm_core.frame import Frame
 from tpgmm_core.kernels import inverse_left_jacobian, quaternion_difference
 from tpgmm_core.kinematics import inverse
 from tpgmm_core.kinematics.chains import Kinematics
-from tpgmm_core.quaternion import Array
+from tpgmm_core.quaternion import Array, rotation_matrix
 
 _PARTS = ("position", "orientation", "pose")
 
@@ -25,9 +25,10 @@ class Task:
     point : name of the point
     part : its position (m), its orientation, as the rotation vector (rad) about the fixed axes from the orientation
         that it is seen from, or both in this order
-    relative_to : the object that it is seen from, in the object's axes; the world where None. In the world a turn by pi
-        is where rotation vectors jump: an orientation far from that of the world's axes is better seen from an object,
-        which may be one that never moves
+    relative_to : the object that it is seen from, in the object's axes; the world where None. Another point of the
+        robot is an object too, one that moves with the joints: what two hands hold between them. In the world a turn
+        by pi is where rotation vectors jump: an orientation far from that of the world's axes is better seen from
+        an object, which may be one that never moves
     """
 
     point: str
@@ -103,12 +104,22 @@ class Moment:
 
     def _jacobian(self, task: Task) -> Array:
         """(m, n): velocity, angular velocity, or both, about the world's axes."""
-        J = self._kinematics.jacobian(task.point)
+        J: Array = self._kinematics.jacobian(task.point)
+        if task.relative_to is not None and task.relative_to in self._kinematics.points:
+            J = J - self._carried(task.point, task.relative_to)
         if task.part != "position" and len(J) != 6:
             raise ValueError(f"point {task.point!r} has a position only, the task asks for its {task.part}")
         m = len(J) if len(J) < 6 else 3
         rows = {"position": slice(0, m), "orientation": slice(3, 6), "pose": slice(0, 6)}[task.part]
         return np.array(J[rows], order="C")
+
+    def _carried(self, point: str, observer: str) -> Array:
+        """The motion of a point if it were fixed to another one, as a Jacobian; in the plane points do not turn."""
+        J = np.array(self._kinematics.jacobian(observer))
+        if len(J) == 6:
+            lever = self._kinematics.place(point)[:3] - self._kinematics.place(observer)[:3]
+            J[:3] -= np.cross(lever, J[3:], axisb=0, axisc=0)  # v + w x lever
+        return J
 
     def _view(self, task: Task) -> View:
         view = self._single.get(task)
@@ -136,6 +147,11 @@ class Moment:
         """Axes (m, m), position (m,) and quaternion (4,) of what the task is relative to."""
         if task.relative_to is None:
             return np.eye(m), np.zeros(m), np.array([0.0, 0.0, 0.0, 1.0])
+        if task.relative_to in self._kinematics.points:
+            place = self._kinematics.place(task.relative_to)
+            if dim < 7:
+                return np.eye(m), place, np.array([0.0, 0.0, 0.0, 1.0])
+            return rotation_matrix(place[3:]), place[:3], place[3:]
         frame = self._objects.get(task.relative_to)
         if frame is None:
             raise ValueError(f"object {task.relative_to!r} is not there; there are {sorted(self._objects)}")

@@ -16,11 +16,13 @@ class UrdfKinematics:
     """Some joints of a robot; the others stand still.
 
     robot : the robot; may be shared
-    joints : group of the robot file, or joints by name; their order is the order in q
+    joints : a group of the robot file, or several groups and joints by name; their order is the order in q
     points : end points of the robot file, or frames of the URDF; or names for such; the end points where None
     posture : (nv,), where the other joints are, rad and m; the robot's home where None
 
-    Poses and Jacobians are in the robot's base frame. Raises ValueError for unknown names.
+    joint_names : in the order of q
+
+    Poses and Jacobians are in the robot's base frame. Raises ValueError for unknown names, and no joints.
     """
 
     def __init__(
@@ -31,7 +33,9 @@ class UrdfKinematics:
         posture: ArrayLike | None = None,
     ) -> None:
         self._data = robot.create_data()
-        self._joints = robot.indices(joints)
+        groups = (joints,) if isinstance(joints, str) else joints
+        self._joints = np.concatenate([robot.indices(group) for group in groups])
+        self.joint_names = tuple(robot.joint_names[i] for i in self._joints)
         chosen = tuple(robot.endpoints) if points is None else points
         named = chosen if isinstance(chosen, Mapping) else {name: name for name in chosen}
         ends = robot.endpoint_frame_ids

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`KinematicMovement`: a model of kinematic frames as a movement that a loop steps through, in configuration space."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from tpgmm_core.frame import Frame
+from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.kinematics.moving import ConfigurationProduct, MovingFrames
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.mixture import GaussianMixture
+from tpgmm_core.quaternion import Array
+from tpgmm_core.reference import Reference
+from tpgmm_core.retrieval.interface import demonstrated_duration
+from tpgmm_core.retrieval.pace import Pace
+from tpgmm_core.tpgmm import TPGMM
+
+_SECOND = 1_000_000_000
+MAX_JOINT_SPEED = 1.0  # rad/s
+SPEED_TIME_CONSTANT = 0.1  # s, with which a new speed is taken over
+
+
+class KinematicMovement:
+    """A `Retrieval` whose states are configurations (n,): the product about where the robot is, at each step.
+
+    What the frames leave free stays where the robot is. The reference never jumps, whatever objects do: it goes on to
+    the product at `max_joint_speed` at most, all joints together. It stands for one moment and has no horizon, since
+    nobody knows where objects go. Objects are the frames that it asks for: poses over [time, pose], as a loop has them.
+
+    model : as for `ConfigurationProduct`
+    frames : at least the model's; for this movement alone
+    duration : s; as the model's metadata say where None. A model that is not over time goes on afterwards as before
+    max_joint_speed : rad/s
+
+    Raises ValueError like `ConfigurationProduct`, and for a time or a speed that is not positive.
+    """
+
+    def __init__(
+        self,
+        model: TPGMM,
+        frames: MovingFrames,
+        *,
+        duration: float | None = None,
+        max_joint_speed: float = MAX_JOINT_SPEED,
+    ) -> None:
+        self._model_duration = demonstrated_duration(model)
+        self._duration = self._model_duration if duration is None else duration
+        for name, value in (("duration", self._duration), ("max_joint_speed", max_joint_speed)):
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} is {value!r}; give a positive number")
+        self._product = ConfigurationProduct(model, frames)
+        self._max_joint_speed = max_joint_speed
+        self._needs = {name: self._product.frames.objects_of(name) for name in model.frame_names_}
+        self._pace = Pace(1.0, SPEED_TIME_CONSTANT)
+        self._last_ns: int | None = None
+        self._last: Gaussian | None = None
+        self._compile()
+
+    def _compile(self) -> None:
+        """A step where all objects are at the origin, so that no later one waits for the compiler."""
+        origin = Frame.from_pose(np.zeros(3), [0.0, 0.0, 0.0, 1.0]).with_time()
+        self.start(0, np.zeros(self._product.frames.kinematics.n_joints))
+        self.step(0, dict.fromkeys(self.frame_names, origin), weights=dict.fromkeys(self.frame_names, 1.0))
+        self._last_ns = self._last = None
+
+    @property
+    def manifold(self) -> Manifold:
+        return Manifold.euclidean(self._product.frames.kinematics.n_joints)
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """The objects that the model's frames need."""
+        return tuple(sorted(self._product.frames.objects))
+
+    @property
+    def duration(self) -> float:
+        return self._duration
+
+    @property
+    def speed(self) -> float:
+        """Of the model's time; see `Retrieval`. It is no speed of joints."""
+        return self._pace.target
+
+    @speed.setter
+    def speed(self, speed: float) -> None:
+        if not math.isfinite(speed):
+            raise ValueError(f"the speed is {speed!r}; give a finite number")
+        self._pace.target = float(speed)
+
+    def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
+        self._last_ns = time_ns
+        self._phase = min(max(phase, 0.0), 1.0)
+        self._pace.rate = self._pace.target
+        self._q = state
+        self._mean = state
+        self._last = None
+        self._objects: Mapping[str, Frame] | None = None
+
+    def step(
+        self,
+        time_ns: int,
+        frames: Mapping[str, Frame],
+        state: Array | None = None,
+        weights: Mapping[str, float] | None = None,
+    ) -> Reference:
+        """See `Retrieval.step`. Raises ValueError also while no state (n,), rad or m, was ever given."""
+        if self._last_ns is None:
+            raise ValueError("the movement has not been started: call start(time_ns)")
+        q = self._q if state is None else state
+        if q is None:
+            raise ValueError("the configuration of the robot is not known: its joint states have to come")
+        since = max(0.0, (time_ns - self._last_ns) / _SECOND)
+        if frames is not self._objects:
+            self._objects = frames
+            self._poses = {name: _without_time(frame) for name, frame in frames.items()}
+        self._phase = min(max(self._phase + self._pace.advance(since) / self._duration, 0.0), 1.0)
+        self._weights = self._weights_of_frames(weights)
+        product = self._product.step(q, self._poses, self._time, self._weights)
+        mean = q if self._mean is None else self._mean
+        way = product.mean - mean
+        farthest = float(np.abs(way).max())
+        reach = self._max_joint_speed * since
+        self._mean = product.mean if farthest <= reach else mean + way * (reach / farthest)
+        self._q, self._last_ns = q, time_ns
+        self._last = Gaussian(self._mean, product.covariance)
+        return Reference(
+            phase=self._phase,
+            gaussian=self._last,
+            horizon_time_step=0.0,
+            horizon=(),
+            activations=self._product.activations,
+            frames=tuple(frames),
+        )
+
+    def horizon(self, n: int, dt: float) -> list[Gaussian]:
+        """The last reference n times: should the frames stay, so does what it aims at."""
+        if self._last is None:
+            raise ValueError("there was no step yet: call start(time_ns) and step(...)")
+        return [self._last] * n
+
+    def mixture(self) -> GaussianMixture:
+        """The model about the last configuration, over it, and over time before it where the model is."""
+        if self._last is None or self._q is None:
+            raise ValueError("there was no step yet: call start(time_ns) and step(...)")
+        return self._product.mixture(self._q, self._poses, self._time, self._weights)
+
+    @property
+    def _time(self) -> float | None:
+        return self._phase * self._model_duration if self._product.over_time else None
+
+    def _weights_of_frames(self, weights: Mapping[str, float] | None) -> dict[str, float] | None:
+        """A frame is trusted as far as the object that it needs and that is trusted least."""
+        if weights is None:
+            return None
+        return {
+            name: min((weights.get(item, 1.0) for item in needed), default=1.0)
+            for name, needed in self._needs.items()
+            if needed <= self._poses.keys()
+        }
+
+
+def _without_time(frame: Frame) -> Frame:
+    """The frame of a pose, of one over [time, pose]."""
+    return Frame(frame.A[1:, 1:], frame.b[1:])
