@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.kernels import cholesky, compiled, invert_lower
-from tpgmm_core.torque_limits import fit
+from tpgmm_core.torque_limits import clamp
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -99,11 +99,14 @@ def joint_torques(
         sofar[i], limits[i] = given[joints[i]], effort_limits[joints[i]]
         if not (np.isfinite(pull[i]) and np.isfinite(brake[i]) and np.isfinite(sofar[i])):
             return -1
-    # what brakes goes first: a pull beyond the motors' strength must not take the damping away
-    braking = fit(brake, sofar, limits)
+    # What is too much for a motor is cut there alone: the others take its lack for one more push, and go on holding
+    # what they hold. Shortening all would let go of both arms where one shoulder is too weak. What brakes goes first.
+    shortened = 0
     for i in range(n):
-        sofar[i] += braking * brake[i]
-    pulling = fit(pull, sofar, limits)
-    for i in range(n):
-        feedback[joints[i]] = braking * brake[i] + pulling * pull[i]
-    return 1 if min(braking, pulling) < 1.0 else 0
+        most, least = max(limits[i] - sofar[i], 0.0), min(-limits[i] - sofar[i], 0.0)
+        braking = clamp(brake[i], least, most)
+        pulling = clamp(pull[i], min(least - braking, 0.0), max(most - braking, 0.0))
+        if braking != brake[i] or pulling != pull[i]:
+            shortened = 1
+        feedback[joints[i]] = braking + pulling
+    return shortened
