@@ -15,6 +15,8 @@ PROGRAMS := $(VENV)/lib/tpgmm_ros
 DONE := $(VENV)/.done
 
 SEED ?= 1
+# Of simulated time, for the soak
+MINUTES ?= 30
 # Data sets of others, which are no part of the repository
 DATA ?= ../shared/data
 
@@ -24,7 +26,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 say = @printf '\033[1m==> %s\033[0m\n' "$(1)"
 
-.PHONY: help setup lint format test properties demo bags results figures figure6 bench scaling lock clean
+.PHONY: help setup lint format test properties fuzz determinism soak demo bags results figures figure6 bench scaling lock clean
 
 help: ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -45,6 +47,16 @@ test: lint ## lint, then all tests
 
 properties: setup ## no sequence of inputs makes a torque or a rate beyond its limit: 10 000 sequences (`make test`: some)
 	TPGMM_PROPERTY_SEQUENCES=10000 $(PYTHON) -m pytest --timeout 3600 src/tpgmm_core/test/test_controller_properties.py
+
+fuzz: setup ## files and messages of strangers: refused in words, or sound; 20 000 of each kind (`make test`: some)
+	TPGMM_FUZZ_EXAMPLES=20000 $(PYTHON) -m pytest --timeout 7200 src/tpgmm_core/test/test_fuzz_model_file.py \
+		src/tpgmm_core/test/test_fuzz_robot_file.py src/tpgmm_core/test/test_file_bombs.py src/tpgmm_ros/test/test_fuzz_messages.py
+
+determinism: setup ## the demo in lockstep, twice: equal, bit by bit? out/determinism/ (SEED=7 for another situation)
+	PYTHONPATH=. $(PYTHON) benchmarks/determinism.py --seed $(SEED)
+
+soak: setup ## 30 minutes of simulated time with random faults (MINUTES=5 for less): tasks, memory: out/soak/
+	PYTHONPATH=. $(PYTHON) benchmarks/soak.py --minutes $(MINUTES) --seed $(SEED)
 
 demo: setup ## train, start the nodes, do the task: out/demo/ (SEED=7 for another situation)
 	$(PROGRAMS)/demo --seed $(SEED)

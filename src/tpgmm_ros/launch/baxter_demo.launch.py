@@ -4,9 +4,9 @@
 ros2 launch tpgmm_ros baxter_demo.launch.py model:=/path/to/model.tpgmm
 """
 
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
+from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler, SetEnvironmentVariable
 from launch.events import matches_action
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import LifecycleNode, Node
 from launch_ros.event_handlers import OnStateTransition
 from launch_ros.events.lifecycle import ChangeState
@@ -91,9 +91,12 @@ def generate_launch_description() -> LaunchDescription:
         output="screen",
         parameters=[robot, clock],
     )
+    discovery = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    this_machine = SetEnvironmentVariable(discovery, EnvironmentVariable(discovery, default_value="LOCALHOST"))
     return LaunchDescription(
         [
             *arguments,
+            this_machine,
             baxter_simulator,
             frame_tracker,
             *activated(reproduction),

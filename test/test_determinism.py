@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lockstep: the whole graph gives the same torques and poses twice, bit by bit, however busy the machine is."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.action import ActionClient
+from rclpy.node import Node
+
+from ros_graph import ROBOT_FILE, ROOT, TASK_FILE, result_of, ros_arguments
+from ros_testing import RunningProcess, StartProcess, spin_until
+from tpgmm_core.robot import RobotModel
+from tpgmm_msgs.action import Reproduce
+from tpgmm_ros import train
+from tpgmm_ros.demo.recording import Recording
+from tpgmm_ros.demo.world import Disturbances, World
+from tpgmm_ros.pick_place import random_situation
+from tpgmm_ros.task import Task
+
+DURATION = 1.0
+TIMEOUT = 120.0
+BUSY = "while True: pass"
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("model") / "model.tpgmm"
+    bags = [str(ROOT / "bags" / "pick_place" / f"demo_{i:02d}") for i in (1, 2, 3, 4)]
+    assert train.main(["--task", str(TASK_FILE), "--output", str(path), *bags]) == 0
+    return path
+
+
+def movement(node: Node, start: StartProcess, model: Path) -> tuple[str, np.ndarray, np.ndarray]:
+    """Digest of one movement on a graph of its own, its torques' stamps (T,), ns, and the way of the hand (T, 3)."""
+    task = Task.load(TASK_FILE)
+    random = np.random.default_rng(5)
+    situation, disturbances = random_situation(random), Disturbances.random(random, DURATION)
+    around = Node("world", context=node.context)
+    assert node.executor is not None
+    node.executor.add_node(around)
+    world = World(around, task, situation, disturbances, lockstep=True)
+    recorder = Node("recorder", context=node.context)
+    recording = Recording(recorder, task, list(RobotModel.from_file(ROBOT_FILE).joint_names))
+    waits = {"start_timeout": TIMEOUT, "settle_time": 0.05}
+    both = {"use_sim_time": True, "autostart": True}
+    processes: tuple[RunningProcess, ...] = (
+        start("frame_tracker", *ros_arguments(task_file=TASK_FILE, lockstep=True, use_sim_time=True)),
+        start(
+            "reproduction",
+            *ros_arguments(task_file=TASK_FILE, model_file=model, lockstep_rate=100.0, **waits, **both),
+        ),
+        start("impedance_controller", *ros_arguments(robot_file=ROBOT_FILE, lockstep=True, **both)),
+    )
+    client = ActionClient(node, Reproduce, "reproduce")
+    spin_until(node, client.server_is_ready, TIMEOUT, "the action", processes)
+    goal = result_of(node, client.send_goal_async(Reproduce.Goal(duration=DURATION)), "the goal", TIMEOUT)
+    ended = goal.get_result_async()
+    spin_until(node, lambda: recording.says("reproduction", "stage"), TIMEOUT, "the movement to wait", processes)
+    processes += (start("baxter_simulator", *ros_arguments(robot_file=ROBOT_FILE, lockstep=True)),)
+
+    def is_done() -> bool:
+        recording.poll()
+        return bool(ended.done())
+
+    spin_until(node, is_done, TIMEOUT, "the end of the movement", processes)
+    for process in reversed(processes):
+        process.stop()
+    client.destroy()
+    node.executor.remove_node(around)
+    around.destroy_node()
+    recorder.destroy_node()
+    assert world.started_ns is not None
+    torque, hand = recording.torque().since(world.started_ns), recording.hand().since(world.started_ns)
+    within = torque.stamps_ns <= world.started_ns + 1e9 * DURATION
+    return recording.digest(world.started_ns, DURATION), np.unique(torque.stamps_ns[within]), hand.values[:, :3]
+
+
+@pytest.mark.timeout(600)
+def test_two_runs_are_equal_bit_by_bit_also_when_other_programs_take_the_cores(
+    ros_node: Node, start_process: StartProcess, model: Path
+) -> None:
+    alone = movement(ros_node, start_process, model)
+    others = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(os.cpu_count() or 1)]
+    try:
+        crowded = movement(ros_node, start_process, model)
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+    for digest, stamps, hand in (alone, crowded):
+        assert len(stamps) == 1000 * DURATION + 1, "a torque for each millisecond"
+        assert np.linalg.norm(hand[-1] - hand[0]) > 0.05
+        assert digest == alone[0]
