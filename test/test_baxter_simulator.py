@@ -130,6 +130,15 @@ def test_in_lockstep_the_clock_stands_still_until_a_state_is_answered(lockstep: 
     assert clock == sorted(set(clock)) and set(clock) <= {before + i * TICK_NS for i in range(21)}
 
 
+def test_an_unanswered_state_comes_again_with_its_time_for_who_came_later(lockstep: Lockstep) -> None:
+    stamp = stamp_of(lockstep.states[-1])
+    lockstep.clock.clear()
+    seen = len(lockstep.states)
+    spin_until(lockstep.node, lambda: len(lockstep.clock.messages) > 1 and len(lockstep.states) > seen + 1)
+    assert {conversions.time_to_ns(message.clock) for message in lockstep.clock.messages} == {stamp}
+    assert {stamp_of(state) for state in list(lockstep.states)[seen:]} == {stamp}
+
+
 def test_an_answer_to_another_state_does_not_advance_the_clock(lockstep: Lockstep) -> None:
     stamp = stamp_of(lockstep.states[-1])
     for wrong in (stamp - TICK_NS, stamp + TICK_NS, 0):

@@ -130,6 +130,10 @@ class BaxterSimulatorNode(Node):
         state = self.simulator.state
         return self._data.nonlinear_effects(state.q, state.v) - self.parameters["idle_damping"] * state.v
 
+    def _publish_clock(self) -> None:
+        assert self._clock_publisher is not None
+        self._clock_publisher.publish(Clock(clock=conversions.time_from_ns(self._stamp_ns)))
+
     def _publish_state(self) -> None:
         state = self.simulator.state
         self._states.publish(conversions.joint_state_message(self._names, self._stamp_ns, state.q, state.v, state.tau))
@@ -172,18 +176,18 @@ class BaxterSimulatorNode(Node):
             self.monitor.step.add(time.perf_counter() - start)
 
     def _run_lockstep(self, executor: Executor, stop: StopFlag) -> None:
-        assert self._clock_publisher is not None
         while not stop.set:
             # Simulated time starts at 1 s: in ROS, zero means that time is not known yet.
             self._stamp_ns = SECOND + round(self._steps * self.time_step * SECOND)
             if self._steps % self._steps_per_clock == 0:
-                self._clock_publisher.publish(Clock(clock=conversions.time_from_ns(self._stamp_ns)))
+                self._publish_clock()
             self._publish_state()
             self._publish_poses()
             repeat_at = time.perf_counter() + REPEAT_AFTER
             while not (self._is_answered() or stop.set):
                 executor.spin_once(timeout_sec=0.01)
                 if time.perf_counter() > repeat_at:
+                    self._publish_clock()  # who came later, or knew an earlier simulator, has to learn when it is
                     self._publish_state()
                     self._publish_poses()
                     repeat_at += REPEAT_AFTER
