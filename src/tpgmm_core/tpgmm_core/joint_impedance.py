@@ -55,11 +55,15 @@ class JointImpedanceConfig(LawConfig):
 
 @dataclass(frozen=True, slots=True)
 class JointTarget:
-    """A reference that was found good: positions and velocities (n,), rad and rad/s, and the precision (n, n)."""
+    """A reference that was found good: positions and velocities (n,), rad and rad/s, and the precision (n, n).
+
+    accelerations : (n,), rad/s^2, that the reference has; None for none
+    """
 
     positions: Array
     velocities: Array
     precision: Array
+    accelerations: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,8 +164,6 @@ class JointImpedanceLaw:
         feedforward, feedback, hold, leading, given = rows = np.zeros((len(TERMS) + 1, nv))
         if self._posture is None:
             self._posture = moment.q.copy()
-        carried = moment.nonlinear.copy()
-        carried[joints] = moment.data.gravity(moment.q)[joints]
         standing_torques(
             joints,
             self._others,
@@ -169,7 +171,7 @@ class JointImpedanceLaw:
             moment.q,
             moment.v,
             self._posture,
-            carried,
+            self._carried(moment),
             config.hold_frequency,
             (1.0 - weight) * config.leading_damping,
             feedforward,
@@ -187,6 +189,9 @@ class JointImpedanceLaw:
                 last = wanted if self._gains is None else self._gains
                 self._gains = last.towards(wanted, min(1.0, dt / config.gain_time))
                 error[:] = self._target.positions - moment.q[joints]
+                push = self._gains.push.copy()
+                if self._target.accelerations is not None:
+                    push += L.T @ self._target.accelerations
                 found = joint_torques(
                     joints,
                     L,
@@ -196,7 +201,7 @@ class JointImpedanceLaw:
                     moment.v,
                     self._gains.damping,
                     self._gains.ratio,
-                    self._gains.push if target is not None else np.zeros(n),
+                    push if target is not None else np.zeros(n),
                     weight,
                     self.robot.effort_limits,
                     given,
@@ -221,6 +226,12 @@ class JointImpedanceLaw:
             shortened=found == 1,
             reason="the joint state is out of all proportion" if unusable else "",
         )
+
+    def _carried(self, moment: RobotMoment) -> Array:
+        """Torques (nv,) that are given whatever the error is."""
+        carried = moment.nonlinear.copy()
+        carried[self._joints] = moment.data.gravity(moment.q)[self._joints]
+        return carried
 
     def _wanted(self, target: JointTarget, L: Array, F: Array, dt: float) -> JointGains | None:
         """The gains of a target, L and F = L^-1 (n, n) of the inertia; None where they are beyond reckoning."""

@@ -8,7 +8,7 @@ of a double integrator in the coordinates L^T q of M = L L^T, with the inertia o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +27,9 @@ Array = NDArray[np.float64]
 class MovingJointTarget(JointTarget):
     """A reference and its course: positions (T, n) and covariances (T, n, n), `time_step` s apart; the first is now."""
 
-    course: Array
-    covariances: Array
-    time_step: float
+    course: Array = field(default_factory=lambda: np.zeros((1, 0)))
+    covariances: Array = field(default_factory=lambda: np.zeros((1, 0, 0)))
+    time_step: float = 0.0
 
 
 class MovingJointImpedanceLaw(JointImpedanceLaw):
@@ -66,7 +66,12 @@ class MovingJointImpedanceLaw(JointImpedanceLaw):
         course = (reference.gaussian, *reference.horizon) if moving else (reference.gaussian,)
         positions, covariances = (np.stack([getattr(g, name) for g in course]) for name in ("mean", "covariance"))
         return MovingJointTarget(
-            here.positions, here.velocities, here.precision, positions, covariances, reference.horizon_time_step
+            here.positions,
+            here.velocities,
+            here.precision,
+            course=positions,
+            covariances=covariances,
+            time_step=reference.horizon_time_step,
         )
 
     def _wanted(self, target: JointTarget, L: Array, F: Array, dt: float) -> JointGains | None:
@@ -78,16 +83,30 @@ class MovingJointImpedanceLaw(JointImpedanceLaw):
         return self._planned
 
     def _solve(self, target: MovingJointTarget, L: Array) -> JointGains:
-        config, plan = self.config, self.plan
-        gains = receding_horizon_gains(
-            (target.course - target.course[0]) @ L,
-            L.T @ target.covariances @ L,
-            target.time_step,
-            config.joint_control_cost,
-            min_stiffness=config.joint_min_stiffness,
-            max_stiffness=config.joint_max_stiffness,
-            risk=plan.risk if self.fears else 0.0,
-            risk_stiffness=plan.risk_stiffness,
-        )
-        inverse = np.linalg.inv(gains.damping)
-        return JointGains(L @ gains.damping @ L.T, inverse @ gains.stiffness @ inverse, gains.acceleration)
+        risk = self.plan.risk if self.fears else 0.0
+        course, covariances, time_step = target.course, target.covariances, target.time_step
+        return moving_joint_gains(L, course, covariances, time_step, self.config, risk, self.plan.risk_stiffness)
+
+
+def moving_joint_gains(
+    L: Array,
+    course: Array,
+    covariances: Array,
+    time_step: float,
+    config: JointImpedanceConfig,
+    risk: float = 0.0,
+    risk_stiffness: float = 1.0,
+) -> JointGains:
+    """Gains along a course of joints (T, n) with its covariances (T, n, n), and R = r L L^T as the control cost."""
+    gains = receding_horizon_gains(
+        (course - course[0]) @ L,
+        L.T @ covariances @ L,
+        time_step,
+        config.joint_control_cost,
+        min_stiffness=config.joint_min_stiffness,
+        max_stiffness=config.joint_max_stiffness,
+        risk=risk,
+        risk_stiffness=risk_stiffness,
+    )
+    inverse = np.linalg.inv(gains.damping)
+    return JointGains(L @ gains.damping @ L.T, inverse @ gains.stiffness @ inverse, gains.acceleration)

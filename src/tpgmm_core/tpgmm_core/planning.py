@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 from tpgmm_core.settings import check_settings, setting
 
@@ -27,6 +28,13 @@ class PlanConfig:
     def __post_init__(self) -> None:
         """Raises ValueError for values out of their range."""
         check_settings(self)
+
+
+@runtime_checkable
+class Planning(Protocol):
+    """A law that looks ahead: its `plan` may be set at any time, before `configure`."""
+
+    plan: PlanConfig
 
 
 def at_once[PlanT](work: Callable[[], PlanT]) -> Future[PlanT]:

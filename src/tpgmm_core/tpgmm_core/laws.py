@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The laws by name, and `ReferenceLaw`: each follows references of poses and of joints, by what a reference says it is.
+
+A reference on "R3 x S3" is a pose, of the law's end point. A Euclidean one whose dimensions are names of joints is a
+Gaussian over these joints. When references change from the one to the other, or to other joints, the torques go over
+from the one law to the other within `blend_time`; each is a sum that carries the robot, and so is what lies between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from tpgmm_core.control_law import ControlLaw, LawTorques, RobotMoment
+from tpgmm_core.impedance import ImpedanceConfig, ImpedanceLaw
+from tpgmm_core.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
+from tpgmm_core.manifold import POSE
+from tpgmm_core.moving_impedance import MovingImpedanceLaw
+from tpgmm_core.moving_joint_impedance import MovingJointImpedanceLaw
+from tpgmm_core.planning import PlanConfig, Planning, Submit, at_once
+from tpgmm_core.reference import Reference
+from tpgmm_core.robot import RobotModel
+
+#: Names of the joints that a law moves; none: those of the end point, by its pose.
+type Joints = tuple[str, ...]
+type _Law = ImpedanceLaw | JointImpedanceLaw
+
+
+@dataclass(frozen=True, slots=True)
+class LawSettings:
+    """Parameters of all laws: each takes those that it knows."""
+
+    pose: ImpedanceConfig = field(default_factory=ImpedanceConfig)
+    joint: JointImpedanceConfig = field(default_factory=JointImpedanceConfig)
+    plan: PlanConfig = field(default_factory=PlanConfig)
+
+    @classmethod
+    def filled(cls, fill: Callable[[type], Any]) -> LawSettings:
+        """Each of the parts by `fill`, which is given its class. Raises what `fill` raises."""
+        return cls(fill(ImpedanceConfig), fill(JointImpedanceConfig), fill(PlanConfig))
+
+
+#: Classes whose fields are the laws' parameters; they share some.
+CONFIGS: tuple[type, ...] = (ImpedanceConfig, JointImpedanceConfig, PlanConfig)
+
+
+@dataclass(frozen=True, slots=True)
+class LawTarget:
+    """A reference that was found good, and the law that follows it."""
+
+    law: ControlLaw[Any]
+    of_law: Any
+
+
+class ReferenceLaw:
+    """One of `LAWS`, for whatever references there are; see the module.
+
+    The laws of the end point's pose and of its joints are made at once, so that all is compiled; that of other joints
+    when they are named first, which takes some ms, once.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        robot: RobotModel,
+        endpoint: str = "left",
+        settings: LawSettings | None = None,
+        submit: Submit[Any] = at_once,
+    ) -> None:
+        """submit : where the predictive law's plans are made.
+
+        Raises ValueError for an unknown law or end point, and ImportError where a law's solver is not installed.
+        """
+        if name not in LAWS:
+            raise ValueError(f"there is no law '{name}'; expected one of {', '.join(LAWS)}")
+        if endpoint not in robot.endpoints:
+            raise ValueError(f"the robot has no end point {endpoint!r}; it has {list(robot.endpoints)}")
+        self.name, self.robot, self.endpoint, self._submit = name, robot, endpoint, submit
+        self._settings = settings or LawSettings()
+        arm = tuple(robot.joint_names[i] for i in robot.indices(robot.endpoints[endpoint].joints))
+        self._of_pose, self._of_joints = self._made(()), (arm, self._made(arm))
+        self.reset()
+
+    def configure(self, settings: LawSettings) -> None:
+        """Take other parameters, also while a reference is followed."""
+        self._settings = settings
+        for law in (self._of_pose, self._of_joints[1]):
+            if isinstance(law, Planning):
+                law.plan = settings.plan
+            if isinstance(law, ImpedanceLaw):
+                law.configure(settings.pose)
+            else:
+                law.configure(settings.joint)
+
+    def reset(self) -> None:
+        """Forget targets and postures; the next step starts from the state that it is given."""
+        self._current: ControlLaw[Any] = self._of_pose
+        self._former: ControlLaw[Any] | None = None
+        self._share = 1.0
+        self._current.reset()
+
+    def target(self, reference: Reference, moving: bool) -> LawTarget:
+        """What the law of the reference's kind makes of it.
+
+        Raises ValueError for a reference that is neither of a pose nor of joints of the robot, and as that law does.
+        """
+        law = self._law_of(self._joints_of(reference))
+        return LawTarget(law, law.target(reference, moving))
+
+    def step(self, moment: RobotMoment, target: LawTarget | None, dt: float) -> LawTorques:
+        """As `ControlLaw.step`; gains and error are those of the law that takes over, while one does."""
+        if target is not None and target.law is not self._current:
+            if target.law is self._former:
+                self._share = 1.0 - self._share
+            else:
+                target.law.reset()
+                self._share = 0.0
+            self._former, self._current = self._current, target.law
+        asked = self._current.step(moment, None if target is None else target.of_law, dt)
+        if self._former is None:
+            return asked
+        before = self._former.step(moment, None, dt)
+        self._share = min(1.0, self._share + dt / self._settings.pose.blend_time)
+        if self._share == 1.0:
+            self._former = None
+        return _between(before, asked, self._share**2 * (3.0 - 2.0 * self._share))
+
+    def _joints_of(self, reference: Reference) -> Joints:
+        manifold = reference.gaussian.manifold
+        if manifold == POSE:
+            return ()
+        names = reference.dimensions
+        known = all(name in self.robot.joint_names for name in names)
+        if not manifold.is_euclidean or not known or len(names) != manifold.dim:
+            raise ValueError(
+                f"the reference is on '{manifold}' with the dimensions {list(names)}; expected a pose on '{POSE}', or "
+                f"a Gaussian over joints, which its dimensions name, of {', '.join(self.robot.joint_names)}"
+            )
+        return names
+
+    def _law_of(self, joints: Joints) -> _Law:
+        if not joints:
+            return self._of_pose
+        if self._of_joints[0] != joints:
+            self._of_joints = joints, self._made(joints)
+        return self._of_joints[1]
+
+    def _made(self, joints: Joints) -> _Law:
+        return LAWS[self.name](self.robot, self.endpoint, joints, self._settings, self._submit)
+
+
+def _still(robot: RobotModel, endpoint: str, joints: Joints, settings: LawSettings, submit: Submit[Any]) -> _Law:
+    if joints:
+        return JointImpedanceLaw(robot, joints, settings.joint)
+    return ImpedanceLaw(robot, endpoint, settings.pose)
+
+
+def _moving(
+    robot: RobotModel, endpoint: str, joints: Joints, settings: LawSettings, submit: Submit[Any], fears: bool = False
+) -> _Law:
+    if joints:
+        return MovingJointImpedanceLaw(robot, joints, settings.joint, plan=settings.plan, fears=fears)
+    return MovingImpedanceLaw(robot, endpoint, settings.pose, plan=settings.plan, fears=fears)
+
+
+def _predictive(robot: RobotModel, endpoint: str, joints: Joints, settings: LawSettings, submit: Submit[Any]) -> _Law:
+    from tpgmm_core.predictive_law import PredictiveLaw  # its solver is optional
+
+    if joints:
+        return PredictiveLaw(robot, joints, None, settings.joint, plan=settings.plan, submit=submit)
+    arm = (robot.endpoints[endpoint].joints,)
+    return PredictiveLaw(robot, arm, endpoint, settings.joint, plan=settings.plan, submit=submit)
+
+
+#: The laws of minimal intervention control; docs/control.md says which to choose.
+LAWS: Mapping[str, Callable[[RobotModel, str, Joints, LawSettings, Submit[Any]], _Law]] = {
+    "infinite_horizon": _still,
+    "finite_horizon": _moving,
+    "predictive": _predictive,
+    "risk_sensitive": partial(_moving, fears=True),
+}
+
+
+def _between(before: LawTorques, after: LawTorques, share: float) -> LawTorques:
+    """Torques a share (0 to 1) of the way from one law to the other, term by term."""
+    zero = np.zeros_like(after.tau)
+    names = dict.fromkeys((*after.terms, *before.terms))
+    terms = {name: share * after.terms.get(name, zero) + (1.0 - share) * before.terms.get(name, zero) for name in names}
+    return replace(
+        after,
+        tau=share * after.tau + (1.0 - share) * before.tau,
+        terms=terms,
+        stiffness=share * after.stiffness,
+        damping=share * after.damping,
+        shortened=after.shortened or before.shortened,
+        reason=after.reason or before.reason,
+    )

@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`PredictiveLaw`: model predictive control of joints as a law of the controller, for references of poses or joints.
+
+`plan_rate` times per second the problem of `control.predictive` is solved from the state of the moment, along the
+reference's horizon, within the limits of torques, velocities and positions. Between two solutions, at every step, the
+joints follow the plan: its accelerations, and a feedback around it with the gains of the LQR along the same horizon.
+
+Where it is solved is for `submit` to say. In another thread no step waits for it, and a plan is some steps old when it
+comes: it is followed from where it then should be, since it knows when it began.
+
+Poses become objectives of joints by the Jacobian of the moment; what they leave free goes to the rest posture, as
+weakly as `joint_min_stiffness`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core.control.joint_space import to_joint_space
+from tpgmm_core.control.predictive import JointLimits, JointReference, Plan, PredictiveController
+from tpgmm_core.control_law import LawTorques, RobotMoment
+from tpgmm_core.joint_impedance import JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
+from tpgmm_core.manifold import POSE
+from tpgmm_core.moving_impedance import check_horizon
+from tpgmm_core.moving_joint_impedance import moving_joint_gains
+from tpgmm_core.planning import PlanConfig, Schedule, Submit, at_once
+from tpgmm_core.reference import Reference
+from tpgmm_core.robot import RobotModel
+
+Array = NDArray[np.float64]
+
+STEPS = 10
+#: Each step of the horizon is longer than the one before: the first is short, as gains are those of constant controls.
+GROWTH = 1.2
+
+
+@dataclass(frozen=True, slots=True)
+class PredictiveTarget:
+    """Where to be from now on: means (T, D) and precisions (T, m, m), `time_step` s apart; of a pose or of joints."""
+
+    means: Array
+    precisions: Array
+    time_step: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """All that a plan is made from; `jacobian` (6, n) and `pose` (7,) of the hand are None for references of joints."""
+
+    q: Array
+    v: Array
+    inertia: Array
+    nonlinear: Array
+    pose: Array | None
+    jacobian: Array | None
+    target: PredictiveTarget
+
+
+@dataclass(frozen=True, slots=True)
+class _Planned:
+    """A plan from q and v (n,) on, and the gains around it."""
+
+    q: Array
+    v: Array
+    plan: Plan
+    gains: JointGains
+
+
+class PredictiveLaw(JointImpedanceLaw):
+    """See the module. Its terms are those of `JointImpedanceLaw`; "feedback" holds what the plan asks for.
+
+    joints : as for `JointImpedanceLaw`
+    endpoint : the end point, moved by these joints, whose poses it follows; None: it follows references of the joints
+    submit : where plans are made; `at_once` waits for them
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        joints: Sequence[str],
+        endpoint: str | None = None,
+        config: JointImpedanceConfig | None = None,
+        *,
+        plan: PlanConfig | None = None,
+        submit: Submit[_Planned] = at_once,
+    ) -> None:
+        """Raises ValueError as `JointImpedanceLaw`, and for an unknown end point."""
+        if endpoint is not None and endpoint not in robot.endpoints:
+            raise ValueError(f"the robot has no end point {endpoint!r}; it has {list(robot.endpoints)}")
+        self.plan, self.endpoint, self._submit = plan or PlanConfig(), endpoint, submit
+        super().__init__(robot, joints, config)
+
+    def _compile(self) -> None:
+        home = RobotMoment.at(self.robot.create_data(), self.robot.home, np.zeros(self.robot.nv))
+        n = len(self._joints)
+        mean, size = (self.robot.home[self._joints], n) if self.endpoint is None else (home.data.pose(self.endpoint), 6)
+        target = PredictiveTarget(np.tile(mean, (2, 1)), np.tile(np.eye(size), (2, 1, 1)), 0.1)
+        self._submit, submit = at_once, self._submit
+        self.step(home, target, 0.001)
+        self._submit = submit
+        self.reset()
+
+    def configure(self, config: JointImpedanceConfig) -> None:
+        """Take other parameters, those of `plan` too, also while a reference is followed: from the next plan on."""
+        super().configure(config)
+        robot, joints = self.robot, self._joints
+        masses = np.diag(robot.create_data().mass_matrix(robot.home))[joints]
+        growing = GROWTH ** np.arange(STEPS)
+        margin = np.minimum(self.plan.plan_margin, 0.25 * (robot.upper_limits - robot.lower_limits))[joints]
+        limits = JointLimits(
+            torque=robot.effort_limits[joints],
+            velocity=np.minimum(robot.velocity_limits[joints], self.plan.plan_speed),
+            lower=robot.lower_limits[joints] + margin,
+            upper=robot.upper_limits[joints] - margin,
+        )
+        self._posture_precision = np.diag(config.joint_control_cost * config.joint_min_stiffness**2 * masses)
+        self._solver = PredictiveController(
+            self.plan.plan_horizon * growing / growing.sum(), limits, control_cost=config.joint_control_cost * masses
+        )
+
+    def reset(self) -> None:
+        """As `JointImpedanceLaw.reset`; a plan that is being made is forgotten."""
+        super().reset()
+        self._schedule = Schedule()
+        self._pending: tuple[Future[_Planned], float] | None = None
+        self._planned: _Planned | None = None
+        self._time = self._begun = 0.0
+        self._failed = False
+
+    @property
+    def latency(self) -> float:
+        """Age of the plan that is followed, s: since the state that it was made from."""
+        return self._time - self._begun
+
+    def target(self, reference: Reference, moving: bool) -> PredictiveTarget:  # type: ignore[override]
+        """Where to be, and how firmly, along the horizon; for ever as now without one, or if it is not moving.
+
+        Raises ValueError for a reference of another kind, not finite, or without an inverse covariance.
+        """
+        if self.endpoint is None:
+            super().target(reference, moving)
+        elif reference.gaussian.manifold != POSE:
+            raise ValueError(f"the reference is on '{reference.gaussian.manifold}'; expected a pose on '{POSE}'")
+        check_horizon(reference, needed=False)
+        course = (reference.gaussian, *reference.horizon) if moving else (reference.gaussian,)
+        means = np.stack([ahead.mean for ahead in course])
+        if not np.isfinite(means).all():
+            raise ValueError("the reference is not finite")
+        try:
+            precisions = np.stack([ahead.precision for ahead in course])
+        except ValueError as error:
+            raise ValueError(f"the reference cannot be followed: {error}") from error
+        return PredictiveTarget(means, precisions, reference.horizon_time_step)
+
+    def step(self, moment: RobotMoment, target: PredictiveTarget | None, dt: float) -> LawTorques:  # type: ignore[override]
+        """As `JointImpedanceLaw.step`; before the first plan is there as without a target."""
+        self._time += dt
+        if target is None:
+            self._pending = self._planned = None
+            self._schedule = Schedule()
+            return super().step(moment, None, dt)
+        if self._schedule.due(dt, self.plan.plan_rate) and self._pending is None:
+            self._schedule.begun()
+            problem, solver, config, rest = self._problem(moment, target), self._solver, self.config, self._rest()
+            posture = self._posture_precision
+            self._pending = self._submit(lambda: _solve(problem, solver, config, rest, posture)), self._time
+        if self._pending is not None and self._pending[0].done():
+            future, begun = self._pending
+            self._pending = None
+            self._failed = future.exception() is not None
+            if not self._failed:
+                self._planned, self._begun = future.result(), begun
+        planned = self._planned
+        return super().step(moment, None if planned is None else self._at(planned, self._time - self._begun), dt)
+
+    def _wanted(self, target: JointTarget, L: Array, F: Array, dt: float) -> JointGains | None:
+        if self._planned is None:
+            return self._gains  # letting go
+        return None if self._failed else self._planned.gains
+
+    def _carried(self, moment: RobotMoment) -> Array:
+        return moment.nonlinear  # the plan is one of accelerations: nothing may be left to the robot
+
+    def _rest(self) -> Array:
+        return self.robot.home[self._joints]
+
+    def _problem(self, moment: RobotMoment, target: PredictiveTarget) -> _Problem:
+        """Copies: the next step overwrites what a moment holds."""
+        i = self._joints
+        pose = jacobian = None
+        if self.endpoint is not None:
+            pose = np.array(moment.data.pose(self.endpoint))
+            jacobian = np.array(moment.data.jacobian(self.endpoint)[:, i])
+        return _Problem(
+            moment.q[i].copy(),
+            moment.v[i].copy(),
+            np.array(moment.inertia[np.ix_(i, i)]),
+            moment.nonlinear[i].copy(),
+            pose,
+            jacobian,
+            target,
+        )
+
+    def _at(self, planned: _Planned, age: float) -> JointTarget:
+        """Where the plan is some time (s) after it began; at its last position once it is over."""
+        steps, plan, n = self._solver.time_steps, planned.plan, len(self._joints)
+        ends = np.cumsum(steps)
+        k = int(np.searchsorted(ends, age, side="right"))
+        if k >= len(steps):
+            return JointTarget(plan.positions[-1], np.zeros(n), np.zeros((n, n)))
+        q, v = (planned.q, planned.v) if k == 0 else (plan.positions[k - 1], plan.velocities[k - 1])
+        t, a = age - (ends[k] - steps[k]), plan.accelerations[k]
+        return JointTarget(q + t * v + 0.5 * t**2 * a, v + t * a, np.zeros((n, n)), a)
+
+
+def _solve(
+    problem: _Problem,
+    solver: PredictiveController,
+    config: JointImpedanceConfig,
+    rest: Array,
+    posture_precision: Array,
+) -> _Planned:
+    """A plan, and gains, from a problem alone. Raises ValueError for numbers that are beyond reckoning."""
+    positions, precisions = _course(problem, rest, posture_precision)
+    dt = problem.target.time_step
+    known = dt * np.arange(len(positions))
+    at = np.array([np.interp(solver.times, known, joint) for joint in positions.T]).T
+    knot = np.searchsorted(known, solver.times, side="right") - 1
+    try:
+        L = np.linalg.cholesky(problem.inertia)
+        gains = moving_joint_gains(L, positions, np.linalg.inv(precisions), dt, config)
+    except np.linalg.LinAlgError as error:
+        raise ValueError(f"no plan can be made: {error}") from error
+    bounded = JointReference(positions=at, precisions=_bounded(precisions, L, config)[knot])
+    plan = solver.solve(problem.q, problem.v, bounded, problem.inertia, problem.nonlinear)
+    return _Planned(problem.q, problem.v, plan, replace(gains, push=np.zeros(len(rest))))  # the plan has it
+
+
+def _course(problem: _Problem, rest: Array, posture_precision: Array) -> tuple[Array, Array]:
+    """Positions (T, n) and precisions (T, n, n) of the joints."""
+    target, q, n = problem.target, problem.q, len(problem.q)
+    if problem.pose is None or problem.jacobian is None:
+        return target.means, target.precisions
+    both = []
+    for mean, precision in zip(target.means, target.precisions, strict=True):
+        errors = [POSE.log(problem.pose, mean), rest - q]
+        both.append(to_joint_space([precision, posture_precision], [problem.jacobian, np.eye(n)], errors, q))
+    return np.stack([positions for _, positions in both]), np.stack([precision for precision, _ in both])
+
+
+def _bounded(precisions: Array, L: Array, config: JointImpedanceConfig) -> Array:
+    """Precisions (T, n, n) that ask for the stiffness that is permitted, in the coordinates L^T q of the inertia."""
+    F = np.linalg.inv(L)
+    values, vectors = np.linalg.eigh(F @ precisions @ F.T)
+    cost = config.joint_control_cost
+    values = np.clip(values, cost * config.joint_min_stiffness**2, cost * config.joint_max_stiffness**2)
+    basis = L @ vectors
+    return np.asarray((basis * values[:, None, :]) @ basis.mT)
