@@ -24,6 +24,7 @@ from domain_coordinator import domain_id
 from rclpy.action import ActionClient
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from benchmarks.soak_world import SoakWorld
@@ -248,7 +249,7 @@ def main() -> int:
     error = ""
     with domain_id() as domain:
         os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-        rclpy.init(args=[])
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C ends with a report
         node = Node("soak")
         executor = EventsExecutor()
         executor.add_node(node)
