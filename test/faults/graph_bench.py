@@ -22,14 +22,16 @@ from ros_testing import STARTUP_TIMEOUT, RunningProcess, StartProcess, spin_unti
 from simulated_hand import ROBOT
 from tpgmm_core.supervision import ControllerMode
 from tpgmm_msgs.action import Reproduce
-from tpgmm_msgs.msg import ControllerState, Reference
+from tpgmm_msgs.msg import ControllerState, Reference, TaskFrame, TaskParameters
 from tpgmm_ros import conversions, train
 from tpgmm_ros.pick_place import Situation, random_situation
 from tpgmm_ros.processes import REALTIME_PRIORITY
 from tpgmm_ros.qos import STREAM
 
 #: Duration of the movements that are asked for, s.
-DURATION = 3.0
+DURATION = 4.0
+#: Joint states per second.
+RATE = 500.0
 #: `torque_rate`, effort limits per second; and for how long a pause counts, s.
 TORQUE_RATE, MAX_TIME_STEP = 30.0, 0.005
 #: Without a restart, a node that has come back is at work within this, s.
@@ -42,24 +44,30 @@ class GraphBench:
     Attributes:
         places: the pose of each frame that is seen, published 50 times per second; what is taken out is not seen.
         distort: called with each pose message of a frame before it is published.
+        usual: what the reference does without a fault: its speed at most, m/s, and its largest change in one step.
     """
 
     name: ClassVar[str] = "graph"
     realtime: ClassVar[bool] = True
+    #: Further parameters of the nodes.
+    more: ClassVar[dict[str, dict[str, object]]] = {}
 
     def __init__(self, node: Node, start: StartProcess, directory: Path) -> None:
         self.node, self._start, self.directory = node, start, directory
         self.model_file = trained(directory / "model.tpgmm")
         real_time = {"realtime_priority": REALTIME_PRIORITY}
         task, robot = {"task_file": TASK_FILE, **real_time}, {"robot_file": ROBOT_FILE, **real_time}
+        answering = {"autostart": True, "joint_state_rate": RATE}
         self.parameters: dict[str, dict[str, object]] = {
             "frame_tracker": task,
             "reproduction": {
-                **task, "model_file": self.model_file, "autostart": True, "settle_time": 0.5, "start_timeout": 2.0
+                **task, **answering, "model_file": self.model_file, "settle_time": 0.5, "start_timeout": 2.0
             },
-            "impedance_controller": {**robot, "autostart": True},
-            "baxter_simulator": {**robot, "rate": 500.0},
+            "impedance_controller": {**robot, **answering},
+            "baxter_simulator": {**robot, "rate": RATE},
         }  # fmt: skip
+        for name, values in self.parameters.items():
+            values.update(self.more.get(name, {}))
         self.situation: Situation = random_situation(np.random.default_rng(3))
         self.places: dict[str, np.ndarray] = {}
         self.distort: Callable[[str, PoseStamped], object] = lambda name, message: None
@@ -67,6 +75,7 @@ class GraphBench:
         self.states = Inbox(node, JointState, "joint_states", ALL)
         self.references = Inbox(node, Reference, "reference", ALL)
         self.modes = Inbox(node, ControllerState, "controller_state", ALL_LATCHED)
+        self.frames = Inbox(node, TaskParameters, "task_parameters", ALL_LATCHED)
         self.diagnostics = Diagnostics(node)
         self.client = ActionClient(node, Reproduce, "reproduce")
         self._eyes = {name: node.create_publisher(PoseStamped, f"{name}/pose", STREAM) for name in ("object", "target")}
@@ -74,13 +83,28 @@ class GraphBench:
         self.processes: dict[str, RunningProcess] = {}
         for name in self.parameters:
             self.start(name)
+        self.see_all()
+        self.wait(self.is_ready, "all nodes to be at work", 3 * STARTUP_TIMEOUT)
+        self.usual = (0.0, 0.0)
 
     @classmethod
     def open(cls, node: Node, start: StartProcess, directory: Path) -> Self:
         return cls(node, start, directory)
 
+    def is_ready(self) -> bool:
+        """Whether a movement may be asked for."""
+        seen = {item.name for message in self.frames.messages[-1:] for item in message.frames if item.confidence == 1.0}
+        return self.client.server_is_ready() and bool(self.torques.messages) and seen >= set(self.places)
+
     def prepare(self) -> None:
+        self.alive()
         self.see_all()
+        self.wait(self.is_ready, "all nodes to be at work")
+        if self.usual == (0.0, 0.0):
+            for _ in range(2):  # the second begins where the first has ended, as all others do
+                result = self.result(self.move())
+                assert result.success, result.reason
+            self.usual = self.reference_steps()
         self.clear()
 
     def settle(self) -> str:
@@ -111,6 +135,10 @@ class GraphBench:
         """Start a node of the graph, which may be there already."""
         return self._start(name, *ros_arguments(**self.parameters[name]))
 
+    def start_program(self, *command: str) -> RunningProcess:
+        """Start a program on the domain of the nodes."""
+        return self._start(*command)
+
     def kill(self, name: str) -> None:
         """SIGKILL: it says nothing more."""
         self.processes[name].send_signal(signal.SIGKILL)
@@ -140,8 +168,7 @@ class GraphBench:
 
     def _see(self) -> None:
         for name, place in self.places.items():
-            now = self.node.get_clock().now().nanoseconds
-            message = conversions.pose_stamped(place, now, "base")
+            message = conversions.pose_stamped(place, self.now_ns(), "base")
             self.distort(name, message)
             self._eyes[name].publish(message)
 
@@ -178,11 +205,16 @@ class GraphBench:
 
     def clear(self) -> None:
         """Forget what was published so far."""
-        for inbox in (self.torques, self.states, self.references, self.modes):
+        for inbox in (self.torques, self.states, self.references, self.modes, self.frames):
             inbox.clear()
 
     def now_ns(self) -> int:
+        """The time of the stamps."""
         return self.node.get_clock().now().nanoseconds
+
+    def seen(self, name: str) -> list[TaskFrame]:
+        """A frame in all task parameters since `clear`."""
+        return [item for message in self.frames.messages for item in message.frames if item.name == name]
 
     def said(self, node: str, words: str) -> Callable[[], bool]:
         """Whether the diagnostics of a node say something."""
@@ -224,22 +256,21 @@ class GraphBench:
         return f"torques at most {100 * share:.0f} % of their limits, {100 * self.rate():.0f} % of torque_rate"
 
     def reference_steps(self) -> tuple[float, float]:
-        """Largest distance from one reference to the next as a speed, m/s; and the largest change of that speed."""
-        messages = self.references.messages
+        """The reference's speed at most, m/s, since the last movement began, and its largest change in one step."""
+        phases = np.array([message.phase for message in self.references.messages])
+        begin = 1 + max(np.flatnonzero(np.diff(phases) < -0.5), default=-1)
+        messages = self.references.messages[begin:]
         path = np.array([message.gaussian.mean[:3] for message in messages])
         seconds = 1e-9 * np.diff([conversions.time_to_ns(message.header.stamp) for message in messages])
-        velocity = np.diff(path, axis=0) / seconds[:, None]
-        return float(np.linalg.norm(velocity, axis=1).max()), float(
-            np.linalg.norm(np.diff(velocity, axis=0), axis=1).max(initial=0.0)
-        )
+        velocity = np.diff(path, axis=0)[seconds > 0] / seconds[seconds > 0, None]
+        change = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
+        return float(np.linalg.norm(velocity, axis=1).max()), float(change.max())
 
 
 def trained(path: Path, *options: str) -> Path:
     """A small model of the recorded demonstrations."""
     few = ["--components", "8", "--every", "10", *options]
     with contextlib.redirect_stdout(io.StringIO()):
-        status = train.main(
-            ["--task", str(TASK_FILE), "--output", str(path), *few, str(ROOT / "bags" / "pick_place")]
-        )
+        status = train.main(["--task", str(TASK_FILE), "--output", str(path), *few, str(ROOT / "bags" / "pick_place")])
     assert status == 0
     return path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes that are killed, suspended, started twice, or kept from their processor: the others go on, and wait for them."""
+"""Nodes that are killed, suspended, started twice, or kept from their processor: the others wait for them."""
 
 from __future__ import annotations
 

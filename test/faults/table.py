@@ -17,7 +17,7 @@ from ros_testing import StartProcess, node_on, own_domain, process_starter
 from tpgmm_ros.processes import REALTIME_PRIORITY
 
 #: In the order of the table.
-MODULES = ("controller", "controller_ends", "processes")
+MODULES = ("controller", "controller_ends", "perception", "movement", "processes")
 
 
 class Bench(Protocol):
@@ -107,9 +107,11 @@ def _opened(kind: type[Bench], directory: Path) -> Iterator[Bench]:
         own_domain(directory / "ros_log") as domain,
         node_on(domain) as node,
         process_starter(directory) as start,
-        _ahead_of_ordinary_programs() if kind.realtime else contextlib.nullcontext(),
     ):
-        yield kind.open(node, start, directory)
+        bench = kind.open(node, start, directory)
+        # only now: threads that are made later are ordinary ones
+        with _ahead_of_ordinary_programs() if kind.realtime else contextlib.nullcontext():
+            yield bench
 
 
 class Benches:
