@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The program: teach, learn, push, report."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from domain_coordinator import domain_id
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from tqdm import tqdm
+
+import tpgmm_ros.figure5 as package
+from tpgmm_core.robot import RobotModel
+from tpgmm_ros.bag_messages import BagError
+from tpgmm_ros.figure5.pictures import draw
+from tpgmm_ros.figure5.report import evaluate, table
+from tpgmm_ros.figure5.sequences import CUP, SEQUENCES, SUGAR, Course, random_pushes, run_sequence
+from tpgmm_ros.figure5.session import START_TIMEOUT, Session
+from tpgmm_ros.figure5.teaching import learn, record_lesson
+from tpgmm_ros.processes import GraphError, NodeProcesses
+from tpgmm_ros.reporting import write_report
+from tpgmm_ros.resources import config_file
+from tpgmm_ros.task import Task, TaskError
+
+TASKS = (CUP, SUGAR)
+
+
+def main() -> int:
+    arguments = _parser().parse_args()
+    # A report of an earlier success must not stand beside a failure of any kind.
+    (arguments.output / "report.json").unlink(missing_ok=True)
+    try:
+        passed = _run(arguments)
+    except (GraphError, TaskError, BagError, OSError, ValueError) as error:
+        write_report(arguments.output, {"passed": False, "error": str(error)})
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        write_report(arguments.output, {"passed": False, "error": "interrupted"})
+        print("interrupted", file=sys.stderr)
+        return 130
+    return 0 if passed else 1
+
+
+def _run(arguments: argparse.Namespace) -> bool:
+    robot = RobotModel.from_file(arguments.robot)
+    tasks = {name: Task.load(config_file(f"{name}.yaml")) for name in TASKS}
+    bags = {name: arguments.bags / name if arguments.bags else arguments.output / "bags" / name for name in TASKS}
+    if arguments.bags is None:
+        print("1. teaching, each task by one demonstration")
+        for number, (name, task) in enumerate(tasks.items()):
+            shutil.rmtree(bags[name], ignore_errors=True)
+            with _session(arguments, robot, f"teach_{name}") as session:
+                _start_controller(session, arguments, lockstep=False)
+                session.start_simulator(arguments.robot)
+                record_lesson(session, task, bags[name], np.random.default_rng([arguments.seed, number]))
+    print("2. learning: a single Gaussian in each frame")
+    models = {name: learn(task, bags[name]) for name, task in tasks.items()}
+    for name, model in models.items():
+        model.save(arguments.output / f"{name}.tpgmm")
+    print(f"3. the four sequences, {arguments.pushes} random pushes of each kind")
+    courses = _sequences(arguments, robot)
+    report = evaluate(robot, tasks, models, courses)
+    report["real_time"] = arguments.real_time
+    draw(robot, courses, arguments.output)
+    path = write_report(arguments.output, report)
+    print(table(report))
+    print(f"report and pictures: {path.parent}")
+    return bool(report["passed"])
+
+
+def _sequences(arguments: argparse.Namespace, robot: RobotModel) -> list[Course]:
+    pushes = random_pushes(arguments.pushes, np.random.default_rng([arguments.seed, 5]))
+    total = sum(planned.kind in sequence.kinds for sequence in SEQUENCES for planned in pushes)
+    with _session(arguments, robot, "sequences") as session, tqdm(total=total, unit="push", desc="pushing") as progress:
+        _start_controller(session, arguments, lockstep=session.lockstep)
+        session.graph.processes.start(
+            "joint_reference",
+            robot_file=arguments.robot,
+            task_files=str([str(config_file(f"{name}.yaml")) for name in TASKS]),
+            model_files=str([str((arguments.output / f"{name}.tpgmm").absolute()) for name in TASKS]),
+            lockstep=session.lockstep,
+            use_sim_time=session.lockstep,
+            realtime_priority=session.priority,
+        )
+        choose = _chooser(session)
+        session.start_simulator(arguments.robot)
+        return [run_sequence(session, sequence, pushes, choose, progress.update) for sequence in SEQUENCES]
+
+
+@contextmanager
+def _session(arguments: argparse.Namespace, robot: RobotModel, name: str) -> Iterator[Session]:
+    """Nodes on a ROS domain that nobody else uses; they end with it."""
+    lockstep = not arguments.real_time
+    with domain_id() as domain:
+        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+        rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+        node = Node("figure5", parameter_overrides=[Parameter("use_sim_time", value=lockstep)])
+        executor = EventsExecutor()
+        executor.add_node(node)
+        try:
+            with NodeProcesses(arguments.output / "log" / name) as processes:
+                yield Session(node, executor, processes, robot, lockstep)
+        finally:
+            executor.remove_node(node)
+            node.destroy_node()
+            rclpy.shutdown()
+
+
+def _start_controller(session: Session, arguments: argparse.Namespace, lockstep: bool) -> None:
+    """The controller; while it is taught there are no references, so that it compensates gravity."""
+    session.graph.processes.start(
+        "impedance_controller",
+        robot_file=arguments.robot,
+        law="joint_space",
+        lockstep=lockstep,
+        use_sim_time=session.lockstep,
+        realtime_priority=session.priority,
+    )
+    session.graph.bring_up("impedance_controller", START_TIMEOUT)
+
+
+def _chooser(session: Session) -> Callable[[tuple[str, ...]], None]:
+    """What sets the tasks that hold, once all nodes have answered the present state."""
+    client = session.graph.node.create_client(SetParameters, "joint_reference/set_parameters")
+    session.graph.wait_for(client.service_is_ready, START_TIMEOUT, "joint_reference to appear")
+
+    def choose(names: tuple[str, ...]) -> None:
+        session.settle()
+        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=",".join(names))
+        request = SetParameters.Request(parameters=[ParameterMessage(name="active", value=value)])
+        for result in session.graph.result(client.call_async(request), START_TIMEOUT, "the choice of tasks").results:
+            if not result.successful:
+                raise GraphError(f"joint_reference refused the tasks {names}: {result.reason}")
+
+    return choose
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="figure5", description=package.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    shown = "(default: %(default)s)"
+    parser.add_argument("--seed", type=int, default=1, help=f"of lessons and pushes {shown}")
+    parser.add_argument("--pushes", type=int, default=20, help=f"random pushes of each kind {shown}")
+    parser.add_argument("--bags", type=Path, help="directory of recorded lessons; without it they are taught anew")
+    parser.add_argument("--output", type=Path, default=Path("out/figure5"), help=f"report, pictures, models {shown}")
+    parser.add_argument("--robot", type=Path, default=config_file("baxter.yaml"), help=f"robot file {shown}")
+    parser.add_argument("--real-time", action="store_true", help="at 1 kHz of real time instead of in lockstep")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The four sequences of Figure 5, and what is tried in them: random pushes, and small forces to tell how soft it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tpgmm_ros.figure5.lessons import HANDS, Array
+from tpgmm_ros.figure5.session import Segment, Session, Wrench
+from tpgmm_ros.figure5.touches import elbow, push, smooth_step, to_start
+
+CUP, SUGAR = "hold_cup", "hold_sugar"
+#: The tasks take hold and the arms come to rest within this time, s.
+SETTLE = 2.0
+#: A push moves the link within this time, holds it there, and lets go; then it is watched, s.
+MOVE, HELD, AFTER = 1.0, 0.6, 1.4
+#: By how much hands are to be moved, and elbows, m: people do not get all the way against the robot's resistance.
+HAND_WAY, ELBOW_WAY = (0.13, 0.28), (0.09, 0.12)
+#: Forces, N, and torques, N m, that tell how soft the robot is, and how long they act, s.
+PROBE_FORCE, PROBE_TORQUE, PROBE_TIME, PROBE_REST = 6.0, 1.0, 1.5, 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """One push, planned: "hand" moves the left hand by a way (3,), m; "elbow" moves an elbow by a distance, m, in the
+    direction in which it can give way while its hand stays."""
+
+    kind: str
+    hand: str
+    way: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Pushed:
+    """One push, done: the link that was pushed, from its beginning to the end of what was watched."""
+
+    push: Push
+    link: str
+    segment: Segment
+
+
+@dataclass(frozen=True, slots=True)
+class Probed:
+    """One small force: its name, the links with their wrenches (6,), and what came of it."""
+
+    name: str
+    wrenches: dict[str, Array]
+    segment: Segment
+
+
+@dataclass(frozen=True, slots=True)
+class Sequence:
+    """name, title; the tasks that hold; the kinds of its pushes, which are the same in all sequences."""
+
+    name: str
+    title: str
+    tasks: tuple[str, ...]
+    kinds: tuple[str, ...]
+
+
+SEQUENCES = (
+    Sequence("cup", "the cup is held level", (CUP,), ("hand",)),
+    Sequence("sugar", "the sugar is held above the cup", (SUGAR,), ("elbow",)),
+    Sequence("follow", "the left hand is pushed, the right one follows", (SUGAR,), ("hand",)),
+    Sequence("both", "both at once, pushed where no task holds", (CUP, SUGAR), ("hand", "elbow")),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """What happened in one sequence; rest (nv,): the posture in which its tasks took hold."""
+
+    sequence: Sequence
+    rest: Array
+    settled: Segment
+    pushes: tuple[Pushed, ...]
+    probes: tuple[Probed, ...]
+
+
+def random_pushes(count: int, random: np.random.Generator) -> list[Push]:
+    """`count` pushes of each kind."""
+    pushes = []
+    for _ in range(count):
+        direction = random.standard_normal(3)
+        pushes.append(Push("hand", "left", random.uniform(*HAND_WAY) * direction / np.linalg.norm(direction)))
+    for _ in range(count):
+        way = np.array([random.choice([-1.0, 1.0]) * random.uniform(*ELBOW_WAY), 0.0, 0.0])
+        pushes.append(Push("elbow", str(random.choice(HANDS)), way))
+    return pushes
+
+
+def run_sequence(
+    session: Session,
+    sequence: Sequence,
+    pushes: list[Push],
+    choose: Callable[[tuple[str, ...]], None],
+    progress: Callable[[], None],
+) -> Course:
+    """Lead the hands to the start, let the tasks take hold, push; `choose` says which tasks hold."""
+    choose(())
+    session.run(1.0)  # what held before lets go
+    to_start(session)
+    choose(sequence.tasks)
+    rest = session.q.copy()
+    settled = session.run(SETTLE)
+    done = []
+    for planned in pushes:
+        if planned.kind in sequence.kinds:
+            done.append(_pushed(session, planned))
+            progress()
+    probes = _probe(session) if len(sequence.tasks) > 1 else ()
+    return Course(sequence, rest, settled, tuple(done), probes)
+
+
+def _pushed(session: Session, planned: Push) -> Pushed:
+    if planned.kind == "hand":
+        link, way = session.robot.endpoints[planned.hand].frame, planned.way
+    else:
+        link, way = elbow(planned.hand), planned.way[0] * _free_direction(session, planned.hand)
+    touched = session.run(MOVE + HELD, [push(session, link, way, MOVE)])
+    return Pushed(planned, link, touched.followed_by(session.run(AFTER)))
+
+
+def _free_direction(session: Session, hand: str) -> Array:
+    """Where the elbow goes (3,) when the arm moves and its hand does not."""
+    robot, data = session.robot, session.data
+    data.update(session.q)
+    arm = robot.indices(robot.endpoints[hand].joints)
+    J_hand = data.jacobian(hand)[:, arm]
+    J_elbow = data.frame_jacobian(robot.frame_id(elbow(hand)))[:3, arm]
+    way = J_elbow @ np.linalg.svd(J_hand)[2][-1]
+    return np.asarray(way / np.linalg.norm(way))
+
+
+def _probe(session: Session) -> tuple[Probed, ...]:
+    left, right = (session.robot.endpoints[hand].frame for hand in HANDS)
+    tried: list[tuple[str, dict[str, Array]]] = []
+    for i, axis in enumerate("xyz"):
+        force, torque = np.zeros(6), np.zeros(6)
+        force[i], torque[3 + i] = PROBE_FORCE, PROBE_TORQUE
+        tried.append((f"move_{axis}", {left: force}))
+        tried.append((f"apart_{axis}", {left: -force, right: force}))
+        tried.append((f"turn_{axis}", {left: torque}))
+    probes = []
+    for name, wrenches in tried:
+        touches = [(link, _growing(wrench)) for link, wrench in wrenches.items()]
+        probes.append(Probed(name, wrenches, session.run(PROBE_TIME, touches)))
+        session.run(PROBE_REST)
+    return tuple(probes)
+
+
+def _growing(wrench: Array) -> Wrench:
+    """A wrench that grows to its full size in half of the time that it acts."""
+    return lambda time, pose: smooth_step(2.0 * time / PROBE_TIME) * wrench
