@@ -2,8 +2,9 @@
 """One request to reproduce a movement, carried out: wait for the frames, move, settle, judge the end.
 
 A retrieval says where to be; an execution knows what was asked, when it may begin and when it is done: once the phase
-has come to 1. A movement that goes back waits at its start, from where it may go forward again. An execution goes on
-giving references after its end, so that the robot holds what it has reached.
+has come to 1. A movement that goes back waits at its start, from where it may go forward again. One that is waiting for a robot
+which is held, or cannot get where it is to be, is given up in the end. An execution goes on giving references after its
+end, so that the robot holds what it has reached.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.settings import check_settings, setting
 
 _SECOND = 1_000_000_000
+_PROGRESS = 0.01
+"""Share of what a movement at its speed would advance by in a time: with less than that it stands still."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,8 +34,12 @@ class ExecutionConfig:
 
     start_timeout: float = setting(5.0, 0.1, 600.0, "All frames must be seen within this time after a request, s")
     settle_time: float = setting(1.0, 0.01, 60.0, "The robot's error is judged this long after the movement's end, s")
+    stall_timeout: float = setting(
+        10.0, 0.1, 600.0, "A movement that stands still for this long although its speed is not 0 is given up, s"
+    )
     position_tolerance: float = setting(0.01, 1e-4, 1.0, "Largest error at the end that is a success, m")
     orientation_tolerance: float = setting(0.0873, 1e-3, 3.2, "Largest error at the end that is a success, rad")
+    joint_tolerance: float = setting(0.05, 1e-3, 3.2, "The same of each joint, of movements of joints, rad or m")
 
     def __post_init__(self) -> None:
         """Raises ValueError for a value out of its range."""
@@ -50,7 +57,8 @@ class Stage(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How it ended. Errors of the robot's pose against the end of the reference, m and rad; NaN if unknown."""
+    """How it ended. Errors of the robot's pose against the end of the reference, m and rad; NaN if unknown, as they are
+    of movements of joints."""
 
     success: bool
     reason: str
@@ -75,6 +83,8 @@ class Execution:
         self._asked_ns: int | None = None
         self._reference_ns = 0
         self._settling_ns = 0
+        self._progress_phase = 0.0
+        self._stalled_ns = 0
         self._stopped_ns: int | None = None
 
     def step(
@@ -88,7 +98,7 @@ class Execution:
 
         Args:
             frames, weights: as ``Retrieval.step`` takes them.
-            pose: (7,), where the robot is, as far as that is known.
+            pose: where the robot is, as far as that is known: (7,), or its configuration (n,) in movements of joints.
         """
         if self._asked_ns is None:
             self._asked_ns = time_ns
@@ -100,7 +110,7 @@ class Execution:
             return None
         at = time_ns if self._stopped_ns is None else self._stopped_ns
         self.reference = self.retrieval.step(at, frames, pose, weights)
-        self._reference_ns = at
+        since, self._reference_ns = at - self._reference_ns, at
         if self.stage is Stage.MOVING and self.reference.phase >= 1.0:
             self.stage = Stage.SETTLING
             self._settling_ns = time_ns
@@ -108,6 +118,8 @@ class Execution:
             self.stage = Stage.MOVING  # it was told to go back
         if self.stage is Stage.SETTLING:
             self._judge(time_ns, self.reference, pose)
+        elif self.stage is Stage.MOVING:
+            self._watch_progress(time_ns, self.reference.phase, since)
         return self.reference
 
     def stop(self, time_ns: int, reason: str) -> None:
@@ -116,18 +128,19 @@ class Execution:
             self._stopped_ns = time_ns
             self._end(False, reason)
 
-    def take_over(self, retrieval: Retrieval, pose: Array | None = None) -> None:
+    def take_over(self, retrieval: Retrieval, pose: Array | None = None, blend_time: float = 0.15) -> None:
         """Go on with another retrieval, at the same share of the movement and without a jump of the reference.
 
         Args:
             retrieval: a fresh one, of another model or another way.
             pose: as for ``step``.
+            blend_time: time constant with which the difference of the references dies out, s.
 
         Raises:
             ValueError: its references are on another manifold; what was going on goes on.
         """
         if self.reference is not None:
-            continued = Continued(retrieval, self.reference, self._reference_ns)
+            continued = Continued(retrieval, self.reference, self._reference_ns, blend_time)
             retrieval.start(self._reference_ns, pose, self.reference.phase)
             retrieval = continued
         retrieval.speed = self.retrieval.speed
@@ -138,6 +151,7 @@ class Execution:
         missing = [name for name in self.retrieval.frame_names if name not in frames]
         if not missing:
             self.retrieval.start(time_ns, pose)
+            self._reference_ns = time_ns
             self.stage = Stage.MOVING
             return True
         if time_ns - self._asked_ns > self.config.start_timeout * _SECOND:
@@ -148,6 +162,22 @@ class Execution:
             )
         return False
 
+    def _watch_progress(self, time_ns: int, phase: float, since_ns: int) -> None:
+        """Give up what has not advanced for too long; neither a pause counts, nor to have come back to the start."""
+        speed, timeout = self.retrieval.speed, self.config.stall_timeout
+        if speed == 0.0 or (speed < 0.0 and phase <= 0.0):
+            return
+        if abs(phase - self._progress_phase) >= _PROGRESS * abs(speed) * timeout / self.retrieval.duration:
+            self._progress_phase, self._stalled_ns = phase, 0
+            return
+        self._stalled_ns += max(0, since_ns)
+        if self._stalled_ns > timeout * _SECOND:
+            self.stop(
+                time_ns,
+                f"the movement has stood still for {timeout:g} s at phase {phase:.2f}: "
+                "is the robot held, or are the references out of its reach?",
+            )
+
     def _judge(self, time_ns: int, reference: Reference, pose: Array | None) -> None:
         config = self.config
         if time_ns - self._settling_ns < config.settle_time * _SECOND:
@@ -156,6 +186,10 @@ class Execution:
             self._end(False, "the robot's pose is not known: nothing came on the movement's topic")
             return
         error = reference.gaussian.manifold.log(reference.gaussian.mean, pose)
+        if reference.gaussian.manifold.is_euclidean:
+            farthest = float(np.abs(error).max())
+            self._end(farthest <= config.joint_tolerance, f"joints are {farthest:.3f} from the end of the movement")
+            return
         position, orientation = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
         words = f"{1e3 * position:.1f} mm and {math.degrees(orientation):.1f} deg from the end of the movement"
         near = position <= config.position_tolerance and orientation <= config.orientation_tolerance

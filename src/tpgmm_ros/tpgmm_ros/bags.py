@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tpgmm_core import Demonstration, Frame, quaternion
 from tpgmm_ros.bag_messages import Array, BagError, Nanoseconds
+from tpgmm_ros.joint_streams import JointStream, read_joint_stream
 from tpgmm_ros.pose_arrays import read_pose_array
 from tpgmm_ros.pose_streams import PoseStream, read_pose_streams
 from tpgmm_ros.task import PoseArraySpec, Task
@@ -49,6 +50,7 @@ class Recording:
         frames: poses (T, 7) of every frame of the task: the latest observation at or before each sample.
         visible: masks (T,), False where a frame had not been seen yet.
         notes: what was put right or left out while reading, in words.
+        configurations: (T, n) positions of the task's joints, rad and m; None for tasks that name none.
     """
 
     path: Path
@@ -57,6 +59,7 @@ class Recording:
     frames: dict[str, Array]
     visible: dict[str, NDArray[np.bool_]]
     notes: tuple[str, ...] = ()
+    configurations: Array | None = None
 
     @property
     def duration(self) -> float:
@@ -119,8 +122,8 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
     one clock), else the times of the recorder for all topics; a note says when. Messages that repeat a stamp are
     dropped, and counted in a note. A frame holds its latest pose, however long ago that was seen. Before its first
     observation a frame is not visible, unless that observation comes within 0.5 s of the first sample: then
-    the frame counts as seen from the start. Of a PoseArray, times are the numbers of the poses times `period`, and
-    frames stand still.
+    the frame counts as seen from the start. Joints are interpolated between their messages. Of a PoseArray, times are
+    the numbers of the poses times `period`, and frames stand still.
 
     Args:
         path: a bag.
@@ -151,6 +154,7 @@ def _thinned(recording: Recording, every: int) -> Recording:
         movement=recording.movement[kept],
         frames={name: poses[kept] for name, poses in recording.frames.items()},
         visible={name: seen[kept] for name, seen in recording.visible.items()},
+        configurations=None if recording.configurations is None else recording.configurations[kept],
     )
 
 
@@ -173,7 +177,11 @@ def _from_pose_array(path: Path, task: Task, spec: PoseArraySpec) -> Recording:
 
 def _from_streams(path: Path, task: Task) -> Recording:
     streams = read_pose_streams(path, [task.movement, *task.topics.values()], task.base_frame)
-    complaint = _complaint_about_stamps(streams[task.movement], streams.values())
+    joints = None
+    if task.kinematic is not None:
+        joints = read_joint_stream(path, task.kinematic.joint_states, task.kinematic.joint_names())
+    stamped: list[PoseStream | JointStream] = [*streams.values(), *([] if joints is None else [joints])]
+    complaint = _complaint_about_stamps(streams[task.movement], stamped)
     notes = [f"{complaint}: times of the recorder used"] if complaint else []
     series: dict[str, tuple[Nanoseconds, Array]] = {}
     for topic, stream in streams.items():
@@ -200,10 +208,20 @@ def _from_streams(path: Path, task: Task) -> Recording:
         unseen = np.count_nonzero(~visible[name])
         if unseen:
             notes.append(f"{name}: not seen in the first {unseen} of {len(ns)} samples")
-    return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes))
+    configurations = None if joints is None else _configurations(path, joints, ns, bool(complaint))
+    return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes), configurations)
 
 
-def _complaint_about_stamps(movement: PoseStream, streams: Iterable[PoseStream]) -> str | None:
+def _configurations(path: Path, joints: JointStream, at: Nanoseconds, by_recorder: bool) -> Array:
+    """Positions (T, n) of joints at these times (T,), ns."""
+    seen = joints.recorded if by_recorder else joints.stamps
+    missed = 1e-9 * max(seen[0] - at[0], at[-1] - seen[-1])
+    if missed > START_TOLERANCE_S:
+        raise BagError(path, f"{joints.topic} does not cover the movement, by {missed:.1f} s; record both all the time")
+    return joints.at(seen, at)
+
+
+def _complaint_about_stamps(movement: PoseStream, streams: Iterable[PoseStream | JointStream]) -> str | None:
     """What forbids to use the header stamps of a bag, or None."""
     if movement.stamps[0] == movement.stamps[-1]:
         return f"{movement.topic} has stamps that never change"

@@ -20,13 +20,12 @@ from tpgmm_core.execution import Execution, ExecutionConfig, Outcome, Stage
 from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
 from tpgmm_core.retrieval.interface import Retrieval
-from tpgmm_core.retrieval.ways import make_retrieval
 from tpgmm_msgs.srv import LoadModel
 from tpgmm_ros.background import Background, create_patient_service
 from tpgmm_ros.goals import Goals, finish
 from tpgmm_ros.parameters import Parameters
 from tpgmm_ros.task import Task
-from tpgmm_ros.task_model import load_model
+from tpgmm_ros.task_model import load_model, make_retrieval
 
 RETRIEVAL_SETTINGS = ("retrieval", "phase", "speed", "horizon_steps", "horizon_time_step", "blend_time")
 """The parameters that a retrieval is made with."""
@@ -47,13 +46,13 @@ class Movements:
     Attributes:
         execution: of the movement that goes on or was the last one; None before, and while the node is not active.
         frames: the known ones that its model has learned from.
-        pose: (7,), where the robot is, as far as that is known.
+        state: (D,), where the robot is, as far as that is known: its pose, or its configuration.
     """
 
     def __init__(self, node: Node, task: Task, model: TPGMM | None, parameters: Parameters) -> None:
         self.execution: Execution | None = None
         self.frames: dict[str, Frame] = {}
-        self.pose: Array | None = None
+        self.state: Array | None = None
         self._node, self._task, self._model, self._parameters = node, task, model, parameters
         self._known: Mapping[str, tuple[Frame, float]] = {}
         self._weights: dict[str, float] = {}
@@ -105,7 +104,7 @@ class Movements:
         if self.goals.is_cancel_requested:
             self._end("canceled")
         try:
-            reference = self.execution.step(stamp_ns, self.frames, self.pose, self._weights)
+            reference = self.execution.step(stamp_ns, self.frames, self.state, self._weights)
         except ValueError as error:  # a situation that the model cannot be adapted to: the controller holds, then damps
             self._node.get_logger().error(f"no reference can be given: {error}")
             self._end(f"no reference can be given: {error}")
@@ -124,7 +123,7 @@ class Movements:
 
     def _prepare(self, path: str, duration: float, then: Callable[[Future[Prepared]], None]) -> None:
         """Read the model in a file (the one in use where there is none) and make it ready."""
-        task, model, known, pose = self._task, self._model, self._known, self.pose
+        task, model, known, state = self._task, self._model, self._known, self.state
         settings: dict[str, Any] = {name: self._parameters[name] for name in RETRIEVAL_SETTINGS}
         way = settings.pop("retrieval") or None
 
@@ -132,11 +131,14 @@ class Movements:
             chosen = load_model(path, task) if path else model
             if chosen is None:
                 raise ValueError("no model is loaded: name a model file in the goal, or set the parameter model_file")
-            retrieval = make_retrieval(chosen, way, duration=duration or None, **settings)
+            retrieval = make_retrieval(chosen, task, way, duration=duration or None, **settings)
             frames, weights = those_of(retrieval, known)
-            if frames:  # a rehearsal: what cannot be adapted to the situation is refused before anything depends on it
-                retrieval.start(0, pose)
-                retrieval.step(0, frames, pose, weights)
+            knows_robot = state is not None or task.kinematic is None
+            if (
+                frames and knows_robot
+            ):  # a rehearsal: what cannot be adapted to the situation is refused before anything depends on it
+                retrieval.start(0, state)
+                retrieval.step(0, frames, state, weights)
             return chosen, retrieval
 
         self._background.run(work, then)
@@ -166,7 +168,7 @@ class Movements:
         unseen = [name for name in retrieval.frame_names if name not in self._known]
         if unseen:
             raise ValueError(f"the frames {', '.join(unseen)} are not seen, and a movement is being reproduced")
-        execution.take_over(retrieval, self.pose)
+        execution.take_over(retrieval, self.state, self._parameters["blend_time"])
         self.take_frames(self._known)
 
     def _accept(self, goal: ServerGoalHandle) -> None:

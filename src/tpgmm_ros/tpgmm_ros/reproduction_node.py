@@ -27,6 +27,7 @@ from tpgmm_core.tracking import check_pose
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros import conversions
+from tpgmm_ros.conversions import JointReader
 from tpgmm_ros.executor import run
 from tpgmm_ros.lifecycle import ManagedNode
 from tpgmm_ros.lockstep import Barrier, no_reference
@@ -35,8 +36,8 @@ from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.movements import Movements
 from tpgmm_ros.parameters import Declared, Parameters, declared_of
 from tpgmm_ros.qos import LATCHED, STREAM
-from tpgmm_ros.task import DIMENSIONS, Task
-from tpgmm_ros.task_model import known_frames, load_model
+from tpgmm_ros.task import Task
+from tpgmm_ros.task_model import known_frames, load_model, state_dimensions
 from tpgmm_ros.timing import loop_clock
 
 PARAMETERS = [
@@ -104,6 +105,7 @@ class ReproductionNode(ManagedNode):
             self.task = Task.load(self.parameters.file("task_file"))
             model_file = self.parameters["model_file"]
             model = load_model(model_file, self.task) if model_file else None
+            self._dimensions = state_dimensions(self.task)
         except (ValueError, OSError) as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
@@ -118,7 +120,10 @@ class ReproductionNode(ManagedNode):
                 lambda: self._step(self.get_clock().now().nanoseconds),
                 clock=loop_clock(self),
             )
-        else:
+        if self.task.kinematic is not None:
+            self._reader = JointReader(self._dimensions)
+            self.create_subscription(JointState, self.task.kinematic.joint_states, self._take_joint_state, STREAM)
+        elif not self.parameters["rate"] > 0.0:
             self.create_subscription(JointState, "joint_states", self._take_joint_state, STREAM)
         self.movements = Movements(self, self.task, model, self.parameters)
         self._received = []
@@ -165,6 +170,16 @@ class ReproductionNode(ManagedNode):
 
     def _take_joint_state(self, message: JointState) -> None:
         stamp_ns = conversions.time_to_ns(message.header.stamp)
+        if self.task.kinematic is not None:
+            try:
+                (configuration,) = self._reader.read(message, "position")
+            except conversions.MessageError as error:
+                self.get_logger().error(f"joint state refused: {error}", throttle_duration_sec=1.0)
+                return
+            if self.movements is not None:
+                self.movements.state = configuration
+            if self.parameters["rate"] > 0.0:
+                return
         if self._barrier is None:
             self._step(stamp_ns)
         else:
@@ -174,8 +189,8 @@ class ReproductionNode(ManagedNode):
         pose, reason = check_pose(conversions.pose_to_array(message.pose))
         if pose is None:
             self.get_logger().error(f"pose of the robot refused: {reason}", throttle_duration_sec=1.0)
-        elif self.movements is not None:
-            self.movements.pose = pose
+        elif self.movements is not None and self.task.kinematic is None:
+            self.movements.state = pose
         if self._barrier is not None:
             self._barrier.came("pose", conversions.time_to_ns(message.header.stamp))
 
@@ -203,7 +218,7 @@ class ReproductionNode(ManagedNode):
         reference = self.movements.step(stamp_ns)
         if reference is None:
             return
-        self._send(conversions.reference_message(reference, DIMENSIONS[1:], stamp_ns, self.task.base_frame))
+        self._send(conversions.reference_message(reference, self._dimensions, stamp_ns, self.task.base_frame))
         self.monitor.done += 1
         self.monitor.step.add(time.perf_counter() - start)
         self._show(stamp_ns, self.movements, reference)
@@ -213,6 +228,8 @@ class ReproductionNode(ManagedNode):
         frame_id = self.task.base_frame
         if self._is_due("feedback", stamp_ns, FEEDBACK_PERIOD_NS):
             movements.goals.tell(reference.phase, reference.frames)
+        if self.task.kinematic is not None:  # no poses, and no Gaussians of poses to be shown
+            return
         if self._is_due("pose", stamp_ns, POSE_PERIOD_NS):
             self._reference_poses.publish(conversions.pose_with_covariance(reference.gaussian, stamp_ns, frame_id))
         if self._markers.get_subscription_count() and self._is_due("markers", stamp_ns, MARKER_PERIOD_NS):

@@ -10,16 +10,18 @@
       robot: {pose: [0, 0, 0, 0, 0, 0, 1]}   # fixed: x y z (m), qx qy qz qw, in base_frame
     tracking: {visible_timeout: 0.25}        # optional, s
     model: {n_components: 10, init: time}    # optional: the way of retrieval, arguments of its estimator
+    kinematic: {...}                         # optional: frames that move with the robot, see `kinematic_task`
 
 Reading a task file executes nothing and needs no ROS.
 """
 
-import re
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from tpgmm_core import TPGMM
 from tpgmm_core.learning.structure import STRUCTURES
 from tpgmm_core.retrieval.encodings import ENCODINGS
 from tpgmm_core.retrieval.recipe import Recipe
@@ -27,12 +29,14 @@ from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_core.safe_yaml import YamlError, load_yaml, parse_yaml
 from tpgmm_core.settings import configured
 from tpgmm_core.tracking import TrackingConfig
+from tpgmm_ros.kinematic_task import KinematicSpec
 from tpgmm_ros.yaml_sections import (
     Section,
     a_choice,
     a_name,
     a_number,
     a_quaternion,
+    a_topic,
     an_integer,
     is_name,
     numbers,
@@ -43,8 +47,6 @@ MANIFOLD = "R1 x R3 x S3"
 
 DIMENSIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 """Names of the ambient numbers, in their order."""
-
-_TOPIC = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
 class TaskError(ValueError):
@@ -94,6 +96,7 @@ class Task:
         tracking: settings of the frame tracker in s; their names and ranges are the tracker's to check.
         model: `retrieval`, options of what it encodes, arguments of its estimator: what `Recipe.of` takes.
         recordings: how demonstrations were recorded where that is not as PoseStamped on the topics above.
+        kinematic: where the model is over configurations of the robot: its frames, and what they are seen from.
     """
 
     name: str
@@ -104,6 +107,7 @@ class Task:
     tracking: dict[str, float] = field(default_factory=dict)
     model: dict[str, Any] = field(default_factory=dict)
     recordings: PoseArraySpec | None = None
+    kinematic: KinematicSpec | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> "Task":
@@ -132,17 +136,23 @@ class Task:
 
     @classmethod
     def _of(cls, top: Section) -> "Task":
-        top.refuse_others("name", "base_frame", "movement", "endpoint", "frames", "recordings", "tracking", "model")
-        movement = top.required("movement", _topic)
+        top.refuse_others(
+            "name", "base_frame", "movement", "endpoint", "frames", "kinematic", "recordings", "tracking", "model"
+        )
+        movement = top.required("movement", a_topic)
+        frames, is_kinematic = _frames(top.section("frames"), movement), "kinematic" in top.values
+        if is_kinematic and "recordings" in top.values:
+            raise top.error("has 'recordings' and 'kinematic'; a PoseArray holds no joints: leave one of them out")
         return cls(
             name=top.required("name", a_name),
             base_frame=top.required("base_frame", _frame_id),
             movement=movement,
             endpoint=top.required("endpoint", a_name),
-            frames=_frames(top.section("frames"), movement),
+            frames=frames,
             tracking=_tracking(top.section("tracking", optional=True)),
-            model=_model(top.section("model", optional=True)),
+            model=_model(top.section("model", optional=True), is_kinematic),
             recordings=_recordings(top.section("recordings")) if "recordings" in top.values else None,
+            kinematic=KinematicSpec.of(top.section("kinematic"), frames) if is_kinematic else None,
         )
 
     @property
@@ -166,7 +176,7 @@ def _frames(section: Section, movement: str) -> dict[str, TaskFrameSpec]:
         if "pose" in entry.values:
             frames[name] = TaskFrameSpec(name, pose=entry.required("pose", _pose))
             continue
-        topic = entry.required("topic", _topic)
+        topic = entry.required("topic", a_topic)
         if topic in taken:
             raise entry.error(
                 f"has the topic {topic!r}, which is already that of {taken[topic]}: each frame has a topic of its own"
@@ -179,7 +189,7 @@ def _frames(section: Section, movement: str) -> dict[str, TaskFrameSpec]:
 def _recordings(section: Section) -> PoseArraySpec:
     section.refuse_others("pose_array", "period", "frames")
     return PoseArraySpec(
-        pose_array=section.required("pose_array", _topic),
+        pose_array=section.required("pose_array", a_topic),
         period=section.required("period", _period),
         frames=section.required("frames", _file_name),
     )
@@ -194,7 +204,7 @@ def _tracking(section: Section) -> dict[str, float]:
     return values
 
 
-def _model(section: Section) -> dict[str, Any]:
+def _model(section: Section, is_kinematic: bool) -> dict[str, Any]:
     readers: dict[str, Callable[[Any], Any]] = {
         "retrieval": a_choice(*WAYS),
         "n_components": an_integer(1),
@@ -210,6 +220,9 @@ def _model(section: Section) -> dict[str, Any]:
         "max_duration": an_integer(1),
         **{item.name: a_number() for encoding in ENCODINGS.values() for item in fields(encoding)},
     }
+    if is_kinematic:  # one way leads from such models to movements, and it needs the covariances as they are
+        readers = {key: readers[key] for key in inspect.signature(TPGMM).parameters if key in readers}
+        del readers["covariance"]
     section.refuse_others(*readers)
     values = {key: section.required(key, readers[key]) for key in section.values}
     try:
@@ -230,12 +243,6 @@ def _period(value: Any) -> float:
         return a_number(1e-6)(value)
     except ValueError:
         raise ValueError("the time from one pose to the next in s, such as 0.02") from None
-
-
-def _topic(value: Any) -> str:
-    if not isinstance(value, str) or not _TOPIC.fullmatch(value):
-        raise ValueError("a relative topic such as object/pose (no leading slash, so that namespaces work)")
-    return value
 
 
 def _pose(value: Any) -> tuple[float, ...]:

@@ -5,11 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.manifold import POSE, Manifold
 from tpgmm_core.retrieval import ways
 from tpgmm_core.retrieval.encodings import encoding_of
+from tpgmm_core.retrieval.interface import Retrieval
+from tpgmm_ros import kinematic_recipe
 from tpgmm_ros.conversions import TaskFrameState
 from tpgmm_ros.task import DIMENSIONS, MANIFOLD, Task
 
@@ -22,6 +25,12 @@ def load_model(path: str | Path, task: Task) -> TPGMM:
         OSError: the file cannot be read.
     """
     model = ways.load_model(path)
+    if task.kinematic is not None:
+        try:
+            kinematic_recipe.check_model(model, task.kinematic)
+        except ValueError as error:
+            raise ValueError(f"{path} does not fit task '{task.name}': {error}") from error
+        return model
     encoding, space = encoding_of(model), Manifold.parse(MANIFOLD)
     manifold, dimensions = encoding.manifold(space), encoding.dimensions(DIMENSIONS, space)
     if model.manifold_ != manifold or tuple(model.dimensions_ or ()) != dimensions:
@@ -36,6 +45,23 @@ def load_model(path: str | Path, task: Task) -> TPGMM:
             f"names {', '.join(task.frames)} and lacks {', '.join(unknown)}"
         )
     return model
+
+
+def make_retrieval(model: TPGMM, task: Task, way: str | None = None, **settings: Any) -> Retrieval:
+    """A movement of a model that fits the task; settings as for `tpgmm_core.retrieval.ways.make_retrieval`.
+
+    Raises:
+        ValueError: a model that does not suit the way, or settings that it cannot have.
+        OSError: the robot file of kinematic frames cannot be read.
+    """
+    if task.kinematic is not None:
+        return kinematic_recipe.make_movement(model, task.kinematic, way, **settings)
+    return ways.make_retrieval(model, way, **settings)
+
+
+def state_dimensions(task: Task) -> tuple[str, ...]:
+    """Names of the numbers that references of a task are over. Raises ValueError and OSError for a missing robot."""
+    return DIMENSIONS[1:] if task.kinematic is None else task.kinematic.joint_names()
 
 
 def known_frames(states: Mapping[str, TaskFrameState]) -> dict[str, tuple[Frame, float]]:

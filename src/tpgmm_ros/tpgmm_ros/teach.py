@@ -3,7 +3,8 @@
 
 Without ``--scripted`` it records what is on the topics of the task file until Ctrl-C: lead the arm of your robot.
 With ``--scripted`` it starts ``baxter_simulator`` and ``impedance_controller`` (gravity compensation), and a scripted
-teacher leads the simulated hand by forces through pick-and-place situations, one recording each.
+teacher leads the simulated robot by forces through a lesson, in another situation for each recording: pick-and-place
+with one hand, or a bar between both hands whose targets cannot both be reached, with priority for one of them.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import os
 import sys
 import tempfile
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +30,9 @@ from sensor_msgs.msg import JointState
 from tqdm import tqdm
 
 from tpgmm_core.robot import RobotModel
-from tpgmm_ros import conversions
+from tpgmm_ros import bar_lesson, conversions
 from tpgmm_ros.bag_recorder import BagRecorder
+from tpgmm_ros.bar_lesson import BarLesson
 from tpgmm_ros.executor import StopFlag
 from tpgmm_ros.pick_place import Array, Grasp, Situation, random_situation
 from tpgmm_ros.processes import Graph, GraphError, NodeProcesses
@@ -37,8 +41,8 @@ from tpgmm_ros.resources import config_file
 from tpgmm_ros.task import Task, TaskError
 from tpgmm_ros.teacher import Intention, Teacher, TeacherConfig
 
-#: Joint states come at up to 1 kHz; a demonstration needs no more than the poses' rate.
-KEEP_EVERY_JOINT_STATE = 20
+#: Joint states come at up to 1 kHz; a demonstration needs no more than the poses' rate, Hz.
+JOINT_STATE_RATE = 50.0
 #: Perception sees the objects this often, in ticks of the end point's pose.
 TICKS_PER_OBSERVATION = 3
 #: The arm comes to rest before the teacher takes the hand, s.
@@ -76,8 +80,9 @@ class ScriptedLesson:
         self.time = 0.0
 
     @property
-    def grasped(self) -> bool:
-        return self._grasp.holds
+    def failure(self) -> str:
+        """What the teacher did not manage; empty if all went well."""
+        return "" if self._grasp.holds else "the scripted teacher did not bring the hand to the object"
 
     def close(self) -> None:
         self._node.destroy_subscription(self._subscription)
@@ -114,14 +119,47 @@ class ScriptedLesson:
         self._places[name].publish(conversions.pose_stamped(place, self._stamp_ns, self._task.base_frame))
 
 
-def record_scripted(task: Task, robot_file: Path, output: Path, count: int, seed: int) -> list[Path]:
-    """Record ``count`` demonstrations of pick-and-place; existing ones are kept and not made again.
+@dataclass(frozen=True, slots=True)
+class LessonKind:
+    """How a lesson is made, and what it asks of the simulation.
+
+    Attributes:
+        make: the lesson, from the program's node, the task, the robot file and where its variation comes from.
+        rate: steps of the simulation per second, Hz.
+        pose_rate: it publishes poses and waits for a wrench this often, Hz.
+        keep_every: one of so many poses of the hand is recorded.
+    """
+
+    make: Callable[[Node, Task, Path, np.random.Generator], ScriptedLesson | BarLesson]
+    rate: float = 1000.0
+    pose_rate: float = 100.0
+    keep_every: int = 1
+
+
+def _pick_place(node: Node, task: Task, robot_file: Path, random: np.random.Generator) -> ScriptedLesson:
+    link = RobotModel.from_file(robot_file).endpoints[task.endpoint].frame
+    return ScriptedLesson(node, task, link, random_situation(random), random)
+
+
+def _bar(first: str) -> LessonKind:
+    def make(node: Node, task: Task, robot_file: Path, random: np.random.Generator) -> BarLesson:
+        return BarLesson(node, task, robot_file, first, random)
+
+    return LessonKind(make, bar_lesson.RATE, bar_lesson.TOUCH_RATE, bar_lesson.TICKS_PER_OBSERVATION)
+
+
+#: By the name of their task file in config/.
+LESSONS = {"pick_place": LessonKind(_pick_place), "left_first": _bar("left"), "right_first": _bar("right")}
+
+
+def record_scripted(
+    task: Task, robot_file: Path, output: Path, count: int, seed: int, lesson: str = "pick_place"
+) -> list[Path]:
+    """Record ``count`` demonstrations of one of LESSONS; existing ones are kept and not made again.
 
     Raises:
-        GraphError: a node failed, or the scripted teacher did not manage to grasp the object.
+        GraphError: a node failed, or the scripted teacher did not manage what it is to show.
     """
-    robot = RobotModel.from_file(robot_file)
-    link = robot.endpoints[task.endpoint].frame
     made = []
     with domain_id() as domain, tempfile.TemporaryDirectory() as logs:
         # Nodes started here talk to each other and to nobody else.
@@ -135,7 +173,7 @@ def record_scripted(task: Task, robot_file: Path, output: Path, count: int, seed
                     progress.write(f"{path}: exists, kept")
                 else:
                     random = np.random.default_rng([seed, index])
-                    words = _record_lesson(task, robot_file, link, path, random, Path(logs), stop)
+                    words = _record_lesson(task, robot_file, LESSONS[lesson], path, random, Path(logs), stop)
                     progress.write(f"{path}: {words}")
                     made.append(path)
                 progress.update()
@@ -146,7 +184,7 @@ def record_scripted(task: Task, robot_file: Path, output: Path, count: int, seed
 def _record_lesson(
     task: Task,
     robot_file: Path,
-    link: str,
+    kind: LessonKind,
     path: Path,
     random: np.random.Generator,
     logs: Path,
@@ -160,23 +198,32 @@ def _record_lesson(
             "impedance_controller",
             robot_file=robot_file,
             endpoint=task.endpoint,
+            joint_state_rate=kind.rate,
             use_sim_time=True,
             autostart=True,
         )
-        processes.start("baxter_simulator", robot_file=robot_file, lockstep=True, lockstep_wrench=True)
+        processes.start(
+            "baxter_simulator",
+            robot_file=robot_file,
+            lockstep=True,
+            lockstep_wrench=True,
+            rate=kind.rate,
+            pose_rate=kind.pose_rate,
+        )
         graph = Graph(node, executor, processes)
         graph.wait_for(lambda: node.count_publishers("joint_torques") > 0, 30.0, "the controller")
-        with BagRecorder(node, path, topics_of(task), keep_every={"joint_states": KEEP_EVERY_JOINT_STATE}) as recorder:
-            lesson = ScriptedLesson(node, task, link, random_situation(random), random)
+        keep_every = {"joint_states": round(kind.rate / JOINT_STATE_RATE), task.movement: kind.keep_every}
+        with BagRecorder(node, path, topics_of(task), keep_every=keep_every) as recorder:
+            lesson = kind.make(node, task, robot_file, random)
             graph.wait_for(lambda: lesson.done or stop.set, 300.0, "the end of the demonstration")
             lesson.close()
             if stop.set:
                 raise GraphError(f"interrupted; the unfinished recording of {path} is not kept")
-            if not lesson.grasped:
-                raise GraphError(f"{path}: the scripted teacher did not bring the hand to the object")
+            if lesson.failure:
+                raise GraphError(f"{path}: {lesson.failure}")
     executor.remove_node(node)
     node.destroy_node()
-    return f"{lesson.duration:.1f} s, {recorder.counts[task.movement]} poses"
+    return f"{lesson.duration:.1f} s, {recorder.counts[task.movement] // kind.keep_every} poses"
 
 
 def record_live(task: Task, output: Path) -> dict[str, int]:
@@ -207,14 +254,16 @@ def main() -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="examples:\n"
         "  teach --task config/pick_place.yaml --output bags/mine/demo_01\n"
-        "  teach --scripted --count 16 --output bags/pick_place",
+        "  teach --scripted --count 16 --output bags/pick_place\n"
+        "  teach --scripted --lesson left_first --count 3 --output bags/priorities/left_first",
     )
     shown = "(default: %(default)s)"
-    parser.add_argument("--task", type=Path, default=config_file("pick_place.yaml"), help=f"task file {shown}")
+    parser.add_argument("--task", type=Path, help="task file (default: that of the lesson in config/)")
     parser.add_argument(
         "--output", type=Path, required=True, help="the new bag; with --scripted, the directory of the bags"
     )
     parser.add_argument("--scripted", action="store_true", help="a scripted teacher on a simulated Baxter")
+    parser.add_argument("--lesson", choices=LESSONS, default="pick_place", help=f"what --scripted teaches {shown}")
     parser.add_argument("--count", type=int, default=16, help=f"demonstrations to record with --scripted {shown}")
     parser.add_argument("--seed", type=int, default=0, help=f"of the scripted teacher's variation {shown}")
     parser.add_argument(
@@ -224,9 +273,10 @@ def main() -> int:
     if arguments.count < 1:
         parser.error(f"--count {arguments.count}: give 1 or more")
     try:
-        task = Task.load(arguments.task)
+        task = Task.load(arguments.task or config_file(f"{arguments.lesson}.yaml"))
         if arguments.scripted:
-            made = record_scripted(task, arguments.robot, arguments.output, arguments.count, arguments.seed)
+            count, seed = arguments.count, arguments.seed
+            made = record_scripted(task, arguments.robot, arguments.output, count, seed, arguments.lesson)
             print(f"{len(made)} demonstrations recorded in {arguments.output}")
         else:
             counts = record_live(task, arguments.output)

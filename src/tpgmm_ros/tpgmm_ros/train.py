@@ -16,6 +16,7 @@ from tpgmm_core import TPGMM
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_ros.bags import Recording, align, find_bags, read_recordings
+from tpgmm_ros.kinematic_recipe import WAY, KinematicRecipe
 from tpgmm_ros.reporting import format_table, write_atomically, write_report
 from tpgmm_ros.task import DIMENSIONS, MANIFOLD, Task
 from tpgmm_ros.validation import Fold, PathErrors, leave_one_out, mean_errors
@@ -41,7 +42,7 @@ class Training:
     """A fitted model, and what it was fitted to."""
 
     model: TPGMM
-    recipe: Recipe
+    way: str
     recordings: list[Recording]
     duration_s: float
     time_s: float
@@ -81,6 +82,7 @@ def _run(options: argparse.Namespace, report: dict[str, Any]) -> None:
     training = _train(task, recipe, recordings)
     _summarize(training, task, report)
     if options.leave_one_out:
+        assert isinstance(recipe, Recipe)  # `_recipe` refused the others
         report["leave_one_out"] = _validate(task, recipe, recordings)
     if options.output is not None:
         write_atomically(options.output, training.model.save)
@@ -116,16 +118,23 @@ def _read(options: argparse.Namespace, task: Task, report: dict[str, Any]) -> li
     return good
 
 
-def _recipe(task: Task, options: argparse.Namespace) -> Recipe:
+def _recipe(task: Task, options: argparse.Namespace) -> Recipe | KinematicRecipe:
     settings = dict(task.model)
     if options.components is not None:
         settings["n_components"] = options.components
     if options.seed is not None:
         settings["random_state"] = options.seed
-    return Recipe.of(settings, options.retrieval)
+    if task.kinematic is None:
+        return Recipe.of(settings, options.retrieval)
+    for option in ("retrieval", "leave_one_out"):
+        if getattr(options, option):
+            raise TrainingError(
+                f"--{option.replace('_', '-')} is for models of poses; the task {task.name!r} names kinematic frames"
+            )
+    return KinematicRecipe(task.kinematic, settings)
 
 
-def _train(task: Task, recipe: Recipe, recordings: list[Recording]) -> Training:
+def _train(task: Task, recipe: Recipe | KinematicRecipe, recordings: list[Recording]) -> Training:
     demonstrations, duration = align(recordings)
     start = time.perf_counter()
     with _bar(total=recipe.max_iter, desc="EM", unit="iteration") as bar:
@@ -134,7 +143,10 @@ def _train(task: Task, recipe: Recipe, recordings: list[Recording]) -> Training:
             bar.set_postfix_str(f"log-likelihood {log_likelihood:.4f}", refresh=False)
             bar.update()
 
-        model = recipe.learn(demonstrations, MANIFOLD, DIMENSIONS, progress)
+        if isinstance(recipe, KinematicRecipe):
+            model, way = recipe.learn(recordings, duration, progress), WAY
+        else:
+            model, way = recipe.learn(demonstrations, MANIFOLD, DIMENSIONS, progress), recipe.way.name
     elapsed = time.perf_counter() - start
     if not np.isfinite(model.log_likelihood_):
         raise TrainingError(
@@ -148,7 +160,7 @@ def _train(task: Task, recipe: Recipe, recordings: list[Recording]) -> Training:
         "demonstrations": len(recordings),
         "samples": sum(len(recording.times) for recording in recordings),
     }
-    return Training(model, recipe, recordings, duration, elapsed)
+    return Training(model, way, recordings, duration, elapsed)
 
 
 def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
@@ -156,7 +168,7 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
     report |= {
         "task": task.name,
         "frames": list(task.frames),
-        "retrieval": training.recipe.way.name,
+        "retrieval": training.way,
         "demonstrations": len(durations),
         "samples": sum(len(recording.times) for recording in training.recordings),
         "duration_s": training.duration_s,

@@ -13,6 +13,7 @@ from typing import Any
 from tpgmm_core.safe_yaml import YamlError, shown
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_TOPIC = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _QUATERNION_TOLERANCE = 1e-3
 """How far from 1 the norm of a written quaternion may be: three or four digits are what people type."""
 
@@ -71,6 +72,12 @@ def is_name(text: str) -> bool:
 def a_name(value: Any) -> str:
     if not isinstance(value, str) or not is_name(value):
         raise ValueError("a name of letters, digits and underscores")
+    return value
+
+
+def a_topic(value: Any) -> str:
+    if not isinstance(value, str) or not _TOPIC.fullmatch(value):
+        raise ValueError("a relative topic such as object/pose (no leading slash, so that namespaces work)")
     return value
 
 
