@@ -43,6 +43,13 @@ class TorqueCommand:
         """Whether anything took something away from what the error asked for."""
         return bool(self.actions) or (self.law is not None and self.law.shortened)
 
+    @property
+    def terms(self) -> dict[str, Array]:
+        """Name -> (nv,), whose sum is tau: the law's terms and "pipeline", what became of them; or "safe" alone."""
+        if self.law is None:
+            return {"safe": self.tau}
+        return {**self.law.terms, "pipeline": self.tau - self.law.tau}
+
 
 class Controller[TargetT]:
     """States and targets in, torques out that may leave, one for each step; time enters as dt alone."""

@@ -43,6 +43,10 @@ class Background:
 
         self._pool.submit(work).add_done_callback(hand_over)
 
+    def submit[ResultT](self, work: Callable[[], ResultT]) -> Future[ResultT]:
+        """Do the work in the background; the future says when it is done."""
+        return self._pool.submit(work)
+
     def close(self) -> None:
         """Wait for what is being done, and forget it and all the rest."""
         self._open = False

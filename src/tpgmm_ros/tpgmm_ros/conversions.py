@@ -9,7 +9,7 @@ Poses are ``[x, y, z, qx, qy, qz, qw]``, m; times are integers in ns.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,9 +23,9 @@ from tpgmm_core import Frame, Gaussian
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.reference import Reference
 from tpgmm_core.tracking import FrameStatus, TrackedFrame
+from tpgmm_msgs.msg import ControllerState, TaskFrame, TaskParameters
 from tpgmm_msgs.msg import Gaussian as GaussianMessage
 from tpgmm_msgs.msg import Reference as ReferenceMessage
-from tpgmm_msgs.msg import TaskFrame, TaskParameters
 
 Array = NDArray[np.float64]
 
@@ -250,6 +250,29 @@ def reference(message: ReferenceMessage) -> Reference:
         frames=tuple(message.frames),
         dimensions=tuple(message.dimensions),
     )
+
+
+# -- terms of torques -------------------------------------------------------------------------------------------------
+
+
+def torque_terms(terms: Mapping[str, Array]) -> tuple[list[str], array[float]]:
+    """`term_names` and `terms` of a ControllerState, from each term's torques (n,)."""
+    return list(terms), floats(np.concatenate([np.zeros(0), *terms.values()]))
+
+
+def terms_of(message: ControllerState) -> dict[str, Array]:
+    """Each term's torques (n,), in the order of the message's joints.
+
+    Raises:
+        MessageError: as many numbers as no terms of these joints have, a name given twice.
+    """
+    names, joints = list(message.term_names), len(message.joints)
+    if len(message.terms) != len(names) * joints or len(set(names)) != len(names):
+        raise MessageError(
+            f"{len(message.terms)} numbers for the terms {names} of {joints} joints; expected {len(names) * joints}, "
+            "and each name once"
+        )
+    return dict(zip(names, np.array(message.terms).reshape(len(names), joints), strict=True))
 
 
 # -- joints -----------------------------------------------------------------------------------------------------------

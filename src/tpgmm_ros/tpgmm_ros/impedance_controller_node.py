@@ -18,10 +18,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 
-from tpgmm_core.control_law import ControlLaw
 from tpgmm_core.controller import TorqueCommand
-from tpgmm_core.impedance import ImpedanceConfig, ImpedanceLaw
-from tpgmm_core.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
+from tpgmm_core.laws import CONFIGS, LAWS, LawSettings, LawTarget, ReferenceLaw
+from tpgmm_core.planning import at_once
 from tpgmm_core.robot import RobotModel
 from tpgmm_core.supervised_controller import Answer, SupervisedController
 from tpgmm_core.supervision import ControllerMode, Timeouts
@@ -29,6 +28,7 @@ from tpgmm_core.torque_pipeline import TorqueLimits
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
+from tpgmm_ros.background import Background
 from tpgmm_ros.conversions import JointReader, MessageError
 from tpgmm_ros.executor import run
 from tpgmm_ros.lifecycle import ManagedNode
@@ -39,16 +39,10 @@ from tpgmm_ros.qos import LATCHED, STREAM
 from tpgmm_ros.timing import loop_clock
 from tpgmm_ros.torque_outputs import OUTPUTS, TorqueOutputs
 
-#: What follows references: poses of an end point, or positions of joints.
-LAWS = {"infinite_horizon": ImpedanceConfig, "joint_space": JointImpedanceConfig}
-
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
     Declared("law", "infinite_horizon", f"Law of control: {', '.join(LAWS)}", fixed=True),
-    Declared("endpoint", "left", "The end point that follows the reference", fixed=True),
-    Declared(
-        "joints", ["left_arm", "right_arm"], "joint_space: joints or their groups that follow, in order", fixed=True
-    ),
+    Declared("endpoint", "left", "The end point that follows references of poses", fixed=True),
     Declared(
         "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
     ),
@@ -60,7 +54,7 @@ PARAMETERS = [
     Declared("torque_joints", "", "Joint group whose torques leave, in its order; empty: all joints", fixed=True),
     Declared("gravity_compensated", False, "The robot adds the torques of gravity itself: leave them out", fixed=True),
     *declared_of(Timeouts),
-    *{item.name: item for config in LAWS.values() for item in declared_of(config)}.values(),
+    *{item.name: item for config in CONFIGS for item in declared_of(config)}.values(),
     *declared_of(TorqueLimits),
 ]
 STATE_PERIOD_NS = 100_000_000
@@ -75,7 +69,8 @@ class ImpedanceControllerNode(ManagedNode):
         super().__init__("impedance_controller")
         # Every value may be in its range and the whole still make no sense.
         self.parameters = Parameters(self, PARAMETERS, check=self._check_parameters, changed=self._reconfigure)
-        self.law: ImpedanceLaw | JointImpedanceLaw | None = None
+        self.law: ReferenceLaw | None = None
+        self._background = Background(self)
         self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"])
         self._active = False
         self._mode, self._reason = ControllerMode.WAITING, "not active"
@@ -87,21 +82,17 @@ class ImpedanceControllerNode(ManagedNode):
     def _check_parameters(values: Mapping[str, Any]) -> None:
         if values["law"] not in LAWS:
             raise ValueError(f"law is '{values['law']}', expected one of {', '.join(LAWS)}")
-        for config in LAWS.values():
-            fill(config, values)
+        LawSettings.filled(lambda config: fill(config, values))
 
-    def _make_law(self) -> ImpedanceLaw | JointImpedanceLaw:
-        if self.parameters["law"] == "joint_space":
-            joints = self.parameters["joints"]
-            return JointImpedanceLaw(self.robot, joints, self.parameters.fill(JointImpedanceConfig))
-        return ImpedanceLaw(self.robot, self.parameters["endpoint"], self.parameters.fill(ImpedanceConfig))
+    def _make_law(self) -> ReferenceLaw:
+        # in lockstep the same numbers, however long a plan takes
+        submit = at_once if self.parameters["lockstep"] else self._background.submit
+        settings = LawSettings.filled(self.parameters.fill)
+        return ReferenceLaw(self.parameters["law"], self.robot, self.parameters["endpoint"], settings, submit)
 
     def _reconfigure(self) -> None:
-        if isinstance(self.law, JointImpedanceLaw):
-            self.law.configure(self.parameters.fill(JointImpedanceConfig))
-        elif self.law is not None:
-            self.law.configure(self.parameters.fill(ImpedanceConfig))
         if self.law is not None:
+            self.law.configure(LawSettings.filled(self.parameters.fill))
             self.controller.configure(self.parameters.fill(TorqueLimits), self.parameters.fill(Timeouts))
 
     # -- lifecycle ----------------------------------------------------------------------------------------------------
@@ -118,12 +109,11 @@ class ImpedanceControllerNode(ManagedNode):
                 self.parameters["torque_joints"],
                 self.parameters["gravity_compensated"],
             )
-        except (ValueError, OSError) as error:
+        except (ValueError, OSError, ImportError) as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
         limits, timeouts = self.parameters.fill(TorqueLimits), self.parameters.fill(Timeouts)
-        law: ControlLaw[Any] = self.law
-        self.controller: SupervisedController[Any] = SupervisedController(self.robot, law, limits, timeouts)
+        self.controller: SupervisedController[LawTarget] = SupervisedController(self.robot, self.law, limits, timeouts)
         self._names = list(self.robot.joint_names)
         self._reader = JointReader(self._names)
         self._loop_clock = loop_clock(self)
@@ -155,6 +145,7 @@ class ImpedanceControllerNode(ManagedNode):
 
     def destroy_node(self) -> None:
         self._let_go()
+        self._background.close()
         super().destroy_node()
 
     def _let_go(self) -> None:
@@ -276,6 +267,7 @@ class ImpedanceControllerNode(ManagedNode):
         feedforward = command.tau if command.law is None else command.law.terms["feedforward"]
         message.feedforward_torque = conversions.floats(feedforward)
         message.feedback_torque = conversions.floats(command.tau - feedforward)
+        message.term_names, message.terms = conversions.torque_terms(command.terms)
         if command.law is not None:
             message.stiffness = conversions.floats(command.law.stiffness)
             message.damping = conversions.floats(command.law.damping)
