@@ -12,23 +12,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from rclpy.action import ActionClient
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from ros_graph import ROOT, Inbox, ros_arguments
-from ros_testing import RunningProcess, StartProcess, executable, spin_until
+from ros_graph import ROOT, Inbox, result_of, ros_arguments
+from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_core.robot import RobotModel
-from tpgmm_ros import conversions
+from tpgmm_msgs.action import Reproduce
+from tpgmm_ros import check_robot, conversions
 from tpgmm_ros.qos import STREAM
 
 PAGE = (ROOT / "docs" / "your-robot.md").read_text()
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
-#: A machine that is busy with other tests: fewer steps per second, and more time for each.
-SLOWER = {
-    "baxter_simulator": ["-p", "rate:=250.0"],
-    "impedance_controller": ["-p", "joint_state_timeout:=2.0", "-p", "reference_timeout:=2.0"],
-    "reproduction": ["-p", "start_timeout:=60.0"],
+#: The page's nodes in lockstep, so that a busy machine gives the same, and with few steps, so that it gets there.
+LOCKSTEP = {
+    "baxter_simulator": ["-p", "lockstep:=true", "-p", "rate:=200.0"],
+    "frame_tracker": ["-p", "use_sim_time:=true", "-p", "lockstep:=true"],
+    "impedance_controller": ["-p", "use_sim_time:=true", "-p", "lockstep:=true"],
+    "reproduction": ["-p", "use_sim_time:=true", "-p", "lockstep_rate:=100.0", "-p", "start_timeout:=60.0"],
 }
+#: Where the page's program has the object, and which way it is turned.
+OBJECT = np.array([0.40, 0.13, 0.32, 0.0, 0.296, 0.0, 0.955])
 
 
 def write_files(folder: Path) -> None:
@@ -64,14 +69,14 @@ def start(command: list[str], folder: Path, start_process: StartProcess) -> Runn
     program = Path(command[0])
     assert program.parent == Path(".venv/lib/tpgmm_ros")
     arguments = [re.sub(r":=(\w+\.(yaml|tpgmm))$", rf":={folder}/\1", word) for word in command[1:]]
-    return start_process(program.name, *arguments, *SLOWER.get(program.name, []))
+    return start_process(program.name, *arguments, *LOCKSTEP.get(program.name, []))
 
 
 def test_a_newcomer_comes_from_a_urdf_to_a_movement(
     tmp_path: Path, ros_node: Node, start_process: StartProcess
 ) -> None:
     write_files(tmp_path)
-    checked, taught, asked = commands()
+    checked, taught, _ = commands()
     whole = (tmp_path / "z1.yaml").read_text()
     (tmp_path / "z1.yaml").write_text(whole.partition("armature:")[0])
     before = run(checked, tmp_path)
@@ -86,13 +91,27 @@ def test_a_newcomer_comes_from_a_urdf_to_a_movement(
     robot = RobotModel.from_file(tmp_path / "z1.yaml")
     torques = Inbox(ros_node, JointState, "joint_torques")
     poses = Inbox(ros_node, PoseStamped, "endpoint/hand/pose")
-    processes = tuple(start(command, tmp_path, start_process) for command in commands("nodes"))
-    spin_until(ros_node, lambda: torques.messages and poses.messages, message="torques", processes=processes)
-    asking = start_process(sys.executable, str(tmp_path / asked[1]))
-    spin_until(ros_node, lambda: asking.returncode is not None, 120.0, "the end of the movement", processes)
-    assert re.search(r"^reached: ", asking.output, re.MULTILINE), asking.output
+    seen = ros_node.create_publisher(PoseStamped, "object/pose", STREAM)
+
+    def see(hand: PoseStamped) -> None:
+        """Perception: where the object is, at the moment of each pose of the hand."""
+        stamp_ns = conversions.time_to_ns(hand.header.stamp)
+        seen.publish(conversions.pose_stamped(OBJECT, stamp_ns, robot.base_frame))
+
+    ros_node.create_subscription(PoseStamped, "endpoint/hand/pose", see, STREAM)
+    simulator, *others = commands("nodes")
+    processes = [start(command, tmp_path, start_process) for command in others]
+    client = ActionClient(ros_node, Reproduce, "reproduce")
+    spin_until(ros_node, client.server_is_ready, 60.0, "the action", tuple(processes))
+    goal = result_of(ros_node, client.send_goal_async(Reproduce.Goal()), "the goal to be accepted")
+    processes.append(start(simulator, tmp_path, start_process))  # simulated time begins with the movement
+    asked = goal.get_result_async()
+    spin_until(ros_node, asked.done, 120.0, "the end of the movement", tuple(processes))
+    answer = asked.result().result
+    assert answer.success, answer.reason
+    print(answer.reason)
     pose = conversions.pose_to_array(poses.last.pose)
-    np.testing.assert_allclose(pose[:3], [0.40, 0.13, 0.32], atol=0.01)
+    np.testing.assert_allclose(pose[:3], OBJECT[:3], atol=0.01)
     efforts = np.array([message.effort for message in torques.messages])
     assert len(efforts) > 200
     assert (np.abs(efforts) <= robot.effort_limits + 1e-9).all()
@@ -128,12 +147,12 @@ def test_poses_of_the_end_points_come_from_joint_states(
     stamps = np.array([conversions.time_to_ns(message.header.stamp) for message in poses.messages])
     assert np.diff(stamps)[1:].min() >= 20_000_000  # the rate that was asked for, though four times as many states come
     last_ns, stamp_ns = stamp_ns, 0
-    spin_until(
-        ros_node,
-        lambda: publish(20_000_000) or conversions.time_to_ns(poses.last.header.stamp) < last_ns // 2,
-        message="poses after the clock was set back",
-        processes=(process,),
-    )
+
+    def set_back() -> bool:
+        publish(20_000_000)
+        return conversions.time_to_ns(poses.last.header.stamp) < last_ns // 2
+
+    spin_until(ros_node, set_back, message="poses after the clock was set back", processes=(process,))
 
 
 def test_joint_states_without_the_robots_joints_are_refused_in_words(
@@ -151,12 +170,11 @@ def test_joint_states_without_the_robots_joints_are_refused_in_words(
 
 @pytest.mark.parametrize(("content", "reason"), [("urdf: a.urdf", "missing keys"), (None, "cannot read|No such file")])
 def test_a_robot_file_that_cannot_be_used_is_one_line_and_status_1(
-    tmp_path: Path, content: str | None, reason: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None, reason: str
 ) -> None:
     if content is not None:
         (tmp_path / "robot.yaml").write_text(content)
-    done = subprocess.run(
-        [executable("check_robot"), str(tmp_path / "robot.yaml")], capture_output=True, text=True, timeout=100
-    )
-    assert done.returncode == 1
-    assert re.match(f"error: .*({reason}).*\n$", done.stderr), done.stderr
+    assert check_robot.main([str(tmp_path / "robot.yaml")]) == 1
+    written = capsys.readouterr()
+    assert re.fullmatch(f"error: .*({reason}).*\n", written.err), written.err
+    assert not written.out
