@@ -26,7 +26,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 say = @printf '\033[1m==> %s\033[0m\n' "$(1)"
 
-.PHONY: help setup lint format test properties fuzz determinism soak demo bags results figures figure6 bench scaling lock clean
+.PHONY: help setup lint format test properties faults fuzz determinism soak demo bags results figures figure6 bench scaling lock clean
 
 help: ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -57,6 +57,9 @@ determinism: setup ## the demo in lockstep, twice: equal, bit by bit? out/determ
 
 soak: setup ## 30 minutes of simulated time with random faults (MINUTES=5 for less): tasks, memory: out/soak/
 	PYTHONPATH=. $(PYTHON) benchmarks/soak.py --minutes $(MINUTES) --seed $(SEED)
+
+faults: setup ## make every fault happen to the running nodes and see what they do: out/faults/ (10 minutes)
+	PYTHONPATH=.:test $(PYTHON) -m faults
 
 demo: setup ## train, start the nodes, do the task: out/demo/ (SEED=7 for another situation)
 	$(PROGRAMS)/demo --seed $(SEED)

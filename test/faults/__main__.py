@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import signal
 import sys
 import time
 from pathlib import Path
@@ -25,6 +26,7 @@ def main() -> int:
     if arguments.list:
         print(format_table(("fault", "promise"), [(row.name, row.promise) for row in faults]))
         return 0
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # which ends the nodes too
     # A report of an earlier success must not stand beside a failure
     (arguments.output / "report.json").unlink(missing_ok=True)
     rows = _run(faults, arguments.output / "log")

@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 
-from faults.graph_bench import GraphBench
+from faults.graph_bench import DURATION, GraphBench
 from faults.table import fault
 from ros_graph import ALL_LATCHED, Inbox
 from simulated_hand import ROBOT
@@ -63,7 +63,7 @@ def reproduction_killed(bench: GraphBench) -> str:
     quick=False,
 )
 def controller_killed(bench: GraphBench) -> str:
-    bench.move(until=0.4)
+    bench.move(duration=2 * DURATION, until=0.4)
     bench.wait(lambda: bench.speed() > 2 * AT_REST, "the arm to move")
     speed = bench.speed()
     bench.states.clear()
@@ -72,7 +72,7 @@ def controller_killed(bench: GraphBench) -> str:
     bench.wait(bench.said("baxter_simulator", "torques stopped"), "the diagnostics to tell")
     positions = np.array([message.position for message in bench.states.messages])
     way = float(np.ptp(positions, axis=0).max())
-    assert rest < 2.0 and way < 0.3, f"at rest after {rest} s and {way} rad"
+    assert rest < 3.0 and way < 0.6, f"at rest after {rest} s and {way} rad"
     bench.clear()
     bench.start("impedance_controller")
     bench.wait(lambda: bench.torques.messages, "torques")
