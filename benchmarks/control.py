@@ -21,8 +21,12 @@ from tpgmm_core.control.finite_horizon import finite_horizon_gains  # noqa: E402
 from tpgmm_core.control.joint_space import to_joint_space  # noqa: E402
 from tpgmm_core.control.lqr import double_integrator, double_integrator_gains, riccati_gains  # noqa: E402
 from tpgmm_core.control.predictive import JointLimits, JointReference, Plan, PredictiveController  # noqa: E402
+from tpgmm_core.control_law import RobotMoment  # noqa: E402
+from tpgmm_core.gaussian import Gaussian  # noqa: E402
+from tpgmm_core.laws import LAWS, ReferenceLaw  # noqa: E402
 from tpgmm_core.manifold import POSE  # noqa: E402
 from tpgmm_core.quaternion import Array  # noqa: E402
+from tpgmm_core.reference import Reference  # noqa: E402
 from tpgmm_core.robot import RobotModel  # noqa: E402
 
 BAXTER = Path(__file__).resolve().parents[1] / "config" / "baxter.yaml"
@@ -130,6 +134,29 @@ def predictive(situation: Situation) -> tuple[Stopwatch, dict[str, int]]:
     return stopwatch, statuses
 
 
+def reference_of(robot: RobotModel, joints: tuple[str, ...]) -> Reference:
+    """A Gaussian and ten ahead of it: over joints, or of the left hand's pose where none are named."""
+    data = robot.create_data()
+    data.update(robot.home)
+    if joints:
+        here, n = robot.home[robot.indices(joints)], len(joints)
+        course = [Gaussian(here + 0.01 * k, 1e-3 * np.eye(n)) for k in range(STEPS + 1)]
+    else:
+        here = data.pose("left")
+        course = [Gaussian(POSE.exp(here, np.full(6, 0.01 * k)), 1e-3 * np.eye(6), POSE) for k in range(STEPS + 1)]
+    return Reference(0.0, course[0], TIME_STEP, tuple(course[1:]), np.ones(1), (), joints)
+
+
+def node_step(name: str, robot: RobotModel, joints: tuple[str, ...]) -> Stopwatch:
+    """Times of the law's part of a control step, from reference and state to torques; plans are made within it."""
+    law, stopwatch, reference = ReferenceLaw(name, robot), Stopwatch(), reference_of(robot, joints)
+    moment = RobotMoment.at(robot.create_data(), robot.home, np.zeros(robot.nv))
+    law.step(moment, law.target(reference, True), 0.001)
+    for _ in range(TICKS):
+        stopwatch.time(lambda: law.step(moment, law.target(reference, True), 0.001))
+    return stopwatch
+
+
 def row(work: str, joints: int, stopwatch: Stopwatch, to_reach_ms: float | None = None) -> Row:
     """Percentiles, and whether the slow end reaches what is asked for."""
     p50, p99 = (1e3 * float(np.percentile(stopwatch.wall, percent)) for percent in (50, 99))
@@ -162,6 +189,12 @@ def main() -> None:
         rows.append(
             row(f"predictive, {STEPS} steps ({kinds})", joints, solved, TO_REACH_MS if len(hands) == 1 else None)
         )
+    robot = RobotModel.from_file(BAXTER)
+    arms = [tuple(robot.joint_names[i] for i in robot.indices(f"{hand}_arm")) for hand in HANDS]
+    for name in LAWS:
+        for of, joints in (("a pose", ()), ("joints", arms[0]), ("joints", arms[0] + arms[1])):
+            stopwatch = node_step(name, robot, joints)
+            rows.append(row(f"node: {name}, of {of}", len(joints) or len(arms[0]), stopwatch))
     write_report("control", rows)
 
 
