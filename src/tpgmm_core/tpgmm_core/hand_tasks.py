@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tpgmm_core.adaptation import UNCONSTRAINED_VARIANCE
 from tpgmm_core.control.joint_space import to_joint_space
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.kernels import compiled, inverse_left_jacobian, quaternion_difference, rotation
@@ -131,7 +132,8 @@ class ActiveTasks:
     tasks : all of them; none holds at first
     blend_time : s
 
-    The rest posture is that in which the robot is when the first task takes hold.
+    The rest posture is that in which the robot is when the first task takes hold. While none holds, the robot is free:
+    what nothing constrains stays where it is.
     """
 
     def __init__(self, tasks: HandTasks, blend_time: float = 0.5) -> None:
@@ -156,14 +158,15 @@ class ActiveTasks:
         """The tasks that have hold, were it little."""
         return tuple(name for name, share in self._shares.items() if share > 0.0)
 
-    def step(self, q: Array, dt: float) -> Gaussian | None:
-        """The Gaussian over the joints at positions q (nv,), dt s after the last step; None while no task holds."""
+    def step(self, q: Array, dt: float) -> Gaussian:
+        """The Gaussian over the joints at positions q (nv,), dt s after the last step."""
         for name, share in self._shares.items():
             change = dt / self.blend_time if name in self._chosen else -dt / self.blend_time
             self._shares[name] = min(1.0, max(0.0, share + change))
         if not self.holding:
             self._rest = None
-            return None
+            joints = self.tasks.joints
+            return Gaussian(q[joints], UNCONSTRAINED_VARIANCE * np.eye(len(joints)))
         if self._rest is None:
             self._rest = q.copy()
         # smooth at both ends; a precision, of which stiffness is the root, may well begin as a square

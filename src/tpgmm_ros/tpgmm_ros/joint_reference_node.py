@@ -2,7 +2,8 @@
 """joint_reference: joint states and the taught tasks of the hands in, references over the joints out.
 
 Each joint state is answered by the product of the Gaussians of all tasks that hold at present, in joint space. Which
-ones hold is the parameter `active`, at any time. It wants a controller whose law is `joint_space`.
+ones hold is the parameter `active`, at any time. While none does, or there are none, the references are wherever the
+robot is: it may be led, as in gravity compensation.
 """
 
 from __future__ import annotations
@@ -25,7 +26,6 @@ from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader, MessageError
 from tpgmm_ros.executor import run
-from tpgmm_ros.lockstep import no_reference
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters
 from tpgmm_ros.qos import STREAM
@@ -44,7 +44,6 @@ PARAMETERS = [
     Declared(
         "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
     ),
-    Declared("lockstep", False, "Say so for each joint state for which there is no reference", fixed=True),
 ]
 #: A longer pause between two joint states counts as this long, s.
 MAX_PAUSE = 0.02
@@ -73,9 +72,10 @@ class JointReferenceNode(Node):
         self.active: ActiveTasks | None = None
         self.parameters = Parameters(self, PARAMETERS, check=self._check, changed=self._choose)
         self.robot = RobotModel.from_file(self.parameters.file("robot_file"))
-        files = self.parameters["task_files"], self.parameters["model_files"]
-        if len(files[0]) != len(files[1]) or "" in (*files[0], *files[1]):
-            raise ValueError(f"expected one model file for each task file, got {list(files[0])} and {list(files[1])}")
+        # ROS has no empty arrays on the command line
+        files = [[file for file in self.parameters[name] if file] for name in ("task_files", "model_files")]
+        if len(files[0]) != len(files[1]):
+            raise ValueError(f"expected one model file for each task file, got {files[0]} and {files[1]}")
         tasks = [(Task.load(task), TPGMM.load(model)) for task, model in zip(*files, strict=True)]
         hands = {task.name: hand_task(task, model, list(self.robot.endpoints)) for task, model in tasks}
         product = HandTasks(self.robot, hands, self.parameters["joints"], self.parameters["rest_deviation"])
@@ -115,16 +115,12 @@ class JointReferenceNode(Node):
             return
         dt = 0.0 if self._last_ns is None else 1e-9 * (stamp_ns - self._last_ns)
         gaussian = self.active.step(q, min(max(0.0, dt), MAX_PAUSE))
-        self._last_ns, self._last = stamp_ns, None
-        if gaussian is not None:
-            frames = tuple(frame for name in self.active.holding for frame in self._frames[name])
-            reference = Reference(0.0, gaussian, 0.0, (), np.ones(1), frames)
-            names = self.active.tasks.joint_names
-            self._last = conversions.reference_message(reference, names, stamp_ns, self.robot.base_frame)
-        elif self.parameters["lockstep"]:
-            self._last = no_reference(stamp_ns, self.robot.base_frame)
-        if self._last is not None:
-            self._references.publish(self._last)
+        self._last_ns = stamp_ns
+        frames = tuple(frame for name in self.active.holding for frame in self._frames[name])
+        reference = Reference(0.0, gaussian, 0.0, (), np.ones(1), frames)
+        names = self.active.tasks.joint_names
+        self._last = conversions.reference_message(reference, names, stamp_ns, self.robot.base_frame)
+        self._references.publish(self._last)
         self.monitor.done += 1
         self.monitor.step.add(time.perf_counter() - start)
 

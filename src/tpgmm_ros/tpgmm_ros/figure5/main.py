@@ -4,34 +4,22 @@
 from __future__ import annotations
 
 import argparse
-import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import rclpy
-from domain_coordinator import domain_id
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
-from rclpy.experimental import EventsExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
 import tpgmm_ros.figure5 as package
 from tpgmm_core.robot import RobotModel
 from tpgmm_ros.bag_messages import BagError
+from tpgmm_ros.figure5.graph import open_session, start_controller, start_joint_reference
 from tpgmm_ros.figure5.pictures import draw
 from tpgmm_ros.figure5.report import evaluate, table
 from tpgmm_ros.figure5.sequences import CUP, SEQUENCES, SUGAR, Course, random_pushes, run_sequence
-from tpgmm_ros.figure5.session import START_TIMEOUT, Session
 from tpgmm_ros.figure5.teaching import learn, record_lesson
-from tpgmm_ros.processes import GraphError, NodeProcesses
+from tpgmm_ros.processes import GraphError
 from tpgmm_ros.reporting import write_report
 from tpgmm_ros.resources import config_file
 from tpgmm_ros.task import Task, TaskError
@@ -64,8 +52,10 @@ def _run(arguments: argparse.Namespace) -> bool:
         print("1. teaching, each task by one demonstration")
         for number, (name, task) in enumerate(tasks.items()):
             shutil.rmtree(bags[name], ignore_errors=True)
-            with _session(arguments, robot, f"teach_{name}") as session:
-                _start_controller(session, arguments, lockstep=False)
+            log = arguments.output / "log" / f"teach_{name}"
+            with open_session(robot, log, lockstep=not arguments.real_time) as session:
+                start_controller(session, arguments.robot)
+                start_joint_reference(session, arguments.robot, (), arguments.output)
                 session.start_simulator(arguments.robot)
                 record_lesson(session, task, bags[name], np.random.default_rng([arguments.seed, number]))
     print("2. learning: a single Gaussian in each frame")
@@ -86,68 +76,15 @@ def _run(arguments: argparse.Namespace) -> bool:
 def _sequences(arguments: argparse.Namespace, robot: RobotModel) -> list[Course]:
     pushes = random_pushes(arguments.pushes, np.random.default_rng([arguments.seed, 5]))
     total = sum(planned.kind in sequence.kinds for sequence in SEQUENCES for planned in pushes)
-    with _session(arguments, robot, "sequences") as session, tqdm(total=total, unit="push", desc="pushing") as progress:
-        _start_controller(session, arguments, lockstep=session.lockstep)
-        session.graph.processes.start(
-            "joint_reference",
-            robot_file=arguments.robot,
-            task_files=str([str(config_file(f"{name}.yaml")) for name in TASKS]),
-            model_files=str([str((arguments.output / f"{name}.tpgmm").absolute()) for name in TASKS]),
-            lockstep=session.lockstep,
-            use_sim_time=session.lockstep,
-            realtime_priority=session.priority,
-        )
-        choose = _chooser(session)
+    log = arguments.output / "log" / "sequences"
+    with (
+        open_session(robot, log, not arguments.real_time) as session,
+        tqdm(total=total, unit="push", desc="pushing") as progress,
+    ):
+        start_controller(session, arguments.robot)
+        choose = start_joint_reference(session, arguments.robot, TASKS, arguments.output)
         session.start_simulator(arguments.robot)
         return [run_sequence(session, sequence, pushes, choose, progress.update) for sequence in SEQUENCES]
-
-
-@contextmanager
-def _session(arguments: argparse.Namespace, robot: RobotModel, name: str) -> Iterator[Session]:
-    """Nodes on a ROS domain that nobody else uses; they end with it."""
-    lockstep = not arguments.real_time
-    with domain_id() as domain:
-        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-        rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-        node = Node("figure5", parameter_overrides=[Parameter("use_sim_time", value=lockstep)])
-        executor = EventsExecutor()
-        executor.add_node(node)
-        try:
-            with NodeProcesses(arguments.output / "log" / name) as processes:
-                yield Session(node, executor, processes, robot, lockstep)
-        finally:
-            executor.remove_node(node)
-            node.destroy_node()
-            rclpy.shutdown()
-
-
-def _start_controller(session: Session, arguments: argparse.Namespace, lockstep: bool) -> None:
-    """The controller; while it is taught there are no references, so that it compensates gravity."""
-    session.graph.processes.start(
-        "impedance_controller",
-        robot_file=arguments.robot,
-        law="joint_space",
-        lockstep=lockstep,
-        use_sim_time=session.lockstep,
-        realtime_priority=session.priority,
-    )
-    session.graph.bring_up("impedance_controller", START_TIMEOUT)
-
-
-def _chooser(session: Session) -> Callable[[tuple[str, ...]], None]:
-    """What sets the tasks that hold, once all nodes have answered the present state."""
-    client = session.graph.node.create_client(SetParameters, "joint_reference/set_parameters")
-    session.graph.wait_for(client.service_is_ready, START_TIMEOUT, "joint_reference to appear")
-
-    def choose(names: tuple[str, ...]) -> None:
-        session.settle()
-        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=",".join(names))
-        request = SetParameters.Request(parameters=[ParameterMessage(name="active", value=value)])
-        for result in session.graph.result(client.call_async(request), START_TIMEOUT, "the choice of tasks").results:
-            if not result.successful:
-                raise GraphError(f"joint_reference refused the tasks {names}: {result.reason}")
-
-    return choose
 
 
 def _parser() -> argparse.ArgumentParser:

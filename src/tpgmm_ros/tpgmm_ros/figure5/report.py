@@ -44,7 +44,7 @@ def evaluate(
 ) -> dict[str, Any]:
     """The report of one run: figures, and which of them are as they are to be."""
     hands = {name: hand_task(task, models[name], list(robot.endpoints)) for name, task in tasks.items()}
-    report: dict[str, Any] = {"frames": {name: _frames(model, *TAUGHT[name]) for name, model in models.items()}}
+    report: dict[str, Any] = {"frames": {name: judged_frames(name, model) for name, model in models.items()}}
     report["sequences"] = {course.sequence.name: _course(robot, hands, course) for course in courses}
     report["softness"] = _softness(robot, courses[-1])
     sequences = report["sequences"]
@@ -94,8 +94,9 @@ def _elbow(row: dict[str, Any]) -> bool:
     )
 
 
-def _frames(model: TPGMM, relevant: str, taught: tuple[int, ...]) -> dict[str, Any]:
-    """What each frame found, in units of the frame's directions: m, and rad times `LENGTH`."""
+def judged_frames(task: str, model: TPGMM) -> dict[str, Any]:
+    """What each frame of a task found, in units of the frame's directions: m, and rad times `LENGTH`."""
+    relevant, taught = TAUGHT[task]
     scale = np.repeat([1.0, LENGTH], 3)
     covariances = {name: model.covariances_[name][0] * np.outer(scale, scale) for name in model.frame_names_}
     firmest = {name: 1.0 / float(np.linalg.eigvalsh(C)[0]) for name, C in covariances.items()}
