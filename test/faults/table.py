@@ -17,7 +17,9 @@ from ros_testing import StartProcess, node_on, own_domain, process_starter
 from tpgmm_ros.processes import REALTIME_PRIORITY
 
 #: In the order of the table.
-MODULES = ("controller", "controller_ends", "robot", "bag", "perception", "movement", "processes")
+MODULES = (
+    "controller", "controller_references", "controller_ends", "robot", "bag", "perception", "movement", "processes"
+)  # fmt: skip
 
 
 class Bench(Protocol):
