@@ -192,9 +192,8 @@ def main() -> None:
     robot = RobotModel.from_file(BAXTER)
     arms = [tuple(robot.joint_names[i] for i in robot.indices(f"{hand}_arm")) for hand in HANDS]
     for name in LAWS:
-        for of, joints in (("a pose", ()), ("joints", arms[0]), ("joints", arms[0] + arms[1])):
-            stopwatch = node_step(name, robot, joints)
-            rows.append(row(f"node: {name}, of {of}", len(joints) or len(arms[0]), stopwatch))
+        for of, names in (("a pose", ()), ("joints", arms[0]), ("joints", arms[0] + arms[1])):
+            rows.append(row(f"node: {name}, of {of}", len(names) or len(arms[0]), node_step(name, robot, names)))
     write_report("control", rows)
 
 
