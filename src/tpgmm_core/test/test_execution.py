@@ -14,6 +14,7 @@ from reaching import frames_at, place, reaching_model
 from tpgmm_core import TPGMM
 from tpgmm_core.execution import Execution, ExecutionConfig, Outcome, Stage
 from tpgmm_core.manifold import POSE
+from tpgmm_core.phase import StatePhase
 from tpgmm_core.reference import Reference
 from tpgmm_core.reproduction import Reproduction
 from tpgmm_core.retrieval.regression import RegressThenProduct
@@ -22,7 +23,7 @@ from worlds import planar_demonstrations
 FRAMES = frames_at(start=place(0.0, 0.0, 0.0), object=place(0.5, 0.1, 0.4))
 WEIGHTS = {"start": 1.0, "object": 1.0}
 SECOND = 1_000_000_000
-CONFIG = ExecutionConfig(start_timeout=1.0, settle_time=0.5)
+CONFIG = ExecutionConfig(start_timeout=1.0, settle_time=0.5, stall_timeout=2.0)
 
 
 def execution() -> Execution:
@@ -129,6 +130,45 @@ def test_a_movement_that_goes_back_waits_at_its_start_and_may_go_forward_again()
         seen.append((run.stage, reference.phase))
     assert seen[50] == (Stage.MOVING, 0.0) and run.stage is Stage.ENDED
     assert run.outcome is not None and run.outcome.success
+
+
+def held(seconds: float, speeds: dict[int, float]) -> list[tuple[Stage, float]]:
+    """Stages and phases, a tenth of a second apart, while a robot is held at the start; speeds by tenths."""
+    run, found = Execution(Reproduction(reaching_model(), phase=StatePhase()), CONFIG), []
+    for tenth in range(round(10 * seconds)):
+        if tenth in speeds:
+            run.retrieval.speed = speeds[tenth]
+        reference = run.step(tenth * SECOND // 10, FRAMES, place(0.0, 0.0, 0.0), WEIGHTS)
+        assert reference is not None
+        found.append((run.stage, reference.phase))
+    if run.outcome is not None:
+        assert not run.outcome.success and "stood still for 2 s" in run.outcome.reason
+        assert f"phase {reference.phase:.2f}" in run.outcome.reason and "held" in run.outcome.reason
+    return found
+
+
+def test_a_movement_that_waits_for_a_held_robot_is_given_up_in_the_end() -> None:
+    found = held(8.0, {})
+    ended = [stage for stage, _ in found].index(Stage.ENDED)
+    assert 20 <= ended < 40
+    assert {phase for _, phase in found[ended:]} == {found[ended][1]}  # the reference stays where it is
+
+
+def test_neither_a_pause_nor_the_wait_at_the_start_is_a_stall() -> None:
+    assert {stage for stage, _ in held(8.0, {10: 0.0})} == {Stage.MOVING}
+    assert {stage for stage, _ in held(8.0, {10: -1.0})} == {Stage.MOVING}
+    # what has stood still before a pause counts, and the pause does not
+    usual = [stage for stage, _ in held(8.0, {})].index(Stage.ENDED)
+    paused = [stage for stage, _ in held(12.0, {usual - 5: 0.0, usual + 35: 1.0})].index(Stage.ENDED)
+    assert usual + 38 <= paused <= usual + 42
+
+
+def test_what_is_slow_does_not_stand_still() -> None:
+    run = Execution(Reproduction(reaching_model(), duration=200.0), CONFIG)
+    run.retrieval.speed = 0.1
+    for tenth in range(100):
+        run.step(tenth * SECOND // 10, FRAMES, None, WEIGHTS)
+    assert run.stage is Stage.MOVING
 
 
 def jumps(references: list[Reference]) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from tpgmm_core.retrieval import kernels_semi_markov
 from tpgmm_core.retrieval.dynamic_features import with_derivatives
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 from tpgmm_core.retrieval.state_filter import Course, StateFilter
-from worlds import DURATION, assert_moved, moved, planar_demonstrations, planar_situation, random_world
+from worlds import DURATION, assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world
 
 TICK = 5_000_000
 Disturbance = Callable[[float, Array, Array], Array]
@@ -232,6 +232,28 @@ def test_a_robot_that_is_carried_ahead_is_caught_up_with() -> None:
     phases = np.array([r.phase for r in references])
     assert phases[100] < 0.3 and phases[round(0.7e9 / TICK)] > 0.6
     assert phases[-1] == 1.0 and np.linalg.norm(path[-1] - demonstration.data[-1, 1:]) < 0.02
+
+
+@pytest.mark.parametrize("far", [4.0, 8.0])
+@pytest.mark.parametrize("angle", [0.0, 1.6, 3.1])
+def test_a_robot_that_is_where_its_reference_was_is_never_taken_for_a_held_one(far: float, angle: float) -> None:
+    """Even where no state expects it: frames lie four and eight times as far apart as in any demonstration."""
+    movement = SemiMarkovMovement(planar_model(3))
+    situation = {"start": planar_frame(0.0, 0.0, 0.0).with_time(), "goal": planar_frame(far, 0.0, angle).with_time()}
+
+    def exact(time: float, robot: Array, reference: Array) -> Array:
+        return reference
+
+    references, _ = run(movement, situation, np.zeros(2), 1.5 * DURATION, exact)
+    phases = np.array([r.phase for r in references])
+    assert phases[-1] == 1.0
+    assert np.searchsorted(phases, 0.9) * TICK * 1e-9 == pytest.approx(0.9 * DURATION, rel=0.15)
+
+    def held(time: float, robot: Array, reference: Array) -> Array:  # not by the reference itself: it is waited for
+        return robot if time > 0.8 else reference
+
+    references, _ = run(movement, situation, np.zeros(2), 4.0 * DURATION, held)
+    assert references[-1].phase < 0.7
 
 
 @pytest.mark.parametrize("push", [(0.0, 0.6), (0.0, -0.6), (-0.5, 0.0), (10.0, 30.0)])

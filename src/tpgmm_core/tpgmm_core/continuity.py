@@ -111,7 +111,7 @@ class Continued:
     Raises ValueError when the references are on different manifolds.
     """
 
-    def __init__(self, retrieval: Retrieval, former: Reference, former_ns: int, time_constant: float = 0.15) -> None:
+    def __init__(self, retrieval: Retrieval, former: Reference, former_ns: int, time_constant: float) -> None:
         manifold = retrieval.manifold
         if manifold != former.gaussian.manifold:
             raise ValueError(

@@ -2,9 +2,9 @@
 """One request to reproduce a movement, carried out: wait for the frames, move, settle, judge the end.
 
 A retrieval says where to be; an execution knows what was asked, when it may begin and when it is done: once the phase
-has come to 1. A movement that goes back waits at its start, from where it may go forward again. One that is waiting for a robot
-which is held, or cannot get where it is to be, is given up in the end. An execution goes on giving references after its
-end, so that the robot holds what it has reached.
+has come to 1. A movement that goes back waits at its start, from where it may go forward again. One that is waiting for
+a robot which is held, or cannot get where it is to be, is given up in the end. An execution goes on giving references
+after its end, so that the robot holds what it has reached.
 """
 
 from __future__ import annotations

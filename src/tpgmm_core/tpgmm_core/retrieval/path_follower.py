@@ -35,6 +35,7 @@ class AdaptedStates:
     means : (K, D), in the middle of a state; rates : (K, n), per sample
     covariances, precisions : (K, n, n), given the time within the state
     seen : (K, n, n), precisions of where the robot is seen at any time in a state, errors of tracking included
+    tolerance : (n,), standard deviations of the robot about its reference
     mean_precisions : (n,), of a state of average precision: the same in all directions, of positions and of turns each
     """
 
@@ -44,11 +45,12 @@ class AdaptedStates:
     covariances: Array
     precisions: Array
     seen: Array
+    tolerance: Array
     mean_precisions: Array
 
     @classmethod
     def of(cls, mixture: GaussianMixture, manifold: Manifold, sample_time: float, tolerance: Array) -> AdaptedStates:
-        """tolerance : (n,), standard deviations of the robot about its reference."""
+        """sample_time : s; the mixture is over [time, data, ...]."""
         means, n = mixture.means[:, 1 : 1 + manifold.dim], manifold.tangent_dim
         S = mixture.covariances[:, : 1 + n, : 1 + n]
         gains = S[:, 0, 1:] / S[:, :1, 0]
@@ -59,12 +61,18 @@ class AdaptedStates:
             if len(block):
                 mean_precisions[block] = np.exp(-np.mean(np.log(variances[:, block].mean(axis=1))))
         precisions = np.linalg.inv(covariances)
-        return cls(manifold, means, gains * sample_time, covariances, precisions, seen, mean_precisions)
+        return cls(manifold, means, gains * sample_time, covariances, precisions, seen, tolerance, mean_precisions)
 
-    def fit(self, state: Array) -> Array:
-        """How well a position (D,) fits each state, (K,): 1 within what is usual, and then as its Gaussian falls."""
+    def fit(self, state: Array, given: Array) -> Array:
+        """How well a position (D,) fits each state, (K,), where the reference given to the robot was a position (D,).
+
+        1 within what is usual of a state, and then as its Gaussian falls; the same of the reference, for all states:
+        a robot that follows is not held, wherever the reference is. On the way between two states it may be where
+        neither expects it, the more so the farther frames are from where they were demonstrated.
+        """
         d = self.manifold.log(self.means, state[None])
-        squares = np.einsum("ki,kij,kj->k", d, self.seen, d)
+        aside = self.manifold.log(given, state) / self.tolerance
+        squares = np.minimum(np.einsum("ki,kij,kj->k", d, self.seen, d), aside @ aside)
         return np.exp(-0.5 * np.maximum(squares - _usual_distance(self.manifold.tangent_dim), 0.0))
 
 

@@ -28,6 +28,7 @@ from tpgmm_core.retrieval.dynamic_features import point_manifold, standing_frame
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.path_follower import AdaptedStates, PathFollower
 from tpgmm_core.retrieval.state_filter import Course, StateFilter
+from tpgmm_core.situation import manifold_origin
 
 _SECOND = 1e-9
 
@@ -43,8 +44,8 @@ class SemiMarkovMovement:
         derivatives: whether the model's data hold them.
         horizon_steps, horizon_time_step: of the references, s.
         position_tolerance, orientation_tolerance: standard deviations of the robot about its reference while nothing
-            disturbs it, in units of the data and rad. They are added to what a state knows: a robot that is not
-            closer to it than that is not waited for.
+            disturbs it, in units of the data and rad. A robot that is as near as usual to the reference that it was
+            given follows, whatever states expect there. They are added to what a state knows, too.
         smoothing: time constant with which the reference tracks a state, as a share of a state's mean duration.
         blend_time: time constant with which a change of speed is taken over, s.
 
@@ -159,9 +160,11 @@ class SemiMarkovMovement:
         since = max(0.0, (time_ns - self._last_ns) * _SECOND)
         self._last_ns = time_ns
         if self._frames is not None:
+            # what the robot could follow is what it was given, not what it is about to be given
+            given = self._follower.at()
             samples = min(self._samples(since), self._course.total)  # after a gap as long as that, it is over anyway
             self._rate = self._rate_after(since)
-            self._advance(samples, state)
+            self._advance(samples, state, given)
         if frames is not self._frames or weights is not self._weights:
             self._adopt(frames, state, weights)
         follower = self._follower
@@ -219,8 +222,8 @@ class SemiMarkovMovement:
             self._follower.change(states)
         self._frames, self._weights = frames, weights
 
-    def _advance(self, samples: float, state: Array | None) -> None:
-        """Go on; at each whole sample, ask where the movement is."""
+    def _advance(self, samples: float, state: Array | None, given: Array) -> None:
+        """Go on; at each whole sample, ask where the movement is, from where the robot is of what it was given (D,)."""
         follower = self._follower
         while samples > 0.0:
             part = min(samples, 1.0 - follower.fraction)
@@ -228,7 +231,7 @@ class SemiMarkovMovement:
             if not follower.advance(part):
                 continue
             self._is_seen = state is not None
-            self._filter.update(None if state is None else follower.states.fit(state))
+            self._filter.update(None if state is None else follower.states.fit(state, given))
             if state is None:
                 place = self._course.onwards(*follower.place, 1.0)
                 self._remaining = self._course.remaining(*place)
@@ -264,19 +267,13 @@ class SemiMarkovMovement:
             raise ValueError("there was no step yet: call start(time_ns) and step(...)")
 
     def _compile(self) -> None:
-        """Two steps, so that no later one waits for the compiler."""
-        sizes = {name: m.dim for name, m in self.model.frame_manifolds_.items()}
-        if self._derivatives:
-            sizes = {name: 1 + point_manifold(m).dim for name, m in self.model.frame_manifolds_.items()}
+        """Two steps, so that no later one waits for the compiler; with one frame, since one contradicts no other."""
+        name, view = next(iter(self.model.frame_manifolds_.items()))
+        size = 1 + point_manifold(view).dim if self._derivatives else view.dim
         D = 1 + self._manifold.dim
-        origin = np.eye(D)[0][1:]
-        for s in self._manifold.spheres:
-            origin[s.ambient.stop - 1] = 1.0
+        frame = Frame(np.eye(D, size), np.zeros(D))
         self.start(0)
         for i in range(2):
-            self.step(
-                round(2 * i * self._duration / self._course.total / _SECOND),
-                {name: Frame(np.eye(D, size), np.zeros(D)) for name, size in sizes.items()},
-                origin,
-            )
+            time_ns = round(2 * i * self._duration / self._course.total / _SECOND)
+            self.step(time_ns, {name: frame}, manifold_origin(self._manifold))
         self._started = False
