@@ -9,7 +9,6 @@ costs seconds: `module_domain`, `module_node` and `start_module_process` are sha
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import shlex
 import signal
@@ -21,6 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from tpgmm_ros.processes import end_with_parent
+
 if TYPE_CHECKING:
     from rclpy.node import Node
 
@@ -28,15 +29,6 @@ if TYPE_CHECKING:
 STARTUP_TIMEOUT = 30.0
 # Time from one signal to the next, stronger one [s]
 STOP_TIMEOUT = 5.0
-# Loaded ahead: a process that has just been forked should not
-_LIBC = ctypes.CDLL(None)
-_PR_SET_PDEATHSIG = 1
-
-
-def _end_with_parent() -> None:
-    """Have the system end this process (Linux) when the one that started it is killed and cannot do so itself."""
-    with contextlib.suppress(AttributeError, OSError):
-        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 class RunningProcess:
@@ -53,7 +45,7 @@ class RunningProcess:
                 stderr=subprocess.STDOUT,
                 env={**os.environ, "PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1", **(env or {})},
                 start_new_session=True,
-                preexec_fn=_end_with_parent,
+                preexec_fn=end_with_parent,
             )
 
     @property

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -23,9 +24,21 @@ from rclpy.task import Future
 #: nodes say so in their logs and go on.
 REALTIME_PRIORITY = 20
 
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_LIBC = ctypes.CDLL(None)  # looked up here: between fork and exec there is no time for it
+
 
 class GraphError(RuntimeError):
     """A node did not start, did not answer, or ended on its own."""
+
+
+def end_with_parent() -> None:
+    """To be called in a child process: it gets SIGTERM when the thread that started it ends, also by SIGKILL (Linux).
+
+    Nodes that are left behind go on publishing, and whoever takes their ROS domain next meets them.
+    """
+    if sys.platform == "linux":
+        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 class NodeProcesses:
@@ -51,7 +64,12 @@ class NodeProcesses:
         with (self.log_directory / f"{executable}.log").open("wb") as log:
             # A session of its own: the terminal's Ctrl-C reaches this program only, which then ends the nodes in order.
             self._processes[executable] = subprocess.Popen(
-                command, stdout=log, stderr=subprocess.STDOUT, env=self._environment, start_new_session=True
+                command,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                start_new_session=True,
+                preexec_fn=end_with_parent,
             )
 
     def check(self) -> None:
