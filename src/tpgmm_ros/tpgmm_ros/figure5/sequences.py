@@ -19,6 +19,9 @@ SETTLE = 2.0
 MOVE, HELD, AFTER = 1.0, 0.6, 1.4
 #: By how much hands are to be moved, and elbows, m: people do not get all the way against the robot's resistance.
 HAND_WAY, ELBOW_WAY = (0.13, 0.28), (0.09, 0.12)
+#: Pushes are flatter than a sphere: beside the weight of the stretched arm the shoulder has some 8 N m left, so that
+#: who presses the hand down by 20 cm is stronger than the robot.
+FLATTENED = np.array([1.0, 1.0, 0.4])
 #: Forces, N, and torques, N m, that tell how soft the robot is, and how long they act, s.
 PROBE_FORCE, PROBE_TORQUE, PROBE_TIME, PROBE_REST = 6.0, 1.0, 1.5, 1.0
 
@@ -86,7 +89,7 @@ def random_pushes(count: int, random: np.random.Generator) -> list[Push]:
     """`count` pushes of each kind."""
     pushes = []
     for _ in range(count):
-        direction = random.standard_normal(3)
+        direction = random.standard_normal(3) * FLATTENED
         pushes.append(Push("hand", "left", random.uniform(*HAND_WAY) * direction / np.linalg.norm(direction)))
     for _ in range(count):
         way = np.array([random.choice([-1.0, 1.0]) * random.uniform(*ELBOW_WAY), 0.0, 0.0])
