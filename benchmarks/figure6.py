@@ -27,6 +27,7 @@ from numpy.typing import NDArray  # noqa: E402
 
 from benchmarks.report import Row, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Frame  # noqa: E402
+from tpgmm_core.kinematics.aims import aim_at_origins  # noqa: E402
 from tpgmm_core.kinematics.chains import PlanarRobot, planar_bimanual  # noqa: E402
 from tpgmm_core.kinematics.frames import PreviousConfiguration  # noqa: E402
 from tpgmm_core.kinematics.hierarchy import hierarchy_frames  # noqa: E402
@@ -149,9 +150,11 @@ def as_frames(places: Mapping[str, Array]) -> dict[str, Frame]:
 
 
 def learned(frames: MovingFrames, movements: Sequence[Movement]) -> TPGMM:
-    """One Gaussian in each frame."""
+    """One Gaussian in each frame, about the objects."""
     times = np.linspace(0.0, DURATION, STEPS)
-    return TPGMM(1, reg_covar=1e-6).fit([frames.demonstration(times, m.q, as_frames(m.objects)) for m in movements])
+    model = TPGMM(1, reg_covar=1e-6).fit([frames.demonstration(times, m.q, as_frames(m.objects)) for m in movements])
+    aim_at_origins(model, model.frame_names_)
+    return model
 
 
 def reproduced(product: ConfigurationProduct, objects: Mapping[str, Array]) -> Movement:
