@@ -48,7 +48,7 @@ def models() -> dict[str, TPGMM]:
             poses = np.broadcast_to(poses, (len(hands["left"]), 7))
             frames[frame] = Frame.from_pose(poses[:, :3], poses[:, 3:])
         movement = hands[task.endpoint]
-        demonstration = Demonstration(0.05 * np.arange(len(movement)), movement, frames)
+        demonstration = Demonstration(0.05 * np.arange(len(movement), dtype=np.float64), movement, frames)
         model = TPGMM(n_components=1, manifold=str(POSE), init="kmeans", reg_covar=1e-6)
         learned[name] = model.fit([demonstration])
     return learned
