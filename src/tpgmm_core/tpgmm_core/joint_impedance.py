@@ -39,7 +39,7 @@ TERMS = ("feedforward", "feedback", "hold", "leading")
 class JointImpedanceConfig(LawConfig):
     """Parameters of the law; the eigenvalues of K_P = M^-1 K are squared frequencies."""
 
-    joint_control_cost: float = setting(0.4, 1e-6, 1e3, "Cost of accelerations, r in R = r M, of the joint-space law")
+    joint_control_cost: float = setting(0.2, 1e-6, 1e3, "Cost of accelerations, r in R = r M, of the joint-space law")
     joint_min_stiffness: float = setting(1.0, 1e-3, 1e4, "Smallest eigenvalue of K_P of the joint-space law, 1/s^2")
     joint_max_stiffness: float = setting(1e4, 1e-3, 1e4, "Largest eigenvalue of K_P of the joint-space law, 1/s^2")
 
