@@ -10,7 +10,7 @@ import pytest
 from random_problems import POSE, random_covariance, random_quaternion, random_rotation
 from reaching import DURATION as POSE_DURATION
 from reaching import frames_at, place, reaching_demonstrations, reaching_model
-from tpgmm_core import TPGMM, Demonstration, Frame, Manifold, quaternion
+from tpgmm_core import TPGMM, Demonstration, Frame, GaussianMixture, Manifold, quaternion
 from tpgmm_core.quaternion import Array
 from tpgmm_core.retrieval.differences import derivatives, difference_weights
 from tpgmm_core.retrieval.dynamic_features import (
@@ -351,14 +351,16 @@ def test_a_course_is_the_trajectory_at_its_steps_and_smooth_between_them() -> No
     means, covariances, activations = planar.at(trajectory.times)
     np.testing.assert_allclose(means, trajectory.positions, atol=1e-12)
     np.testing.assert_allclose(covariances, trajectory.covariances, atol=1e-12)
-    np.testing.assert_allclose(activations, planar.mixture().responsibilities([0], [0.0]), atol=1e-12)
+    learned = model(6)  # both frames saw all demonstrations at the same times
+    seen = GaussianMixture(learned.priors_, learned.means_["goal"], learned.covariances_["goal"])
+    np.testing.assert_allclose(activations, seen.responsibilities([0], [0.0]), atol=1e-9)
     assert (planar.duration, planar.frame_names, str(planar.manifold)) == (DURATION, ("start", "goal"), "R2")
 
 
 def test_between_steps_a_course_over_poses_has_continuous_velocities() -> None:
-    poses = TrajectoryCourse(pose_model(), steps=40)
+    poses = TrajectoryCourse(pose_model(), steps=80)
     poses.situate(pose_situation())
-    grid = np.linspace(0.0, POSE_DURATION, 40)
+    grid = np.linspace(0.0, POSE_DURATION, 80)
     trajectory = TrajectoryModel(pose_model()).retrieve(pose_situation(), grid)
     h = 1e-5
     inner = grid[1:-1]
@@ -383,6 +385,29 @@ def test_a_course_ends_where_its_grid_ends_and_forgets_former_situations() -> No
         np.testing.assert_array_equal(found, expected)
     means, _, _ = poses.at(times)
     np.testing.assert_array_equal(means[[0, 3]], means[[1, 4]])
+
+
+def test_a_course_that_begins_at_its_former_solution_finds_what_one_from_the_beginning_does() -> None:
+    poses, fresh = TrajectoryCourse(pose_model(), steps=40), TrajectoryCourse(pose_model(), steps=40)
+    times = np.linspace(0.0, POSE_DURATION, 90)
+    for shift in np.linspace(0.0, 0.1, 6):
+        situation = pose_situation() | frames_at(object=place(0.55 + 3.0 * shift, 0.08, -0.4 + shift))
+        poses.situate(situation)
+    fresh.situate(situation)
+    means, covariances, _ = poses.at(times)
+    expected, expected_covariances, _ = fresh.at(times)
+    np.testing.assert_allclose(POSE.log(expected, means), 0.0, atol=1e-7)
+    np.testing.assert_allclose(covariances, expected_covariances, rtol=0.0, atol=1e-3 * expected_covariances.max())
+
+
+def test_states_hold_when_they_were_learned_to_although_frames_contradict_each_other_on_where_they_are() -> None:
+    far = planar_situation() | {"goal": planar_frame(6.0, -3.0, 2.0).with_time()}
+    moved_in_time = TrajectoryModel(model()).adapt(far).means[:, 0]
+    learned = model().means_["goal"][:, 0]
+    assert np.abs(moved_in_time - learned).max() > 0.1
+    near, found = (TrajectoryModel(model()).retrieve(frames, TIMES) for frames in (planar_situation(), far))
+    np.testing.assert_array_equal(found.states, near.states)
+    assert np.linalg.norm(found.positions[-1] - far["goal"].b[1:]) < 0.05 * np.ptp(found.positions, axis=0).max()
 
 
 def test_what_no_frame_constrains_stays_where_the_robot_is() -> None:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from reaching import DURATION, frames_at, place, reaching_demonstrations, reaching_model
-from tpgmm_core import TPGMM
+from tpgmm_core import TPGMM, Demonstration, Frame
 from tpgmm_core.manifold import POSE, Manifold
-from tpgmm_core.retrieval.encodings import ENCODINGS, encoding_of
+from tpgmm_core.retrieval.encodings import ENCODINGS, TimeEncoding, encoding_of
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS, load_model, make_retrieval, way_of
 
@@ -91,6 +91,33 @@ def test_options_of_an_encoding_are_kept_with_the_model() -> None:
     model.metadata_["encoding.decay_rate"] = -1.0
     with pytest.raises(ValueError, match="decay_rate is -1.0, expected"):
         encoding_of(model)
+
+
+def test_a_demonstration_is_thinned_out_evenly_in_time_with_all_that_belongs_to_its_samples() -> None:
+    times = np.concatenate([np.linspace(0.0, 1.0, 900, endpoint=False), np.linspace(1.0, 2.0, 50)])
+    moving = Frame(np.tile(np.eye(1), (950, 1, 1)), times[:, None]).with_time()
+    still = Frame(np.eye(1), [1.0]).with_time()
+    whole = Demonstration(
+        times, np.column_stack([times, 2.0 * times]), {"moving": moving, "still": still}, {"moving": times > 0.5}
+    )
+    space = Manifold.parse("R1 x R1")
+    thin = TimeEncoding(samples=41).encode(whole, space)
+    np.testing.assert_allclose(np.diff(thin.times), 0.05, atol=0.021)
+    assert len(thin.times) == 41 and thin.times[0] == 0.0 and thin.times[-1] == 2.0
+    np.testing.assert_array_equal(thin.data[:, 1], 2.0 * thin.times)
+    np.testing.assert_array_equal(thin.frames["moving"].b[:, 1], thin.times)
+    np.testing.assert_array_equal(thin.is_visible("moving"), thin.times > 0.5)
+    assert not thin.frames["still"].is_time_varying
+    for samples in (0, 950, 2000):
+        assert TimeEncoding(samples=samples).encode(whole, space) is whole
+
+
+def test_states_and_durations_are_learned_of_so_many_samples() -> None:
+    assert learned("semi_markov").metadata_["encoding.samples"] == 200
+    assert learned("adapt_regress").metadata_["encoding.samples"] == 0
+    assert (
+        encoding_of(Recipe.of({"samples": 30}, "semi_markov").learn(reaching_demonstrations(), MANIFOLD)).samples == 30
+    )
 
 
 def test_a_model_that_says_nothing_is_one_over_time() -> None:

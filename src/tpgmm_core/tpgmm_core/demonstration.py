@@ -76,3 +76,9 @@ class Demonstration:
         """Mask (T,) of the samples at which the frame was seen."""
         assert self.visible is not None  # set by __post_init__
         return self.visible.get(name, np.ones(len(self.times), dtype=bool))
+
+    def at(self, samples: NDArray[np.intp]) -> Demonstration:
+        """Some of the samples alone, by their indices, which increase."""
+        frames = {name: frame.at(samples) for name, frame in self.frames.items()}
+        visible = {name: mask[samples] for name, mask in (self.visible or {}).items()}
+        return Demonstration(self.times[samples], self.data[samples], frames, visible)

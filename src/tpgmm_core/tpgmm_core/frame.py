@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core import quaternion
 from tpgmm_core.kernels import RANK_TOLERANCE
@@ -108,8 +108,8 @@ class Frame:
         """Whether A and b hold one map per time step."""
         return self.A.ndim == 3
 
-    def at(self, t_index: int) -> Frame:
-        """The map at one time step; a constant frame is the same at all of them."""
+    def at(self, t_index: int | NDArray[np.intp]) -> Frame:
+        """The map at one time step, or those at several; a constant frame is the same at all of them."""
         if not self.is_time_varying:
             return self
         return Frame(self.A[t_index], self.b[t_index], None if self.inverse is None else self.inverse[t_index])

@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from tpgmm_core.demonstration import Demonstration
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.retrieval.decay import DecayLaw
@@ -66,13 +68,21 @@ class Encoding(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimeEncoding(Encoding):
-    """[time, data], as demonstrated."""
+    """[time, data], as demonstrated, or thinned out: what was seen nearest to times an even distance apart.
+
+    Durations of states are counted in samples: with the same number of each demonstration, all count alike.
+    """
 
     name: ClassVar[str] = "time"
     description: ClassVar[str] = "[time, data]"
+    samples: float = setting(0, 0, 100000, "At most so many of each demonstration, even in time; 0: all")
 
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
-        return demonstration
+        times, n = demonstration.times, int(self.samples)
+        if n == 0 or len(times) <= n:
+            return demonstration
+        even = np.linspace(times[0], times[-1], n)
+        return demonstration.at(np.unique(np.abs(times - even[:, None]).argmin(axis=1)))
 
     def manifold(self, manifold: Manifold) -> Manifold:
         return manifold

@@ -49,7 +49,9 @@ class Recipe:
         if unknown:
             known = ", ".join([*arguments, *sorted(options)])
             raise ValueError(f"{', '.join(unknown)} is no setting of {chosen.name}, which has {known}")
-        encoding = configured(chosen.encoding, {name: rest.pop(name) for name in options if name in rest})
+        encoding = configured(
+            chosen.encoding, {**chosen.options, **{name: rest.pop(name) for name in options if name in rest}}
+        )
         if encoding.init is not None:
             rest.setdefault("init", encoding.init)
         return cls(chosen, encoding, rest)

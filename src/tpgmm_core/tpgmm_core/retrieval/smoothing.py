@@ -27,6 +27,7 @@ from tpgmm_core.retrieval.banded import cholesky_band, inverse_band, solve_band
 MAX_ITERATIONS = 300
 STEP_TOLERANCE = 1e-11  # relative to the extent of the points, and in rad: steps shorter than this end the iteration
 LINEAR_STEP = 1e-3  # after a step shorter than this the factor still holds, and no step is too long
+FACTOR_HOLDS = 100.0  # steps of as many tolerances since the last factor leave it good enough for covariances
 NOT_DEFINITE, NOT_CONVERGED = -1, -2
 
 
@@ -47,20 +48,21 @@ class Smooth:
 
 def smoothest(
     first: NDArray[np.intp], weights: Array, means: Array, precisions: Array, states: NDArray[np.intp],
-    manifold: Manifold, start: Array,
+    manifold: Manifold, start: Array, tolerance: float = STEP_TOLERANCE,
 ) -> Smooth:  # fmt: skip
     """Points (T, D) that fit best to what the state at each time says of positions, velocities and accelerations.
 
     first, weights : of `difference_weights` for the times, windows of three samples
     means : (K, D + 2 n), what each state says; precisions : (K, 3 n, 3 n), in the tangent space at its position
     states : (T,), the state that holds at each time; start : (T, D), where to begin; matters on S³ only
+    tolerance : steps shorter than this, relative to the extent of the points and in rad, end the iteration
 
-    Steps end below STEP_TOLERANCE. On R^n that is the second or third one: squaring differences costs half of the
-    digits, and what the first solution leaves over is found without squaring, and solved for again. On S³ steps that do
-    not lower the sum are halved, down to LINEAR_STEP; near the solution the factor is kept. What was demonstrated takes
-    4 to 5 steps, states that contradict each other by up to half a turn a few dozens. The covariances are the diagonal
-    blocks of the inverse Gauss-Newton Hessian at the solution. Its condition grows with the number of steps per state
-    to the fourth power: at some hundreds of steps per state they are good to four digits, the points to all.
+    On R^n the second or third step ends it: squaring differences costs half of the digits, and what the first solution
+    leaves over is found without squaring, and solved for again. On S³ steps that do not lower the sum are halved, down
+    to LINEAR_STEP; near the solution the factor is kept. What was demonstrated takes 4 to 5 steps, states that contradict each other by up to half a turn a few dozens. The covariances are the diagonal
+    blocks of the inverse Gauss-Newton Hessian at the solution, or within FACTOR_HOLDS tolerances of it. Its condition
+    grows with the number of steps per state to the fourth power: at some hundreds of steps per state they are good to
+    four digits, the points to all.
     Raises ValueError when rounding leaves nothing definite, and when MAX_ITERATIONS steps do not end.
     """
     points = np.array(start, dtype=float, order="C")
@@ -68,7 +70,7 @@ def smoothest(
     rates, covariances = np.empty((T, 2 * n)), np.empty((T, n, n))
     iterations = _solve(
         first, weights, means, precisions, states, manifold.ambient_of_tangent, manifold.sphere_starts,
-        points, rates, covariances,
+        tolerance, points, rates, covariances,
     )  # fmt: skip
     if iterations == NOT_DEFINITE or iterations == NOT_CONVERGED and manifold.is_euclidean:
         raise ValueError(
@@ -225,13 +227,13 @@ def _extent(points: Array, flat: Array, spheres: Array) -> tuple[float, float]:
 @compiled
 def _solve(
     first: Array, weights: Array, means: Array, precisions: Array, states: Array, flat: Array, spheres: Array,
-    points: Array, rates: Array, covariances: Array,
+    tolerance: float, points: Array, rates: Array, covariances: Array,
 ) -> int:  # fmt: skip
     """`smoothest` in place: points (T, D), rates (T, 2 n), covariances (T, n, n). Returns the number of steps taken."""
     T, n = len(points), len(flat)
     band, step, former_points = np.empty((T * n, 3 * n)), np.zeros(T * n), points.copy()
     former_cost, length, iterations, is_factor = np.inf, np.inf, NOT_CONVERGED, False
-    gain, is_rounded = np.inf, False
+    gain, is_rounded, since_factor = np.inf, False, 0.0
     is_curved = len(spheres) > 0
     for i in range(MAX_ITERATIONS):
         with_hessian = not is_factor or (is_curved and length > LINEAR_STEP)
@@ -246,7 +248,7 @@ def _solve(
         else:
             former_cost = cost
             if with_hessian:
-                is_factor = cholesky_band(band)
+                is_factor, since_factor = cholesky_band(band), 0.0
                 if not is_factor:
                     return NOT_DEFINITE
             downhill, former_gain = step.copy(), gain
@@ -255,16 +257,18 @@ def _solve(
             is_rounded = bool(is_curved and 0.25 * former_gain < gain < ROUNDED_GAIN * len(step))
             former_points[:] = points
         points[:] = former_points
+        since_factor += length
         for t in range(T):
             move(points[t], step[t * n : (t + 1) * n], flat, spheres)
         extent, largest = _extent(points, flat, spheres)
-        if is_rounded or length <= max(STEP_TOLERANCE * extent, 4.0 * 2.2e-16 * largest):
+        if is_rounded or length <= max(tolerance * extent, 4.0 * 2.2e-16 * largest):
             iterations = i + 1
             break
     if iterations == NOT_CONVERGED:
         return NOT_CONVERGED
-    _assemble(first, weights, means, precisions, states, flat, spheres, points, rates, is_curved, band, step)
-    if is_curved and not cholesky_band(band):
+    is_stale = is_curved and (not is_factor or since_factor > FACTOR_HOLDS * tolerance)
+    _assemble(first, weights, means, precisions, states, flat, spheres, points, rates, is_stale, band, step)
+    if is_stale and not cholesky_band(band):
         return NOT_DEFINITE
     inverse = np.empty((T * n, 6 * n - 1))
     inverse_band(band, inverse)

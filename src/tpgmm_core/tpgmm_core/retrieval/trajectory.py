@@ -28,6 +28,11 @@ from tpgmm_core.retrieval.interpolation import interpolate
 from tpgmm_core.retrieval.smoothing import Smooth, smoothest
 from tpgmm_core.tpgmm import TPGMM
 
+WARM_TURN = 0.2
+"""A course begins at its former solution where no state turned by more than this, rad: from there it finds the same."""
+WARM_TOLERANCE = 1e-5
+"""Steps from a former solution end below this, rad: what is left out is less than a thousandth of it."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
@@ -65,6 +70,9 @@ class TrajectoryModel:
     def __init__(self, model: TPGMM) -> None:
         point_manifold(model.manifold_)
         self._adapter = Adapter(model)
+        self._log_priors = np.log(np.maximum(model.priors_, np.finfo(float).tiny))
+        self._times = np.stack([means[:, 0] for means in model.means_.values()])
+        self._variances = np.stack([covariances[:, 0, 0] for covariances in model.covariances_.values()])
         self._compile(model)
 
     def _compile(self, model: TPGMM) -> None:
@@ -89,7 +97,7 @@ class TrajectoryModel:
 
         frames : over [time, position] (`Frame.with_time`), at least one of the model's; none moves
         times : (T,), T >= 3, s, increasing
-        states : (T,), the component that holds at each time; the most active one at that time where None
+        states : (T,), the component that holds at each time; those of `states` where None
         weights : how far each frame is trusted, 0 to 1; fully where not named
         state : (D,), where the robot is: what no frame constrains stays there; the origin where None
 
@@ -100,7 +108,7 @@ class TrajectoryModel:
         windows = difference_weights(times)
         K = len(mixture.priors)
         if states is None:
-            chosen = most_active(mixture, times)
+            chosen = self.states(times)
         else:
             chosen = np.asarray(states)
             is_index = chosen.shape == times.shape and np.issubdtype(chosen.dtype, np.integer)
@@ -119,6 +127,21 @@ class TrajectoryModel:
     def manifold(self) -> Manifold:
         """Of the positions."""
         return point_manifold(self._adapter.manifold)
+
+    def activations(self, times: Array) -> Array:
+        """Of the components at the model's times (T,), as learned: (T, K), the geometric mean over the frames.
+
+        Not those of the adapted mixture: frames that contradict each other on where a component is move it in time too.
+        """
+        differences = times[:, None, None] - self._times
+        log_densities = -0.5 * (differences**2 / self._variances + np.log(self._variances))
+        log_joint = self._log_priors + log_densities.mean(axis=1)
+        activations = np.exp(log_joint - log_joint.max(axis=1, keepdims=True))
+        return np.asarray(activations / activations.sum(axis=1, keepdims=True))
+
+    def states(self, times: Array) -> NDArray[np.intp]:
+        """The most active component (T,) at each of the model's times (T,)."""
+        return np.argmax(self.activations(times), axis=1)
 
     def adapt(
         self,
@@ -139,16 +162,19 @@ class TrajectoryCourse:
     model : as for `TrajectoryModel`, with duration_s in its metadata
     steps : that a solution has, the first one at time 0 of the model, the last one at its duration
 
-    A solution depends on the situation alone, not on the former one. Raises ValueError as `TrajectoryModel`, for a
-    duration that is not known, and less than three steps.
+    Where frames have moved little, it begins at the former solution, which saves most of the Gauss-Newton steps. What
+    it finds depends on the situation alone, but for less than 1e-7 m or rad, and a thousandth of the covariances.
+
+    Raises ValueError as `TrajectoryModel`, for a duration that is not known, and less than three steps.
     """
 
     def __init__(self, model: TPGMM, *, steps: int = 100) -> None:
         self._model = TrajectoryModel(model)
         self._grid = np.linspace(0.0, demonstrated_duration(model), steps)
         self._windows = difference_weights(self._grid)
+        self._states = self._model.states(self._grid)
         self.frame_names: tuple[str, ...] = model.frame_names_
-        self._mixture: GaussianMixture | None = None
+        self._solved: tuple[GaussianMixture, Smooth] | None = None
 
     @property
     def manifold(self) -> Manifold:
@@ -168,51 +194,55 @@ class TrajectoryCourse:
     ) -> None:
         """Solve for this situation. Parameters and errors are those of `TrajectoryModel.retrieve`."""
         mixture = self._model.adapt(frames, state, weights)
-        self._smooth = _smoothest(mixture, self._grid, self._windows, most_active(mixture, self._grid))
-        self._mixture = mixture
+        former = None
+        if self._solved is not None and self._are_near(self._solved[0], mixture):
+            former = self._solved[1].points
+        self._solved = mixture, _smoothest(mixture, self._grid, self._windows, self._states, former)
+
+    def _are_near(self, one: GaussianMixture, other: GaussianMixture) -> bool:
+        """Whether no state turned by more than WARM_TURN. How far positions moved does not matter: they are linear."""
+        blocks = [slice(1 + s.ambient.start, 1 + s.ambient.stop) for s in self.manifold.spheres]
+        turns = [quaternion.angle_between(one.means[:, block], other.means[:, block]) for block in blocks]
+        return all(np.max(turn) < WARM_TURN for turn in turns)
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
         """Means (H, D), covariances (H, n, n), and the activations (K,) at the first of the model's times (H,), s.
 
         Raises ValueError before `situate`.
         """
-        log_joint = _log_joint(self.mixture(), times[:1])[:, 0]
-        means, covariances = _interpolated(self._grid, self._smooth, self.manifold, np.asarray(times, dtype=float))
-        activations = np.exp(log_joint - log_joint.max())
-        return means, covariances, activations / activations.sum()
+        _, smooth = self._solution()
+        means, covariances = _interpolated(self._grid, smooth, self.manifold, np.asarray(times, dtype=float))
+        return means, covariances, self._model.activations(times[:1])[0]
 
     def mixture(self) -> GaussianMixture:
         """The model in this situation, over [time, position, velocity, acceleration].
 
         Raises ValueError before `situate`.
         """
-        if self._mixture is None:
+        return self._solution()[0]
+
+    def _solution(self) -> tuple[GaussianMixture, Smooth]:
+        if self._solved is None:
             raise ValueError("the course knows no situation yet: call situate(frames) first")
-        return self._mixture
-
-
-def most_active(mixture: GaussianMixture, times: Array) -> NDArray[np.intp]:
-    """The component (T,) that regression on the first dimension would weigh most at each of the times (T,)."""
-    return np.argmax(_log_joint(mixture, times), axis=0)
-
-
-def _log_joint(mixture: GaussianMixture, times: Array) -> Array:
-    """Logarithm (K, T) of prior times density of the first dimension, but for a constant."""
-    variances = mixture.covariances[:, 0, 0]
-    log_scales = np.log(np.maximum(mixture.priors, np.finfo(float).tiny)) - 0.5 * np.log(variances)
-    difference = times - mixture.means[:, :1]
-    return np.asarray(log_scales[:, None] - 0.5 * difference**2 / variances[:, None])
+        return self._solved
 
 
 def _smoothest(
-    mixture: GaussianMixture, times: Array, windows: tuple[NDArray[np.intp], Array], states: NDArray[np.intp]
+    mixture: GaussianMixture,
+    times: Array,
+    windows: tuple[NDArray[np.intp], Array],
+    states: NDArray[np.intp],
+    former: Array | None = None,
 ) -> Smooth:
-    """`smoothest` for a mixture over [time, position, velocity, acceleration]."""
+    """`smoothest` for a mixture over [time, position, velocity, acceleration]; from former points (T, D) if given."""
     factors = np.linalg.inv(np.linalg.cholesky(mixture.covariances[:, 1:, 1:]))
     means = np.ascontiguousarray(mixture.means[:, 1:])
     manifold = point_manifold(mixture.manifold)
+    precisions = np.swapaxes(factors, 1, 2) @ factors
+    if former is not None:
+        return smoothest(*windows, means, precisions, states, manifold, former, WARM_TOLERANCE)
     start = _between(times, states, means[:, : manifold.dim], manifold)
-    return smoothest(*windows, means, np.swapaxes(factors, 1, 2) @ factors, states, manifold, start)
+    return smoothest(*windows, means, precisions, states, manifold, start)
 
 
 def _between(times: Array, states: NDArray[np.intp], positions: Array, manifold: Manifold) -> Array:

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any
 
@@ -36,12 +36,17 @@ DEFAULT = "adapt_regress"
 """The way of models whose metadata name none."""
 
 
+SEMI_MARKOV_SAMPLES = 200
+"""Of each demonstration, for models with durations: the time that learning takes is quadratic in it."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Way:
     """A way of retrieval.
 
     name : in files and parameters
     encoding : what its models encode
+    options : of the encoding, where they are other than its own defaults
     estimator : the class that its models have to be of
     course : makes the movement as a function of time, which `Reproduction` steps through; or else
     movement : makes one that has a state of its own, with a duration (s; None: as demonstrated), and the settings of
@@ -50,6 +55,7 @@ class Way:
 
     name: str
     encoding: type[Encoding]
+    options: Mapping[str, float] = field(default_factory=dict)
     estimator: type[TPGMM] = TPGMM
     course: Callable[[TPGMM], Course] | None = None
     movement: Callable[..., Retrieval] | None = None
@@ -84,7 +90,13 @@ WAYS: dict[str, Way] = {
         Way(name="trajectory", encoding=DerivativesEncoding, course=TrajectoryCourse),
         Way(name="dynamics", encoding=VelocityEncoding, estimator=GoalTPGMM, movement=StableDynamics),
         Way(name="decay", encoding=DecayEncoding, estimator=GoalTPGMM, movement=_decay),
-        Way(name="semi_markov", encoding=TimeEncoding, estimator=TPHSMM, movement=SemiMarkovMovement),
+        Way(
+            name="semi_markov",
+            encoding=TimeEncoding,
+            options={"samples": SEMI_MARKOV_SAMPLES},
+            estimator=TPHSMM,
+            movement=SemiMarkovMovement,
+        ),
     )
 }
 
