@@ -25,19 +25,21 @@ from tpgmm_ros.task import Task
 from tpgmm_ros.teacher import Teacher, TeacherConfig
 
 HANDS = ("left", "right")
-DURATION = 8.0  # s
-#: Steps of the simulation per second, and how often it publishes poses and waits for a wrench, Hz. Hands and elbows take
-#: turns.
-RATE, TOUCH_RATE = 500.0, 250.0
+DURATION = 12.0  # s
+#: Steps of the simulation per second, and how often it publishes poses and waits for a wrench, Hz: hands and elbows
+#: take turns.
+RATE, TOUCH_RATE = 500.0, 500.0
 #: One of so many poses is recorded, and the targets are seen then.
-TICKS_PER_OBSERVATION = 5
+TICKS_PER_OBSERVATION = 10
 #: Both hands look where it matters; elbows are only kept from drifting.
-HAND = TeacherConfig(stiffness=(1500.0, 150.0), damping=(90.0, 4.0), correction=6.0, max_force=60.0, max_torque=15.0)
-ELBOW = TeacherConfig(stiffness=(150.0, 0.0), damping=(25.0, 0.0), correction=0.0, max_force=30.0, max_torque=0.0)
+HAND = TeacherConfig(stiffness=(2000.0, 60.0), damping=(110.0, 2.0), correction=6.0, max_force=90.0, max_torque=15.0)
+ELBOW = TeacherConfig(stiffness=(300.0, 0.0), damping=(30.0, 0.0), correction=0.0, max_force=30.0, max_torque=0.0)
 #: An elbow goes along with its hand by this share.
 ELBOW_SHARE = 0.5
 #: How surely hands are kept where they are meant to be: amplitude of slow wavering, m.
 WAVER = 0.002
+#: This near, the teacher corrects what is left, m.
+NEAR = 0.02
 #: A demonstration in which the hand with priority is farther from its target shows something else, m.
 MAX_ERROR = 0.04
 
@@ -47,12 +49,14 @@ class Targets:
 
     Args:
         hands: positions (3,) of both hands at the beginning, m.
+        first: the hand whose target wanders; the other target goes away from it and comes nearer.
         random: where the variation comes from.
     """
 
-    def __init__(self, hands: dict[str, Array], random: np.random.Generator) -> None:
-        self._start = hands["left"]
-        self._bar = hands["right"] - hands["left"]
+    def __init__(self, hands: dict[str, Array], first: str, random: np.random.Generator) -> None:
+        self._first, self._other = first, HANDS[1 - HANDS.index(first)]
+        self._start = hands[self._first]
+        self._bar = hands[self._other] - self._start
         self._amplitudes = random.uniform(0.5, 1.0, 3) * [0.05, 0.04, 0.04] * random.choice([-1.0, 1.0], 3)
         self._rates = random.permutation([1.0, 2.0, 3.0])
         self._turn = random.uniform(0.1, 0.25) * random.choice([-1.0, 1.0], 2)
@@ -61,11 +65,11 @@ class Targets:
     def at(self, time: float) -> dict[str, Array]:
         """Positions (3,) of the targets, m, at a time in s."""
         s = min(1.0, max(0.0, time / DURATION))
-        left = self._start + self._amplitudes * np.sin(np.pi * s) * np.sin(np.pi * self._rates * s)
+        place = self._start + self._amplitudes * np.sin(np.pi * s) * np.sin(np.pi * self._rates * s)
         turn = self._turn * np.sin(2.0 * np.pi * s)
         way = quaternion.rotation_matrix(quaternion.exp([turn[0], 0.0, turn[1]])) @ self._bar
         stretch = self._far * _bump(s, 0.1, 0.45) - self._near * _bump(s, 0.55, 0.9)
-        return {"left": left, "right": left + way * (1.0 + stretch / float(np.linalg.norm(way)))}
+        return {self._first: place, self._other: place + way * (1.0 + stretch / float(np.linalg.norm(way)))}
 
 
 def _bump(s: float, begin: float, end: float) -> float:
@@ -95,12 +99,13 @@ class Bar:
 
 @dataclass(frozen=True, slots=True)
 class _Held:
-    """An aim that is known at each moment; the teacher always looks."""
+    """An aim that is known at each moment. Who is far from it goes there first, and corrects what is left."""
 
     pose: Array
+    is_near: bool = True
 
     def at(self, time: float) -> tuple[Array, bool]:
-        return self.pose, True
+        return self.pose, self.is_near
 
 
 class BarLesson:
@@ -180,14 +185,14 @@ class BarLesson:
             way = ELBOW_SHARE * (aims[hand][:3] - self._begin_poses[hand][:3])
             aims[name] = self._begin_poses[name] + np.append(way, np.zeros(4))
         teacher = self._teachers[name]
-        teacher.intention = _Held(aims[name])
+        teacher.intention = _Held(aims[name], float(np.linalg.norm(poses[name][:3] - aims[name][:3])) < NEAR)
         wrench = teacher.wrench(time, poses[name])
         return conversions.wrench_from_array(wrench, self._stamp_ns, self._links[name])
 
     def _begin(self, now: float, poses: dict[str, Array]) -> None:
         self._start, self._begin_poses = now, poses
         self._bar = Bar({hand: poses[hand] for hand in HANDS})
-        self._targets = Targets({hand: poses[hand][:3] for hand in HANDS}, self._random)
+        self._targets = Targets({hand: poses[hand][:3] for hand in HANDS}, self._first, self._random)
         self._waver = {
             hand: (self._random.uniform(2.0, 6.0, 3), self._random.uniform(0.0, 2.0 * np.pi, 3)) for hand in HANDS
         }
