@@ -26,7 +26,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 say = @printf '\033[1m==> %s\033[0m\n' "$(1)"
 
-.PHONY: help setup lint format test properties faults fuzz determinism soak demo bags results figures figure6 bench scaling lock clean
+.PHONY: help setup lint format test properties faults fuzz determinism soak demo bags results figures figure5 figure6 bench scaling lock clean
 
 help: ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -81,6 +81,9 @@ figures: setup ## figures 1, 3 and 4 of the paper, extrapolation, weights of fra
 	PYTHONPATH=. $(PYTHON) benchmarks/figure4.py
 	PYTHONPATH=. $(PYTHON) benchmarks/figure1d.py
 	PYTHONPATH=. $(PYTHON) benchmarks/frame_weights.py
+
+figure5: setup ## figure 5 of the paper: cup and sugar held by two hands that are pushed, in out/figure5/ (SEED=7 for other pushes)
+	$(PROGRAMS)/figure5 --seed $(SEED)
 
 figure6: setup ## figure 6 of the paper: priorities learned by a planar robot with two hands, in out/figure6/ and out/kinematic_relevance/
 	PYTHONPATH=. $(PYTHON) benchmarks/figure6.py
