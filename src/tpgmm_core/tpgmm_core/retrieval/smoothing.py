@@ -59,10 +59,12 @@ def smoothest(
 
     On R^n the second or third step ends it: squaring differences costs half of the digits, and what the first solution
     leaves over is found without squaring, and solved for again. On S³ steps that do not lower the sum are halved, down
-    to LINEAR_STEP; near the solution the factor is kept. What was demonstrated takes 4 to 5 steps, states that contradict each other by up to half a turn a few dozens. The covariances are the diagonal
-    blocks of the inverse Gauss-Newton Hessian at the solution, or within FACTOR_HOLDS tolerances of it. Its condition
-    grows with the number of steps per state to the fourth power: at some hundreds of steps per state they are good to
-    four digits, the points to all.
+    to LINEAR_STEP; near the solution the factor is kept. What was demonstrated takes 4 to 5 steps, states that
+    contradict each other by up to half a turn a few dozens. The covariances are the diagonal blocks of the inverse
+    Gauss-Newton Hessian at the solution, or within FACTOR_HOLDS tolerances of it. Its condition grows with the number
+    of steps per state to the fourth power: at some hundreds of steps per state they are good to four digits, the points
+    to all.
+
     Raises ValueError when rounding leaves nothing definite, and when MAX_ITERATIONS steps do not end.
     """
     points = np.array(start, dtype=float, order="C")
