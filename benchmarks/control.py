@@ -17,17 +17,17 @@ import numpy as np  # noqa: E402
 
 from benchmarks.report import Row, write_report  # noqa: E402
 from tpgmm_core.control.batch import batch_gains  # noqa: E402
+from tpgmm_core.control.control_law import RobotMoment  # noqa: E402
 from tpgmm_core.control.finite_horizon import finite_horizon_gains  # noqa: E402
 from tpgmm_core.control.joint_space import to_joint_space  # noqa: E402
+from tpgmm_core.control.laws import LAWS, ReferenceLaw  # noqa: E402
 from tpgmm_core.control.lqr import double_integrator, double_integrator_gains, riccati_gains  # noqa: E402
 from tpgmm_core.control.predictive import JointLimits, JointReference, Plan, PredictiveController  # noqa: E402
-from tpgmm_core.control_law import RobotMoment  # noqa: E402
 from tpgmm_core.gaussian import Gaussian  # noqa: E402
-from tpgmm_core.laws import LAWS, ReferenceLaw  # noqa: E402
 from tpgmm_core.manifold import POSE  # noqa: E402
 from tpgmm_core.quaternion import Array  # noqa: E402
 from tpgmm_core.reference import Reference  # noqa: E402
-from tpgmm_core.robot import RobotModel  # noqa: E402
+from tpgmm_core.robot.model import RobotModel  # noqa: E402
 
 BAXTER = Path(__file__).resolve().parents[1] / "config" / "baxter.yaml"
 STEPS, TIME_STEP, CONTROL_COST = 10, 0.05, 1e-2  # a horizon of 0.5 s

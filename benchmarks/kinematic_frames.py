@@ -29,7 +29,7 @@ from tpgmm_core.kinematics.moving import ConfigurationProduct, MovingFrames  # n
 from tpgmm_core.kinematics.tasks import Task  # noqa: E402
 from tpgmm_core.kinematics.urdf import UrdfKinematics  # noqa: E402
 from tpgmm_core.quaternion import Array  # noqa: E402
-from tpgmm_core.robot import RobotModel  # noqa: E402
+from tpgmm_core.robot.model import RobotModel  # noqa: E402
 
 LEFT, RIGHT = Task("left", "pose", "cup"), Task("right", "pose", "table")
 CANDIDATES: dict[str, KinematicFrame] = {

@@ -38,7 +38,7 @@ from tpgmm_core.kinematics.relevance import directions_determined  # noqa: E402
 from tpgmm_core.kinematics.tasks import Moment, Task  # noqa: E402
 from tpgmm_core.kinematics.urdf import UrdfKinematics  # noqa: E402
 from tpgmm_core.quaternion import Array  # noqa: E402
-from tpgmm_core.robot import RobotModel  # noqa: E402
+from tpgmm_core.robot.model import RobotModel  # noqa: E402
 
 HAND, AT_CUP = Task("hand"), Task("hand", "position", "cup")
 TO_LAMP, ELBOW = Task("hand", "orientation", "lamp"), Task("elbow")

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 
 from benchmarks.graph import Scene, running
 from benchmarks.report import write_report
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.conversions import JointReader
 from tpgmm_ros.processes import REALTIME_PRIORITY
 from tpgmm_ros.qos import STREAM

@@ -13,10 +13,10 @@ from pathlib import Path  # noqa: E402
 import numpy as np  # noqa: E402
 
 from benchmarks.report import durations, write_report  # noqa: E402
-from tpgmm_core.controller import Controller  # noqa: E402
-from tpgmm_core.impedance import ImpedanceLaw, PoseReference  # noqa: E402
-from tpgmm_core.robot import RobotModel  # noqa: E402
-from tpgmm_core.simulation import RobotSimulator  # noqa: E402
+from tpgmm_core.control.controller import Controller  # noqa: E402
+from tpgmm_core.control.impedance import ImpedanceLaw, PoseReference  # noqa: E402
+from tpgmm_core.robot.model import RobotModel  # noqa: E402
+from tpgmm_core.robot.simulation import RobotSimulator  # noqa: E402
 
 BAXTER = Path(__file__).resolve().parents[1] / "config" / "baxter.yaml"
 STEPS, TIME_STEP = 5000, 0.001

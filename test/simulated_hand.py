@@ -14,8 +14,8 @@ from ros_testing import RunningProcess, spin_until
 from tpgmm_core import Gaussian
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.reference import Reference
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.simulation import RobotSimulator
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.robot.simulation import RobotSimulator
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader

@@ -15,7 +15,7 @@ from rclpy.node import Node
 
 from ros_graph import ROBOT_FILE, ROOT, TASK_FILE, result_of, ros_arguments
 from ros_testing import RunningProcess, StartProcess, spin_until
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros import train
 from tpgmm_ros.demo.recording import Recording

@@ -10,9 +10,9 @@ import pytest
 
 from ros_graph import ROOT
 from tpgmm_core import TPGMM, Demonstration, Frame
-from tpgmm_core.hand_tasks import HandTask
+from tpgmm_core.control.hand_tasks import HandTask
 from tpgmm_core.manifold import POSE
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.figure5.graph import open_session, start_controller, start_joint_reference
 from tpgmm_ros.figure5.lessons import HANDS, LESSON_TIME, LESSONS, START, Poses
 from tpgmm_ros.figure5.measures import energy, measure

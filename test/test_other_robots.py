@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 
 from ros_graph import ROOT, Inbox, result_of, ros_arguments
 from ros_testing import RunningProcess, StartProcess, spin_until
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros import check_robot, conversions
 from tpgmm_ros.qos import STREAM

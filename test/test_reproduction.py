@@ -31,7 +31,7 @@ from ros_graph import (
 from ros_testing import STARTUP_TIMEOUT, RunningProcess, StartProcess, spin_until
 from tpgmm_core import TPGMM, Frame, quaternion
 from tpgmm_core.manifold import Manifold
-from tpgmm_core.phase import PHASES
+from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_core.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.action import Reproduce

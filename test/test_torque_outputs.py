@@ -18,11 +18,11 @@ from std_msgs.msg import Float64MultiArray
 
 from ros_graph import ACTIVATE, CONFIGURE, ROOT, Inbox, change_state, ros_arguments
 from ros_testing import StartProcess, spin_until
-from tpgmm_core.controller import Controller, TorqueCommand
-from tpgmm_core.impedance import ImpedanceLaw, PoseReference
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.simulation import RobotSimulator
-from tpgmm_core.torque_pipeline import TorqueLimits
+from tpgmm_core.control.controller import Controller, TorqueCommand
+from tpgmm_core.control.impedance import ImpedanceLaw, PoseReference
+from tpgmm_core.control.torque_pipeline import TorqueLimits
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.robot.simulation import RobotSimulator
 from tpgmm_ros import conversions, torque_outputs
 from tpgmm_ros.qos import STREAM
 from tpgmm_ros.torque_outputs import OUTPUTS, Leaving, filled, message_class

@@ -28,7 +28,7 @@ from ros_graph import (
 )
 from ros_testing import RunningProcess, StartProcess, spin_until
 from simulated_hand import ROBOT, TICK_NS, SimulatedHand, pose_reference
-from tpgmm_core.supervision import ControllerMode
+from tpgmm_core.control.supervision import ControllerMode
 from tpgmm_msgs.msg import ControllerState
 
 NODE = "impedance_controller"

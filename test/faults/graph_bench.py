@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from ros_graph import ALL, ALL_LATCHED, ROBOT_FILE, ROOT, TASK_FILE, Diagnostics, Inbox, result_of, ros_arguments
 from ros_testing import STARTUP_TIMEOUT, RunningProcess, StartProcess, spin_until
 from simulated_hand import ROBOT
-from tpgmm_core.supervision import ControllerMode
+from tpgmm_core.control.supervision import ControllerMode
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import ControllerState, Reference, TaskFrame, TaskParameters
 from tpgmm_ros import conversions, train

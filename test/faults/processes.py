@@ -14,7 +14,7 @@ from faults.graph_bench import DURATION, GraphBench
 from faults.table import fault
 from ros_graph import ALL_LATCHED, Inbox
 from simulated_hand import ROBOT
-from tpgmm_core.supervision import ControllerMode
+from tpgmm_core.control.supervision import ControllerMode
 from tpgmm_msgs.msg import ControllerState, TaskFrame, TaskParameters
 
 #: A joint that is slower than this is at rest, rad/s.

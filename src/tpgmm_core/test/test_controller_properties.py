@@ -20,15 +20,15 @@ pytest.importorskip("pinocchio")
 
 from robots import BAXTER, write_arm
 from tpgmm_core import Gaussian
-from tpgmm_core.control_law import RobotMoment
-from tpgmm_core.impedance import ImpedanceConfig, ImpedanceLaw, PoseTarget
+from tpgmm_core.control.control_law import RobotMoment
+from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw, PoseTarget
+from tpgmm_core.control.supervised_controller import Answer, SupervisedController
+from tpgmm_core.control.supervision import Timeouts
+from tpgmm_core.control.torque_limits import injected_power
+from tpgmm_core.control.torque_pipeline import TorqueLimits, TorquePipeline
 from tpgmm_core.manifold import POSE
 from tpgmm_core.reference import Reference
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.supervised_controller import Answer, SupervisedController
-from tpgmm_core.supervision import Timeouts
-from tpgmm_core.torque_limits import injected_power
-from tpgmm_core.torque_pipeline import TorqueLimits, TorquePipeline
+from tpgmm_core.robot.model import RobotModel
 
 SEQUENCES = int(os.environ.get("TPGMM_PROPERTY_SEQUENCES", "150"))
 MS = 1_000_000

@@ -12,12 +12,12 @@ import pytest
 
 from reaching import frames_at, place, reaching_model
 from tpgmm_core import TPGMM
-from tpgmm_core.execution import Execution, ExecutionConfig, Outcome, Stage
 from tpgmm_core.manifold import POSE
-from tpgmm_core.phase import StatePhase
 from tpgmm_core.reference import Reference
-from tpgmm_core.reproduction import Reproduction
+from tpgmm_core.retrieval.execution import Execution, ExecutionConfig, Outcome, Stage
+from tpgmm_core.retrieval.phase import StatePhase
 from tpgmm_core.retrieval.regression import RegressThenProduct
+from tpgmm_core.retrieval.reproduction import Reproduction
 from worlds import planar_demonstrations
 
 FRAMES = frames_at(start=place(0.0, 0.0, 0.0), object=place(0.5, 0.1, 0.4))

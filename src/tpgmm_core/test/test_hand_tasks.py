@@ -8,13 +8,13 @@ import pytest
 
 from robots import BAXTER
 from tpgmm_core import TPGMM, Frame, quaternion
-from tpgmm_core.controller import Controller
-from tpgmm_core.hand_tasks import ActiveTasks, HandTask, HandTasks, deviation
-from tpgmm_core.joint_impedance import JointImpedanceLaw
+from tpgmm_core.control.controller import Controller
+from tpgmm_core.control.hand_tasks import ActiveTasks, HandTask, HandTasks, deviation
+from tpgmm_core.control.joint_impedance import JointImpedanceLaw
 from tpgmm_core.manifold import POSE
 from tpgmm_core.reference import Reference
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.simulation import RobotSimulator
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.robot.simulation import RobotSimulator
 
 ARMS = ("left_arm", "right_arm")
 WORLD = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])

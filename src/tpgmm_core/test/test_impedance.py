@@ -9,12 +9,12 @@ pytest.importorskip("pinocchio")
 
 from robots import BAXTER
 from tpgmm_core import Gaussian, quaternion
-from tpgmm_core.control_law import LawTorques
-from tpgmm_core.controller import Controller, TorqueCommand
-from tpgmm_core.impedance import ImpedanceConfig, ImpedanceLaw, PoseReference
+from tpgmm_core.control.control_law import LawTorques
+from tpgmm_core.control.controller import Controller, TorqueCommand
+from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw, PoseReference
 from tpgmm_core.reference import Reference
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.simulation import RobotSimulator
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.robot.simulation import RobotSimulator
 
 DT = 0.001
 FIRM, SOFT = np.diag([0.005**2] * 3 + [0.02**2] * 3), np.diag([0.1**2] * 3 + [0.4**2] * 3)

@@ -8,10 +8,10 @@ import pytest
 
 from robots import BAXTER
 from tpgmm_core import Gaussian
-from tpgmm_core.control_law import RobotMoment
-from tpgmm_core.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
+from tpgmm_core.control.control_law import RobotMoment
+from tpgmm_core.control.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
 from tpgmm_core.reference import Reference
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 
 ARMS = ("left_arm", "right_arm")
 AT_ONCE = 1e3

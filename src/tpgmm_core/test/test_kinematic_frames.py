@@ -24,7 +24,7 @@ from tpgmm_core.kinematics.inverse import THRESHOLD, damped_pseudo_inverse, null
 from tpgmm_core.kinematics.tasks import Moment, Task
 from tpgmm_core.kinematics.urdf import UrdfKinematics
 from tpgmm_core.quaternion import Array
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 
 BASE_Q = np.array([0.1, -1.0, -0.5, 1.6, 0.4, 1.0, -0.3])
 CUP = Frame.from_pose([0.7, 0.3, 0.2], quaternion.exp([0.4, 0.9, -0.2]))

@@ -17,7 +17,7 @@ from tpgmm_core.kinematics.tasks import Task
 from tpgmm_core.kinematics.urdf import UrdfKinematics
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 
 ROBOT_FILE = "config/baxter.yaml"
 MS = 1_000_000

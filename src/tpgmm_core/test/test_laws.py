@@ -12,13 +12,13 @@ pytest.importorskip("daqp")
 from reaching import DURATION, frames_at, reaching_near
 from robots import BAXTER
 from tpgmm_core import Gaussian
-from tpgmm_core.controller import Controller, TorqueCommand
-from tpgmm_core.laws import LAWS, ReferenceLaw
+from tpgmm_core.control.controller import Controller, TorqueCommand
+from tpgmm_core.control.laws import LAWS, ReferenceLaw
 from tpgmm_core.manifold import POSE
 from tpgmm_core.reference import Reference
-from tpgmm_core.reproduction import Reproduction
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.simulation import RobotSimulator
+from tpgmm_core.retrieval.reproduction import Reproduction
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.robot.simulation import RobotSimulator
 
 MS = 1_000_000
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from tpgmm_core.operational_space import bound_twist, operational_space
+from tpgmm_core.control.operational_space import bound_twist, operational_space
 
 
 @dataclass

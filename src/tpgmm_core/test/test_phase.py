@@ -13,11 +13,11 @@ from random_problems import random_quaternion
 from reaching import DURATION, frames_at, place, reaching_model
 from tpgmm_core import Frame, Gaussian
 from tpgmm_core.manifold import POSE
-from tpgmm_core.phase import PHASES, ArcLengthConfig, ArcLengthPhase, ClockPhase, StatePhase, StatePhaseConfig
 from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
-from tpgmm_core.reproduction import Reproduction
+from tpgmm_core.retrieval.phase import PHASES, ArcLengthConfig, ArcLengthPhase, ClockPhase, StatePhase, StatePhaseConfig
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
+from tpgmm_core.retrieval.reproduction import Reproduction
 from worlds import assert_moved, moved
 
 MS = 1_000_000

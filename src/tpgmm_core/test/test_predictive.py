@@ -16,8 +16,8 @@ from tpgmm_core.control.joint_space import to_joint_space
 from tpgmm_core.control.lqr import double_integrator, double_integrator_gains, double_integrator_value
 from tpgmm_core.control.predictive import JointLimits, JointReference, Plan, PredictiveController
 from tpgmm_core.manifold import POSE
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.simulation import RobotSimulator
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.robot.simulation import RobotSimulator
 
 Array = np.ndarray
 STEPS = np.full(10, 0.05)

@@ -13,8 +13,8 @@ from reaching import DURATION, frames_at, place, reaching_model
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.reference import Reference
-from tpgmm_core.reproduction import Reproduction
 from tpgmm_core.retrieval.interface import demonstrated_duration
+from tpgmm_core.retrieval.reproduction import Reproduction
 from worlds import planar_demonstrations
 
 POSE = Manifold.parse("R3 x S3")

@@ -13,8 +13,8 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from robots import CONFIG, GRIPPER_URDF, write_arm
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.robot_check import suspicions, workspace
+from tpgmm_core.robot.check import suspicions, workspace
+from tpgmm_core.robot.model import RobotModel
 
 OWN = ["baxter", "panda", "ur5", "xarm7"]
 

@@ -14,12 +14,12 @@ pytest.importorskip("pinocchio")
 from reaching import DURATION, displaced, frames_at, reaching_near
 from robots import CONFIG, KINOVA
 from tpgmm_core import quaternion
-from tpgmm_core.control_law import LawTorques, RobotMoment
-from tpgmm_core.controller import Controller
-from tpgmm_core.impedance import ImpedanceLaw, PoseReference
-from tpgmm_core.reproduction import Reproduction
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.simulation import RobotSimulator
+from tpgmm_core.control.control_law import LawTorques, RobotMoment
+from tpgmm_core.control.controller import Controller
+from tpgmm_core.control.impedance import ImpedanceLaw, PoseReference
+from tpgmm_core.retrieval.reproduction import Reproduction
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.robot.simulation import RobotSimulator
 
 ROBOTS = ["baxter", "panda", "ur5", "xarm7"]
 MS = 1_000_000

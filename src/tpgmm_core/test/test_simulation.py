@@ -9,8 +9,8 @@ pytest.importorskip("pinocchio")
 import pinocchio as pin
 
 from robots import BAXTER, write_arm
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.simulation import RobotSimulator, RobotState
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.robot.simulation import RobotSimulator, RobotState
 
 
 @pytest.fixture(scope="module")

@@ -12,14 +12,14 @@ pytest.importorskip("pinocchio")
 
 from robots import BAXTER
 from tpgmm_core import Gaussian
-from tpgmm_core.impedance import ImpedanceLaw, PoseTarget
+from tpgmm_core.control.impedance import ImpedanceLaw, PoseTarget
+from tpgmm_core.control.supervised_controller import SupervisedController
+from tpgmm_core.control.supervision import ControllerMode, Timeouts
+from tpgmm_core.control.torque_pipeline import TorqueLimits
 from tpgmm_core.manifold import POSE
 from tpgmm_core.reference import Reference
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.simulation import RobotSimulator
-from tpgmm_core.supervised_controller import SupervisedController
-from tpgmm_core.supervision import ControllerMode, Timeouts
-from tpgmm_core.torque_pipeline import TorqueLimits
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.robot.simulation import RobotSimulator
 
 MS = 1_000_000
 AWAY = np.array([0.0, 0.05, 0.05, 0.0, 0.0, 0.0, 0.0])

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from tpgmm_core.supervision import ControllerMode, Inputs, Stamp, StreamWatch, Timeouts, decide
+from tpgmm_core.control.supervision import ControllerMode, Inputs, Stamp, StreamWatch, Timeouts, decide
 
 TIMEOUTS = Timeouts(joint_state_timeout=0.02, silence_after=0.2, reference_timeout=0.1, hold_time=1.0)
 WAITING, ACTIVE, HOLD, DAMPING, FAULT = ControllerMode

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from tpgmm_core.torque_limits import (
+from tpgmm_core.control.torque_limits import (
     approach_speed,
     blend,
     brake,

@@ -50,9 +50,9 @@ def warm_up() -> None:
 def warm_up_control() -> None:
     """The same for the controller, with the smallest of arms; nothing where Pinocchio is not installed."""
     try:
-        from tpgmm_core.controller import Controller
-        from tpgmm_core.impedance import ImpedanceLaw
-        from tpgmm_core.robot import RobotModel
+        from tpgmm_core.control.controller import Controller
+        from tpgmm_core.control.impedance import ImpedanceLaw
+        from tpgmm_core.robot.model import RobotModel
     except ImportError:
         return
     with tempfile.TemporaryDirectory() as directory:

@@ -12,7 +12,14 @@ import pytest
 from tpgmm_ros.parameters import Declared
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "interfaces.md"
-NODES = ["frame_tracker", "reproduction", "impedance_controller", "joint_reference", "baxter_simulator", "endpoint_poses"]
+NODES = [
+    "frame_tracker",
+    "reproduction",
+    "impedance_controller",
+    "joint_reference",
+    "baxter_simulator",
+    "endpoint_poses",
+]
 
 
 def row_of(item: Declared) -> str:

@@ -12,7 +12,7 @@ from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from tpgmm_core.execution import ExecutionConfig
+from tpgmm_core.retrieval.execution import ExecutionConfig
 from tpgmm_ros.parameters import Declared, Parameters, declared_of
 
 DECLARED = [

@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 
 from tpgmm_core import quaternion
 from tpgmm_core.quaternion import Array
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader
 from tpgmm_ros.qos import STREAM

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.robot_check import suspicions, workspace
-from tpgmm_core.robot_description import RobotFileError
+from tpgmm_core.robot.check import suspicions, workspace
+from tpgmm_core.robot.description import RobotFileError
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.reporting import format_table
 
 JOINT_HEADER = ("joint", "groups", "lower", "upper", "home", "velocity", "effort", "carries", "viscous", "coulomb")

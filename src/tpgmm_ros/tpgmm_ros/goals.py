@@ -9,7 +9,7 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
-from tpgmm_core.execution import Outcome
+from tpgmm_core.retrieval.execution import Outcome
 from tpgmm_msgs.action import Reproduce
 
 

@@ -18,13 +18,13 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 
-from tpgmm_core.controller import TorqueCommand
-from tpgmm_core.laws import CONFIGS, LAWS, LawSettings, LawTarget, ReferenceLaw
-from tpgmm_core.planning import at_once
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.supervised_controller import Answer, SupervisedController
-from tpgmm_core.supervision import ControllerMode, Timeouts
-from tpgmm_core.torque_pipeline import TorqueLimits
+from tpgmm_core.control.controller import TorqueCommand
+from tpgmm_core.control.laws import CONFIGS, LAWS, LawSettings, LawTarget, ReferenceLaw
+from tpgmm_core.control.planning import at_once
+from tpgmm_core.control.supervised_controller import Answer, SupervisedController
+from tpgmm_core.control.supervision import ControllerMode, Timeouts
+from tpgmm_core.control.torque_pipeline import TorqueLimits
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions

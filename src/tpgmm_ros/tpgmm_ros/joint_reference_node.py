@@ -19,9 +19,9 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from tpgmm_core import TPGMM
-from tpgmm_core.hand_tasks import ActiveTasks, HandTask, HandTasks
+from tpgmm_core.control.hand_tasks import ActiveTasks, HandTask, HandTasks
 from tpgmm_core.reference import Reference
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader, MessageError

@@ -34,7 +34,7 @@ from tpgmm_core.kinematics.inverse import THRESHOLD
 from tpgmm_core.kinematics.moving import MovingFrames
 from tpgmm_core.kinematics.tasks import Task
 from tpgmm_core.kinematics.urdf import UrdfKinematics
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.yaml_sections import Section, a_choice, a_name, a_number, a_topic
 
 PREVIOUS = "previous"

@@ -19,9 +19,9 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
-from tpgmm_core.execution import ExecutionConfig
-from tpgmm_core.phase import PHASES
 from tpgmm_core.reference import Reference
+from tpgmm_core.retrieval.execution import ExecutionConfig
+from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.ways import WAYS, way_named
 from tpgmm_core.tracking import check_pose
 from tpgmm_msgs.msg import Reference as ReferenceMessage

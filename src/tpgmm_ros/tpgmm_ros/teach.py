@@ -29,7 +29,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from tqdm import tqdm
 
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros import bar_lesson, conversions
 from tpgmm_ros.bag_recorder import BagRecorder
 from tpgmm_ros.bar_lesson import BarLesson

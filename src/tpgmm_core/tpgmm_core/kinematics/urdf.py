@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tpgmm_core.quaternion import Array
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 
 
 class UrdfKinematics:

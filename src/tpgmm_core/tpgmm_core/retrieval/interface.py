@@ -2,7 +2,7 @@
 """What all ways of retrieving a movement have in common, as a loop uses them.
 
 `Retrieval` is the interface of the loop: a reference for each step. Ways that know the whole movement as a function of
-time in a situation are a `Course`; `tpgmm_core.reproduction.Reproduction` steps through any of them, on any phase, and
+time in a situation are a `Course`; `retrieval.reproduction.Reproduction` steps through any of them, on any phase, and
 keeps what it hands on free of jumps. Ways that have a state of their own are a `Retrieval` themselves.
 
 Frames are over [time, data] (`Frame.with_time`) for all ways, so that one situation serves all; a state is (D,), a
@@ -53,7 +53,7 @@ class Retrieval(Protocol):
 
         phase : share of the movement that is done already, 0 to 1: where to go on when another way, or another model,
             takes over while the robot moves. What is handed on then is kept without a jump by
-            `tpgmm_core.continuity.Continued`, for all ways alike
+            `tpgmm_core.retrieval.continuity.Continued`, for all ways alike
         """
 
     def step(

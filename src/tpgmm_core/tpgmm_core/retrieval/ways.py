@@ -11,8 +11,6 @@ from typing import Any
 from tpgmm_core import model_file
 from tpgmm_core.learning.ends import GoalTPGMM
 from tpgmm_core.learning.hsmm import TPHSMM
-from tpgmm_core.phase import PHASES
-from tpgmm_core.reproduction import Reproduction
 from tpgmm_core.retrieval.decay import DecayMovement
 from tpgmm_core.retrieval.dynamics import StableDynamics
 from tpgmm_core.retrieval.encodings import (
@@ -24,7 +22,9 @@ from tpgmm_core.retrieval.encodings import (
     encoding_of,
 )
 from tpgmm_core.retrieval.interface import Course, Retrieval
+from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
+from tpgmm_core.retrieval.reproduction import Reproduction
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 from tpgmm_core.retrieval.trajectory import TrajectoryCourse
 from tpgmm_core.tpgmm import TPGMM

@@ -24,7 +24,7 @@ from rclpy.task import Future
 import tpgmm_ros.demo as package
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.retrieval.interface import demonstrated_duration
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros import train
 from tpgmm_ros.demo.pictures import draw

@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.figure5.session import START_TIMEOUT, Session
 from tpgmm_ros.processes import GraphError, NodeProcesses
 from tpgmm_ros.resources import config_file

@@ -12,7 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 import tpgmm_ros.figure5 as package
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.bag_messages import BagError
 from tpgmm_ros.figure5.graph import open_session, start_controller, start_joint_reference
 from tpgmm_ros.figure5.pictures import draw

@@ -14,7 +14,7 @@ import numpy as np
 from mpl_toolkits.mplot3d import Axes3D
 
 from tpgmm_core import quaternion
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.figure5.lessons import CUP_AXIS, HANDS, Array
 from tpgmm_ros.figure5.measures import measure
 from tpgmm_ros.figure5.sequences import AFTER, CUP, HELD, MOVE, SUGAR, Course

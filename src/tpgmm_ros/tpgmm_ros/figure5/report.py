@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from tpgmm_core import TPGMM
-from tpgmm_core.hand_tasks import HandTask
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.control.hand_tasks import HandTask
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.figure5.lessons import Array
 from tpgmm_ros.figure5.measures import Measures, energy, measure
 from tpgmm_ros.figure5.sequences import CUP, HELD, MOVE, PROBE_FORCE, PROBE_TORQUE, SUGAR, Course, Pushed

@@ -19,7 +19,7 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader
 from tpgmm_ros.processes import REALTIME_PRIORITY, Graph, NodeProcesses

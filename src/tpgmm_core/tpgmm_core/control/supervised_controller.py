@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.control_law import ControlLaw
-from tpgmm_core.controller import Controller, TorqueCommand
+from tpgmm_core.control.control_law import ControlLaw
+from tpgmm_core.control.controller import Controller, TorqueCommand
+from tpgmm_core.control.supervision import SECOND, ControllerMode, Inputs, Stamp, StreamWatch, Timeouts, decide
+from tpgmm_core.control.torque_pipeline import TorqueLimits
 from tpgmm_core.reference import Reference
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.supervision import SECOND, ControllerMode, Inputs, Stamp, StreamWatch, Timeouts, decide
-from tpgmm_core.torque_pipeline import TorqueLimits
+from tpgmm_core.robot.model import RobotModel
 
 Array = NDArray[np.float64]
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw, PoseTarget
+from tpgmm_core.control.planning import PlanConfig, Schedule
 from tpgmm_core.control.receding_horizon import receding_horizon_gains
 from tpgmm_core.gaussian import Gaussian
-from tpgmm_core.impedance import ImpedanceConfig, ImpedanceLaw, PoseTarget
-from tpgmm_core.planning import PlanConfig, Schedule
 from tpgmm_core.reference import Reference
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 
 Array = NDArray[np.float64]
 

@@ -21,13 +21,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.control_law import LawConfig, LawTorques, RobotMoment
-from tpgmm_core.kernels_impedance import standing_torques
-from tpgmm_core.kernels_joint import inertia_factor, joint_torques, precision_damping
+from tpgmm_core.control.control_law import LawConfig, LawTorques, RobotMoment
+from tpgmm_core.control.kernels_impedance import standing_torques
+from tpgmm_core.control.kernels_joint import inertia_factor, joint_torques, precision_damping
+from tpgmm_core.control.torque_limits import finite
 from tpgmm_core.reference import Reference
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.settings import setting
-from tpgmm_core.torque_limits import finite
 
 Array = NDArray[np.float64]
 

@@ -24,7 +24,7 @@ from tpgmm_core.control.joint_space import to_joint_space
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.kernels import compiled, inverse_left_jacobian, quaternion_difference, rotation
 from tpgmm_core.manifold import POSE
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.tpgmm import TPGMM
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 
 Array = NDArray[np.float64]
 

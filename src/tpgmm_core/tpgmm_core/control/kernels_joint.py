@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tpgmm_core.control.torque_limits import clamp
 from tpgmm_core.kernels import cholesky, compiled, invert_lower
-from tpgmm_core.torque_limits import clamp
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -15,8 +15,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from tpgmm_core.robot_description import Endpoint, RobotDescription, RobotFileError
-from tpgmm_core.robot_urdf import read_urdf
+from tpgmm_core.robot.description import Endpoint, RobotDescription, RobotFileError
+from tpgmm_core.robot.urdf import read_urdf
 
 Array = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ class RobotModel:
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> RobotModel:
-        """Read a robot file (see `robot_description`) and the URDF that it names. Raises RobotFileError."""
+        """Read a robot file (see `tpgmm_core.robot.description`) and the URDF that it names. Raises RobotFileError."""
         return cls(RobotDescription.from_file(path))
 
     def create_data(self) -> RobotData:

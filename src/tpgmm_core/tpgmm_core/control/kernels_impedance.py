@@ -8,9 +8,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from tpgmm_core.control.operational_space import bound_twist, operational_space
+from tpgmm_core.control.torque_limits import fit
 from tpgmm_core.kernels import compiled, quaternion_difference, turn
-from tpgmm_core.operational_space import bound_twist, operational_space
-from tpgmm_core.torque_limits import fit
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 
 import pinocchio as pin
 
-from tpgmm_core.robot_description import RobotFileError, check_urdf
+from tpgmm_core.robot.description import RobotFileError, check_urdf
 
 #: Joints of one degree of freedom, whose `<limit>` Pinocchio wants complete.
 SINGLE = ("revolute", "prismatic", "continuous")

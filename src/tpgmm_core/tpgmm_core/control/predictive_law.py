@@ -21,16 +21,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tpgmm_core.control.control_law import LawTorques, RobotMoment
+from tpgmm_core.control.joint_impedance import JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
 from tpgmm_core.control.joint_space import to_joint_space
+from tpgmm_core.control.moving_impedance import check_horizon
+from tpgmm_core.control.moving_joint_impedance import moving_joint_gains
+from tpgmm_core.control.planning import PlanConfig, Schedule, Submit, at_once
 from tpgmm_core.control.predictive import JointLimits, JointReference, Plan, PredictiveController
-from tpgmm_core.control_law import LawTorques, RobotMoment
-from tpgmm_core.joint_impedance import JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
 from tpgmm_core.manifold import POSE
-from tpgmm_core.moving_impedance import check_horizon
-from tpgmm_core.moving_joint_impedance import moving_joint_gains
-from tpgmm_core.planning import PlanConfig, Schedule, Submit, at_once
 from tpgmm_core.reference import Reference
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 
 Array = NDArray[np.float64]
 

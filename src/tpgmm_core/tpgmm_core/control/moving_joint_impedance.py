@@ -13,12 +13,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tpgmm_core.control.joint_impedance import JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
+from tpgmm_core.control.moving_impedance import check_horizon
+from tpgmm_core.control.planning import PlanConfig, Schedule
 from tpgmm_core.control.receding_horizon import receding_horizon_gains
-from tpgmm_core.joint_impedance import JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
-from tpgmm_core.moving_impedance import check_horizon
-from tpgmm_core.planning import PlanConfig, Schedule
 from tpgmm_core.reference import Reference
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from tpgmm_core.reference import Reference
 from tpgmm_core.settings import check_settings, setting
 
 if TYPE_CHECKING:
-    from tpgmm_core.robot import RobotData
+    from tpgmm_core.robot.model import RobotData
 
 Array = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 """A learned movement, step by step: where to be and how much it matters, for the frames as they are right now.
 
 Frames move, disappear and come back while the movement runs, and each time the course of the movement is another one
-at once. What is handed on does not jump: see `tpgmm_core.continuity`. While the frames stay, it is exactly what the
+at once. What is handed on does not jump: see `continuity`. While the frames stay, it is exactly what the
 course says.
 """
 
@@ -14,15 +14,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from tpgmm_core.adaptation import UNCONSTRAINED_VARIANCE
-from tpgmm_core.continuity import MOMENT, Continuity
 from tpgmm_core.frame import Frame
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
-from tpgmm_core.phase import ClockPhase
 from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
+from tpgmm_core.retrieval.continuity import MOMENT, Continuity
 from tpgmm_core.retrieval.interface import Course
+from tpgmm_core.retrieval.phase import ClockPhase
 from tpgmm_core.retrieval.regression import AdaptThenRegress
 from tpgmm_core.tpgmm import TPGMM
 

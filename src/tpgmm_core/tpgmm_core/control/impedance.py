@@ -14,14 +14,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tpgmm_core.control.control_law import LawConfig, LawTorques, RobotMoment
+from tpgmm_core.control.kernels_impedance import approach, arm_torques, standing_torques
 from tpgmm_core.control.lqr import double_integrator_gains
-from tpgmm_core.control_law import LawConfig, LawTorques, RobotMoment
-from tpgmm_core.kernels_impedance import approach, arm_torques, standing_torques
-from tpgmm_core.operational_space import bound_twist
+from tpgmm_core.control.operational_space import bound_twist
+from tpgmm_core.control.torque_limits import finite
 from tpgmm_core.reference import Reference
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.settings import setting
-from tpgmm_core.torque_limits import finite
 
 Array = NDArray[np.float64]
 

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core.continuity import Continued
 from tpgmm_core.frame import Frame
 from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
+from tpgmm_core.retrieval.continuity import Continued
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.settings import check_settings, setting
 

@@ -30,12 +30,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.control_law import RobotMoment
-from tpgmm_core.kernels import compiled
-from tpgmm_core.operational_space import invert_inertia
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.settings import check_settings, setting
-from tpgmm_core.torque_limits import (
+from tpgmm_core.control.control_law import RobotMoment
+from tpgmm_core.control.operational_space import invert_inertia
+from tpgmm_core.control.torque_limits import (
     blend,
     brake,
     clamp_at_limits,
@@ -45,6 +42,9 @@ from tpgmm_core.torque_limits import (
     repel,
     torque_bounds,
 )
+from tpgmm_core.kernels import compiled
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.settings import check_settings, setting
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.impedance import ImpedanceConfig
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.control.impedance import ImpedanceConfig
+from tpgmm_core.robot.model import RobotModel
 
 Array = NDArray[np.float64]
 

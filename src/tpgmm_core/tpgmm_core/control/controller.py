@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.control_law import ControlLaw, LawTorques, RobotMoment
-from tpgmm_core.robot import RobotModel
-from tpgmm_core.torque_limits import finite
-from tpgmm_core.torque_pipeline import TorqueLimits, TorquePipeline, actions
+from tpgmm_core.control.control_law import ControlLaw, LawTorques, RobotMoment
+from tpgmm_core.control.torque_limits import finite
+from tpgmm_core.control.torque_pipeline import TorqueLimits, TorquePipeline, actions
+from tpgmm_core.robot.model import RobotModel
 
 Array = NDArray[np.float64]
 

@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from tpgmm_core.control_law import ControlLaw, LawTorques, RobotMoment
-from tpgmm_core.impedance import ImpedanceConfig, ImpedanceLaw
-from tpgmm_core.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
+from tpgmm_core.control.control_law import ControlLaw, LawTorques, RobotMoment
+from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw
+from tpgmm_core.control.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
+from tpgmm_core.control.moving_impedance import MovingImpedanceLaw
+from tpgmm_core.control.moving_joint_impedance import MovingJointImpedanceLaw
+from tpgmm_core.control.planning import PlanConfig, Planning, Submit, at_once
 from tpgmm_core.manifold import POSE
-from tpgmm_core.moving_impedance import MovingImpedanceLaw
-from tpgmm_core.moving_joint_impedance import MovingJointImpedanceLaw
-from tpgmm_core.planning import PlanConfig, Planning, Submit, at_once
 from tpgmm_core.reference import Reference
-from tpgmm_core.robot import RobotModel
+from tpgmm_core.robot.model import RobotModel
 
 #: Names of the joints that a law moves; none: those of the end point, by its pose.
 type Joints = tuple[str, ...]
@@ -168,7 +168,7 @@ def _moving(
 
 
 def _predictive(robot: RobotModel, endpoint: str, joints: Joints, settings: LawSettings, submit: Submit[Any]) -> _Law:
-    from tpgmm_core.predictive_law import PredictiveLaw  # its solver is optional
+    from tpgmm_core.control.predictive_law import PredictiveLaw  # its solver is optional
 
     if joints:
         return PredictiveLaw(robot, joints, None, settings.joint, plan=settings.plan, submit=submit)
