@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import tempfile
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 import tpgmm_core.control.finite_horizon
 import tpgmm_core.control.lqr  # noqa: F401  these two compile on import
 from tpgmm_core import TPGMM, Adapter, Frame, Gaussian
+from tpgmm_core.kinematics.tasks import compile_kernels
 from tpgmm_core.learning.ends import GoalTPGMM
 from tpgmm_core.learning.hmm import TPHMM
 from tpgmm_core.learning.hsmm import TPHSMM
@@ -18,6 +20,7 @@ from tpgmm_core.manifold import POSE
 from tpgmm_core.retrieval.dynamics import StableDynamics
 from tpgmm_core.retrieval.regression import RegressThenProduct
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
+from tpgmm_core.retrieval.trajectory import TrajectoryModel
 
 
 def warm_up() -> None:
@@ -38,12 +41,15 @@ def warm_up() -> None:
     moving = np.concatenate([pose, rng.normal(size=(40, 6))], axis=1)
     velocities = GoalTPGMM(n_components=2, manifold="R3 x S3 x R6", max_iter=1).fit_projected({"frame": moving})
     StableDynamics(velocities, duration=1.0)
+    features = np.concatenate([X, rng.normal(size=(40, 12))], axis=1)
+    TrajectoryModel(TPGMM(n_components=2, manifold="R1 x R3 x S3 x R12", max_iter=1).fit_projected({"frame": features}))
     chain = TPHSMM(n_components=2, max_iter=1).fit_projected({"frame": X})
     chain.chain_.most_likely(np.zeros((40, 2)), [40])
     chain.metadata_ = {"duration_s": 1.0}
     SemiMarkovMovement(chain)
     markov = TPHMM(n_components=2, max_iter=1).fit_projected({"frame": X})
     markov.chain_.most_likely(np.zeros((40, 2)), [40])
+    compile_kernels()
     warm_up_control()
 
 
@@ -51,7 +57,7 @@ def warm_up_control() -> None:
     """The same for the controller, with the smallest of arms; nothing where Pinocchio is not installed."""
     try:
         from tpgmm_core.control.controller import Controller
-        from tpgmm_core.control.impedance import ImpedanceLaw
+        from tpgmm_core.control.laws import LAWS, ReferenceLaw
         from tpgmm_core.robot.model import RobotModel
     except ImportError:
         return
@@ -59,7 +65,9 @@ def warm_up_control() -> None:
         (Path(directory) / "arm.urdf").write_text(ARM_URDF)
         (Path(directory) / "arm.yaml").write_text(ARM)
         robot = RobotModel.from_file(Path(directory) / "arm.yaml")
-        Controller(robot, ImpedanceLaw(robot, "hand"))
+        for name in LAWS:
+            with contextlib.suppress(ImportError):  # the solver of predictive control is optional
+                Controller(robot, ReferenceLaw(name, robot, "hand"))
 
 
 LINK = """<link name="{name}"><inertial><mass value="1"/><origin xyz="1 0 0"/>
