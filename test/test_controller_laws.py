@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each law of the controller node on its topics, in lockstep with a simulated Baxter."""
+"""Each law of the controller node on its topics, with a simulated Baxter."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ from tpgmm_ros import conversions
 NODE = "impedance_controller"
 
 
-@pytest.mark.parametrize("law", LAWS)
+# In lockstep plans are made within the step, else by a thread beside it
+@pytest.mark.parametrize(("law", "lockstep"), [*((law, True) for law in LAWS), ("predictive", False)])
 def test_a_law_follows_and_says_of_which_terms_its_torques_are_the_sum(
-    ros_node: Node, start_process: StartProcess, law: str
+    ros_node: Node, start_process: StartProcess, law: str, lockstep: bool
 ) -> None:
     process = start_process(
-        NODE, *ros_arguments(robot_file=ROBOT_FILE, law=law, lockstep=True, joint_state_timeout=5.0)
+        NODE, *ros_arguments(robot_file=ROBOT_FILE, law=law, lockstep=lockstep, joint_state_timeout=5.0)
     )
     assert change_state(ros_node, NODE, CONFIGURE)
     assert change_state(ros_node, NODE, ACTIVATE)

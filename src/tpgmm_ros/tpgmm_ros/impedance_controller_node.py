@@ -279,7 +279,10 @@ class ImpedanceControllerNode(ManagedNode):
             level = DiagnosticStatus.ERROR
         elif self._mode in (ControllerMode.HOLD, ControllerMode.WAITING):
             level = DiagnosticStatus.WARN
-        return level, f"{self._mode.name}: {self._reason}", {"torques_limited": self._limited()}
+        values = {"torques_limited": self._limited()}
+        if self.law is not None and self.law.plan_age is not None:
+            values["plan_age_ms"] = f"{1e3 * self.law.plan_age:.1f}"
+        return level, f"{self._mode.name}: {self._reason}", values
 
     def _limited(self) -> str:
         """How often each stage of the pipeline took something away since the activation."""

@@ -96,6 +96,11 @@ class ReferenceLaw:
             else:
                 law.configure(settings.joint)
 
+    @property
+    def plan_age(self) -> float | None:
+        """Time since the state that the plan which is followed was made from, s; None for laws that have no plan."""
+        return getattr(self._current, "latency", None)
+
     def reset(self) -> None:
         """Forget targets and postures; the next step starts from the state that it is given."""
         self._current: ControlLaw[Any] = self._of_pose

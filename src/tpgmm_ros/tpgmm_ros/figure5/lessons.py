@@ -31,13 +31,14 @@ START: Poses = {
 CUP_AXIS = np.array([1.0, 0.0, 0.0])
 SUGAR_PLACE = np.array([0.15, 0.0, 0.0])
 
-LESSON_TIME = 50.0
+LESSON_TIME = 80.0
 #: The movements begin and end gently, within this time, s.
 FADE = 2.0
 #: How surely a hand is kept where it matters: standard deviation of the teacher's slow wavering, m and rad.
-WAVER, TURN_WAVER = 0.001, 0.004
-#: How far it is moved where it does not matter, standard deviation, m and rad.
-SPREAD, TURN_SPREAD = np.array([0.06, 0.07, 0.055]), np.array([0.2, 0.2, 0.2])
+WAVER, TURN_WAVER = 0.0005, 0.003
+#: How far it is moved where it does not matter, standard deviation, m and rad; further where one hand goes alone.
+SPREAD, TURN_SPREAD = np.array([0.065, 0.075, 0.06]), np.array([0.2, 0.2, 0.2])
+CUP_SPREAD = np.array([0.08, 0.095, 0.075])
 
 
 class Wander:
@@ -64,7 +65,7 @@ Lesson = Callable[[float, Poses], Poses]
 
 def cup_lesson(random: np.random.Generator) -> Lesson:
     """Hold the cup level: it goes everywhere and turns about the vertical; the other hand does as it likes."""
-    level = np.append(SPREAD, [TURN_WAVER, TURN_WAVER, TURN_SPREAD[2]])
+    level = np.append(CUP_SPREAD, [TURN_WAVER, TURN_WAVER, TURN_SPREAD[2]])
     wander = Wander(np.concatenate([level, SPREAD, TURN_SPREAD]), random)
     aside = START["right"] + np.array([0.05, -0.10, 0.0, 0.0, 0.0, 0.0, 0.0])
 

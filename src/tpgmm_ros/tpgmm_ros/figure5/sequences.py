@@ -10,7 +10,7 @@ import numpy as np
 
 from tpgmm_ros.figure5.lessons import HANDS, Array
 from tpgmm_ros.figure5.session import Segment, Session, Wrench
-from tpgmm_ros.figure5.touches import elbow, push, smooth_step, to_start
+from tpgmm_ros.figure5.touches import GRIP, PUSH, elbow, push, smooth_step, to_start
 
 CUP, SUGAR = "hold_cup", "hold_sugar"
 #: The tasks take hold and the arms come to rest within this time, s.
@@ -57,19 +57,21 @@ class Probed:
 @dataclass(frozen=True, slots=True)
 class Sequence:
     """name, title; the tasks that hold; the kinds of its pushes, which are the same in all sequences; whether small
-    forces tell in the end how soft the robot is."""
+    forces tell in the end how soft the robot is; whether who pushes has a grip on the hand and keeps it from turning.
+    """
 
     name: str
     title: str
     tasks: tuple[str, ...]
     kinds: tuple[str, ...]
     probed: bool = False
+    gripped: bool = False
 
 
 SEQUENCES = (
     Sequence("cup", "the cup is held level", (CUP,), ("hand",)),
     Sequence("sugar", "the sugar is held above the cup", (SUGAR,), ("elbow",)),
-    Sequence("follow", "the left hand is pushed, the right one follows", (SUGAR,), ("hand",)),
+    Sequence("follow", "the left hand is pushed, the right one follows", (SUGAR,), ("hand",), gripped=True),
     Sequence("both", "both at once, pushed where no task holds", (CUP, SUGAR), ("hand", "elbow"), probed=True),
 )
 
@@ -114,18 +116,18 @@ def run_sequence(
     done = []
     for planned in pushes:
         if planned.kind in sequence.kinds:
-            done.append(_pushed(session, planned))
+            done.append(_pushed(session, planned, sequence.gripped))
             progress()
     probes = _probe(session) if sequence.probed else ()
     return Course(sequence, rest, settled, tuple(done), probes)
 
 
-def _pushed(session: Session, planned: Push) -> Pushed:
+def _pushed(session: Session, planned: Push, gripped: bool) -> Pushed:
     if planned.kind == "hand":
         link, way = session.robot.endpoints[planned.hand].frame, planned.way
     else:
         link, way = elbow(planned.hand), planned.way[0] * _free_direction(session, planned.hand)
-    touched = session.run(MOVE + HELD, [push(session, link, way, MOVE)])
+    touched = session.run(MOVE + HELD, [push(session, link, way, MOVE, GRIP if gripped else PUSH)])
     return Pushed(planned, link, touched.followed_by(session.run(AFTER)))
 
 

@@ -20,8 +20,8 @@ from tpgmm_ros.task import Task
 
 #: Of the recorded poses, and of the joint states, one in so many is kept.
 KEEP_EVERY = {"poses": round(TOUCH_RATE / 100.0), "joint_states": 20}
-#: Added to variances, m² and rad²: nobody holds anything more surely than to a millimetre.
-REG_COVAR = 1e-6
+#: Added to variances, m² and rad²: nobody holds anything more surely than to some tenths of a millimetre.
+REG_COVAR = 1e-7
 
 
 def record_lesson(session: Session, task: Task, bag: Path, random: np.random.Generator) -> None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,8 @@ HAND = TeacherConfig(stiffness=(2000.0, 300.0), damping=(110.0, 4.0), correction
 ELBOW = TeacherConfig(stiffness=(200.0, 0.0), damping=(25.0, 0.0), correction=0.0, max_force=30.0, max_torque=0.0)
 #: Who pushes goes on until the link is about where it was to be, and does not turn it.
 PUSH = TeacherConfig(stiffness=(1000.0, 0.0), damping=(30.0, 0.0), correction=0.0, max_force=70.0, max_torque=0.0)
+#: The same by someone who has a grip on the hand, and keeps it from turning.
+GRIP = replace(PUSH, stiffness=(1000.0, 100.0), damping=(30.0, 3.0), max_torque=20.0)
 #: The way to the start takes this long, then the hands are held there until they rest, s.
 WAY, REST = 3.0, 1.0
 #: An elbow goes along with its hand by this share.
@@ -88,11 +90,13 @@ def lesson_aims(session: Session, lesson: Callable[[float, Poses], Poses]) -> Ca
     return lambda time: lesson(time, {hand: session.pose(link) for hand, link in links.items()})
 
 
-def push(session: Session, link: str, way: Array, duration: float) -> tuple[str, Wrench]:
+def push(
+    session: Session, link: str, way: Array, duration: float, config: TeacherConfig = PUSH
+) -> tuple[str, Wrench]:
     """Someone moves a link by a way (3,), m, within `duration` s, and holds it there."""
     begin = session.pose(link)
 
     def where(time: float) -> Array:
         return begin + np.concatenate([smooth_step(time / duration) * way, np.zeros(4)])
 
-    return link, touch(PUSH, where)
+    return link, touch(config, where)
