@@ -215,8 +215,8 @@ def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
     ):
         raise ModelFileError(f"dimensions are {manifold.dim} names, got {dimensions!r}")
     course = [_numbers(arrays, name, 1) for name in ("log_likelihoods", "objectives")]
-    if len(course[0]) != len(course[1]) or len(course[0]) == 0:
-        raise ModelFileError(f"log_likelihoods and objectives are of all iterations, got {[len(c) for c in course]}")
+    if not all(map(len, course)):
+        raise ModelFileError(f"log_likelihoods and objectives have at least one number, got {[len(c) for c in course]}")
     _check_metadata(header["metadata"])
     # a setting that is not given, such as no random state, is None, and no fault
     _check_metadata({key: value for key, value in dict(header["settings"]).items() if value is not None})
