@@ -24,8 +24,8 @@ HANDS = ("left", "right")
 #: Where both lessons and all sequences begin. The left hand lies level and points inwards, its x axis up; the right
 #: hand points down and forward from above.
 START: Poses = {
-    "left": np.array([0.58, -0.05, 0.15, 0.5, -0.5, 0.5, 0.5]),
-    "right": np.array([0.58, -0.05, 0.30, 0.0, 0.96486651, 0.0, 0.26274024]),
+    "left": np.array([0.63, -0.08, 0.15, 0.5, -0.5, 0.5, 0.5]),
+    "right": np.array([0.63, -0.08, 0.30, 0.0, 0.96486651, 0.0, 0.26274024]),
 }
 #: The axis of the cup in the left hand, and the place of the sugar above the cup, also in the axes of the left hand, m.
 CUP_AXIS = np.array([1.0, 0.0, 0.0])
@@ -35,10 +35,12 @@ LESSON_TIME = 80.0
 #: The movements begin and end gently, within this time, s.
 FADE = 2.0
 #: How surely a hand is kept where it matters: standard deviation of the teacher's slow wavering, m and rad.
-WAVER, TURN_WAVER = 0.0005, 0.003
+WAVER, TURN_WAVER = 0.0002, 0.003
 #: How far it is moved where it does not matter, standard deviation, m and rad; further where one hand goes alone.
-SPREAD, TURN_SPREAD = np.array([0.065, 0.075, 0.06]), np.array([0.2, 0.2, 0.2])
-CUP_SPREAD = np.array([0.08, 0.095, 0.075])
+SPREAD, TURN_SPREAD = np.array([0.065, 0.075, 0.065]), np.array([0.2, 0.2, 0.2])
+CUP_SPREAD = np.array([0.075, 0.09, 0.075])
+#: The cup tilts less than the arms permit: a wrist that comes to its stop cannot be led exactly any more.
+CUP_TURN_SPREAD = np.array([0.15, 0.15, 0.15])
 
 
 class Wander:
@@ -78,7 +80,7 @@ def cup_lesson(random: np.random.Generator) -> Lesson:
 
 def sugar_lesson(random: np.random.Generator) -> Lesson:
     """Hold the sugar above the cup: both go everywhere together, and turn as they like."""
-    wander = Wander(np.concatenate([SPREAD, TURN_SPREAD, np.full(3, WAVER), TURN_SPREAD]), random)
+    wander = Wander(np.concatenate([SPREAD, CUP_TURN_SPREAD, np.full(3, WAVER), TURN_SPREAD]), random)
 
     def at(time: float, hands: Poses) -> Poses:
         step = wander.at(time)

@@ -13,7 +13,8 @@ from tpgmm_core.control.hand_tasks import HandTask
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.figure5.lessons import Array
 from tpgmm_ros.figure5.measures import Measures, energy, measure
-from tpgmm_ros.figure5.sequences import CUP, HELD, MOVE, PROBE_FORCE, PROBE_TORQUE, SUGAR, Course, Pushed
+from tpgmm_ros.figure5.sequences import CUP, HELD, MOVE, SUGAR, Course, Pushed
+from tpgmm_ros.figure5.session import SAMPLE_RATE
 from tpgmm_ros.joint_reference_node import hand_task
 from tpgmm_ros.reporting import format_table
 from tpgmm_ros.task import Task
@@ -49,10 +50,10 @@ def evaluate(
     report["softness"] = _softness(robot, courses[-1])
     sequences = report["sequences"]
     cup, follow, both = (sequences[name] for name in ("cup", "follow", "both"))
-    report["combined_over_alone"] = {
-        "tilt": both["hand"]["tilt_deg"]["median"] / cup["hand"]["tilt_deg"]["median"],
-        "place": both["hand"]["place_steady_m"]["median"] / follow["hand"]["place_steady_m"]["median"],
-    }
+    alone = {"tilt": (cup["hand"], "tilt_deg"), "place": (follow["hand"], "place_steady_m")}
+    compared = {name: _compared(both["hand"], row, figure) for name, (row, figure) in alone.items()}
+    report["combined_over_alone"] = {name: same_way for name, (same_way, _) in compared.items()}
+    report["combined_over_alone_per_newton"] = {name: same_force for name, (_, same_force) in compared.items()}
     everything = sequences.values()
     ways = [row["hand"]["moved_m"] for row in (cup, follow, both)]
     checks = {
@@ -76,6 +77,13 @@ def evaluate(
         and all(row["energy_left"]["worst"] < 1.0 for row in everything),
     }
     return {"passed": all(checks.values()), "checks": checks, **report}
+
+
+def _compared(both: dict[str, Any], alone: dict[str, Any], figure: str) -> tuple[float, float]:
+    """Medians of a figure with both tasks over those with one: for the same way, and, as two tasks resist more than
+    one, for the same force."""
+    error, force = (both[name]["median"] / alone[name]["median"] for name in (figure, "force_n"))
+    return error, error / force
 
 
 def _level(tilt: dict[str, float]) -> bool:
@@ -164,19 +172,20 @@ def _spread(values: Sequence[float]) -> dict[str, float]:
 
 
 def _softness(robot: RobotModel, course: Course) -> dict[str, Any]:
-    """Forces for 5 cm, by the small forces of the last sequence: free directions beside constrained ones, N."""
+    """Forces for 5 cm, N: free directions beside constrained ones. In proportion to what small forces did at rest: 5 cm
+    in a constrained direction are beyond the motors."""
     forces: dict[str, float] = {}
     for probed in course.probes:
-        m = measure(robot, probed.segment, next(iter(probed.wrenches)))
+        m = measure(robot, probed.segment, probed.link)
         kind, axis = probed.name.split("_")
         i = "xyz".index(axis)
         if kind == "move":
-            forces[probed.name] = PROBE_FORCE * WAY / _largest(m.left[:, i])
+            forces[probed.name] = probed.size * WAY / _moved(m.left[:, i])
         elif kind == "apart":
-            forces[probed.name] = PROBE_FORCE * WAY / _largest(m.right[:, i] - m.left[:, i])
+            forces[probed.name] = probed.size * WAY / _moved(m.right[:, i] - m.left[:, i])
         else:
             # a torque is the force at the end of a lever
-            forces[probed.name] = PROBE_TORQUE / LENGTH * WAY / (LENGTH * _largest(m.turned[:, i]))
+            forces[probed.name] = probed.size / LENGTH * WAY / (LENGTH * _moved(m.turned[:, i]))
     free = {name: force for name, force in forces.items() if name.startswith("move") or name == "turn_z"}
     held = {name: force for name, force in forces.items() if name not in free}
     ratio = max(
@@ -186,8 +195,9 @@ def _softness(robot: RobotModel, course: Course) -> dict[str, Any]:
     return {"free_n_per_5cm": free, "constrained_n_per_5cm": held, "ratio": ratio}
 
 
-def _largest(values: Array) -> float:
-    return float(np.abs(values - values[0]).max())
+def _moved(values: Array) -> float:
+    """From the first sample to the mean of the last ones."""
+    return float(abs(values[-round(STEADY * SAMPLE_RATE) :].mean() - values[0]))
 
 
 def table(report: dict[str, Any]) -> str:

@@ -22,8 +22,11 @@ HAND_WAY, ELBOW_WAY = (0.12, 0.25), (0.09, 0.12)
 #: Pushes are flatter than a sphere: beside the weight of the stretched arm the shoulder has some 8 N m left, so that
 #: who presses the hand down by 20 cm is stronger than the robot.
 FLATTENED = np.array([1.0, 1.0, 0.4])
-#: Forces, N, and torques, N m, that tell how soft the robot is, and how long they act, s.
-PROBE_FORCE, PROBE_TORQUE, PROBE_TIME, PROBE_REST = 6.0, 1.0, 1.5, 1.0
+#: Forces, N, and torques, N m, that tell how soft the robot is: where it is free, and where tasks hold it.
+FREE_FORCE, FREE_TORQUE, HELD_FORCE, HELD_TORQUE = 8.0, 1.0, 16.0, 4.0
+#: They grow so slowly that inertia and damping do not count, and stay until joints have crept to where friction lets
+#: them; what was before is given the time to die out, s.
+PROBE_GROWS, PROBE_STAYS, PROBE_REST = 1.5, 1.5, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,10 +50,11 @@ class Pushed:
 
 @dataclass(frozen=True, slots=True)
 class Probed:
-    """One small force: its name, the links with their wrenches (6,), and what came of it."""
+    """One small force: its name; the link whose motion tells; the wrenches' size, N or N m; and what came of it."""
 
     name: str
-    wrenches: dict[str, Array]
+    link: str
+    size: float
     segment: Segment
 
 
@@ -144,21 +148,22 @@ def _free_direction(session: Session, hand: str) -> Array:
 
 def _probe(session: Session) -> tuple[Probed, ...]:
     left, right = (session.robot.endpoints[hand].frame for hand in HANDS)
-    tried: list[tuple[str, dict[str, Array]]] = []
-    for i, axis in enumerate("xyz"):
-        force, torque = np.zeros(6), np.zeros(6)
-        force[i], torque[3 + i] = PROBE_FORCE, PROBE_TORQUE
-        tried.append((f"move_{axis}", {left: force}))
-        tried.append((f"apart_{axis}", {left: -force, right: force}))
-        tried.append((f"turn_{axis}", {left: torque}))
     probes = []
-    for name, wrenches in tried:
-        touches = [(link, _growing(wrench)) for link, wrench in wrenches.items()]
-        probes.append(Probed(name, wrenches, session.run(PROBE_TIME, touches)))
-        session.run(PROBE_REST)
+    for i, axis in enumerate("xyz"):
+        force, torque = np.eye(6)[i], np.eye(6)[3 + i]
+        # the cup may turn about the vertical alone
+        turn = FREE_TORQUE if axis == "z" else HELD_TORQUE
+        for name, size, wrenches in (
+            (f"move_{axis}", FREE_FORCE, {left: force}),
+            (f"apart_{axis}", HELD_FORCE, {left: -force, right: force}),
+            (f"turn_{axis}", turn, {left: torque}),
+        ):
+            session.run(PROBE_REST)
+            touches = [(link, _growing(size * wrench)) for link, wrench in wrenches.items()]
+            probes.append(Probed(name, left, size, session.run(PROBE_GROWS + PROBE_STAYS, touches)))
     return tuple(probes)
 
 
 def _growing(wrench: Array) -> Wrench:
-    """A wrench that grows to its full size in half of the time that it acts."""
-    return lambda time, pose: smooth_step(2.0 * time / PROBE_TIME) * wrench
+    """A wrench that grows to its full size and stays."""
+    return lambda time, pose: smooth_step(time / PROBE_GROWS) * wrench

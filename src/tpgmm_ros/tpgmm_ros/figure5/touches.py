@@ -90,9 +90,7 @@ def lesson_aims(session: Session, lesson: Callable[[float, Poses], Poses]) -> Ca
     return lambda time: lesson(time, {hand: session.pose(link) for hand, link in links.items()})
 
 
-def push(
-    session: Session, link: str, way: Array, duration: float, config: TeacherConfig = PUSH
-) -> tuple[str, Wrench]:
+def push(session: Session, link: str, way: Array, duration: float, config: TeacherConfig = PUSH) -> tuple[str, Wrench]:
     """Someone moves a link by a way (3,), m, within `duration` s, and holds it there."""
     begin = session.pose(link)
 
