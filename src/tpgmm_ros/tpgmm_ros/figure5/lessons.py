@@ -36,9 +36,8 @@ LESSON_TIME = 80.0
 FADE = 2.0
 #: How surely a hand is kept where it matters: standard deviation of the teacher's slow wavering, m and rad.
 WAVER, TURN_WAVER = 0.0002, 0.003
-#: How far it is moved where it does not matter, standard deviation, m and rad; further where one hand goes alone.
-SPREAD, TURN_SPREAD = np.array([0.065, 0.075, 0.065]), np.array([0.2, 0.2, 0.2])
-CUP_SPREAD = np.array([0.075, 0.09, 0.075])
+#: How far it is moved where it does not matter, standard deviation, m and rad.
+SPREAD, TURN_SPREAD = np.array([0.065, 0.075, 0.075]), np.array([0.2, 0.2, 0.2])
 #: The cup tilts less than the arms permit: a wrist that comes to its stop cannot be led exactly any more.
 CUP_TURN_SPREAD = np.array([0.15, 0.15, 0.15])
 
@@ -67,7 +66,7 @@ Lesson = Callable[[float, Poses], Poses]
 
 def cup_lesson(random: np.random.Generator) -> Lesson:
     """Hold the cup level: it goes everywhere and turns about the vertical; the other hand does as it likes."""
-    level = np.append(CUP_SPREAD, [TURN_WAVER, TURN_WAVER, TURN_SPREAD[2]])
+    level = np.append(SPREAD, [TURN_WAVER, TURN_WAVER, TURN_SPREAD[2]])
     wander = Wander(np.concatenate([level, SPREAD, TURN_SPREAD]), random)
     aside = START["right"] + np.array([0.05, -0.10, 0.0, 0.0, 0.0, 0.0, 0.0])
 

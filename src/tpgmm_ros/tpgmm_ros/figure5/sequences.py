@@ -23,10 +23,10 @@ HAND_WAY, ELBOW_WAY = (0.12, 0.25), (0.09, 0.12)
 #: who presses the hand down by 20 cm is stronger than the robot.
 FLATTENED = np.array([1.0, 1.0, 0.4])
 #: Forces, N, and torques, N m, that tell how soft the robot is: where it is free, and where tasks hold it.
-FREE_FORCE, FREE_TORQUE, HELD_FORCE, HELD_TORQUE = 8.0, 1.0, 16.0, 4.0
+FREE_FORCE, FREE_TORQUE, HELD_FORCE, HELD_TORQUE = 12.0, 1.5, 16.0, 4.0
 #: They grow so slowly that inertia and damping do not count, and stay until joints have crept to where friction lets
 #: them; what was before is given the time to die out, s.
-PROBE_GROWS, PROBE_STAYS, PROBE_REST = 1.5, 1.5, 2.0
+PROBE_GROWS, PROBE_STAYS, PROBE_REST = 1.5, 3.0, 2.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,12 +14,12 @@ from tpgmm_ros.figure5.session import Session, Wrench
 from tpgmm_ros.teacher import Teacher, TeacherConfig
 
 #: A teacher who looks and corrects: position and orientation of a hand, the position of an elbow.
-HAND = TeacherConfig(stiffness=(2000.0, 300.0), damping=(110.0, 4.0), correction=8.0, max_force=60.0, max_torque=20.0)
+HAND = TeacherConfig(stiffness=(3000.0, 300.0), damping=(110.0, 4.0), correction=8.0, max_force=60.0, max_torque=20.0)
 ELBOW = TeacherConfig(stiffness=(200.0, 0.0), damping=(25.0, 0.0), correction=0.0, max_force=30.0, max_torque=0.0)
 #: Who pushes goes on until the link is about where it was to be, and does not turn it.
 PUSH = TeacherConfig(stiffness=(1000.0, 0.0), damping=(30.0, 0.0), correction=0.0, max_force=70.0, max_torque=0.0)
 #: The same by someone who has a grip on the hand, and keeps it from turning.
-GRIP = replace(PUSH, stiffness=(1000.0, 100.0), damping=(30.0, 3.0), max_torque=20.0)
+GRIP = replace(PUSH, stiffness=(1000.0, 300.0), damping=(30.0, 4.0), max_torque=20.0)
 #: The way to the start takes this long, then the hands are held there until they rest, s.
 WAY, REST = 3.0, 1.0
 #: An elbow goes along with its hand by this share.
