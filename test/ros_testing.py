@@ -160,10 +160,15 @@ def node_on(domain: int) -> Iterator[Node]:
     node = Node("test", context=context)
     executor = EventsExecutor(context=context)
     executor.add_node(node)
-    yield node
-    executor.remove_node(node)
-    node.destroy_node()
-    rclpy.shutdown(context=context)
+    try:
+        yield node
+    finally:
+        # An executor keeps what it serves. The traceback of a failed test may keep the executor: whoever is next on this
+        # domain would meet the node of that test
+        executor.remove_node(node)
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
 
 
 @contextlib.contextmanager
@@ -177,13 +182,14 @@ def process_starter(directory: Path) -> Iterator[StartProcess]:
         started.append(RunningProcess([path, *arguments], output_path, env))
         return started[-1]
 
-    yield start
-
-    for process in reversed(started):
-        process.stop()
-    for process in started:
-        # pytest shows this for failed tests only
-        print(f"--- {process} (exit status {process.returncode})\n{process.output}")
+    try:
+        yield start
+    finally:
+        for process in reversed(started):
+            process.stop()
+        for process in started:
+            # pytest shows this for failed tests only
+            print(f"--- {process} (exit status {process.returncode})\n{process.output}")
 
 
 @pytest.fixture
