@@ -145,7 +145,8 @@ def test_poses_of_the_end_points_come_from_joint_states(
     np.testing.assert_allclose(conversions.pose_to_array(poses.last.pose), data.pose("hand"), atol=1e-12)
     assert poses.last.header.frame_id == "link00"
     stamps = np.array([conversions.time_to_ns(message.header.stamp) for message in poses.messages])
-    assert np.diff(stamps)[1:].min() >= 20_000_000  # the rate that was asked for, though four times as many states come
+    # One in each period that was asked for, though four times as many states come; some of them may be lost
+    assert np.diff(stamps // 20_000_000).min() >= 1
     last_ns, stamp_ns = stamp_ns, 0
 
     def set_back() -> bool:

@@ -47,6 +47,8 @@ JOINT_STATE_RATE = 50.0
 TICKS_PER_OBSERVATION = 3
 #: The arm comes to rest before the teacher takes the hand, s.
 SETTLE = 0.3
+#: After Ctrl-C, s
+DRAIN_TIME = 0.3
 
 
 def topics_of(task: Task) -> dict[str, type]:
@@ -242,6 +244,10 @@ def record_live(task: Task, output: Path) -> dict[str, int]:
                 told = time.monotonic()
                 counts = ", ".join(f"{topic} {count}" for topic, count in recorder.counts.items())
                 print(f"\r{counts} ", end="", file=sys.stderr, flush=True)
+        # On a busy machine the end is known before all that came earlier was looked at
+        end = time.monotonic() + DRAIN_TIME
+        while time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.01)
     print(file=sys.stderr)
     rclpy.shutdown()
     return recorder.counts
