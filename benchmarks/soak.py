@@ -96,7 +96,7 @@ class Memory:
                 Life(
                     node,
                     float(age[-1]),
-                    float(np.median(settled)) if age[-1] >= 2.0 * SETTLING else None,
+                    float(np.median(settled)) if age[-1] >= 2.0 * SETTLING and len(settled) else None,
                     float(np.median(sizes[-8:])),
                 )
             )

@@ -163,8 +163,8 @@ def node_on(domain: int) -> Iterator[Node]:
     try:
         yield node
     finally:
-        # An executor keeps what it serves. The traceback of a failed test may keep the executor: whoever is next on this
-        # domain would meet the node of that test
+        # An executor keeps what it serves, and the traceback of a failed test may keep the executor: whoever is next on
+        # this domain would meet the node of that test
         executor.remove_node(node)
         executor.shutdown()
         node.destroy_node()
