@@ -183,7 +183,7 @@ def deactivated(bench: GraphBench) -> str:
     hold = bench.mode_since(ControllerMode.HOLD, since)
     damping = bench.mode_since(ControllerMode.DAMPING, since)
     result = bench.result(goal)
-    assert not result.success and "deactivated" in result.reason
+    assert not result.success and "deactivated" in result.reason, f"the goal ended with {result}"
     observed = bench.assert_sound()
     assert change_state(bench.node, "reproduction", ACTIVATE)
     return f"'{result.reason}', HOLD after {hold:.2f} s, DAMPING after {damping:.2f} s, {observed}"
