@@ -68,8 +68,6 @@ class SimulatedHand:
     def tick(self, reference: ReferenceMessage | None = None, state: JointState | None = None) -> np.ndarray:
         """One millisecond: reference and state out, torques (nv,) in, which then move the robot."""
         self.stamp_ns += TICK_NS
-        if reference is not None:
-            self.references.publish(reference)
         message = self.state() if state is None else state
         message.header.stamp = conversions.time_from_ns(self.stamp_ns)
         due = 0.0
@@ -78,6 +76,8 @@ class SimulatedHand:
             nonlocal due
             if not self.answered() and time.monotonic() >= due:  # best effort may lose a message
                 due = time.monotonic() + 0.2
+                if reference is not None:
+                    self.references.publish(reference)
                 self.states.publish(message)
             return self.answered()
 
