@@ -43,6 +43,8 @@ from tpgmm_ros.qos import LATCHED, STREAM
 NODE = "reproduction"
 TICK_NS = 5_000_000
 DURATION = 1.0
+#: Of the robot's time, while a model is loaded.
+TICKS_OF_LOADING = 30
 POSE = Manifold.parse("R3 x S3")
 PLACES = {
     "object": np.array([0.65, 0.40, 0.0, *quaternion.exp([0.0, 0.0, 0.3])]),
@@ -177,7 +179,7 @@ class Player:
 @pytest.fixture(scope="module")
 def process(start_module_process: StartProcess, model_file: Path) -> RunningProcess:
     return start_module_process(
-        NODE, *ros_arguments(task_file=TASK_FILE, model_file=model_file, start_timeout=0.5, settle_time=0.1)
+        NODE, *ros_arguments(task_file=TASK_FILE, model_file=model_file, start_timeout=STARTUP_TIMEOUT, settle_time=0.1)
     )
 
 
@@ -234,11 +236,13 @@ def test_a_movement_is_reproduced_with_one_reference_per_joint_state_and_ends_wh
 
 
 def test_a_frame_that_is_never_seen_is_named_and_nothing_moves(player: Player) -> None:
+    assert set_parameters(player.node, NODE, start_timeout=0.5).successful
     player.show({**PLACES, "target": None})
     status, result = player.result(player.send())
     assert status == GoalStatus.STATUS_ABORTED and not result.success
     assert "target" in result.reason and "object" not in result.reason
     assert not player.references
+    assert set_parameters(player.node, NODE, start_timeout=STARTUP_TIMEOUT).successful
 
 
 def test_a_model_file_that_is_none_aborts_the_goal_with_the_reason(player: Player, tmp_path: Path) -> None:
@@ -293,6 +297,17 @@ def test_task_parameters_of_another_size_are_refused_and_those_before_stay_in_us
     player.show(PLACES)
 
 
+def test_a_goal_that_is_being_made_ready_when_the_node_is_deactivated_is_aborted_with_the_reason(
+    player: Player,
+) -> None:
+    for _ in range(5):
+        handle = player.send()
+        assert change_state(player.node, NODE, DEACTIVATE, ACTIVATE)
+        status, result = player.result(handle, ticks=False)
+        assert status == GoalStatus.STATUS_ABORTED and "the node was deactivated" in result.reason
+    assert not player.references
+
+
 def test_a_deactivated_node_ends_its_movement_with_the_reason_and_sends_no_more_references(player: Player) -> None:
     handle = player.start()
     assert change_state(player.node, NODE, DEACTIVATE)
@@ -320,15 +335,16 @@ def distance_from_the_end(reference: Reference) -> float:
 
 
 def load(player: Player, path: Path | str) -> LoadModel.Response:
-    """Ask for a model, or for that in use, while ticks go on."""
+    """Ask for a model, or for that in use, while ticks go on: not so many that the movement ends on a slow machine."""
     client = player.node.create_client(LoadModel, "load_model")
     spin_until(player.node, client.service_is_ready, message="load_model")
     future = client.call_async(LoadModel.Request(path=str(path)))
-
-    while not future.done():
-        player.tick(unless=future.done)
+    for _ in range(TICKS_OF_LOADING):
+        if not future.done():
+            player.tick(unless=future.done)
+    response = result_of(player.node, future, "the model to be loaded")
     player.node.destroy_client(client)
-    return future.result()
+    return response
 
 
 @pytest.mark.parametrize("way", WAYS)

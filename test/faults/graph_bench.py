@@ -179,17 +179,22 @@ class GraphBench:
         self.clear()
         deadline = time.monotonic() + STARTUP_TIMEOUT
         handle = None
+        # of this movement: references of the one before go on until the new one is made ready
+        phases: list[float] = [0.0]
         while handle is None:
             # a server that was killed is still known for some time: what is sent to it is lost
             assert time.monotonic() < deadline, "no reproduction takes a goal"
             self.wait(self.client.server_is_ready, "the action to be there")
-            sent = self.client.send_goal_async(Reproduce.Goal(duration=duration))
+            sent = self.client.send_goal_async(
+                Reproduce.Goal(duration=duration),
+                feedback_callback=lambda message: phases.append(message.feedback.phase),
+            )
             with contextlib.suppress(AssertionError):
                 handle = result_of(self.node, sent, "the goal to be accepted", 3.0)
         assert handle.accepted
         handle.outcome = handle.get_result_async()
         if until > 0.0:
-            self.wait(lambda: self.phase() >= until or handle.outcome.done(), "the movement to come on")
+            self.wait(lambda: phases[-1] >= until or handle.outcome.done(), "the movement to come on")
             assert not handle.outcome.done(), handle.outcome.result().result.reason
         return handle
 

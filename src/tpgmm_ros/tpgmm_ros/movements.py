@@ -30,6 +30,8 @@ from tpgmm_ros.task_model import load_model, make_retrieval
 RETRIEVAL_SETTINGS = ("retrieval", "phase", "speed", "horizon_steps", "horizon_time_step", "blend_time")
 """The parameters that a retrieval is made with."""
 
+DEACTIVATED = "the node was deactivated"
+
 type Prepared = tuple[TPGMM, Retrieval]
 """A model, and a movement of it that has not begun yet."""
 
@@ -57,7 +59,7 @@ class Movements:
         self._known: Mapping[str, tuple[Frame, float]] = {}
         self._weights: dict[str, float] = {}
         self._duration = 0.0
-        self._active = False
+        self._activation: object | None = None  # of the node, which a goal belongs to; None while it is not active
         self._last_ns = 0
         # Ticks that stop are noticed by a clock that does not.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -68,13 +70,13 @@ class Movements:
 
     def activate(self) -> None:
         """Take goals from now on."""
-        self._active = True
+        self._activation = object()
         self._last_ns = 0  # what the clock said before is no time to jump back from
 
     def deactivate(self) -> None:
         """Take no goals from now on, and end the movement that goes on."""
-        self._active = False
-        self._end("the node was deactivated")
+        self._activation = None
+        self._end(DEACTIVATED)
         self.execution = None
 
     def close(self) -> None:
@@ -172,12 +174,16 @@ class Movements:
         self.take_frames(self._known)
 
     def _accept(self, goal: ServerGoalHandle) -> None:
-        self._prepare(goal.request.model, goal.request.duration, partial(self._begin, goal))
+        if self._activation is None:
+            finish(goal, Outcome(False, "the node is not active: activate it first"))
+        else:
+            then = partial(self._begin, goal, self._activation)
+            self._prepare(goal.request.model, goal.request.duration, then)
 
-    def _begin(self, goal: ServerGoalHandle, job: Future[Prepared]) -> None:
+    def _begin(self, goal: ServerGoalHandle, activation: object, job: Future[Prepared]) -> None:
         try:
-            if not self._active:
-                raise ValueError("the node is not active: activate it first")
+            if activation is not self._activation:
+                raise ValueError(DEACTIVATED)
             _, retrieval = job.result()
         except (ValueError, OSError) as error:
             finish(goal, Outcome(False, str(error)))
