@@ -163,7 +163,7 @@ def reproduced(product: ConfigurationProduct, objects: Mapping[str, Array]) -> M
     for t in range(STEPS):
         now = as_frames({hand: path[t] for hand, path in objects.items()})
         for _ in range(SUBSTEPS):
-            q = product.step(q, now).mean
+            q = product.step(q, now, dt=DURATION / (STEPS * SUBSTEPS)).mean
         configurations.append(q)
     return Movement(objects, np.stack(configurations))
 

@@ -25,8 +25,8 @@ from tpgmm_ros.qos import STREAM
 from tpgmm_ros.task import Task
 
 TIMEOUT = 120.0
-DURATION = 4.0  # s of simulated time; the targets have moved after MOVED s, and errors count from COUNTED s on
-MOVED, COUNTED = 1.6, 2.8
+DURATION = 2.8  # s of simulated time; the targets rest after MOVED s, errors count from COUNTED s on, half-way apart
+MOVED, COUNTED = 1.6, 0.8
 #: Slower than Baxter's controller needs, so that the test is short.
 RATE, POSE_RATE = 500.0, 100.0
 #: How much farther apart than the hands the targets get, m.

@@ -13,7 +13,7 @@ from tpgmm_core import TPGMM, Frame
 from tpgmm_core.kinematics.chains import planar_arm, planar_bimanual
 from tpgmm_core.kinematics.frames import JointSpace, NullSpace, PreviousConfiguration, SecondaryTaskSpace, TaskSpace
 from tpgmm_core.kinematics.hierarchy import hierarchy_frames, level_names
-from tpgmm_core.kinematics.moving import ConfigurationProduct, MovingFrames
+from tpgmm_core.kinematics.moving import STEP, ConfigurationProduct, MovingFrames
 from tpgmm_core.kinematics.relevance import directions_determined
 from tpgmm_core.kinematics.tasks import Task
 from tpgmm_core.quaternion import Array
@@ -89,7 +89,37 @@ def test_demonstrations_are_seen_about_the_step_before(with_time: bool) -> None:
         step = np.abs(q[t] - q[max(t - 1, 0)]).max()
         x = views["left"][t, with_time:]
         np.testing.assert_allclose(x, robot.place("left") - path[t], atol=5.0 * step**2 + 1e-12)
-    np.testing.assert_allclose(views["previous"][1:, with_time:], np.diff(q, axis=0), atol=1e-12)
+    as_in_a_step = np.diff(q, axis=0) * (STEP / times[1])
+    np.testing.assert_allclose(views["previous"][1:, with_time:], as_in_a_step, atol=1e-12)
+    with pytest.raises(ValueError, match="increasing times"):
+        frames.demonstration(times[::-1], q, objects, with_time=with_time)
+
+
+def test_how_fast_a_product_goes_depends_on_no_rate() -> None:
+    """Neither that of its own steps, nor that at which speeds were seen."""
+    frames, robot, times = bimanual(), planar_bimanual(), np.linspace(0.0, 2.0, 801)
+    robot.update(START)
+    place = robot.place("left")
+    target = objects_at(place + [0.1, -0.1], robot.place("right"))
+    q = START + 0.3 * np.sin(np.outer(times, [2.0, 3.0, 4.0, 5.0, 6.0]))
+    ends, covariances = [], []
+    for every, dt in ((1, 0.002), (4, 0.002), (4, 0.01), (4, 0.001)):
+        seen = frames.demonstration(times[::every], q[::every], target).projected()["previous"]
+        model = model_of(
+            {"left": (np.zeros(2), 0.3**2 * np.eye(2)), "previous": (np.zeros(5), seen.T @ seen / len(seen))}
+        )
+        product, now = ConfigurationProduct(model, frames), START
+        first = product.step(now, target, dt=dt)
+        for _ in range(round(0.1 / dt)):
+            now = product.step(now, target, dt=dt).mean
+        ends.append(now - START)
+        covariances.append(first.covariance)
+    robot.update(START + ends[0])
+    done = np.linalg.norm(robot.place("left") - place) / np.linalg.norm([0.1, -0.1])
+    assert 0.2 < done < 0.8  # on its way there
+    for end, covariance in zip(ends[1:], covariances[1:], strict=True):
+        np.testing.assert_allclose(end, ends[0], atol=0.05 * np.abs(ends[0]).max())
+        np.testing.assert_allclose(covariance, covariances[0], atol=0.05 * np.abs(covariances[0]).max())
 
 
 def model_of(frames: dict[str, tuple[Array, Array]]) -> TPGMM:
@@ -187,7 +217,7 @@ def test_who_has_priority_is_found_in_the_demonstrations(order: tuple[str, str])
     q, errors = START, []
     for t in range(80):
         for _ in range(5):
-            q = product.step(q, objects_at(paths["left"][t], paths["right"][t])).mean
+            q = product.step(q, objects_at(paths["left"][t], paths["right"][t]), dt=0.01).mean
         robot.update(q)
         errors.append([np.linalg.norm(paths[hand][t] - robot.place(hand)) for hand in order])
     far = np.array(errors)[35:45].mean(axis=0)

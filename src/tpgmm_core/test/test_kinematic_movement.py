@@ -175,6 +175,30 @@ def test_the_habit_of_the_elbows_comes_back_while_hands_hold(baxter: UrdfKinemat
     assert np.abs(q - HOME)[elbows].max() < 0.2 * np.abs(pushed - HOME)[elbows].max()
 
 
+def test_a_reference_does_not_lag_behind_as_the_robot_does_and_waits_for_one_that_is_held(
+    baxter: UrdfKinematics,
+) -> None:
+    movement = movement_of(baxter, leash=0.1)
+    frames = targets(baxter, np.array([0.1, 0.0, 0.1]), np.array([0.1, 0.0, 0.1]))
+    ideal, _ = run(movement, HOME, frames, 2.0)
+    movement.start(0, HOME)
+    slow, apart = HOME, []
+    for i in range(1, 600):
+        reference = movement.step(5 * i * MS, frames, slow).gaussian.mean
+        if i >= 200:  # held for a second
+            slow = slow + 0.03 * (reference - slow)
+        apart.append(np.abs(reference - slow).max())
+    # one step from where the leash ends
+    assert 0.1 - 1e-9 <= max(apart) <= 0.1 + 0.005 * 1.0 + 1e-9
+    np.testing.assert_allclose(reference, ideal, atol=2e-3)
+    pushed = ideal + 0.3 * np.sign(HOME)
+    movement.step(600 * 5 * MS, frames, pushed)
+    followed = movement.step(601 * 5 * MS, frames, pushed).gaussian.mean
+    assert np.abs(followed - pushed).max() <= 0.1 + 0.005 * 1.0 + 1e-9
+    with pytest.raises(ValueError, match="leash"):
+        movement_of(baxter, leash=0.0)
+
+
 def test_a_target_that_is_not_seen_counts_for_nothing_and_a_robot_that_is_not_known_is_refused(
     baxter: UrdfKinematics,
 ) -> None:

@@ -53,7 +53,7 @@ class JointSpace:
 
 @dataclass(frozen=True, slots=True)
 class PreviousConfiguration:
-    """How far joints go in one step: A = I, b = q_{t-1}, Eq. (7) about the step before.
+    """How far joints go in a step: A = h I, b = q_{t-1}, Eq. (7) about the step before, with h of `Moment.stride`.
 
     Learned from the demonstrations' own steps, it keeps the product from leaping where other frames say little: their
     product with it is the damped least-squares step of Levenberg and Marquardt.
@@ -62,8 +62,8 @@ class PreviousConfiguration:
     objects = frozenset[str]()
 
     def at(self, moment: Moment) -> Frame:
-        identity = np.eye(len(moment.q))
-        return Frame(identity, moment.q, identity)
+        identity, h = np.eye(len(moment.q)), moment.stride
+        return Frame(h * identity, moment.q, identity / h)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,22 +21,26 @@ from tpgmm_core.tpgmm import TPGMM
 
 _SECOND = 1_000_000_000
 MAX_JOINT_SPEED = 1.0  # rad/s
+LEASH = 0.2  # rad
 SPEED_TIME_CONSTANT = 0.1  # s, with which a new speed is taken over
 
 
 class KinematicMovement:
-    """A `Retrieval` whose states are configurations (n,): the product about where the robot is, at each step.
+    """A `Retrieval` whose states are configurations (n,): the product about the reference's own last one, at each step.
 
-    What the frames leave free stays where the robot is. The reference never jumps, whatever objects do: it goes on to
-    the product at `max_joint_speed` at most, all joints together. It stands for one moment and has no horizon, since
+    So the reference does not lag behind as the robot does, and stays in what frames leave free. Before each step, it
+    is brought to within `leash` of where the robot is, all joints together: it waits for a robot that is held, and a
+    robot that is pushed farther away takes it along. Else it never jumps, whatever objects do: it goes on
+    to the product at `max_joint_speed` at most, all joints together. It stands for one moment and has no horizon, since
     nobody knows where objects go. Objects are the frames that it asks for: poses over [time, pose], as a loop has them.
 
     model : as for `ConfigurationProduct`
     frames : at least the model's; for this movement alone
     duration : s; as the model's metadata say where None. A model that is not over time goes on afterwards as before
     max_joint_speed : rad/s
+    leash : rad, of the joint that is farthest away
 
-    Raises ValueError like `ConfigurationProduct`, and for a time or a speed that is not positive.
+    Raises ValueError like `ConfigurationProduct`, and for a time, a speed or a leash that is not positive.
     """
 
     def __init__(
@@ -46,14 +50,17 @@ class KinematicMovement:
         *,
         duration: float | None = None,
         max_joint_speed: float = MAX_JOINT_SPEED,
+        leash: float = LEASH,
     ) -> None:
         self._model_duration = demonstrated_duration(model)
         self._duration = self._model_duration if duration is None else duration
-        for name, value in (("duration", self._duration), ("max_joint_speed", max_joint_speed)):
+        for name, value in (
+            ("duration", self._duration), ("max_joint_speed", max_joint_speed), ("leash", leash),
+        ):  # fmt: skip
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"{name} is {value!r}; give a positive number")
         self._product = ConfigurationProduct(model, frames)
-        self._max_joint_speed = max_joint_speed
+        self._max_joint_speed, self._leash = max_joint_speed, leash
         self._needs = {name: self._product.frames.objects_of(name) for name in model.frame_names_}
         self._pace = Pace(1.0, SPEED_TIME_CONSTANT)
         self._last_ns: int | None = None
@@ -119,13 +126,10 @@ class KinematicMovement:
             self._poses = {name: _without_time(frame) for name, frame in frames.items()}
         self._phase = min(max(self._phase + self._pace.advance(since) / self._duration, 0.0), 1.0)
         self._weights = self._weights_of_frames(weights)
-        product = self._product.step(q, self._poses, self._time, self._weights)
-        mean = q if self._mean is None else self._mean
-        way = product.mean - mean
-        farthest = float(np.abs(way).max())
-        reach = self._max_joint_speed * since
-        self._mean = product.mean if farthest <= reach else mean + way * (reach / farthest)
-        self._q, self._last_ns = q, time_ns
+        last = q if self._mean is None else _within(self._leash, self._mean, q)
+        product = self._product.step(last, self._poses, self._time, self._weights, since)
+        self._mean = _within(self._max_joint_speed * since, product.mean, last)
+        self._q, self._around, self._last_ns = q, last, time_ns
         self._last = Gaussian(self._mean, product.covariance)
         return Reference(
             phase=self._phase,
@@ -144,9 +148,9 @@ class KinematicMovement:
 
     def mixture(self) -> GaussianMixture:
         """The model about the last configuration, over it, and over time before it where the model is."""
-        if self._last is None or self._q is None:
+        if self._last is None:
             raise ValueError("there was no step yet: call start(time_ns) and step(...)")
-        return self._product.mixture(self._q, self._poses, self._time, self._weights)
+        return self._product.mixture(self._around, self._poses, self._time, self._weights)
 
     @property
     def _time(self) -> float | None:
@@ -161,6 +165,13 @@ class KinematicMovement:
             for name, needed in self._needs.items()
             if needed <= self._poses.keys()
         }
+
+
+def _within(limit: float, there: Array, centre: Array) -> Array:
+    """The configuration on the way from the centre to another one, as far as no joint goes beyond a limit, rad."""
+    way = there - centre
+    farthest = float(np.abs(way).max())
+    return there if farthest <= limit else centre + way * (limit / farthest)
 
 
 def _without_time(frame: Frame) -> Frame:

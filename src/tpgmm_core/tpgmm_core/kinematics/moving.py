@@ -14,12 +14,20 @@ from tpgmm_core.demonstration import Demonstration
 from tpgmm_core.frame import Frame
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.kinematics.chains import Kinematics
-from tpgmm_core.kinematics.frames import KinematicFrame
+from tpgmm_core.kinematics.frames import KinematicFrame, PreviousConfiguration
 from tpgmm_core.kinematics.inverse import THRESHOLD
 from tpgmm_core.kinematics.tasks import Moment, compile_kernels
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
 from tpgmm_core.tpgmm import TPGMM
+
+STEP = 0.02
+"""What demonstrations show of the steps of joints is stretched to steps as long as this, s."""
+PERSISTENCE = 0.4
+"""How long joints are taken to keep a speed, s."""
+SHORTEST_STEP = STEP**2 / PERSISTENCE
+"""In this time, 1 ms, a walk that takes a new speed every 0.4 s spreads as far as it goes in a STEP; see
+`ConfigurationProduct`. Its steps are no shorter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,10 +62,11 @@ class MovingFrames:
         """Names of the objects that one of the frames needs."""
         return self.candidates[name].objects - set(self.kinematics.points)
 
-    def at(self, q: ArrayLike, objects: Mapping[str, Frame] | None = None) -> dict[str, Frame]:
+    def at(self, q: ArrayLike, objects: Mapping[str, Frame] | None = None, stride: float = 1.0) -> dict[str, Frame]:
         """All frames about the configuration q_{t-1} (n,), with the objects as they are now.
 
         objects : name → Frame of a position or a pose. Frames whose objects are not there are left out
+        stride : how long the step is, in STEPs
 
         Raises ValueError for a configuration that does not fit the robot or is not finite, and when no frame is left.
         """
@@ -65,7 +74,7 @@ class MovingFrames:
         if q.shape != (self.kinematics.n_joints,) or not np.all(np.isfinite(q)):
             raise ValueError(f"a configuration has shape ({self.kinematics.n_joints},) and is finite, got {q}")
         objects = objects or {}
-        moment = Moment(self.kinematics, q, objects, self.threshold)
+        moment = Moment(self.kinematics, q, objects, self.threshold, stride)
         there = objects.keys() | set(self.kinematics.points)
         frames = {name: f.at(moment) for name, f in self.candidates.items() if f.objects <= there}
         if not frames:
@@ -86,22 +95,28 @@ class MovingFrames:
         each sample are those about the sample before; of the first one, about itself.
         with_time : time becomes the first dimension of data and frames
 
-        Raises ValueError like `at` and `Demonstration`, and for objects that are not there.
+        Raises ValueError like `at` and `Demonstration`, for objects that are not there, and times that do not increase.
         """
-        data = np.asarray(configurations, dtype=float)
+        data, times = np.asarray(configurations, dtype=float), np.asarray(times, dtype=float)
         objects = objects or {}
         if not self.objects <= objects.keys():
             raise ValueError(f"the frames need the objects {sorted(self.objects)}, there are {sorted(objects)}")
+        since = np.diff(times)
+        if len(times) != len(data) or len(times) < 2 or not np.all(since > 0.0):
+            raise ValueError(
+                f"a movement has two or more samples at increasing times; got {len(data)} configurations, times {times}"
+            )
+        strides = np.concatenate([since[:1], since]) / STEP
         steps: dict[str, list[Frame]] = {name: [] for name in self.candidates}
         for t in range(len(data)):
             now = {name: frame.at(t) for name, frame in objects.items()}
-            for name, frame in self.at(data[max(t - 1, 0)], now).items():
+            for name, frame in self.at(data[max(t - 1, 0)], now, strides[t]).items():
                 steps[name].append(frame)
         frames = {name: _stacked(sequence) for name, sequence in steps.items()}
         if with_time:
-            data = np.column_stack([np.asarray(times, dtype=float), data])
+            data = np.column_stack([times, data])
             frames = {name: frame.with_time() for name, frame in frames.items()}
-        return Demonstration(np.asarray(times, dtype=float), data, frames)
+        return Demonstration(times, data, frames)
 
 
 def _stacked(frames: Sequence[Frame]) -> Frame:
@@ -118,7 +133,13 @@ class ConfigurationProduct:
 
     activations (K,) : weights of the components in the last step
 
-    What no frame constrains stays at the configuration of the step before. Raises ValueError for a model of other
+    What no frame constrains stays at the configuration of the step before. How fast it goes depends neither on the
+    length of its steps, nor on how often demonstrations were sampled. `PreviousConfiguration` learns speeds, and a
+    step of dt allows for PERSISTENCE dt times their variance, as a walk does that takes a new speed every PERSISTENCE.
+    With variances in proportion to dt, steps are implicit Euler steps of a flow towards what the other frames say; in
+    proportion to dt², steps that are short would lead nowhere, and if they were constant, there at once.
+
+    Raises ValueError for a model of other
     frames, and a timeless mixture, which does not say when which component counts.
     """
 
@@ -137,6 +158,7 @@ class ConfigurationProduct:
             )
         candidates = {name: frames.candidates[name] for name in model.frame_names_}
         self.frames = MovingFrames(frames.kinematics, candidates, frames.threshold)
+        self._damping = [name for name, frame in candidates.items() if isinstance(frame, PreviousConfiguration)]
         self._adapter = Adapter(model)
         self.activations: Array = np.ones(1)
 
@@ -146,17 +168,30 @@ class ConfigurationProduct:
         objects: Mapping[str, Frame] | None = None,
         time: float | None = None,
         weights: Mapping[str, float] | None = None,
+        dt: float = SHORTEST_STEP,
     ) -> Gaussian:
         """Where to be next (n,), and how much each direction matters, from the configuration q (n,) of the step before.
 
         objects, weights : as they are now; a frame whose objects are not there contributes nothing
         time : s, of a model over time
+        dt : s, length of the step. The covariance is that of SHORTEST_STEP for all, so that what a controller makes of
+            it does not depend on the rate
 
         Raises ValueError like `MovingFrames.at`, and for a time too many or missing.
         """
         if (time is None) == self.over_time:
             raise ValueError(f"the model is {'' if self.over_time else 'not '}over time, got time = {time!r}")
         frames, state = self._situation(q, objects, time)
+        short = self._product(frames, state, time, weights)
+        if dt <= SHORTEST_STEP or not self._damping:
+            return short
+        given, share = weights or {}, SHORTEST_STEP / dt
+        less_damped = {**given, **{name: share * given.get(name, 1.0) for name in self._damping}}
+        return Gaussian(self._product(frames, state, time, less_damped).mean, short.covariance)
+
+    def _product(
+        self, frames: Mapping[str, Frame], state: Array, time: float | None, weights: Mapping[str, float] | None
+    ) -> Gaussian:
         if time is None:
             return self._adapter.adapt(frames, state, weights).component(0)
         means, covariances, self.activations = self._adapter.adapt_and_condition(frames, [time], weights, state)

@@ -63,6 +63,7 @@ class Moment:
     q : (n,), configuration of the step before, q_{t-1}
     objects : name → Frame of a position (m, m) or of a pose (7, 7) (`Frame.from_pose`)
     threshold : of the damping, see `inverse.THRESHOLD`
+    stride : of the step, in units of `moving.STEP`: how far joints go is seen as if it were 1
     """
 
     def __init__(
@@ -71,10 +72,12 @@ class Moment:
         q: Array,
         objects: Mapping[str, Frame] | None = None,
         threshold: float = inverse.THRESHOLD,
+        stride: float = 1.0,
     ) -> None:
         kinematics.update(q)
         self.q = q
         self.threshold = threshold
+        self.stride = stride
         self._kinematics = kinematics
         self._objects = objects or {}
         self._single: dict[Task, View] = {}
