@@ -217,7 +217,7 @@ def test_a_push_that_cannot_be_applied_is_refused_with_the_reason(
     assert np.isfinite(lockstep.state).all()
 
 
-def test_in_real_time_the_robot_carries_itself_and_damps_motion_while_nobody_commands_it(
+def test_in_real_time_the_robot_carries_itself_and_brakes_while_nobody_commands_it(
     ros_node: Node, start_process: StartProcess
 ) -> None:
     process = start_process("baxter_simulator", *ros_arguments(robot_file=ROBOT_FILE, rate=500.0))
@@ -262,7 +262,7 @@ def test_in_real_time_the_robot_carries_itself_and_damps_motion_while_nobody_com
         return at_rest
 
     wait(driven, "the elbow to move")
-    wait(at_rest_under(None), "damping after the torques have stopped")
+    wait(at_rest_under(None), "braking after the torques have stopped")
     wait(driven, "the elbow to move")
-    wait(at_rest_under(np.full(ROBOT.nv, np.nan)), "damping while only torques that are not finite come")
+    wait(at_rest_under(np.full(ROBOT.nv, np.nan)), "braking while only torques that are not finite come")
     assert "torques refused" in process.output

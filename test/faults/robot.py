@@ -16,14 +16,14 @@ OTHER_NAMES = [name for name in NAMES if name != "head_pan"]
 @fault(
     RobotBench,
     "the robot's torques stop while it moves",
-    "after command_timeout (0.1 s) it carries its own weight and damps its joints: at rest",
+    "after command_timeout (0.1 s) it carries its own weight and brakes at braking_rate (20 1/s): at rest",
 )
 def torques_stop(bench: RobotBench) -> str:
     speed = bench.drive()
     before = bench.state()[0]
     rest = bench.wait(lambda: bench.speed() < AT_REST, "rest")
     way = float(np.abs(bench.state()[0] - before).max())
-    assert way < 0.3, f"{way} rad until rest"
+    assert way < 0.15, f"{way} rad until rest"
     return f"from {speed:.2f} rad/s at rest after {rest:.2f} s and {way:.3f} rad"
 
 
@@ -38,7 +38,7 @@ def enter_bad_torques(name: str, names: list[str], effort: np.ndarray, reason: s
     @fault(
         RobotBench,
         f"torques {name}, while the robot moves",
-        "refused with an error in the log; as if none came: it damps itself after command_timeout",
+        "refused with an error in the log; as if none came: it brakes after command_timeout",
     )
     def bad_torques(bench: RobotBench) -> str:
         speed = bench.drive()
@@ -97,7 +97,7 @@ def bad_wrenches(bench: RobotBench) -> str:
     return f"both refused, no joint faster than {speed:.4f} rad/s"
 
 
-@fault(RobotBench, "a push that is not repeated", "ends after wrench_timeout (0.2 s); the robot damps itself to rest")
+@fault(RobotBench, "a push that is not repeated", "ends after wrench_timeout (0.2 s); the robot brakes to rest")
 def push_ends(bench: RobotBench) -> str:
     push = conversions.wrench_from_array([0.0, 30.0, 0.0, 0.0, 0.0, 0.0], 0, "left_gripper")
 

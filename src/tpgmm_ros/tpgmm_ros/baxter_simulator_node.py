@@ -37,8 +37,8 @@ PARAMETERS = [
     ),
     Declared("rate", 1000.0, "Steps per second of simulated time, Hz", 100.0, 2000.0, fixed=True),
     Declared("pose_rate", 100.0, "End point poses per second of simulated time, Hz", 1.0, 1000.0, fixed=True),
-    Declared("command_timeout", 0.1, "Without torques for this long, the joints are damped, s", 0.002, 10.0),
-    Declared("idle_damping", 2.0, "Damping of the joints while nobody commands them, N m s/rad", 0.0, 20.0),
+    Declared("command_timeout", 0.1, "Without torques for this long, the robot brakes, s", 0.002, 10.0),
+    Declared("braking_rate", 20.0, "Rate at which it slows down while nobody commands it, 1/s", 0.0, 50.0),
     Declared("wrench_timeout", 0.2, "An external wrench that is not repeated ends after this, s", 0.002, 10.0),
 ]
 
@@ -117,7 +117,7 @@ class BaxterSimulatorNode(Node):
         self._pushes = {link: push for link, push in self._pushes.items() if now - push.received <= timeout}
         wrenches = {link: push.wrench for link, push in self._pushes.items()}
         torque = self._live_torque()
-        self.simulator.step(self._damping() if torque is None else torque, wrenches)
+        self.simulator.step(self._braking() if torque is None else torque, wrenches)
         self._steps += 1
 
     def _live_torque(self) -> Array | None:
@@ -125,10 +125,15 @@ class BaxterSimulatorNode(Node):
         silence = self.simulator.state.time - self._torque_received
         return None if silence > self.parameters["command_timeout"] else self._torque
 
-    def _damping(self) -> Array:
-        """What the robot does by itself when nobody commands it, as Baxter does: carry its weight, resist motion."""
+    def _braking(self) -> Array:
+        """What the robot does by itself when nobody commands it: carry its weight, and slow down, all joints alike.
+
+        Baxter goes into position control then and holds its joints; ours may still be pushed about.
+        """
         state = self.simulator.state
-        return self._data.nonlinear_effects(state.q, state.v) - self.parameters["idle_damping"] * state.v
+        # With their inertia, since what stops a shoulder is far too much for a finger
+        braking = self._data.mass_matrix(state.q) @ (self.parameters["braking_rate"] * state.v)
+        return self._data.nonlinear_effects(state.q, state.v) - braking
 
     def _publish_clock(self) -> None:
         assert self._clock_publisher is not None
@@ -205,9 +210,9 @@ class BaxterSimulatorNode(Node):
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
         values = {"simulated_time_s": f"{self.simulator.state.time:.3f}"}
         if self._torque is None:
-            return DiagnosticStatus.WARN, "no torques yet: joints are damped", values
+            return DiagnosticStatus.WARN, "no torques yet: the robot brakes", values
         if self._live_torque() is None:
-            return DiagnosticStatus.WARN, "torques stopped: joints are damped", values
+            return DiagnosticStatus.WARN, "torques stopped: the robot brakes", values
         return DiagnosticStatus.OK, "driven by torques", values
 
 
