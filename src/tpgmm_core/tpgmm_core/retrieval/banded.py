@@ -2,7 +2,8 @@
 """Symmetric banded matrices, compiled: Cholesky factor, solution, and the band of the inverse; linear in their size.
 
 A matrix of N rows with w entries below its diagonal is held by rows, (N, w + 1): entry (i, j), i - w <= j <= i, lies at
-[i, w - i + j], so that inner loops run along memory.
+[i, w - i + j]. Inner loops run along memory and add multiples of rows, which the compiler vectorises; sums of products
+it does not.
 """
 
 from __future__ import annotations
@@ -19,19 +20,18 @@ from tpgmm_core.quaternion import Array
 def cholesky_band(band: Array) -> bool:
     """band ← its Cholesky factor L (N, w + 1), with reciprocals on the diagonal; False when it is not definite."""
     N, w = band.shape[0], band.shape[1] - 1
-    for i in range(N):
-        first, row, shift = max(0, i - w), band[i], w - i
-        for j in range(first, i + 1):
-            other, other_shift = band[j], w - j
-            total = row[shift + j]
-            for k in range(first, j):
-                total -= row[shift + k] * other[other_shift + k]
-            if j < i:
-                row[shift + j] = total * other[w]
-            elif total > 0.0:
-                row[w] = 1.0 / math.sqrt(total)
-            else:
-                return False
+    column = np.empty(w)
+    for j in range(N):
+        pivot, count = band[j, w], min(w, N - 1 - j)
+        if not pivot > 0.0:
+            return False
+        reciprocal = band[j, w] = 1.0 / math.sqrt(pivot)
+        for i in range(count):
+            column[i] = band[j + 1 + i, w - 1 - i] = reciprocal * band[j + 1 + i, w - 1 - i]
+        for i in range(count):
+            row, share = band[j + 1 + i, w - i :], column[i]
+            for k in range(i + 1):
+                row[k] -= share * column[k]
     return True
 
 
@@ -61,19 +61,18 @@ def inverse_band(factor: Array, inverse: Array) -> None:
     entry of Z follows from later ones of the band.
     """
     N, w = factor.shape[0], factor.shape[1] - 1
-    column = np.empty(w)
+    column, found = np.empty(w), np.empty(w)
     for j in range(N - 1, -1, -1):
-        last, reciprocal = min(N - 1, j + w), factor[j, w]
-        for k in range(j + 1, last + 1):
-            column[k - j - 1] = factor[k, w - k + j]
-        diagonal = reciprocal
-        for i in range(last, j, -1):
-            row, shift = inverse[i], w - i
-            total = 0.0
-            for k in range(j + 1, last + 1):
-                total -= column[k - j - 1] * row[shift + k]
-            total *= reciprocal
-            row[shift + j] = total
-            inverse[j, w - j + i] = total
-            diagonal -= column[i - j - 1] * total
-        inverse[j, w] = diagonal * reciprocal
+        count, reciprocal = min(w, N - 1 - j), factor[j, w]
+        for k in range(count):
+            column[k] = -reciprocal * factor[j + 1 + k, w - 1 - k]
+            found[k] = 0.0
+        for k in range(count):
+            row, share = inverse[j + 1 + k, w - k :], column[k]  # from column j + 1 on
+            for i in range(count):
+                found[i] += share * row[i]
+        diagonal = reciprocal * reciprocal
+        for i in range(count):
+            inverse[j + 1 + i, w - 1 - i] = inverse[j, w + 1 + i] = found[i]
+            diagonal += column[i] * found[i]
+        inverse[j, w] = diagonal

@@ -26,8 +26,9 @@ from tpgmm_core.retrieval.banded import cholesky_band, inverse_band, solve_band
 
 MAX_ITERATIONS = 300
 STEP_TOLERANCE = 1e-11  # relative to the extent of the points, and in rad: steps shorter than this end the iteration
-LINEAR_STEP = 1e-3  # after a step shorter than this the factor still holds, and no step is too long
-FACTOR_HOLDS = 100.0  # steps of as many tolerances since the last factor leave it good enough for covariances
+LINEAR_STEP = 1e-3  # no step that is shorter than this is too long
+FACTOR_LEADS = 1e-2  # after a step shorter than this the factor still leads to the solution, by a hundredth each time
+FACTOR_HOLDS = 1000.0  # steps of as many tolerances since the last factor leave it good enough for covariances
 NOT_DEFINITE, NOT_CONVERGED = -1, -2
 
 
@@ -88,25 +89,28 @@ def smoothest(
 
 
 @compiled
-def _see(
-    points: Array, t: int, first: int, weights: Array, mean: Array, flat: Array, spheres: Array, steps: Array,
-    rates: Array, residual: Array,
-) -> None:  # fmt: skip
-    """steps (3, n) to the window's points, rates (2 n,) at x[t], and residual (3 n,): how far off the mean they are.
-
-    weights (3, 3): of the window at t.
-    """
-    n, D = len(flat), points.shape[1]
+def _rate(
+    points: Array, t: int, first: int, weights: Array, flat: Array, spheres: Array, steps: Array, rates: Array
+) -> None:
+    """steps (3, n) to the window's points, and rates (2 n,) at x[t]; weights (3, T, 3)."""
+    n = len(flat)
     for p in range(3):
-        difference(points[first + p], points[t], flat, spheres, steps[p])
-    difference(points[t], mean[:D], flat, spheres, residual[:n])
-    for i in range(n):
-        for order in range(2):
-            rate = 0.0
-            for p in range(3):
-                rate += weights[1 + order, p] * steps[p, i]
-            rates[order * n + i] = rate
-            residual[(1 + order) * n + i] = rate - mean[D + order * n + i]
+        if first + p == t:
+            steps[p] = 0.0
+        else:
+            difference(points[first + p], points[t], flat, spheres, steps[p])
+    for order in range(2):
+        a, b, c = weights[1 + order, t, 0], weights[1 + order, t, 1], weights[1 + order, t, 2]
+        for i in range(n):
+            rates[order * n + i] = a * steps[0, i] + b * steps[1, i] + c * steps[2, i]
+
+
+@compiled
+def _differences(first: Array, weights: Array, flat: Array, spheres: Array, points: Array, rates: Array) -> None:
+    """rates (T, 2 n) of points (T, D)."""
+    steps = np.empty((3, len(flat)))
+    for t in range(len(points)):
+        _rate(points, t, first[t], weights, flat, spheres, steps, rates[t])
 
 
 @compiled
@@ -175,28 +179,33 @@ def _assemble(
     """Half the sum that is minimised; writes rates (T, 2 n), the negative gradient downhill (T n,) and, if asked for,
     the Gauss-Newton Hessian band (T n, 3 n).
     """
-    T, n = len(points), len(flat)
+    T, n, D = len(points), len(flat), points.shape[1]
     steps, residual, force = np.empty((3, n)), np.empty(3 * n), np.empty((3 * n, 1))
     plain, turning = np.empty((3, 3)), np.empty((len(spheres), 3, 3, 3, 3))
     half, turned, H = np.empty((3 * n, 3 * n)), np.empty((3 * n, 3 * n)), np.empty((3 * n, 3 * n))
-    pull, window = np.empty((3 * n, 1)), np.empty((3, 3))
+    pull, push, window = np.empty((3 * n, 1)), np.empty(3 * n), np.empty((3, 3))
     downhill[:] = 0.0
     if with_hessian:
         band[:] = 0.0
     cost = 0.0
     for t in range(T):
-        precision, base = precisions[states[t]], first[t] * n
+        precision, mean, base = precisions[states[t]], means[states[t]], first[t] * n
+        _rate(points, t, first[t], weights, flat, spheres, steps, rates[t])
+        difference(points[t], mean[:D], flat, spheres, residual[:n])
+        for i in range(2 * n):
+            residual[n + i] = rates[t, i] - mean[D + i]
         for order in range(3):
             for p in range(3):
                 window[order, p] = weights[order, t, p]
-        _see(points, t, first[t], window, means[states[t]], flat, spheres, steps, rates[t], residual)
         _differentiate(t - first[t], window, spheres, steps, residual, plain, turning)
+        push[:] = 0.0
+        for m in range(3 * n):
+            row, share = precision[m], residual[m]
+            for i in range(3 * n):
+                push[i] += share * row[i]
         for i in range(3 * n):
-            total = 0.0
-            for m in range(3 * n):
-                total += precision[i, m] * residual[m]
-            force[i, 0] = total
-            cost += 0.5 * residual[i] * total
+            force[i, 0] = push[i]
+            cost += 0.5 * residual[i] * push[i]
         _apply_transposed(plain, turning, flat, spheres, force, pull)
         for i in range(3 * n):
             downhill[base + i] -= pull[i, 0]
@@ -238,7 +247,7 @@ def _solve(
     gain, is_rounded, since_factor = np.inf, False, 0.0
     is_curved = len(spheres) > 0
     for i in range(MAX_ITERATIONS):
-        with_hessian = not is_factor or (is_curved and length > LINEAR_STEP)
+        with_hessian = not is_factor or (is_curved and length > FACTOR_LEADS)
         former_step = step.copy()
         cost = _assemble(
             first, weights, means, precisions, states, flat, spheres, points, rates, with_hessian, band, step
@@ -269,9 +278,12 @@ def _solve(
     if iterations == NOT_CONVERGED:
         return NOT_CONVERGED
     is_stale = is_curved and (not is_factor or since_factor > FACTOR_HOLDS * tolerance)
-    _assemble(first, weights, means, precisions, states, flat, spheres, points, rates, is_stale, band, step)
-    if is_stale and not cholesky_band(band):
-        return NOT_DEFINITE
+    if is_stale:
+        _assemble(first, weights, means, precisions, states, flat, spheres, points, rates, True, band, step)
+        if not cholesky_band(band):
+            return NOT_DEFINITE
+    else:
+        _differences(first, weights, flat, spheres, points, rates)
     inverse = np.empty((T * n, 6 * n - 1))
     inverse_band(band, inverse)
     for t in range(T):
