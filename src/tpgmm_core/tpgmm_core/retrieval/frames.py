@@ -31,8 +31,8 @@ def require_time_kept(situation: Situation) -> None:
 def _without_time(name: str, frame: Frame) -> Frame:
     A, b = frame.A, frame.b
     size, columns = A.shape[-2:]
-    mixed = np.abs(A[..., 0, 1:]).max(initial=0.0) + np.abs(A[..., 1:, 0]).max(initial=0.0)
-    if min(size, columns) < 2 or mixed > 0.0 or np.any(A[..., 0, 0] != 1.0) or np.any(b[..., 0] != 0.0):
+    is_mixed = A[..., 0, 1:].any() or A[..., 1:, 0].any()
+    if min(size, columns) < 2 or is_mixed or (A[..., 0, 0] != 1.0).any() or b[..., 0].any():
         raise _time_changed(name, A, b)
     return Frame(A[..., 1:, 1:], b[..., 1:], None if frame.inverse is None else frame.inverse[..., 1:, 1:])
 
