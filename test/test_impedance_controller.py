@@ -286,3 +286,13 @@ def test_a_robot_file_that_is_none_fails_the_configuration_with_the_reason(
     assert "nowhere.yaml" in process.output and "Traceback" not in process.output
     assert not change_state(ros_node, NODE, ACTIVATE)
     assert process.returncode is None
+
+
+def test_slow_joint_states_and_timeouts_that_are_too_short_for_them_are_warned_of(
+    ros_node: Node, start_process: StartProcess
+) -> None:
+    process = start_process(NODE, *ros_arguments(robot_file=ROBOT_FILE, joint_state_rate=100.0, max_time_step=0.01))
+    assert change_state(ros_node, NODE, CONFIGURE)
+    warning = "joint_state_timeout is 0.02 s, but joint states come every 0.01 s (joint_state_rate): set it to 0.03 s"
+    spin_until(ros_node, lambda: warning in process.output, message="the warning", processes=(process,))
+    assert "max_time_step is" not in process.output

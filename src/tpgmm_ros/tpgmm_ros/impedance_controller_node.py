@@ -60,6 +60,8 @@ PARAMETERS = [
 STATE_PERIOD_NS = 100_000_000
 #: How often silence is looked for, and the safe torque sent meanwhile, s.
 WATCH_PERIOD = 0.005
+#: Fewer joint states than this within `joint_state_timeout`, and one that is late is taken for silence.
+STATES_WITHIN_TIMEOUT = 3
 #: Step of the last torques, which lead to the safe one, s; and how long that may take.
 RELEASE_STEP, RELEASE_TIME = 0.001, 0.2
 
@@ -113,6 +115,7 @@ class ImpedanceControllerNode(ManagedNode):
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
         limits, timeouts = self.parameters.fill(TorqueLimits), self.parameters.fill(Timeouts)
+        self._warn_of_slow_states(limits, timeouts)
         self.controller: SupervisedController[LawTarget] = SupervisedController(self.robot, self.law, limits, timeouts)
         self._names = list(self.robot.joint_names)
         self._reader = JointReader(self._names)
@@ -124,6 +127,19 @@ class ImpedanceControllerNode(ManagedNode):
         # The steady clock, also under simulated time: it calls even where that stands still. Ages are the loop clock's.
         self.create_timer(WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return TransitionCallbackReturn.SUCCESS
+
+    def _warn_of_slow_states(self, limits: TorqueLimits, timeouts: Timeouts) -> None:
+        """The defaults are those of a robot with some hundred joint states per second."""
+        period = 1.0 / self.parameters["joint_state_rate"]
+        for name, value, least in (
+            ("joint_state_timeout", timeouts.joint_state_timeout, STATES_WITHIN_TIMEOUT * period),
+            ("max_time_step", limits.max_time_step, period),
+        ):
+            if value < least:
+                self.get_logger().warning(
+                    f"{name} is {value:g} s, but joint states come every {period:g} s (joint_state_rate): "
+                    f"set it to {least:g} s or more"
+                )
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         result = super().on_activate(state)
