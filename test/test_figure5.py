@@ -93,7 +93,7 @@ def test_a_pushed_left_hand_keeps_the_cup_level_and_the_right_one_follows(
         with pytest.raises(GraphError, match="no tasks .'tea'."):
             choose(("tea",))
         course = run_sequence(
-            session, quick, [Push("hand", "left", np.array([0.05, 0.14, 0.04]))], choose, lambda: None
+            session, quick, [Push("hand", "left", np.array([0.05, 0.14, 0.04]))], {}, choose, lambda: None
         )
     (pushed,) = course.pushes
     segment = pushed.segment

@@ -22,11 +22,14 @@ Poses = dict[str, Array]
 
 HANDS = ("left", "right")
 #: Where both lessons and all sequences begin. The left hand lies level and points inwards, its x axis up; the right
-#: hand points down and forward from above.
+#: hand comes from above and behind, down by 45 deg, forward and to the left alike.
 START: Poses = {
-    "left": np.array([0.63, -0.08, 0.15, 0.5, -0.5, 0.5, 0.5]),
-    "right": np.array([0.63, -0.08, 0.30, 0.0, 0.96486651, 0.0, 0.26274024]),
+    "left": np.array([0.60, -0.03, 0.34, 0.5, -0.5, 0.5, 0.5]),
+    "right": np.array([0.60, -0.03, 0.49, -0.35355339, 0.85355339, 0.14644661, 0.35355339]),
 }
+#: Where the elbows are then, m: both far out, which leaves the wrists the most room. With the left elbow above the hand
+#: its wrist would be bent nearly to the stop.
+ELBOWS: Poses = {"left": np.array([0.36, 0.52, 0.58]), "right": np.array([0.18, -0.50, 0.71])}
 #: The axis of the cup in the left hand, and the place of the sugar above the cup, also in the axes of the left hand, m.
 CUP_AXIS = np.array([1.0, 0.0, 0.0])
 SUGAR_PLACE = np.array([0.15, 0.0, 0.0])
@@ -36,10 +39,9 @@ LESSON_TIME = 80.0
 FADE = 2.0
 #: How surely a hand is kept where it matters: standard deviation of the teacher's slow wavering, m and rad.
 WAVER, TURN_WAVER = 0.0002, 0.003
-#: How far it is moved where it does not matter, standard deviation, m and rad.
-SPREAD, TURN_SPREAD = np.array([0.065, 0.075, 0.075]), np.array([0.2, 0.2, 0.2])
-#: The cup tilts less than the arms permit: a wrist that comes to its stop cannot be led exactly any more.
-CUP_TURN_SPREAD = np.array([0.15, 0.15, 0.15])
+#: How far it is moved where it does not matter, standard deviation, m and rad: an arm that comes to a stop of a joint
+#: cannot be led exactly any more.
+SPREAD, TURN_SPREAD = np.array([0.065, 0.075, 0.075]), np.full(3, 0.15)
 
 
 class Wander:
@@ -68,7 +70,7 @@ def cup_lesson(random: np.random.Generator) -> Lesson:
     """Hold the cup level: it goes everywhere and turns about the vertical; the other hand does as it likes."""
     level = np.append(SPREAD, [TURN_WAVER, TURN_WAVER, TURN_SPREAD[2]])
     wander = Wander(np.concatenate([level, SPREAD, TURN_SPREAD]), random)
-    aside = START["right"] + np.array([0.05, -0.10, 0.0, 0.0, 0.0, 0.0, 0.0])
+    aside = START["right"] + np.array([0.05, -0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
 
     def at(time: float, hands: Poses) -> Poses:
         step = wander.at(time)
@@ -79,7 +81,7 @@ def cup_lesson(random: np.random.Generator) -> Lesson:
 
 def sugar_lesson(random: np.random.Generator) -> Lesson:
     """Hold the sugar above the cup: both go everywhere together, and turn as they like."""
-    wander = Wander(np.concatenate([SPREAD, CUP_TURN_SPREAD, np.full(3, WAVER), TURN_SPREAD]), random)
+    wander = Wander(np.concatenate([SPREAD, TURN_SPREAD, np.full(3, WAVER), TURN_SPREAD]), random)
 
     def at(time: float, hands: Poses) -> Poses:
         step = wander.at(time)

@@ -75,16 +75,19 @@ def _run(arguments: argparse.Namespace) -> bool:
 
 def _sequences(arguments: argparse.Namespace, robot: RobotModel) -> list[Course]:
     pushes = random_pushes(arguments.pushes, np.random.default_rng([arguments.seed, 5]))
-    total = sum(planned.kind in sequence.kinds for sequence in SEQUENCES for planned in pushes)
+    kinds = sum(len(sequence.kinds) + len(sequence.repeats) for sequence in SEQUENCES)
     log = arguments.output / "log" / "sequences"
     with (
         open_session(robot, log, not arguments.real_time) as session,
-        tqdm(total=total, unit="push", desc="pushing") as progress,
+        tqdm(total=kinds * arguments.pushes, unit="push", desc="pushing") as progress,
     ):
         start_controller(session, arguments.robot)
         choose = start_joint_reference(session, arguments.robot, TASKS, arguments.output)
         session.start_simulator(arguments.robot)
-        return [run_sequence(session, sequence, pushes, choose, progress.update) for sequence in SEQUENCES]
+        courses: dict[str, Course] = {}
+        for sequence in SEQUENCES:
+            courses[sequence.name] = run_sequence(session, sequence, pushes, courses, choose, progress.update)
+        return list(courses.values())
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -50,10 +50,14 @@ def evaluate(
     report["softness"] = _softness(robot, courses[-1])
     sequences = report["sequences"]
     cup, follow, both = (sequences[name] for name in ("cup", "follow", "both"))
-    alone = {"tilt": (cup["hand"], "tilt_deg"), "place": (follow["hand"], "place_steady_m")}
-    compared = {name: _compared(both["hand"], row, figure) for name, (row, figure) in alone.items()}
-    report["combined_over_alone"] = {name: same_way for name, (same_way, _) in compared.items()}
-    report["combined_over_alone_per_newton"] = {name: same_force for name, (_, same_force) in compared.items()}
+    alone = {"tilt": (cup, "cup", "tilt_deg"), "place": (follow, "follow", "place_steady_m")}
+    report["combined_over_alone"] = {
+        name: both["repeated"][which][figure]["median"] / row["hand"][figure]["median"]
+        for name, (row, which, figure) in alone.items()
+    }
+    report["combined_over_alone_same_way"] = {
+        name: both["hand"][figure]["median"] / row["hand"][figure]["median"] for name, (row, _, figure) in alone.items()
+    }
     everything = sequences.values()
     ways = [row["hand"]["moved_m"] for row in (cup, follow, both)]
     checks = {
@@ -77,13 +81,6 @@ def evaluate(
         and all(row["energy_left"]["worst"] < 1.0 for row in everything),
     }
     return {"passed": all(checks.values()), "checks": checks, **report}
-
-
-def _compared(both: dict[str, Any], alone: dict[str, Any], figure: str) -> tuple[float, float]:
-    """Medians of a figure with both tasks over those with one: for the same way, and, as two tasks resist more than
-    one, for the same force."""
-    error, force = (both[name]["median"] / alone[name]["median"] for name in (figure, "force_n"))
-    return error, error / force
 
 
 def _level(tilt: dict[str, float]) -> bool:
@@ -128,28 +125,33 @@ def _course(robot: RobotModel, hands: Mapping[str, HandTask], course: Course) ->
     """Figures of one sequence: of the pushes of each kind, and of all."""
     holding = {name: hands[name] for name in course.sequence.tasks}
     result: dict[str, Any] = {"title": course.sequence.title, "tasks": list(course.sequence.tasks)}
-    rises, left = [], []
     for kind in course.sequence.kinds:
-        pushes = [pushed for pushed in course.pushes if pushed.push.kind == kind]
-        measured = [measure(robot, pushed.segment, pushed.link) for pushed in pushes]
-        result[kind] = {
-            "moved_m": _spread([float(m.moved.max()) for m in measured]),
-            "force_n": _spread([float(pushed.segment.force.max()) for pushed in pushes]),
-            "tilt_deg": _spread([float(m.tilt.max()) for m in measured]),
-            "place_m": _spread([float(m.offset.max()) for m in measured]),
-            "place_steady_m": _spread([_steady(p, m) for p, m in zip(pushes, measured, strict=True)]),
-        }
-        for pushed in pushes:
-            after = energy(robot, holding, _after(pushed), course.rest)
-            lowest = np.minimum.accumulate(after)
-            rises.append(float((after - lowest).max() / after[0]))
-            left.append(float(after[-1] / after[0]))
-    segments = [pushed.segment for pushed in course.pushes]
+        result[kind] = _figures(robot, [pushed for pushed in course.pushes if pushed.push.kind == kind])
+    result["repeated"] = {name: _figures(robot, pushes) for name, pushes in course.repeated.items()}
+    rises, left = [], []
+    for pushed in course.all_pushes:
+        after = energy(robot, holding, _after(pushed), course.rest)
+        lowest = np.minimum.accumulate(after)
+        rises.append(float((after - lowest).max() / after[0]))
+        left.append(float(after[-1] / after[0]))
+    segments = [pushed.segment for pushed in course.all_pushes]
     result["energy_rise"], result["energy_left"] = _spread(rises), _spread(left)
     result["max_torque_share"] = max(segment.torque_share for segment in segments)
     arms = np.concatenate([robot.indices(endpoint.joints) for endpoint in robot.endpoints.values()])
     result["least_stop_distance_rad"] = float(min(segment.stop_distance[arms].min() for segment in segments))
     return result
+
+
+def _figures(robot: RobotModel, pushes: Sequence[Pushed]) -> dict[str, Any]:
+    """Figures of some pushes of the same kind."""
+    measured = [measure(robot, pushed.segment, pushed.link) for pushed in pushes]
+    return {
+        "moved_m": _spread([float(m.moved.max()) for m in measured]),
+        "force_n": _spread([float(pushed.segment.force.max()) for pushed in pushes]),
+        "tilt_deg": _spread([float(m.tilt.max()) for m in measured]),
+        "place_m": _spread([float(m.offset.max()) for m in measured]),
+        "place_steady_m": _spread([_steady(p, m) for p, m in zip(pushes, measured, strict=True)]),
+    }
 
 
 def _after(pushed: Pushed) -> Any:

@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from tpgmm_ros.figure5.lessons import HANDS, Array
 from tpgmm_ros.figure5.session import Segment, Session, Wrench
-from tpgmm_ros.figure5.touches import GRIP, PUSH, elbow, push, smooth_step, to_start
+from tpgmm_ros.figure5.touches import Record, elbow, gripped_push, push, smooth_step, to_start
 
 CUP, SUGAR = "hold_cup", "hold_sugar"
 #: The tasks take hold and the arms come to rest within this time, s.
@@ -41,11 +41,12 @@ class Push:
 
 @dataclass(frozen=True, slots=True)
 class Pushed:
-    """One push, done: the link that was pushed, from its beginning to the end of what was watched."""
+    """One push, done: the link that was pushed, from its beginning to the end of what was watched, and the forces."""
 
     push: Push
     link: str
     segment: Segment
+    record: Record
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,14 +61,20 @@ class Probed:
 
 @dataclass(frozen=True, slots=True)
 class Sequence:
-    """name, title; the tasks that hold; the kinds of its pushes, which are the same in all sequences; whether small
-    forces tell in the end how soft the robot is; whether who pushes has a grip on the hand and keeps it from turning.
+    """What is done in one sequence.
+
+    tasks : those that hold
+    kinds : of its pushes, whose ways are the same in all sequences
+    repeats : earlier sequences whose forces are repeated
+    probed : whether small forces tell in the end how soft the robot is
+    gripped : whether who pushes has a grip on the hand and keeps it level
     """
 
     name: str
     title: str
     tasks: tuple[str, ...]
     kinds: tuple[str, ...]
+    repeats: tuple[str, ...] = ()
     probed: bool = False
     gripped: bool = False
 
@@ -76,19 +83,36 @@ SEQUENCES = (
     Sequence("cup", "the cup is held level", (CUP,), ("hand",)),
     Sequence("sugar", "the sugar is held above the cup", (SUGAR,), ("elbow",)),
     Sequence("follow", "the left hand is pushed, the right one follows", (SUGAR,), ("hand",), gripped=True),
-    Sequence("both", "both at once, pushed where no task holds", (CUP, SUGAR), ("hand", "elbow"), probed=True),
+    Sequence(
+        "both",
+        "both at once, pushed where no task holds",
+        (CUP, SUGAR),
+        ("hand", "elbow"),
+        repeats=("cup", "follow"),
+        probed=True,
+    ),
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What happened in one sequence; rest (nv,): the posture in which its tasks took hold."""
+    """What happened in one sequence.
+
+    rest : (nv,), the posture in which its tasks took hold
+    repeated : by the name of an earlier sequence, what its forces on the left hand did here
+    """
 
     sequence: Sequence
     rest: Array
     settled: Segment
     pushes: tuple[Pushed, ...]
+    repeated: Mapping[str, tuple[Pushed, ...]]
     probes: tuple[Probed, ...]
+
+    @property
+    def all_pushes(self) -> tuple[Pushed, ...]:
+        """Of the sequence's own, and repeated."""
+        return sum(self.repeated.values(), self.pushes)
 
 
 def random_pushes(count: int, random: np.random.Generator) -> list[Push]:
@@ -107,10 +131,14 @@ def run_sequence(
     session: Session,
     sequence: Sequence,
     pushes: list[Push],
+    earlier: Mapping[str, Course],
     choose: Callable[[tuple[str, ...]], None],
     progress: Callable[[], None],
 ) -> Course:
-    """Lead the hands to the start, let the tasks take hold, push; `choose` says which tasks hold."""
+    """Lead the hands to the start, let the tasks take hold, push; `choose` says which tasks hold.
+
+    earlier : by name, the sequences whose forces are repeated
+    """
     choose(())
     session.run(1.0)  # what held before lets go
     to_start(session)
@@ -120,19 +148,30 @@ def run_sequence(
     done = []
     for planned in pushes:
         if planned.kind in sequence.kinds:
-            done.append(_pushed(session, planned, sequence.gripped))
+            link, wrench = _planned(session, planned, sequence.gripped)
+            done.append(_pushed(session, planned, link, wrench))
+            progress()
+    repeated: dict[str, tuple[Pushed, ...]] = {}
+    for name in sequence.repeats:
+        for former in earlier[name].pushes:
+            again = _pushed(session, former.push, former.link, former.record.repeated)
+            repeated[name] = (*repeated.get(name, ()), again)
             progress()
     probes = _probe(session) if sequence.probed else ()
-    return Course(sequence, rest, settled, tuple(done), probes)
+    return Course(sequence, rest, settled, tuple(done), repeated, probes)
 
 
-def _pushed(session: Session, planned: Push, gripped: bool) -> Pushed:
-    if planned.kind == "hand":
-        link, way = session.robot.endpoints[planned.hand].frame, planned.way
-    else:
+def _planned(session: Session, planned: Push, gripped: bool) -> tuple[str, Wrench]:
+    if planned.kind == "elbow":
         link, way = elbow(planned.hand), planned.way[0] * _free_direction(session, planned.hand)
-    touched = session.run(MOVE + HELD, [push(session, link, way, MOVE, GRIP if gripped else PUSH)])
-    return Pushed(planned, link, touched.followed_by(session.run(AFTER)))
+        return push(session, link, way, MOVE)
+    return (gripped_push if gripped else push)(session, session.robot.endpoints[planned.hand].frame, planned.way, MOVE)
+
+
+def _pushed(session: Session, planned: Push, link: str, wrench: Wrench) -> Pushed:
+    record = Record(wrench)
+    touched = session.run(MOVE + HELD, [(link, record)])
+    return Pushed(planned, link, touched.followed_by(session.run(AFTER)), record)
 
 
 def _free_direction(session: Session, hand: str) -> Array:

@@ -15,7 +15,7 @@ from tpgmm_ros.bag_recorder import BagRecorder
 from tpgmm_ros.bags import read_recording
 from tpgmm_ros.figure5.lessons import HANDS, LESSON_TIME, LESSONS
 from tpgmm_ros.figure5.session import TOUCH_RATE, Session
-from tpgmm_ros.figure5.touches import leading, lesson_aims, to_start
+from tpgmm_ros.figure5.touches import lesson_touches, to_start
 from tpgmm_ros.task import Task
 
 #: Of the recorded poses, and of the joint states, one in so many is kept.
@@ -33,9 +33,9 @@ def record_lesson(session: Session, task: Task, bag: Path, random: np.random.Gen
     poses = [f"endpoint/{hand}/pose" for hand in HANDS]
     topics: dict[str, type] = {**dict.fromkeys(poses, PoseStamped), "joint_states": JointState}
     keep = {**dict.fromkeys(poses, KEEP_EVERY["poses"]), "joint_states": KEEP_EVERY["joint_states"]}
-    aims = lesson_aims(session, LESSONS[task.name](random))
+    touches = lesson_touches(session, LESSONS[task.name](random))
     with BagRecorder(session.graph.node, bag, topics, keep):
-        session.run(LESSON_TIME, leading(session, aims))
+        session.run(LESSON_TIME, touches)
 
 
 def learn(task: Task, bag: Path) -> TPGMM:
