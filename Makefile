@@ -52,7 +52,7 @@ fuzz: setup ## files and messages of strangers: refused in words, or sound; 20 0
 	TPGMM_FUZZ_EXAMPLES=20000 $(PYTHON) -m pytest --timeout 7200 src/tpgmm_core/test/test_fuzz_model_file.py \
 		src/tpgmm_core/test/test_fuzz_robot_file.py src/tpgmm_core/test/test_file_bombs.py src/tpgmm_ros/test/test_fuzz_messages.py
 
-determinism: setup ## the demo in lockstep, twice: equal, bit by bit? out/determinism/ (SEED=7 for another situation)
+determinism: setup ## the demo in lockstep, twice at 1 kHz and at 500 Hz: equal, bit by bit? how fast? out/determinism/ (SEED=7)
 	PYTHONPATH=. $(PYTHON) benchmarks/determinism.py --seed $(SEED)
 
 soak: setup ## 30 minutes of simulated time with random faults (MINUTES=5 for less): tasks, memory: out/soak/

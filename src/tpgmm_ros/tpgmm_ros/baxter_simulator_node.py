@@ -35,7 +35,8 @@ PARAMETERS = [
     Declared(
         "lockstep_wrench", False, "In lockstep, wait also for an external wrench that answers each pose", fixed=True
     ),
-    Declared("rate", 1000.0, "Steps per second of simulated time, Hz", 100.0, 2000.0, fixed=True),
+    Declared("rate", 1000.0, "Joint states per second of simulated time, Hz", 100.0, 2000.0, fixed=True),
+    Declared("physics_steps", 1, "Steps of the dynamics from one joint state to the next", 1, 20, fixed=True),
     Declared("pose_rate", 100.0, "End point poses per second of simulated time, Hz", 1.0, 1000.0, fixed=True),
     Declared("command_timeout", 0.1, "Without torques for this long, the robot brakes, s", 0.002, 10.0),
     Declared("braking_rate", 20.0, "Rate at which it slows down while nobody commands it, 1/s", 0.0, 50.0),
@@ -64,7 +65,8 @@ class BaxterSimulatorNode(Node):
         self.parameters = Parameters(self, PARAMETERS)
         self.robot = RobotModel.from_file(self.parameters.file("robot_file"))
         self.time_step = 1.0 / self.parameters["rate"]
-        self.simulator = RobotSimulator(self.robot, time_step=self.time_step)
+        self._physics_steps: int = self.parameters["physics_steps"]
+        self.simulator = RobotSimulator(self.robot, time_step=self.time_step / self._physics_steps)
         self._data = self.robot.create_data()
         self.lockstep: bool = self.parameters["lockstep"]
         self._steps_per_pose = max(1, round(self.parameters["rate"] / self.parameters["pose_rate"]))
@@ -117,7 +119,8 @@ class BaxterSimulatorNode(Node):
         self._pushes = {link: push for link, push in self._pushes.items() if now - push.received <= timeout}
         wrenches = {link: push.wrench for link, push in self._pushes.items()}
         torque = self._live_torque()
-        self.simulator.step(self._braking() if torque is None else torque, wrenches)
+        for _ in range(self._physics_steps):
+            self.simulator.step(self._braking() if torque is None else torque, wrenches)
         self._steps += 1
 
     def _live_torque(self) -> Array | None:

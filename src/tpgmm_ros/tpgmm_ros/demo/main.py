@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import os
 import sys
 import time
@@ -38,6 +39,8 @@ from tpgmm_ros.resources import config_file
 from tpgmm_ros.task import Task
 
 START_TIMEOUT = 60.0
+#: Of the simulated robot at least, Hz: its dynamics are the same for controllers of all rates.
+PHYSICS_RATE = 1000.0
 
 
 def main() -> int:
@@ -83,13 +86,12 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
             print(f"2. starting the nodes (logs: {processes.log_directory})")
             _start(graph, arguments, model_file)
             print("3. reproducing in a new situation; the object is pushed and the target hidden on the way")
-            begun = time.monotonic()
             if arguments.lockstep:  # simulated time begins with the movement, so that it is the same each time
                 result = _ask(graph, recording)
-                _start_simulator(graph, arguments)
-            else:
-                _start_simulator(graph, arguments)
-                graph.wait_for(recording.hand_is_known, START_TIMEOUT, "the hand's pose")
+            _start_simulator(graph, arguments)
+            graph.wait_for(recording.hand_is_known, START_TIMEOUT, "the hand's pose")
+            begun = time.monotonic()
+            if not arguments.lockstep:
                 result = _ask(graph, recording)
             outcome = _outcome(graph, recording, world, result)
             took = time.monotonic() - begun
@@ -99,6 +101,7 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
         rclpy.shutdown()
     report = evaluate(recording, world, robot.effort_limits, outcome, arguments.lockstep)
     assert world.started_ns is not None
+    report["rate_hz"] = arguments.rate
     report["real_time_factor"] = report["movement_time_s"] / took
     report["digest"] = recording.digest(world.started_ns, demonstrated_duration(model))
     pushed = disturbances.pushed(situation.object, np.inf)
@@ -129,8 +132,9 @@ def _start(graph: Graph, arguments: argparse.Namespace, model_file: Path) -> Non
     both = {"use_sim_time": simulated, "realtime_priority": _priority(arguments)}
     lockstep = {"lockstep_rate": 100.0, "start_timeout": START_TIMEOUT} if simulated else {}
     processes.start("frame_tracker", task_file=arguments.task, lockstep=simulated, **both)
-    processes.start("reproduction", task_file=arguments.task, model_file=model_file, **lockstep, **both)
-    processes.start("impedance_controller", robot_file=arguments.robot, lockstep=simulated, **both)
+    answering = {"joint_state_rate": arguments.rate, **both}
+    processes.start("reproduction", task_file=arguments.task, model_file=model_file, **lockstep, **answering)
+    processes.start("impedance_controller", robot_file=arguments.robot, lockstep=simulated, **answering)
     graph.bring_up("impedance_controller", START_TIMEOUT)
     graph.bring_up("reproduction", START_TIMEOUT)
 
@@ -140,6 +144,8 @@ def _start_simulator(graph: Graph, arguments: argparse.Namespace) -> None:
         "baxter_simulator",
         robot_file=arguments.robot,
         lockstep=arguments.lockstep,
+        rate=arguments.rate,
+        physics_steps=math.ceil(PHYSICS_RATE / arguments.rate),
         realtime_priority=_priority(arguments),
     )
 
@@ -197,6 +203,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--lockstep", action="store_true", help="as fast as possible on simulated time, not in real time"
+    )
+    parser.add_argument(
+        "--rate", type=float, default=1000.0, help="of joint states and torques, Hz, 100 to 2000 (default: %(default)s)"
     )
     parser.add_argument(
         "--domain", type=int, help="ROS domain to run on, to watch with RViz (default: a free one, this machine only)"
