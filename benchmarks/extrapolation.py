@@ -132,6 +132,35 @@ def measure(
     return rows
 
 
+def without_velocities(model: TPGMM, names: Sequence[str]) -> TPGMM:
+    """A model over [time, x, velocity, acceleration] in the plane whose frames of these names hardly say velocities."""
+    wider = np.array([1.0, 1.0, 1.0, 100.0, 100.0, 1.0, 1.0])  # standard deviations
+    for name in names:
+        model.covariances_[name] = model.covariances_[name] * np.outer(wider, wider)
+    return model
+
+
+def of_trajectory(demonstrations: Sequence[Demonstration], situations: Sequence[New]) -> list[Row]:
+    """What the end-point errors of trajectory come from, in the plane: other models, and frames that say less."""
+
+    def errors(frames: Sequence[str], silent: Sequence[str] = (), n_components: int = 3) -> dict[str, float]:
+        recipe = Recipe.of({"n_components": n_components, "reg_covar": 1e-4}, "trajectory")
+        model = without_velocities(recipe.learn(demonstrations, "R1 x R2"), silent)
+        found = {}
+        for new in situations:
+            seen = {name: new.situation.frames[name] for name in frames}
+            end = reproduce(model, _still(new.situation.times, new.situation.data[0, 1:], seen), settle=1.0)[-1]
+            found[f"end_error_{new.factor:g}x"] = float(np.linalg.norm(end - new.end))
+        return {key: found[key] for key in ("end_error_1x", "end_error_2x", "end_error_4x")}
+
+    both = ("first", "second")
+    rows: list[Row] = [{"model": f"K = {K}", **errors(both, n_components=K)} for K in (3, 6, 8, 10)]
+    rows.append({"model": "K = 3, velocities of the second frame alone", **errors(both, ("first",))})
+    rows.append({"model": "K = 3, no velocities", **errors(both, both)})
+    rows.append({"model": "K = 3, second frame alone", **errors(("second",))})
+    return rows
+
+
 def medians(rows: Sequence[Mapping[str, Any]], key: str) -> dict[str, tuple[Array, Array]]:
     """For each way: mean distances, and medians of an error, by factor."""
     result = {}
@@ -203,6 +232,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             in_plane,
             planar_task(in_plane),
         )
+        write_report("extrapolation_trajectory", of_trajectory(in_plane, planar_task(in_plane)), options.output)
     except FileNotFoundError as error:
         print(f"planar data left out: {error}")
     for name, rows in measured.items():
