@@ -213,9 +213,10 @@ class ImpedanceControllerNode(ManagedNode):
 
     def _times(self, stamp_ns: int) -> tuple[int, int]:
         """The clock that watches, and that of the stamps, ns, when a message came."""
-        now_ns, clock_ns = self._loop_clock.now().nanoseconds, self.get_clock().now().nanoseconds
-        # /clock and the message of the same moment race each other
-        return (max(now_ns, stamp_ns) if self._simulated else now_ns), clock_ns
+        clock_ns = self.get_clock().now().nanoseconds
+        if self._simulated:  # the same clock, and /clock and the message of the same moment race each other
+            return max(clock_ns, stamp_ns), clock_ns
+        return self._loop_clock.now().nanoseconds, clock_ns
 
     # -- one step -----------------------------------------------------------------------------------------------------
 
