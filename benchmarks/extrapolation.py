@@ -30,6 +30,7 @@ from benchmarks.report import Row, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Demonstration, Frame, quaternion  # noqa: E402
 from tpgmm_core.quaternion import Array  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
+from tpgmm_core.retrieval.trajectory import TrajectoryModel  # noqa: E402
 from tpgmm_core.retrieval.ways import DEFAULT, WAYS  # noqa: E402
 from tpgmm_ros.bags import Recording, align, find_bags, read_recordings  # noqa: E402
 from tpgmm_ros.task import MANIFOLD, Task  # noqa: E402
@@ -161,6 +162,26 @@ def of_trajectory(demonstrations: Sequence[Demonstration], situations: Sequence[
     return rows
 
 
+def speeds(demonstrations: Sequence[Demonstration], situations: Sequence[New]) -> list[Row]:
+    """Along the way from the first state of trajectory's model to the last one, in the plane: what speed that way needs
+    in its time, and what the states say of it on average."""
+    model = TrajectoryModel(
+        Recipe.of({"n_components": 3, "reg_covar": 1e-4}, "trajectory").learn(demonstrations, "R1 x R2")
+    )
+    rows: list[Row] = []
+    for new in situations:
+        means, times = model.adapt(new.situation.frames).means, new.situation.times
+        parts = [times[model.states(times) == k] for k in range(3)]
+        way, duration = means[2, 1:3] - means[0, 1:3], float(parts[2].mean() - parts[0].mean())
+        length = float(np.linalg.norm(way))
+        counted = np.array([0.5, 1.0, 0.5]) * [
+            np.ptp(part) for part in parts
+        ]  # from the middle of a state to that of another
+        said = float(counted @ means[:, 3:5] @ way / length / counted.sum())
+        rows.append({"factor": new.factor, "way": length, "speed_needed": length / duration, "speed_said": said})
+    return rows
+
+
 def medians(rows: Sequence[Mapping[str, Any]], key: str) -> dict[str, tuple[Array, Array]]:
     """For each way: mean distances, and medians of an error, by factor."""
     result = {}
@@ -232,6 +253,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             in_plane,
             planar_task(in_plane),
         )
+        write_report("extrapolation_speeds", speeds(in_plane, planar_task(in_plane)), options.output)
         write_report("extrapolation_trajectory", of_trajectory(in_plane, planar_task(in_plane)), options.output)
     except FileNotFoundError as error:
         print(f"planar data left out: {error}")
