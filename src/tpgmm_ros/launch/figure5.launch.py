@@ -46,7 +46,8 @@ def generate_launch_description() -> LaunchDescription:
             Node(
                 package="tpgmm_ros",
                 executable="impedance_controller",
-                parameters=[robot, {"autostart": True}],
+                # the law of the program `figure5`: soft enough for what wrists can bear
+                parameters=[robot, {"autostart": True, "joint_control_cost": 1.0}],
             ),
             Node(package="tpgmm_ros", executable="baxter_simulator", parameters=[robot]),
         ]

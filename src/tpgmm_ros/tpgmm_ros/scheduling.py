@@ -26,6 +26,13 @@ def request_realtime(priority: int) -> str:
     return ""
 
 
+def end_realtime() -> None:
+    """Run as an ordinary program again, all threads of this process: what follows has no deadlines."""
+    if sys.platform == "linux":
+        for thread in Path("/proc/self/task").iterdir():
+            os.sched_setscheduler(int(thread.name), os.SCHED_OTHER, os.sched_param(0))
+
+
 def yield_realtime() -> None:
     """Have the calling thread, where it has such a priority, run behind all loops: still ahead of ordinary programs.
 

@@ -19,14 +19,19 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_ros.figure5.measures import LAW
 from tpgmm_ros.figure5.session import START_TIMEOUT, Session
-from tpgmm_ros.processes import GraphError, NodeProcesses
+from tpgmm_ros.processes import REALTIME_PRIORITY, GraphError, NodeProcesses
 from tpgmm_ros.resources import config_file
+from tpgmm_ros.scheduling import end_realtime, request_realtime
 
 
 @contextmanager
 def open_session(robot: RobotModel, log_directory: Path, lockstep: bool) -> Iterator[Session]:
-    """A session on a ROS domain that nobody else uses; its nodes end with it."""
+    """A session on a ROS domain that nobody else uses; its nodes end with it.
+
+    In real time the program runs ahead of ordinary ones, as its nodes do: a teacher who comes late shakes the arm.
+    """
     with domain_id() as domain:
         os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
         rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
@@ -35,8 +40,13 @@ def open_session(robot: RobotModel, log_directory: Path, lockstep: bool) -> Iter
         executor.add_node(node)
         try:
             with NodeProcesses(log_directory) as processes:
+                refused = "" if lockstep else request_realtime(REALTIME_PRIORITY)
+                if refused:
+                    node.get_logger().warning(f"no real-time priority: {refused}")
                 yield Session(node, executor, processes, robot, lockstep)
         finally:
+            if not lockstep:
+                end_realtime()
             executor.remove_node(node)
             node.destroy_node()
             rclpy.shutdown()
@@ -47,6 +57,7 @@ def start_controller(session: Session, robot_file: Path) -> None:
     session.graph.processes.start(
         "impedance_controller",
         robot_file=robot_file,
+        joint_control_cost=LAW.joint_control_cost,
         lockstep=session.lockstep,
         use_sim_time=session.lockstep,
         realtime_priority=session.priority,

@@ -11,13 +11,16 @@ import numpy as np
 from tpgmm_core import quaternion
 from tpgmm_core.control.control_law import RobotMoment
 from tpgmm_core.control.hand_tasks import HandTask, HandTasks
-from tpgmm_core.control.joint_impedance import JointImpedanceLaw
+from tpgmm_core.control.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
 from tpgmm_core.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.figure5.lessons import CUP_AXIS, HANDS, SUGAR_PLACE, Array
 from tpgmm_ros.figure5.session import Segment
 
 ARMS = ("left_arm", "right_arm")
+#: The law that holds the tasks. Softer than by default, in all directions alike: who moves the hand by 20 cm would load
+#: its wrist beyond what the motors have.
+LAW = JointImpedanceConfig(joint_control_cost=1.0)
 #: A time step so long that a law follows its reference at once, s.
 AT_ONCE = 1e3
 
@@ -64,7 +67,7 @@ def measure(robot: RobotModel, segment: Segment, link: str) -> Measures:
 
 def energy(robot: RobotModel, tasks: Mapping[str, HandTask], segment: Segment, rest: Array) -> Array:
     """(T,), J: kinetic energy of the arms, and what the law's springs hold, e^T K e / 2, while these tasks hold."""
-    product, law = HandTasks(robot, tasks, ARMS), JointImpedanceLaw(robot, ARMS)
+    product, law = HandTasks(robot, tasks, ARMS), JointImpedanceLaw(robot, ARMS, LAW)
     data, joints = robot.create_data(), product.joints
     result = []
     for q, v in zip(segment.q, segment.v, strict=True):

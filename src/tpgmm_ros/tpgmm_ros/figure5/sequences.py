@@ -18,12 +18,12 @@ SETTLE = 2.0
 #: A push moves the link within this time, holds it there, and lets go; then it is watched, s.
 MOVE, HELD, AFTER = 1.0, 0.6, 1.4
 #: By how much hands are to be moved, and elbows, m: people do not get all the way against the robot's resistance.
-HAND_WAY, ELBOW_WAY = (0.12, 0.25), (0.09, 0.12)
+HAND_WAY, ELBOW_WAY = (0.12, 0.22), (0.09, 0.12)
 #: Pushes are flatter than a sphere: beside the weight of the stretched arm the shoulder has some 8 N m left, so that
 #: who presses the hand down by 20 cm is stronger than the robot.
 FLATTENED = np.array([1.0, 1.0, 0.4])
 #: Forces, N, and torques, N m, that tell how soft the robot is: where it is free, and where tasks hold it.
-FREE_FORCE, FREE_TORQUE, HELD_FORCE, HELD_TORQUE = 12.0, 1.5, 16.0, 4.0
+FREE_FORCE, FREE_TORQUE, HELD_FORCE, HELD_TORQUE = 7.0, 0.8, 16.0, 4.0
 #: They grow so slowly that inertia and damping do not count, and stay until joints have crept to where friction lets
 #: them; what was before is given the time to die out, s.
 PROBE_GROWS, PROBE_STAYS, PROBE_REST = 1.5, 3.0, 2.0
