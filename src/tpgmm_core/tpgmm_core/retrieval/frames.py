@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from tpgmm_core import kernels_regress
 from tpgmm_core.frame import Frame
 from tpgmm_core.quaternion import Array
