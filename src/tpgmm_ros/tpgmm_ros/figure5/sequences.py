@@ -18,7 +18,7 @@ SETTLE = 2.0
 #: A push moves the link within this time, holds it there, and lets go; then it is watched, s.
 MOVE, HELD, AFTER = 1.0, 0.6, 1.4
 #: By how much hands are to be moved, and elbows, m: people do not get all the way against the robot's resistance.
-HAND_WAY, ELBOW_WAY = (0.12, 0.22), (0.09, 0.12)
+HAND_WAY, ELBOW_WAY = (0.12, 0.22), (0.06, 0.08)
 #: Pushes are flatter than a sphere: beside the weight of the stretched arm the shoulder has some 8 N m left, so that
 #: who presses the hand down by 20 cm is stronger than the robot.
 FLATTENED = np.array([1.0, 1.0, 0.4])
