@@ -23,7 +23,7 @@ HAND_WAY, ELBOW_WAY = (0.12, 0.22), (0.06, 0.08)
 #: who presses the hand down by 20 cm is stronger than the robot.
 FLATTENED = np.array([1.0, 1.0, 0.4])
 #: Forces, N, and torques, N m, that tell how soft the robot is: where it is free, and where tasks hold it.
-FREE_FORCE, FREE_TORQUE, HELD_FORCE, HELD_TORQUE = 7.0, 0.8, 16.0, 4.0
+FREE_FORCE, FREE_TORQUE, HELD_FORCE, HELD_TORQUE = 9.0, 2.0, 16.0, 4.0
 #: They grow so slowly that inertia and damping do not count, and stay until joints have crept to where friction lets
 #: them; what was before is given the time to die out, s.
 PROBE_GROWS, PROBE_STAYS, PROBE_REST = 1.5, 3.0, 2.0
