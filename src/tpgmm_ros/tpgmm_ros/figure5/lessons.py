@@ -42,6 +42,8 @@ WAVER, TURN_WAVER = 0.0002, 0.003
 #: How far it is moved where it does not matter, standard deviation, m and rad: an arm that comes to a stop of a joint
 #: cannot be led exactly any more.
 SPREAD, TURN_SPREAD = np.array([0.065, 0.075, 0.075]), np.full(3, 0.15)
+#: The level cup about the vertical, rad: farther, as it turns about no other axis.
+CUP_TURN_SPREAD = 0.22
 
 
 class Wander:
@@ -68,7 +70,7 @@ Lesson = Callable[[float, Poses], Poses]
 
 def cup_lesson(random: np.random.Generator) -> Lesson:
     """Hold the cup level: it goes everywhere and turns about the vertical; the other hand does as it likes."""
-    level = np.append(SPREAD, [TURN_WAVER, TURN_WAVER, TURN_SPREAD[2]])
+    level = np.append(SPREAD, [TURN_WAVER, TURN_WAVER, CUP_TURN_SPREAD])
     wander = Wander(np.concatenate([level, SPREAD, TURN_SPREAD]), random)
     aside = START["right"] + np.array([0.05, -0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
 
