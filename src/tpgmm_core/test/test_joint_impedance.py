@@ -10,6 +10,7 @@ from robots import BAXTER
 from tpgmm_core import Gaussian
 from tpgmm_core.control.control_law import RobotMoment
 from tpgmm_core.control.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
+from tpgmm_core.control.kernels_joint import joint_torques
 from tpgmm_core.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 
@@ -70,6 +71,26 @@ def test_a_motor_that_is_too_weak_gives_what_it_can_and_the_others_do_not_let_go
     right = joints[7:]
     np.testing.assert_allclose(answer.terms["feedback"][right], (answer.stiffness @ answer.error)[7:], rtol=1e-9)
     assert np.abs(answer.terms["feedback"][right]).max() > 0.1
+
+
+@pytest.mark.parametrize("weak", [1.0, 0.2, 0.02])
+def test_what_brakes_never_drives_however_weak_the_motors_are(robot: RobotModel, weak: float) -> None:
+    random = np.random.default_rng(8)
+    n = robot.nv
+    joints, nothing = np.arange(n), np.zeros(n)
+    shortened = 0
+    for _ in range(200):
+        A = random.standard_normal((n, 2)) * np.exp(random.normal(scale=2.0, size=(n, 1)))
+        D = A @ A.T + 0.1 * np.eye(n)
+        v = random.standard_normal(n) * np.exp(random.normal(scale=2.0, size=n))
+        given = random.uniform(-1.2, 1.2, n) * weak * robot.effort_limits
+        feedback, stiffness, damping = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
+        shortened += joint_torques(
+            joints, np.eye(n), np.eye(n), nothing, nothing, v, D, 0.5 * np.eye(n), nothing, 1.0,
+            weak * robot.effort_limits, given, feedback, stiffness, damping,
+        )  # fmt: skip
+        assert feedback @ v <= 1e-9 * np.abs(feedback) @ np.abs(v)
+    assert shortened > 0
 
 
 def test_references_over_other_joints_are_refused_with_the_reason(robot: RobotModel, law: JointImpedanceLaw) -> None:

@@ -89,24 +89,33 @@ def joint_torques(
     n = len(joints)
     half = F @ D
     K = half.T @ (ratio @ half)
-    pull, brake = K @ error + L @ push, np.zeros(n)
-    sofar, limits = np.empty(n), np.empty(n)
+    pull, brake, own = K @ error + L @ push, np.zeros(n), np.empty(n)
+    most, least = np.empty(n), np.empty(n)
+    share = 1.0
     for i in range(n):
         for j in range(n):
             brake[i] += weight * D[i, j] * (velocities[j] - v[joints[j]])
             stiffness[i, j], damping[i, j] = weight * K[i, j], weight * D[i, j]
         pull[i] *= weight
-        sofar[i], limits[i] = given[joints[i]], effort_limits[joints[i]]
-        if not (np.isfinite(pull[i]) and np.isfinite(brake[i]) and np.isfinite(sofar[i])):
+        own[i] = weight * D[i, i] * (velocities[i] - v[joints[i]])
+        sofar, limit = given[joints[i]], effort_limits[joints[i]]
+        if not (np.isfinite(pull[i]) and np.isfinite(brake[i]) and np.isfinite(sofar)):
             return -1
-    # What is too much for a motor is cut there alone: the others take its lack for one more push, and go on holding
-    # what they hold. Shortening all would let go of both arms where one shoulder is too weak. What brakes goes first.
-    shortened = 0
+        most[i], least[i] = max(limit - sofar, 0.0), min(-limit - sofar, 0.0)
+        if brake[i] > most[i]:
+            share = min(share, most[i] / brake[i])
+        elif brake[i] < least[i]:
+            share = min(share, least[i] / brake[i])
+    # What brakes goes first, and is shortened as a whole: with one torque cut, those of the other joints that answer
+    # its speed may drive what they are to brake. What is missing then each joint adds for itself, as far as it can.
+    # What pulls is cut where it is too much, and there alone: the others take its lack for one more push, and go on
+    # holding what they hold. Shortening all would let go of both arms where one shoulder is too weak.
+    shortened = 0 if share == 1.0 else 1
     for i in range(n):
-        most, least = max(limits[i] - sofar[i], 0.0), min(-limits[i] - sofar[i], 0.0)
-        braking = clamp(brake[i], least, most)
-        pulling = clamp(pull[i], min(least - braking, 0.0), max(most - braking, 0.0))
-        if braking != brake[i] or pulling != pull[i]:
+        together = share * brake[i]
+        braking = together + clamp((1.0 - share) * own[i], least[i] - together, most[i] - together)
+        pulling = clamp(pull[i], min(least[i] - braking, 0.0), max(most[i] - braking, 0.0))
+        if pulling != pull[i]:
             shortened = 1
         feedback[joints[i]] = braking + pulling
     return shortened
