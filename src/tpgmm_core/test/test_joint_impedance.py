@@ -93,6 +93,25 @@ def test_what_brakes_never_drives_however_weak_the_motors_are(robot: RobotModel,
     assert shortened > 0
 
 
+@pytest.mark.parametrize(("mass", "start"), [(1.0, 1.0), (0.1, 1.0), (0.1, 0.3)])
+def test_a_pull_beyond_the_motor_leaves_room_for_what_brakes(mass: float, start: float) -> None:
+    """One joint far from its reference, whose torque changes no faster than motors may: it comes to rest there."""
+    D, L, one = np.array([[mass * np.sqrt(2.0 * 9000.0)]]), np.array([[np.sqrt(mass)]]), np.zeros(1)
+    q, v, tau, last = start, 0.0, 0.0, []
+    for step in range(6000):
+        feedback, stiffness, damping = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1))
+        joint_torques(
+            np.arange(1), L, 1.0 / L, np.array([-q]), one, np.array([v]), D, 0.5 * np.eye(1), one, 1.0,
+            np.array([50.0]), one, feedback, stiffness, damping,
+        )  # fmt: skip
+        tau += np.clip(feedback[0] - tau, -1.5, 1.5)
+        v += 0.001 * tau / mass
+        q += 0.001 * v
+        if step > 5500:
+            last.append(abs(q))
+    assert max(last) < 1e-3 * start
+
+
 def test_references_over_other_joints_are_refused_with_the_reason(robot: RobotModel, law: JointImpedanceLaw) -> None:
     with pytest.raises(ValueError, match="expected positions of 14 joints"):
         law.target(reference(np.zeros(3), np.eye(3)), False)

@@ -109,12 +109,13 @@ def joint_torques(
     # What brakes goes first, and is shortened as a whole: with one torque cut, those of the other joints that answer
     # its speed may drive what they are to brake. What is missing then each joint adds for itself, as far as it can.
     # What pulls is cut where it is too much, and there alone: the others take its lack for one more push, and go on
-    # holding what they hold. Shortening all would let go of both arms where one shoulder is too weak.
+    # holding what they hold. Shortening all would let go of both arms where one shoulder is too weak. It is never more
+    # than the motor can give by itself: a far reference would leave nothing of what brakes, and the arm would swing.
     shortened = 0 if share == 1.0 else 1
     for i in range(n):
         together = share * brake[i]
         braking = together + clamp((1.0 - share) * own[i], least[i] - together, most[i] - together)
-        pulling = clamp(pull[i], min(least[i] - braking, 0.0), max(most[i] - braking, 0.0))
+        pulling = clamp(pull[i], max(least[i], least[i] - braking), min(most[i], most[i] - braking))
         if pulling != pull[i]:
             shortened = 1
         feedback[joints[i]] = braking + pulling
