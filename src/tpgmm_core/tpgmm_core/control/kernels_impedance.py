@@ -162,11 +162,11 @@ def arm_torques(
         sofar[i], limits[i] = given[arm[i]], effort_limits[arm[i]]
         if not (math.isfinite(spring[i]) and math.isfinite(brakes[i]) and math.isfinite(sofar[i])):
             return -1
-    # what brakes goes first: a pull beyond the motors' strength, by itself or beside it, must not take the damping away
-    braking, pulling = fit(brakes, sofar, limits), fit(spring, sofar, limits)
+    # what brakes goes first: a pull beyond the motors' strength must not take the damping away
+    braking = fit(brakes, sofar, limits)
     for i in range(n):
         sofar[i] += braking * brakes[i]
-    pulling = min(pulling, fit(spring, sofar, limits))
+    pulling = fit(spring, sofar, limits)
     for i in range(n):
         feedback[arm[i]] = braking * damper[i] + pulling * spring[i]
         null_space[arm[i]] = braking * free[i]
