@@ -82,7 +82,7 @@ figures: setup ## figures 1, 3 and 4 of the paper, extrapolation, weights of fra
 	PYTHONPATH=. $(PYTHON) benchmarks/figure1d.py
 	PYTHONPATH=. $(PYTHON) benchmarks/frame_weights.py
 
-figure5: setup ## figure 5 of the paper: cup and sugar held by two hands that are pushed, in out/figure5/ (SEED=7 for other pushes)
+figure5: setup ## figure 5 of the paper: cup and sugar held by two hands that are pushed, in out/figure5/ (20 minutes; SEED=7 for other pushes)
 	$(PROGRAMS)/figure5 --seed $(SEED)
 
 figure6: setup ## figure 6 of the paper: priorities learned by a planar robot with two hands, in out/figure6/ and out/kinematic_relevance/

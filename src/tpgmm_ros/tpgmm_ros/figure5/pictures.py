@@ -44,7 +44,7 @@ def draw(robot: RobotModel, courses: Sequence[Course], directory: Path) -> list[
 def _strip(robot: RobotModel, course: Course) -> plt.Figure:
     pushed = course.pushes[0]
     time, q = pushed.segment.time, pushed.segment.q
-    figure = plt.figure(figsize=(3.1 * len(MOMENTS), 3.7), layout="constrained")
+    figure = plt.figure(figsize=(3.1 * len(MOMENTS), 3.4), layout="constrained")
     data, link = robot.create_data(), robot.frame_id(pushed.link)
     data.update(q[0])
     begin = data.frame_pose(link)[:3]
@@ -61,7 +61,7 @@ def _strip(robot: RobotModel, course: Course) -> plt.Figure:
         if np.linalg.norm(now - begin) > 0.01:
             ax.plot(*np.stack([begin, now]).T, color="#2a9d3a", lw=2)
         ax.set(xlim=(0.1, 1.0), ylim=(-0.5, 0.5), zlim=(-0.15, 0.6), title=f"{moment:.1f} s")
-        ax.set_box_aspect((0.9, 1.0, 0.75))
+        ax.set_box_aspect((0.9, 1.0, 0.75), zoom=1.5)
         ax.view_init(elev=18, azim=-25)
         ax.set_xticks([]), ax.set_yticks([]), ax.set_zticks([])
     figure.suptitle(f"{course.sequence.title} (green: how far the pushed link is; red: the sugar)", fontsize=11)
