@@ -139,6 +139,15 @@ def test_an_unanswered_state_comes_again_with_its_time_for_who_came_later(lockst
     assert {stamp_of(state) for state in list(lockstep.states)[seen:]} == {stamp}
 
 
+def test_poses_of_an_earlier_step_come_again_too_for_who_was_started_again_since(lockstep: Lockstep) -> None:
+    poses = Inbox(lockstep.node, PoseStamped, "endpoint/left/pose", ALL)
+    after_a_pose = lockstep.advance(10 - stamp_of(lockstep.states[-1]) // TICK_NS % 10 + 3)
+    poses.clear()  # this one listened only now
+    spin_until(lockstep.node, lambda: len(poses.messages) > 1, message="the pose", processes=(lockstep.process,))
+    stamps = {conversions.time_to_ns(message.header.stamp) for message in poses.messages}
+    assert stamps == {stamp_of(after_a_pose) - 3 * TICK_NS}
+
+
 def test_an_answer_to_another_state_does_not_advance_the_clock(lockstep: Lockstep) -> None:
     stamp = stamp_of(lockstep.states[-1])
     for wrong in (stamp - TICK_NS, stamp + TICK_NS, 0):

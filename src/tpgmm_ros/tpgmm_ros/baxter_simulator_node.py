@@ -150,9 +150,15 @@ class BaxterSimulatorNode(Node):
         if self._steps % self._steps_per_pose == 0:
             self._pose_stamp_ns = self._stamp_ns
             self._data.update(self.simulator.state.q)
-            for name, publisher in self._poses.items():
-                pose = self._data.pose(name)
-                publisher.publish(conversions.pose_stamped(pose, self._stamp_ns, self.robot.base_frame))
+            self._last_poses = {
+                name: conversions.pose_stamped(self._data.pose(name), self._stamp_ns, self.robot.base_frame)
+                for name in self._poses
+            }
+            self._send_poses()
+
+    def _send_poses(self) -> None:
+        for name, message in self._last_poses.items():
+            self._poses[name].publish(message)
 
     # -- loops --------------------------------------------------------------------------------------------------------
 
@@ -197,7 +203,7 @@ class BaxterSimulatorNode(Node):
                 if time.perf_counter() > repeat_at:
                     self._publish_clock()  # who came later, or knew an earlier simulator, has to learn when it is
                     self._publish_state()
-                    self._publish_poses()
+                    self._send_poses()  # also those of an earlier step, which a node that was started again never got
                     repeat_at += REPEAT_AFTER
             start = time.perf_counter()
             self._step()
