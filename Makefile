@@ -24,31 +24,32 @@ DATA ?= ../shared/data
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-say = @printf '\033[1m==> %s\033[0m\n' "$(1)"
-
-.PHONY: help setup lint format test properties faults fuzz determinism soak demo bags results figures figure5 figure6 bench scaling lock clean
+.PHONY: help setup dev lint format test properties faults fuzz determinism soak demo bags results figures figure5 figure6 bench scaling lock clean
 
 help: ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
 
-setup: $(DONE)/packages $(DONE)/kernels ## virtual environment, ROS wheels, interface package, kernels
+setup: $(DONE)/packages $(DONE)/kernels ## what running needs: virtual environment, ROS wheels, interface package, kernels
 
-lint: setup ## style and types: ruff, mypy
+dev: setup $(DONE)/requirements-dev ## the same, and what developing needs: ruff, mypy, pytest, colcon
+
+lint: dev ## style and types: ruff, mypy
 	$(PYTHON) -m ruff check
 	$(PYTHON) -m ruff format --check
-	$(PYTHON) -m mypy
+	$(call say,mypy (a minute; seconds from then on))
+	@$(call progress,mypy) $(PYTHON) -m mypy
 
-format: setup ## bring the code into the project's style
+format: dev ## bring the code into the project's style
 	$(PYTHON) -m ruff check --fix
 	$(PYTHON) -m ruff format
 
 test: lint ## lint, then all tests
 	$(PYTHON) -m pytest
 
-properties: setup ## no sequence of inputs makes a torque or a rate beyond its limit: 10 000 sequences (`make test`: some)
+properties: dev ## no sequence of inputs makes a torque or a rate beyond its limit: 10 000 sequences (`make test`: some)
 	TPGMM_PROPERTY_SEQUENCES=10000 $(PYTHON) -m pytest --timeout 3600 src/tpgmm_core/test/test_controller_properties.py
 
-fuzz: setup ## files and messages of strangers: refused in words, or sound; 20 000 of each kind (`make test`: some)
+fuzz: dev ## files and messages of strangers: refused in words, or sound; 20 000 of each kind (`make test`: some)
 	TPGMM_FUZZ_EXAMPLES=20000 $(PYTHON) -m pytest --timeout 7200 src/tpgmm_core/test/test_fuzz_model_file.py \
 		src/tpgmm_core/test/test_fuzz_robot_file.py src/tpgmm_core/test/test_file_bombs.py src/tpgmm_ros/test/test_fuzz_messages.py
 
@@ -58,7 +59,7 @@ determinism: setup ## the demo in lockstep, twice at 1 kHz and at 500 Hz: equal,
 soak: setup ## 30 minutes of simulated time with random faults (MINUTES=5 for less): tasks, memory: out/soak/
 	PYTHONPATH=. $(PYTHON) benchmarks/soak.py --minutes $(MINUTES) --seed $(SEED)
 
-faults: setup ## make every fault happen to the running nodes and see what they do: out/faults/ (10 minutes)
+faults: dev ## make every fault happen to the running nodes and see what they do: out/faults/ (10 minutes)
 	PYTHONPATH=.:test $(PYTHON) -m faults
 
 demo: setup ## train, start the nodes, do the task: out/demo/ (SEED=7 for another situation)
@@ -97,10 +98,8 @@ scaling: setup ## benchmarks of learning: 100 dimensions; time and memory up to 
 	PYTHONPATH=. $(PYTHON) benchmarks/high_dimension.py
 	PYTHONPATH=. $(PYTHON) benchmarks/scaling.py
 
-lock: $(DONE)/venv ## resolve requirements.in into requirements.txt
-	$(PYTHON) -m pip install --quiet uv
-	$(BIN)/uv pip compile --quiet --upgrade --no-header --no-emit-index-url --no-emit-find-links --generate-hashes \
-		--python-version 3.12 requirements.in --output-file requirements.txt
+lock: $(DONE)/requirements-dev ## resolve requirements*.in into requirements*.txt; what is locked stays while it fits (UPGRADE=1: the newest)
+	tools/lock $(BIN)/uv $(if $(UPGRADE),--upgrade)
 
 clean: ## remove everything that the other targets made
 	rm -rf $(VENV) out .hypothesis .mypy_cache .pytest_cache .ruff_cache
@@ -108,38 +107,47 @@ clean: ## remove everything that the other targets made
 
 # --- the steps of the set-up ---
 
+say = @printf '\033[1m==> %s\033[0m\n' "$(1)"
+# Says every ten seconds what a long command is at; what it writes goes to .venv/log
+progress = $(PYTHON) tools/progress.py $(VENV)/log/$(1).log
+
 $(DONE)/venv: .python-version
-	$(call say,virtual environment)
+	$(call say,virtual environment (some seconds))
 	@python=$$(tools/check_system) && $$python -m venv --clear $(VENV)
 	@mkdir -p $(DONE) && touch $@
 
-$(DONE)/requirements: requirements.txt tools/relocate_wheels.py $(DONE)/venv
-	$(call say,requirements: about 190 wheels and 1.2 GB at the first time)
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements.txt
+$(DONE)/requirements: requirements.txt tools/install_requirements.py tools/relocate_wheels.py $(DONE)/venv
+	$(call say,what running needs: 143 wheels (some 2 minutes))
+	@$(PYTHON) tools/install_requirements.py requirements.txt
 	@$(PYTHON) tools/relocate_wheels.py
+	@touch $@
+
+$(DONE)/requirements-dev: requirements-dev.txt $(DONE)/requirements
+	$(call say,what developing needs beside it: 50 wheels (some 20 seconds))
+	@$(PYTHON) tools/install_requirements.py requirements-dev.txt
 	@touch $@
 
 # The wheels make the environment a ROS prefix. What is built here joins them, so that every process of the environment
 # finds it without a setup.bash: libraries, interfaces, and executables in lib/tpgmm_ros, where `ros2 run` looks too
-colcon_build = PATH="$(CURDIR)/$(BIN):$$PATH" AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" CMAKE_PREFIX_PATH="$(CURDIR)/$(VENV)" \
-	$(BIN)/colcon --log-level error --log-base $(VENV)/log build --base-paths src --metas colcon.meta \
-	--packages-select $(1) --build-base $(VENV)/build --install-base $(VENV) --merge-install --symlink-install \
-	--event-handlers console_direct- summary-
-
-$(DONE)/interfaces: colcon.meta $(DONE)/requirements $(shell find src/tpgmm_msgs -type f)
-	$(call say,interface package)
-	@$(call colcon_build,tpgmm_msgs)
+$(DONE)/interfaces: export PATH := $(CURDIR)/$(BIN):$(PATH)
+$(DONE)/interfaces: export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
+$(DONE)/interfaces: export CMAKE_PREFIX_PATH := $(CURDIR)/$(VENV)
+$(DONE)/interfaces: $(DONE)/requirements $(shell find src/tpgmm_msgs -type f)
+	$(call say,interface package (some 30 seconds))
+	@$(call progress,interfaces-configure) cmake -S src/tpgmm_msgs -B $(VENV)/build/tpgmm_msgs \
+		-DCMAKE_INSTALL_PREFIX=$(CURDIR)/$(VENV) -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF
+	@$(call progress,interfaces-build) cmake --build $(VENV)/build/tpgmm_msgs --parallel
+	@$(call progress,interfaces-install) cmake --install $(VENV)/build/tpgmm_msgs
 	@touch $@
 
 PACKAGE_FILES := $(foreach package,tpgmm_core tpgmm_ros,$(addprefix src/$(package)/,setup.py setup.cfg package.xml))
 INSTALLED_DATA := $(wildcard src/tpgmm_ros/launch/*.launch.py config/*.yaml)
-$(DONE)/packages: tools/activate_workspace.py $(DONE)/interfaces $(PACKAGE_FILES) $(INSTALLED_DATA)
-	$(call say,Python packages)
-	@$(call colcon_build,tpgmm_core tpgmm_ros)
-	@$(PYTHON) tools/activate_workspace.py $(VENV)/build/tpgmm_core $(VENV)/build/tpgmm_ros
+$(DONE)/packages: tools/link_packages.py $(DONE)/interfaces $(PACKAGE_FILES) $(INSTALLED_DATA)
+	$(call say,Python packages (some seconds))
+	@$(PYTHON) tools/link_packages.py src/tpgmm_core src/tpgmm_ros
 	@touch $@
 
 $(DONE)/kernels: $(DONE)/packages $(shell find src/tpgmm_core/tpgmm_core -name "*.py")
-	$(call say,compiled kernels)
-	@$(PYTHON) -m tpgmm_core.warm_up
+	$(call say,compiled kernels (2 minutes; more beside other work))
+	@$(call progress,kernels) $(PYTHON) -m tpgmm_core.warm_up
 	@touch $@

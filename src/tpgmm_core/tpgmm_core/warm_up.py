@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +24,15 @@ from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 from tpgmm_core.retrieval.trajectory import TrajectoryModel
 
 
-def warm_up() -> None:
-    """Run every compiled path on a small problem, so that neither a fit nor a control step waits for the
-    compiler.
+def warm_up(tell: Callable[[str], None] = lambda words: None) -> None:
+    """Run every compiled path on a small problem, so that neither a fit nor a control step waits for the compiler.
+
+    Parameters
+    ----------
+    tell
+        Hears in words what is compiled next: it takes minutes the first time.
     """
+    tell("EM of full covariances, adaptation, regression")
     rng = np.random.default_rng(0)
     time = np.linspace(0.0, 1.0, 40)[:, None]
     pose = np.concatenate([rng.normal(size=(40, 3)), 0.1 * rng.normal(size=(40, 3)), np.ones((40, 1))], axis=1)
@@ -38,17 +44,21 @@ def warm_up() -> None:
     Adapter(model).condition([0.5])
     RegressThenProduct(model)
     POSE.exp(pose[0], POSE.log(pose[0], pose[1]))
+    tell("dynamical systems")
     moving = np.concatenate([pose, rng.normal(size=(40, 6))], axis=1)
     velocities = GoalTPGMM(n_components=2, manifold="R3 x S3 x R6", max_iter=1).fit_projected({"frame": moving})
     StableDynamics(velocities, duration=1.0)
+    tell("trajectories")
     features = np.concatenate([X, rng.normal(size=(40, 12))], axis=1)
     TrajectoryModel(TPGMM(n_components=2, manifold="R1 x R3 x S3 x R12", max_iter=1).fit_projected({"frame": features}))
+    tell("hidden Markov and semi-Markov models")
     chain = TPHSMM(n_components=2, max_iter=1).fit_projected({"frame": X})
     chain.chain_.most_likely(np.zeros((40, 2)), [40])
     chain.metadata_ = {"duration_s": 1.0}
     SemiMarkovMovement(chain)
     markov = TPHMM(n_components=2, max_iter=1).fit_projected({"frame": X})
     markov.chain_.most_likely(np.zeros((40, 2)), [40])
+    tell("kinematic frames, control laws")
     compile_kernels()
     warm_up_control()
 
@@ -81,4 +91,4 @@ endpoints: {hand: {frame: hand, joints: arm}}, home: {to_elbow: 0.0, to_hand: 0.
 
 
 if __name__ == "__main__":
-    warm_up()
+    warm_up(lambda words: print(f"compiling: {words}", flush=True))

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Make Python packages of the workspace part of this virtual environment, as `colcon build` and a setup.bash do.
+
+    .venv/bin/python tools/link_packages.py src/tpgmm_core src/tpgmm_ros
+
+Modules and data files are linked, not copied: a change needs no build. Executables lie in lib/<package>, where
+`ros2 run` looks. Every Python process of the environment then finds all of it, whatever has started it. colcon itself
+would bring pytest with it, which running does not need.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import setuptools  # noqa: F401  before distutils, which it brings
+from distutils.core import run_setup
+
+
+def link(package: Path) -> None:
+    """Modules and executables by `setup.py develop`, data files by links to them."""
+    develop = [sys.executable, "-W", "ignore", "setup.py", "--quiet", "develop", "--no-deps"]
+    run = subprocess.run(develop, cwd=package, capture_output=True, text=True)
+    if run.returncode:
+        sys.exit(f"{run.stdout}{run.stderr}error: {package} could not be linked")
+    with contextlib.chdir(package):
+        data_files = run_setup("setup.py", stop_after="init").data_files
+        for directory, files in data_files:
+            target = Path(sys.prefix, directory)
+            target.mkdir(parents=True, exist_ok=True)
+            for file in map(Path, files):
+                (target / file.name).unlink(missing_ok=True)
+                (target / file.name).symlink_to(file.resolve(strict=True))
+
+
+def main() -> None:
+    if sys.prefix == sys.base_prefix or not sys.argv[1:]:
+        sys.exit("usage: .venv/bin/python tools/link_packages.py DIRECTORY...")
+    for directory in sys.argv[1:]:
+        link(Path(directory).resolve(strict=True))
+    # What a process finds of the workspace: `get_package_share_directory` looks in AMENT_PREFIX_PATH
+    line = 'import os, sys; os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)\n'
+    Path(sysconfig.get_path("purelib"), "tpgmm_workspace.pth").write_text(line)
+
+
+if __name__ == "__main__":
+    main()
