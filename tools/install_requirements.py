@@ -27,7 +27,7 @@ def main() -> int:
     total = len(re.findall(r"^[^\s#-].*==", Path(lock).read_text(), re.MULTILINE))
     before = _megabytes()
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
-    install = ["install", "--no-deps", "--require-hashes", "--only-binary", ":all:", "--progress-bar", "off"]
+    install = ["install", "--no-deps", "--require-hashes", "--progress-bar", "off"]
     log_path = Path(sys.prefix, "log", f"{Path(lock).stem}.log")
     log_path.parent.mkdir(exist_ok=True)
     with log_path.open("w") as log:
