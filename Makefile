@@ -15,8 +15,8 @@ PROGRAMS := $(VENV)/lib/tpgmm_ros
 DONE := $(VENV)/.done
 
 SEED ?= 1
-# Of simulated time, for the soak
-MINUTES ?= 30
+# Of simulated time, for the soak; of real time, for the stress test
+MINUTES ?= $(if $(filter stress,$(MAKECMDGOALS)),10,30)
 # Data sets of others, which are no part of the repository
 DATA ?= ../shared/data
 
@@ -24,7 +24,7 @@ DATA ?= ../shared/data
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup dev lint format test properties faults fuzz determinism soak demo bags results figures figure5 figure6 bench scaling lock clean
+.PHONY: help setup dev lint format test properties faults fuzz determinism soak demo bags results figures figure5 figure6 bench scaling stress colcon lock clean
 
 help: ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -100,6 +100,18 @@ scaling: setup ## benchmarks of learning: 100 dimensions; time and memory up to 
 
 lock: $(DONE)/requirements-dev ## resolve requirements*.in into requirements*.txt; what is locked stays while it fits (UPGRADE=1: the newest)
 	tools/lock $(BIN)/uv $(if $(UPGRADE),--upgrade)
+
+stress: setup ## nodes at 1 kHz beside peers that come and go and do not fit: does one stand still? out/executor_stress/ (MINUTES=10)
+	PYTHONPATH=. $(PYTHON) benchmarks/executor_stress.py --minutes $(MINUTES)
+
+# As on a full installation, beside what the other targets build. TESTS="-k frame" for some tests only
+COLCON := PATH="$(CURDIR)/$(BIN):$$PATH" AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" CMAKE_PREFIX_PATH="$(CURDIR)/$(VENV)" \
+	$(BIN)/colcon --log-base out/colcon/log
+COLCON_PLACES := --base-paths src --build-base out/colcon/build --install-base out/colcon/install
+colcon: dev ## the packages as colcon builds and tests them: out/colcon/ (15 minutes; TESTS="-k frame": some tests)
+	$(COLCON) build --metas colcon.meta $(COLCON_PLACES)
+	$(COLCON) test $(COLCON_PLACES) --executor sequential --event-handlers console_direct+ --return-code-on-test-failure \
+		--packages-select tpgmm_core tpgmm_ros $(if $(TESTS),--pytest-args $(TESTS))
 
 clean: ## remove everything that the other targets made
 	rm -rf $(VENV) out .hypothesis .mypy_cache .pytest_cache .ruff_cache

@@ -18,6 +18,10 @@ setup(
     ],
     python_requires=">=3.12",
     install_requires=["numpy", "scipy", "numba"],
-    extras_require={"predictive": ["daqp"], "robot": ["pin", "example-robot-data", "pyyaml"]},
+    extras_require={
+        "predictive": ["daqp"],
+        "robot": ["pin", "example-robot-data", "pyyaml"],
+        "test": ["hypothesis", "pytest", "scikit-learn"],  # `colcon test` asks for pytest here
+    },
     zip_safe=True,
 )

@@ -22,6 +22,7 @@ setup(
     ],
     python_requires=">=3.12",
     install_requires=["tpgmm_core[robot]", "rosbags", "matplotlib", "tqdm"],
+    extras_require={"test": ["hypothesis", "pytest"]},  # `colcon test` asks for pytest here
     entry_points={
         "console_scripts": [
             "frame_tracker = tpgmm_ros.frame_tracker_node:main",

@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What has to be set otherwise in rclpy than it comes; for which version, and why."""
+
+from __future__ import annotations
+
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+
+
+def without_status_events() -> None:
+    """From now on, publishers and subscriptions watch no status event of the middleware that nobody asked for.
+
+    By default rclpy watches each of them for partners with an incompatible quality of service, to log a warning. With
+    an executor that is called on events, rmw_fastrtps then holds a lock of its own while it asks Fast DDS for the
+    status, and Fast DDS holds one of its own while it tells rmw_fastrtps of a new one: where both happen at once, the
+    node stands still for ever, with all of its topics. (ros2/rmw_fastrtps, pull request 890, of June 2026;
+    rmw_fastrtps 8.4.3 of the Jazzy wheels is older.) Without such an event there is nothing to ask for. `peers` says
+    who cannot be heard, from the graph, and with the name of the other node.
+    """
+    for callbacks in (PublisherEventCallbacks, SubscriptionEventCallbacks):
+        callbacks.__init__.__kwdefaults__["use_default_callbacks"] = False
