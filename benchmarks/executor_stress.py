@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import rclpy
@@ -73,6 +74,10 @@ def main() -> int:
     return 0 if report["passed"] else 1
 
 
+def _is_over(end: float) -> bool:
+    return time.monotonic() >= end
+
+
 def stress(log: Path, seconds: float, rate: float) -> dict[str, object]:
     """Run it; the report, and the rows of its table."""
     rclpy.init(args=[])
@@ -111,7 +116,8 @@ def stress(log: Path, seconds: float, rate: float) -> dict[str, object]:
             begun = told = time.monotonic()
             due = [0.0, 0.0]
             while time.monotonic() - begun < seconds:
-                graph.wait_for(lambda end=time.monotonic() + 0.5: time.monotonic() >= end, 60.0, "time to pass")
+                pause = partial(_is_over, time.monotonic() + 0.5)
+                graph.wait_for(pause, 60.0, "time to pass")
                 now = time.monotonic()
                 for i in range(len(due)):
                     if now >= due[i]:
