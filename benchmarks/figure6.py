@@ -25,7 +25,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 
-from benchmarks.report import Row, write_report  # noqa: E402
+from benchmarks.report import Row, progress, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Frame  # noqa: E402
 from tpgmm_core.kinematics.aims import aim_at_origins  # noqa: E402
 from tpgmm_core.kinematics.chains import PlanarRobot, planar_bimanual  # noqa: E402
@@ -255,10 +255,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     shown = {case: [demonstration(robot, weights, rng) for _ in range(3)] for case, (weights, _) in CASES.items()}
 
     new = [object_paths(robot, rng) for _ in range(options.paths)]
-    masks = np.concatenate([out_of_reach(robot, objects) for objects in new])
+    masks = np.concatenate([out_of_reach(robot, objects) for objects in progress(new, "paths out of reach")])
     told = {}
     for case, (_, levels) in CASES.items():
-        told[case] = np.concatenate([errors(robot, by_hand(robot, levels, objects)) for objects in new])[masks].mean(0)
+        movements = [by_hand(robot, levels, objects) for objects in progress(new, f"controller by hand, {case}")]
+        told[case] = np.concatenate([errors(robot, m) for m in movements])[masks].mean(axis=0)
 
     figure = Figure(figsize=(18.0, 7.5), layout="constrained")
     FigureCanvasAgg(figure)
@@ -274,7 +275,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ):
             model = learned(frames, movements)
             product = ConfigurationProduct(model, frames)
-            reproductions = [reproduced(product, objects) for objects in new]
+            reproductions = [reproduced(product, objects) for objects in progress(new, f"{case}, {name}")]
             mean = np.concatenate([errors(robot, m) for m in reproductions])[masks].mean(axis=0)
             meant = in_mirror if i else case
             rows.append(judged(meant, f"{case}, {name}", mean, told[meant], float(masks.mean())))

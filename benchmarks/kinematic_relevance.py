@@ -23,7 +23,7 @@ import numpy as np  # noqa: E402
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from benchmarks.report import Row, write_report  # noqa: E402
+from benchmarks.report import Row, progress, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Frame, quaternion  # noqa: E402
 from tpgmm_core.kinematics.frames import (  # noqa: E402
     JointSpace,
@@ -122,7 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     product = ConfigurationProduct(model, frames)
     courses: dict[str, list[float]] = {name: [] for name in CANDIDATES}
     at_cup = []
-    for t in times:
+    for t in progress(times, "steps of the reproduction"):
         now = frames.at(q, objects)
         for name, directions in directions_determined(model, now, t).items():
             courses[name].append(directions)

@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 Row = Mapping[str, str | float | bool | None]
+#: Seconds between two lines of progress.
+PERIOD = 10.0
 
 
 def write_report(name: str, rows: Sequence[Row], directory: Path = Path("out/bench")) -> None:
@@ -23,6 +26,16 @@ def write_report(name: str, rows: Sequence[Row], directory: Path = Path("out/ben
         print("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)))
     directory.mkdir(parents=True, exist_ok=True)
     (directory / f"{name}.json").write_text(json.dumps([dict(row) for row in rows], indent=2) + "\n")
+
+
+def progress[T](items: Sequence[T], what: str) -> Iterator[T]:
+    """The items, with a line on stderr every ten seconds that says how many are done; none where that is soon over."""
+    begun = told = time.monotonic()
+    for i, item in enumerate(items):
+        yield item
+        if (now := time.monotonic()) - told >= PERIOD:
+            told = now
+            print(f"    {now - begun:4.0f} s  {what}: {i + 1} of {len(items)}", file=sys.stderr, flush=True)
 
 
 def durations(function: Callable[[], object], repetitions: int, warm_up: int = 3) -> np.ndarray:

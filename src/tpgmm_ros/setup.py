@@ -17,7 +17,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
         (f"share/{package_name}/launch", glob("launch/*.launch.py")),
-        # config is a link to the top of the repository, where tasks, robots and node parameters are written
+        # Tasks and robots; config/ at the top of the repository is a link to them
         (f"share/{package_name}/config", glob("config/*.yaml")),
     ],
     python_requires=">=3.12",
