@@ -136,3 +136,16 @@ def test_files_of_a_newcomer_are_none_of_the_linters_business(tmp_path: Path) ->
     assert collected.returncode == 0, collected.stdout + collected.stderr
     settings = (copy / "pyproject.toml").read_text()
     assert re.search(r"^testpaths = ", settings, re.MULTILINE) and re.search(r"^files = ", settings, re.MULTILINE)
+
+
+def test_a_package_that_is_copied_elsewhere_is_built_with_its_configuration(tmp_path: Path) -> None:
+    copy = tmp_path / "alone"
+    shutil.copytree(
+        REPOSITORY / "src/tpgmm_ros", copy, symlinks=True, ignore=shutil.ignore_patterns("*.egg-info", "build")
+    )
+    build = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir"]
+    subprocess.run([*build, str(tmp_path), str(copy)], check=True, env=bare(), capture_output=True)
+    (built,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(built) as archive:
+        names = {Path(name).name for name in archive.namelist() if "/share/tpgmm_ros/config/" in name}
+    assert names == {path.name for path in (REPOSITORY / "config").glob("*.yaml")} != set()
