@@ -148,7 +148,7 @@ $(DONE)/interfaces: $(DONE)/requirements $(shell find src/tpgmm_msgs -type f)
 	$(call say,interface package (some 30 seconds))
 	@$(call progress,interfaces-configure) cmake -S src/tpgmm_msgs -B $(VENV)/build/tpgmm_msgs \
 		-DCMAKE_INSTALL_PREFIX=$(CURDIR)/$(VENV) -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF
-	@$(call progress,interfaces-build) cmake --build $(VENV)/build/tpgmm_msgs --parallel
+	@$(call progress,interfaces-build) cmake --build $(VENV)/build/tpgmm_msgs --parallel $$(nproc)
 	@$(call progress,interfaces-install) cmake --install $(VENV)/build/tpgmm_msgs
 	@touch $@
 
