@@ -11,7 +11,7 @@ BIN := $(VENV)/bin
 PYTHON := $(BIN)/python
 # Executables of tpgmm_ros
 PROGRAMS := $(VENV)/lib/tpgmm_ros
-# One empty file for each finished step of the set-up. Another name makes the environment anew where the steps have changed
+# One empty file for each finished step of the set-up; another name makes the environment anew once the steps have changed
 DONE := $(VENV)/.steps
 
 SEED ?= 1
@@ -148,7 +148,7 @@ $(DONE)/interfaces: $(DONE)/requirements $(shell find src/tpgmm_msgs -type f)
 	$(call say,interface package (some 30 seconds))
 	@$(call progress,interfaces-configure) cmake -S src/tpgmm_msgs -B $(VENV)/build/tpgmm_msgs \
 		-DCMAKE_INSTALL_PREFIX=$(CURDIR)/$(VENV) -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF
-	@$(call progress,interfaces-build) cmake --build $(VENV)/build/tpgmm_msgs --parallel $(shell nproc)
+	@$(call progress,interfaces-build) cmake --build $(VENV)/build/tpgmm_msgs --parallel $$(nproc)
 	@$(call progress,interfaces-install) cmake --install $(VENV)/build/tpgmm_msgs
 	@touch $@
 

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How nodes are run."""
+
+import os
+import subprocess
+import sys
+
+from domain_coordinator import domain_id
+
+PROBE = """
+from rclpy.node import Node
+from std_msgs.msg import Empty
+from tpgmm_ros.executor import run
+
+class Probe(Node):
+    def __init__(self):
+        super().__init__("probe")
+        self.create_publisher(Empty, "written", 1)
+        self.create_subscription(Empty, "heard", print, 1)
+
+    def loop(self, executor, stop):
+        topics = [*self.publishers, *self.subscriptions]
+        print(len(topics), sum(len(topic.event_handlers) for topic in topics))
+
+run(Probe)
+"""
+
+
+def test_no_status_event_of_the_middleware_is_asked_for() -> None:
+    """Two locks, taken in either order, would let the node stand still when such an event comes beside a message."""
+    with domain_id() as domain:
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        run = subprocess.run(
+            [sys.executable, "-c", PROBE], env=environment, capture_output=True, text=True, timeout=120.0
+        )
+    assert run.returncode == 0, run.stderr
+    topics, events = map(int, run.stdout.split())
+    assert topics >= 2  # those of the probe, and what every node writes
+    assert events == 0
