@@ -26,6 +26,7 @@ from sensor_msgs.msg import JointState
 
 from tpgmm_ros.processes import Graph, GraphError, NodeProcesses, end_with_parent
 from tpgmm_ros.qos import STREAM
+from tpgmm_ros.rclpy_workarounds import init_rclpy
 from tpgmm_ros.reporting import format_table, write_report
 from tpgmm_ros.resources import config_file
 
@@ -80,7 +81,7 @@ def _is_over(end: float) -> bool:
 
 def stress(log: Path, seconds: float, rate: float) -> dict[str, object]:
     """Run it; the report, and the rows of its table."""
-    rclpy.init(args=[])
+    init_rclpy(args=[])
     node = rclpy.create_node("watch")
     executor = EventsExecutor()
     executor.add_node(node)

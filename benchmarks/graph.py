@@ -24,6 +24,7 @@ from tpgmm_ros import conversions, train
 from tpgmm_ros.pick_place import random_situation
 from tpgmm_ros.processes import REALTIME_PRIORITY, Graph, NodeProcesses
 from tpgmm_ros.qos import STREAM
+from tpgmm_ros.rclpy_workarounds import init_rclpy
 from tpgmm_ros.resources import config_file
 from tpgmm_ros.task import Task
 
@@ -78,7 +79,7 @@ def running(blend_time: float = 0.15) -> Iterator[Scene]:
         if train.main(["--task", str(task_file), "--output", str(model_file), str(BAGS)]) != 0:
             raise RuntimeError(f"no model from {BAGS}: see above for the reason")
         os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", ROS_LOG_DIR=name)
-        rclpy.init(args=[])
+        init_rclpy(args=[])
         node = Node("benchmark")
         executor = EventsExecutor()
         executor.add_node(node)

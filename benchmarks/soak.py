@@ -32,6 +32,7 @@ from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.srv import LoadModel
 from tpgmm_ros import train
 from tpgmm_ros.processes import Graph, GraphError, NodeProcesses
+from tpgmm_ros.rclpy_workarounds import init_rclpy
 from tpgmm_ros.reporting import format_table, write_report
 from tpgmm_ros.resources import config_file
 from tpgmm_ros.task import Task
@@ -252,7 +253,7 @@ def main() -> int:
     error = ""
     with domain_id() as domain:
         os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C ends with a report
+        init_rclpy(args=[], signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C ends with a report
         node = Node("soak")
         executor = EventsExecutor()
         executor.add_node(node)

@@ -155,8 +155,10 @@ def node_on(domain: int) -> Iterator[Node]:
     from rclpy.experimental import EventsExecutor
     from rclpy.node import Node
 
+    from tpgmm_ros.rclpy_workarounds import init_rclpy
+
     context = Context()
-    rclpy.init(context=context, domain_id=domain)
+    init_rclpy(context=context, domain_id=domain)
     node = Node("test", context=context)
     executor = EventsExecutor(context=context)
     executor.add_node(node)

@@ -4,6 +4,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 from domain_coordinator import domain_id
 
@@ -37,3 +38,8 @@ def test_no_status_event_of_the_middleware_is_asked_for() -> None:
     topics, events = map(int, run.stdout.split())
     assert topics >= 2  # those of the probe, and what every node writes
     assert events == 0
+
+
+def test_no_program_starts_rclpy_in_another_way() -> None:
+    modules = (Path(__file__).parents[1] / "tpgmm_ros").rglob("*.py")
+    assert [path.name for path in modules if "rclpy.init(" in path.read_text()] == ["rclpy_workarounds.py"]

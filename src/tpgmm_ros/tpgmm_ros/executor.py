@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from tpgmm_ros.parameters import Declared
-from tpgmm_ros.rclpy_workarounds import without_status_events
+from tpgmm_ros.rclpy_workarounds import init_rclpy
 from tpgmm_ros.scheduling import request_realtime
 
 REALTIME = Declared(
@@ -47,8 +47,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     A node that cannot start (``ValueError``, ``OSError``, a parameter out of range) ends with status 1 and one line
     that says why.
     """
-    without_status_events()
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    init_rclpy(args=args, signal_handler_options=SignalHandlerOptions.NO)
     stop = StopFlag()
     try:
         node = make_node()

@@ -3,7 +3,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import rclpy
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+
+
+def init_rclpy(**options: Any) -> None:
+    """`rclpy.init` for every process that has an `EventsExecutor`: no status events, see below."""
+    without_status_events()
+    rclpy.init(**options)
 
 
 def without_status_events() -> None:

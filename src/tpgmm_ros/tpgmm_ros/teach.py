@@ -37,6 +37,7 @@ from tpgmm_ros.executor import StopFlag
 from tpgmm_ros.pick_place import Array, Grasp, Situation, random_situation
 from tpgmm_ros.processes import Graph, GraphError, NodeProcesses
 from tpgmm_ros.qos import STREAM
+from tpgmm_ros.rclpy_workarounds import init_rclpy
 from tpgmm_ros.resources import config_file
 from tpgmm_ros.task import Task, TaskError
 from tpgmm_ros.teacher import Intention, Teacher, TeacherConfig
@@ -166,7 +167,7 @@ def record_scripted(
     with domain_id() as domain, tempfile.TemporaryDirectory() as logs:
         # Nodes started here talk to each other and to nobody else.
         os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", ROS_LOG_DIR=logs)
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        init_rclpy(args=[], signal_handler_options=SignalHandlerOptions.NO)
         stop = StopFlag()
         with tqdm(total=count, unit="demonstration", desc="teaching") as progress:
             for index in range(count):
@@ -230,7 +231,7 @@ def _record_lesson(
 
 def record_live(task: Task, output: Path) -> dict[str, int]:
     """Record the task's topics until SIGINT or SIGTERM; returns the number of messages by topic."""
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    init_rclpy(args=[], signal_handler_options=SignalHandlerOptions.NO)
     stop = StopFlag()
     node = Node("teach")
     executor = EventsExecutor()

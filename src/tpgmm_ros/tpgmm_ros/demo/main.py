@@ -34,6 +34,7 @@ from tpgmm_ros.demo.report import evaluate, table
 from tpgmm_ros.demo.world import Disturbances, World
 from tpgmm_ros.pick_place import random_situation
 from tpgmm_ros.processes import REALTIME_PRIORITY, Graph, GraphError, NodeProcesses
+from tpgmm_ros.rclpy_workarounds import init_rclpy
 from tpgmm_ros.reporting import write_report
 from tpgmm_ros.resources import config_file
 from tpgmm_ros.task import Task
@@ -74,7 +75,7 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
     situation = random_situation(random)
     disturbances = Disturbances.random(random, demonstrated_duration(model))
     with _domain(arguments.domain):
-        rclpy.init(args=[])
+        init_rclpy(args=[])
         node = Node("demo", parameter_overrides=[Parameter("use_sim_time", value=arguments.lockstep)])
         executor = EventsExecutor()
         executor.add_node(node)

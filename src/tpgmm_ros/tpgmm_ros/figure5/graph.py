@@ -22,6 +22,7 @@ from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.figure5.measures import LAW
 from tpgmm_ros.figure5.session import START_TIMEOUT, Session
 from tpgmm_ros.processes import REALTIME_PRIORITY, GraphError, NodeProcesses
+from tpgmm_ros.rclpy_workarounds import init_rclpy
 from tpgmm_ros.resources import config_file
 from tpgmm_ros.scheduling import end_realtime, request_realtime
 
@@ -34,7 +35,7 @@ def open_session(robot: RobotModel, log_directory: Path, lockstep: bool) -> Iter
     """
     with domain_id() as domain:
         os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-        rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+        init_rclpy(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
         node = Node("figure5", parameter_overrides=[Parameter("use_sim_time", value=lockstep)])
         executor = EventsExecutor()
         executor.add_node(node)
