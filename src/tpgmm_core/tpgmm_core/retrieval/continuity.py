@@ -15,13 +15,13 @@ from dataclasses import replace
 import numpy as np
 
 from tpgmm_core.frame import Frame
+from tpgmm_core.frame_buffer import manifold_origin
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
 from tpgmm_core.retrieval.interface import Retrieval
-from tpgmm_core.situation import manifold_origin
 
 #: Two moments this far apart, s, tell the velocity of a reference. Short, so that a controller which takes the velocity
 #: from a horizon of such steps sees what is kept continuous here.

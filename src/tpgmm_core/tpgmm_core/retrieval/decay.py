@@ -137,7 +137,7 @@ class DecayMovement(System):
         self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, which: int
     ) -> Gaussian:
         ends = self._ends.adapt(frames, None if state is None else np.concatenate([[0.0], state]), weights)
-        require_time_kept(self._ends.situation)
+        require_time_kept(self._ends.buffer)
         return Gaussian(ends.means[which, 1:], ends.covariances[which, 1:, 1:], self.manifold)
 
     def _begin(

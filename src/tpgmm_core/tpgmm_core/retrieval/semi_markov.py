@@ -17,6 +17,7 @@ import numpy as np
 
 from tpgmm_core.adaptation import Adapter
 from tpgmm_core.frame import Frame
+from tpgmm_core.frame_buffer import manifold_origin
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.learning.hsmm import TPHSMM
 from tpgmm_core.learning.markov import SemiMarkovChain
@@ -28,7 +29,6 @@ from tpgmm_core.retrieval.dynamic_features import point_manifold, standing_frame
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.path_follower import AdaptedStates, PathFollower
 from tpgmm_core.retrieval.state_filter import Course, StateFilter
-from tpgmm_core.situation import manifold_origin
 
 _SECOND = 1e-9
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Situation`: the frames of a moment, checked, and copied to where the kernels read them."""
+"""`FrameBuffer`: the frames of a moment, checked, and copied to where the kernels read them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tpgmm_core.tpgmm import TPGMM
 
 
-class Situation:
+class FrameBuffer:
     """Which frames of a model are there, how far each is trusted, and where the robot is.
 
     manifold : that the frames map to; on R^D it follows the frames
