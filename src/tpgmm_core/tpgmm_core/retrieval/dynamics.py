@@ -54,6 +54,7 @@ from tpgmm_core.retrieval.lifting import lifted
 from tpgmm_core.retrieval.spring import critically_damped
 from tpgmm_core.retrieval.system import System
 from tpgmm_core.settings import check_settings, setting
+from tpgmm_core.situation import Situation
 
 MAX_TIME_STEP = 0.005
 """Of the integration, in durations; MAX_STEPS of them are made at once at most, longer ones after a long pause."""
@@ -164,28 +165,28 @@ class StableDynamics(System):
     def _with_rest(self, state: Array | None) -> Array | None:
         return None if state is None else np.concatenate([state, np.zeros(self.manifold.tangent_dim)])
 
-    def _begin(
-        self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, phase: float
-    ) -> None:
-        self._x = self._end(self._lifted(frames), weights, None, BEGIN).mean.copy() if state is None else state
+    def _begin(self, situation: Situation, state: Array | None, phase: float) -> None:
+        if state is None:
+            state = self._end(self._lifted(situation.frames), situation.weights, None, BEGIN).mean.copy()
+        self._x = state
         self._offset = np.zeros(self.manifold.tangent_dim)
         self._longest = 0.0
-        self._take(frames, weights)
+        self._take(situation)
         self._radius = (1.0 + self.convergence.detour) * self.distance
         self._reach(self.distance / max(1.0 - phase, 1e-6))
         self.velocity[:] = 0.0
         self._offset_rate = np.zeros_like(self.velocity)
         self._take_velocity(0.0)
 
-    def _situate(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None) -> None:
-        former_goal = self._goal.mean
-        self._take(frames, weights)
-        self._radius += self._length(self.manifold.log(former_goal, self._goal.mean))
+    def _situate(self, situation: Situation) -> None:
+        slack = self._radius - self.distance
+        self._take(situation)
+        self._radius = self.distance + slack
         self._take_velocity(0.0)
 
-    def _take(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None) -> None:
+    def _take(self, situation: Situation) -> None:
         """The mixture and the goal in a situation, prepared for regression."""
-        lifted_frames = self._lifted(frames)
+        lifted_frames, weights = self._lifted(situation.frames), situation.weights
         self._adapted = self._adapter.adapt(lifted_frames, self._with_rest(self._x), weights)
         self._goal = self._end(lifted_frames, weights, self._x, END)
         self._centres = np.ascontiguousarray(self._adapted.means)
