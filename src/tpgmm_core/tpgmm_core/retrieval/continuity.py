@@ -64,12 +64,21 @@ class Continuity:
         self._swing_time = self.time_constant
         self._is_gone = True
 
-    def take_over(self, former: Sequence[Array], means: Sequence[Array], shown: Array, covariance: Array) -> None:
+    def take_over(
+        self,
+        former: Sequence[Array],
+        means: Sequence[Array],
+        shown: Array,
+        covariances: Array,
+        former_covariances: Array | None = None,
+    ) -> None:
         """Go on as before, in place and velocity.
 
         former : where the reference would have been, points (D,) at `moments`, or at the first two of them
         means : where the course has it now, at the same times
-        shown, covariance : (n, n), of the last reference, and what the course says of it now
+        shown : covariance (n, n) of the last reference
+        covariances, former_covariances : what the course says of it now, and what it said before, (M, n, n) at
+            `moments`. Of the former ones that are not known, nothing is left sooner
         """
         apart = [self.manifold.log(mean, one) for mean, one in zip(means, former, strict=True)]
         changes = [there - self._after(s) for s, there in zip(self.moments.tolist(), apart, strict=False)]
@@ -80,7 +89,10 @@ class Continuity:
         ahead = apart[1] - critically_damped(self._offset, self._rate, 1.0 / self.time_constant, MOMENT)[0]
         self._swing_rate = (math.exp(rate * MOMENT) * ahead - self._swing) / MOMENT - rate * self._swing
         self._is_gone = False
-        self._fade.take_over(shown, covariance)
+        lasts = 1.0
+        if former_covariances is not None:
+            lasts = self._fade.lasting(former_covariances, covariances, self.moments)
+        self._fade.take_over(shown, covariances[0], lasts)
 
     def _time_of_swing(self, changes: Sequence[Array]) -> float:
         """Time constant, s, with which the swing leads no farther than the courses are apart within `time_constant`.
@@ -213,7 +225,7 @@ class Continued:
         velocity, start = former.velocity(), former.gaussian.mean
         paths = [self.manifold.exp(start, (since + ahead) * velocity) for ahead in (0.0, MOMENT)]
         means = [reference.gaussian.mean, self._retrieval.horizon(1, MOMENT)[0].mean]
-        self._continuity.take_over(paths, means, former.gaussian.covariance, reference.gaussian.covariance)
+        self._continuity.take_over(paths, means, former.gaussian.covariance, reference.gaussian.covariance[None])
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
         ahead = self._retrieval.horizon(n, dt)

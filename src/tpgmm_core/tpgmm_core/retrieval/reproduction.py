@@ -151,7 +151,7 @@ class Reproduction:
         """
         moments = self._continuity.moments
         if self._situation is not None:
-            means = self.course.at(self.phase.times(moments))[0]
+            means, self._former_covariances, _ = self.course.at(self.phase.times(moments))
             self._former = [self._continuity.mean(mean, s) for mean, s in zip(means, moments.tolist(), strict=True)]
             self._situation = None  # a situation that is refused must not be gone on with
         self.course.situate(situation.frames, situation.state, situation.weights)
@@ -161,7 +161,9 @@ class Reproduction:
         means, covariances, activations = self.course.at(np.concatenate([self.phase.times(self._ahead), near]))
         if self._former:
             first = len(self._ahead)
-            self._continuity.take_over(self._former, list(means[first:]), self._covariance, covariances[first])
+            self._continuity.take_over(
+                self._former, list(means[first:]), self._covariance, covariances[first:], self._former_covariances
+            )
         self._situation = situation
         self._is_free = float(covariances[0].max()) > 0.5 * UNCONSTRAINED_VARIANCE
         return means, covariances, activations
