@@ -32,6 +32,8 @@ from tpgmm_core.retrieval.spring import critically_damped
 #: Two moments this far apart, s, tell the velocity of a reference. Short, so that a controller which takes the velocity
 #: from a horizon of such steps sees what is kept continuous here.
 MOMENT = 0.005
+SWING = 0.25
+"""A swing leads less than this share as far as the courses are apart: its velocity was that of a moment."""
 NEGLIGIBLE = 1e-13  # offsets (m, rad) that rounding hides
 _SECOND = 1_000_000_000
 
@@ -105,7 +107,7 @@ class Continuity:
         going_on = float(np.linalg.norm(self._swing_rate) + np.linalg.norm(self._swing) / self._swing_time)
         if size + going_on == 0.0 or len(changes) == 2:
             return self.time_constant
-        reach = 0.5 * max(abs(float(change @ (there - changes[0]))) for there in changes[1:])
+        reach = SWING * max(abs(float(change @ (there - changes[0]))) for there in changes[1:])
         time = min(max(reach / max(size, np.finfo(float).tiny) ** 2, MOMENT), self.time_constant)
         return (size * time + going_on * self._swing_time) / (size + going_on)
 
