@@ -111,9 +111,8 @@ class StableDynamics(System):
     - The covariance of a reference is that of the positions in the active components: little matters along the
       movement, more across it. Near the goal it passes over to that of the demonstrations' ends.
     - The phase is the share of the way that is done, 1 - d / (the largest d since the start); 1 within
-      `Convergence.arrival`, so that it may fall when the goal moves away. It is judged by a goal that follows the one of
-      the situation as a critically damped spring with blend_time: perception trembles, and an end that was reached is
-      no less so.
+      `Convergence.arrival`, so that it may fall when the goal moves away. Judged by a goal that follows the one of the
+      situation as a critically damped spring with blend_time: perception trembles.
     - When frames change, the velocity changes at once, and within some mm where one component takes over from another.
       What exceeds the acceleration from rest to top speed within blend_time goes into an offset of the reference, which
       dies out as a critically damped spring with blend_time. So does the reference start at rest.
