@@ -12,9 +12,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.streams import Stamp
 from tpgmm_ros import conversions
-from tpgmm_ros.conversions import JointReader, MessageError
 from tpgmm_ros.executor import run
+from tpgmm_ros.joint_states import SPREAD, JointStateStream
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters
 from tpgmm_ros.qos import STREAM
@@ -22,6 +23,7 @@ from tpgmm_ros.qos import STREAM
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
     Declared("pose_rate", 100.0, "End point poses, at most as often as joint states, Hz", 1.0, 1000.0, fixed=True),
+    SPREAD,
 ]
 
 
@@ -31,7 +33,7 @@ class EndpointPosesNode(Node):
         parameters = Parameters(self, PARAMETERS)
         self.robot = RobotModel.from_file(parameters.file("robot_file"))
         self._data = self.robot.create_data()
-        self._reader = JointReader(self.robot.joint_names)
+        self._joint_states = JointStateStream(self, self.robot.joint_names, ("position",), parameters[SPREAD.name])
         self._period_ns = round(1e9 / parameters["pose_rate"])
         self._due_ns = 0
         self._poses = {
@@ -41,16 +43,12 @@ class EndpointPosesNode(Node):
         self.monitor = Monitor(self, self._status, parameters["pose_rate"])
 
     def _take(self, message: JointState) -> None:
-        stamp_ns = conversions.time_to_ns(message.header.stamp)
-        # by the stamps, on a grid of the period; further ahead than a period: time jumped backwards
-        if 0 < self._due_ns - stamp_ns <= self._period_ns:
-            return
         start = time.perf_counter()
-        try:
-            (q,) = self._reader.read(message, "position")
-        except MessageError as error:
-            self.get_logger().error(f"joint state refused: {error}", throttle_duration_sec=1.0)
+        heard = self._joint_states.take(message)
+        # by the stamps, on a grid of the period; further ahead than a period: time jumped backwards
+        if heard is None or heard.kind is Stamp.REPEATED or 0 < self._due_ns - heard.stamp_ns <= self._period_ns:
             return
+        stamp_ns, (q,) = heard.stamp_ns, heard.values
         self._due_ns = stamp_ns - stamp_ns % self._period_ns + self._period_ns
         self.monitor.tick(stamp_ns)
         self._data.update(q)
@@ -60,8 +58,8 @@ class EndpointPosesNode(Node):
         self.monitor.step.add(time.perf_counter() - start)
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
-        if not self.monitor.done:
-            return DiagnosticStatus.WARN, "no joint states yet", {}
+        if silence := self._joint_states.silence():
+            return DiagnosticStatus.WARN, silence, {}
         return DiagnosticStatus.OK, f"poses of {', '.join(self._poses)}", {}
 
 

@@ -22,10 +22,11 @@ from tpgmm_core import TPGMM
 from tpgmm_core.control.hand_tasks import ActiveTasks, HandTask, HandTasks
 from tpgmm_core.reference import Reference
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.streams import Stamp
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
-from tpgmm_ros.conversions import JointReader, MessageError
 from tpgmm_ros.executor import run
+from tpgmm_ros.joint_states import SPREAD, JointStateStream
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters
 from tpgmm_ros.qos import STREAM
@@ -44,6 +45,7 @@ PARAMETERS = [
     Declared(
         "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
     ),
+    SPREAD,
 ]
 #: A longer pause between two joint states counts as this long, s.
 MAX_PAUSE = 0.02
@@ -84,7 +86,8 @@ class JointReferenceNode(Node):
         self._frames = {
             name: tuple(f"{name}/{frame}" for frame in hand.model.frame_names_) for name, hand in hands.items()
         }
-        self._reader = JointReader(self.robot.joint_names)
+        spread = self.parameters[SPREAD.name]
+        self._joint_states = JointStateStream(self, self.robot.joint_names, ("position",), spread)
         self._last_ns: int | None = None
         self._last: ReferenceMessage | None = None
         self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"])
@@ -102,17 +105,15 @@ class JointReferenceNode(Node):
     def _answer(self, message: JointState) -> None:
         assert self.active is not None
         start = time.perf_counter()
-        stamp_ns = conversions.time_to_ns(message.header.stamp)
-        if stamp_ns == self._last_ns:  # it comes again, since an answer was lost
+        heard = self._joint_states.take(message)
+        if heard is None:
+            return
+        if heard.kind is Stamp.REPEATED:  # it comes again, since an answer was lost
             if self._last is not None:
                 self._references.publish(self._last)
             return
+        stamp_ns, (q,) = heard.stamp_ns, heard.values
         self.monitor.tick(stamp_ns)
-        try:
-            (q,) = self._reader.read(message, "position")
-        except MessageError as error:
-            self.get_logger().error(f"joint state refused: {error}", throttle_duration_sec=1.0)
-            return
         dt = 0.0 if self._last_ns is None else 1e-9 * (stamp_ns - self._last_ns)
         gaussian = self.active.step(q, min(max(0.0, dt), MAX_PAUSE))
         self._last_ns = stamp_ns
@@ -125,6 +126,8 @@ class JointReferenceNode(Node):
         self.monitor.step.add(time.perf_counter() - start)
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
+        if silence := self._joint_states.silence():
+            return DiagnosticStatus.WARN, silence, {}
         holding = () if self.active is None else self.active.holding
         text = f"tasks that hold: {', '.join(holding)}" if holding else "no task holds"
         return DiagnosticStatus.OK, text, {}

@@ -12,3 +12,13 @@ def loop_clock(node: Node) -> Clock:
     if node.get_parameter("use_sim_time").value:
         return node.get_clock()
     return Clock(clock_type=ClockType.STEADY_TIME)
+
+
+def clock_trouble(node: Node) -> str:
+    """What is wrong with the clock that a node's stamps are of, in words; empty where nothing is."""
+    if node.get_parameter("use_sim_time").value and not node.get_clock().now().nanoseconds:
+        return (
+            "no time on /clock, though use_sim_time is true: start what publishes it (a simulator, or baxter_simulator "
+            "with lockstep), or set use_sim_time to false"
+        )
+    return ""
