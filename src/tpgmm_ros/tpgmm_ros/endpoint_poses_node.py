@@ -40,7 +40,7 @@ class EndpointPosesNode(Node):
             name: self.create_publisher(PoseStamped, f"endpoint/{name}/pose", STREAM) for name in self.robot.endpoints
         }
         self.create_subscription(JointState, "joint_states", self._take, STREAM)
-        self.monitor = Monitor(self, self._status, parameters["pose_rate"])
+        self.monitor = Monitor(self, self._status, parameters["pose_rate"], self._joint_states.silence)
 
     def _take(self, message: JointState) -> None:
         start = time.perf_counter()
@@ -58,8 +58,6 @@ class EndpointPosesNode(Node):
         self.monitor.step.add(time.perf_counter() - start)
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
-        if silence := self._joint_states.silence():
-            return DiagnosticStatus.WARN, silence, {}
         return DiagnosticStatus.OK, f"poses of {', '.join(self._poses)}", {}
 
 

@@ -229,7 +229,8 @@ class ImpedanceControllerNode(ManagedNode):
         start = time.perf_counter()
         self.monitor.tick(sample.stamp_ns)
         now_ns, clock_ns = self._times(sample.stamp_ns)
-        answer = self.controller.take_state(*sample.values, sample.stamp_ns, now_ns, clock_ns)
+        q, v = sample.values
+        answer = self.controller.take_state(q, v, sample.stamp_ns, now_ns, clock_ns)
         self._report(answer, now_ns)
         if answer is not None:
             self.monitor.done += 1

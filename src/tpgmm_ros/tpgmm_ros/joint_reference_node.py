@@ -90,7 +90,7 @@ class JointReferenceNode(Node):
         self._joint_states = JointStateStream(self, self.robot.joint_names, ("position",), spread)
         self._last_ns: int | None = None
         self._last: ReferenceMessage | None = None
-        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"])
+        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"], self._joint_states.silence)
         self._references = self.create_publisher(ReferenceMessage, "reference", STREAM)
         self.create_subscription(JointState, "joint_states", self._answer, STREAM)
 
@@ -126,8 +126,6 @@ class JointReferenceNode(Node):
         self.monitor.step.add(time.perf_counter() - start)
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
-        if silence := self._joint_states.silence():
-            return DiagnosticStatus.WARN, silence, {}
         holding = () if self.active is None else self.active.holding
         text = f"tasks that hold: {', '.join(holding)}" if holding else "no task holds"
         return DiagnosticStatus.OK, text, {}

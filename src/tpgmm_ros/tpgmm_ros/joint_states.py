@@ -71,7 +71,8 @@ class JointStateStream:
     def take(self, message: JointState) -> Heard | None:
         """What a message has brought; None where that is nothing to answer."""
         now_ns = self._steady.now().nanoseconds
-        stamp_ns, values = conversions.time_to_ns(message.header.stamp), ()
+        stamp_ns = conversions.time_to_ns(message.header.stamp)
+        values: tuple[Array, ...] = ()
         if self._assembler is None:
             if not self._leader.is_led_by(message.name, now_ns):
                 return None
@@ -79,7 +80,8 @@ class JointStateStream:
             try:
                 sample = self._assembler.take(message)
             except MessageError as error:
-                return self._refuse(str(error))
+                self._refuse(str(error))
+                return None
             if sample is None:
                 self._trouble = self._assembler.incomplete
                 return None
@@ -87,7 +89,8 @@ class JointStateStream:
         ahead = math.inf if self._max_future is None else self._max_future()
         kind = self._watch.judge(stamp_ns, now_ns, self._node.get_clock().now().nanoseconds, RESTARTED_AFTER, ahead)
         if kind is Stamp.FUTURE:
-            return self._refuse(f"its stamp lies more than {ahead:g} s ahead of this machine's clock; synchronise them")
+            self._refuse(f"its stamp lies more than {ahead:g} s ahead of this machine's clock; synchronise them")
+            return None
         if kind is Stamp.OLD:
             return None
         if kind is Stamp.REPEATED:
@@ -102,13 +105,12 @@ class JointStateStream:
         trouble = clock_trouble(self._node) or self._trouble()
         return trouble or "is the robot running, and is the topic the right one?"
 
-    def silence(self) -> str:
-        """That no new state has come for a second, and why, in words; empty where states come."""
+    def silence(self) -> list[str]:
+        """That no new state has come for a second, and why, in words; nothing where states come."""
         age = self._watch.age(self._steady.now().nanoseconds)
         if age is not None and age <= SILENT_AFTER:
-            return ""
-        since = "yet" if age is None else f"for {age:.0f} s"
-        return f"no joint states {since}: {self.why_silent()}"
+            return []
+        return [f"no {'joint states yet' if age is None else 'more joint states'}: {self.why_silent()}"]
 
     def _refuse(self, reason: str) -> None:
         self._trouble = lambda: f"the newest was refused: {reason}"

@@ -201,13 +201,15 @@ class Execution:
         near = self._off(gaussian.manifold, gaussian.mean, pose) <= 1.0
         error = gaussian.manifold.log(gaussian.mean, pose)
         if gaussian.manifold.is_euclidean:
-            words, errors = f"joints are {np.abs(error).max():.3f} rad or m from the model's end of the movement", ()
+            position = orientation = math.nan
+            words = f"joints are {np.abs(error).max():.3f} rad or m"
         else:
-            errors = (float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])))
-            words = (
-                f"{1e3 * errors[0]:.1f} mm and {math.degrees(errors[1]):.1f} deg from the model's end of the movement"
-            )
-        self._end(near, words if near else f"{words}; {self._cause(gaussian, pose)}", *errors, is_missed=not near)
+            position, orientation = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+            words = f"{1e3 * position:.1f} mm and {math.degrees(orientation):.1f} deg"
+        words += " from the model's end of the movement"
+        if not near:
+            words += f"; {self._cause(gaussian, pose)}"
+        self._end(near, words, position, orientation, is_missed=not near)
 
     def _off(self, manifold: Manifold, end: Array, pose: Array) -> float:
         """How far a pose or a configuration is from another, in tolerances."""
