@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 MAX_DIMENSION = 256
 #: Nor has it more frames, or references more Gaussians ahead.
 MAX_ITEMS = 256
+#: N and N m: the weight of a ton.
+MAX_WRENCH = 1e4
 
 
 class MessageError(ValueError):
@@ -96,12 +98,14 @@ def wrench_to_array(message: WrenchStamped) -> Array:
     """(6,): force in N, torque in N m.
 
     Raises:
-        MessageError: not finite.
+        MessageError: not finite, or more than any robot stands.
     """
     force, torque = message.wrench.force, message.wrench.torque
     wrench = np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z])
     if not np.isfinite(wrench).all():
         raise MessageError(f"wrench on '{message.header.frame_id}' is not finite: {wrench.tolist()}")
+    if np.abs(wrench).max() > MAX_WRENCH:
+        raise MessageError(f"a wrench is out of all proportion: {wrench.tolist()}; expected {MAX_WRENCH:g} at most")
     return wrench
 
 

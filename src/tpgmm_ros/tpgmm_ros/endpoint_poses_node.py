@@ -9,13 +9,12 @@ import time
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
 
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.streams import Stamp
 from tpgmm_ros import conversions
 from tpgmm_ros.executor import run
-from tpgmm_ros.joint_states import SPREAD, JointStateStream
+from tpgmm_ros.joint_states import SPREAD, Heard, JointStateStream
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters
 from tpgmm_ros.qos import STREAM
@@ -33,20 +32,20 @@ class EndpointPosesNode(Node):
         parameters = Parameters(self, PARAMETERS)
         self.robot = RobotModel.from_file(parameters.file("robot_file"))
         self._data = self.robot.create_data()
-        self._joint_states = JointStateStream(self, self.robot.joint_names, ("position",), parameters[SPREAD.name])
         self._period_ns = round(1e9 / parameters["pose_rate"])
         self._due_ns = 0
         self._poses = {
             name: self.create_publisher(PoseStamped, f"endpoint/{name}/pose", STREAM) for name in self.robot.endpoints
         }
-        self.create_subscription(JointState, "joint_states", self._take, STREAM)
+        self._joint_states = JointStateStream(
+            self, "joint_states", self._take, self.robot.joint_names, ("position",), parameters[SPREAD.name]
+        )
         self.monitor = Monitor(self, self._status, parameters["pose_rate"], self._joint_states.silence)
 
-    def _take(self, message: JointState) -> None:
+    def _take(self, heard: Heard) -> None:
         start = time.perf_counter()
-        heard = self._joint_states.take(message)
         # by the stamps, on a grid of the period; further ahead than a period: time jumped backwards
-        if heard is None or heard.kind is Stamp.REPEATED or 0 < self._due_ns - heard.stamp_ns <= self._period_ns:
+        if heard.kind is Stamp.REPEATED or 0 < self._due_ns - heard.stamp_ns <= self._period_ns:
             return
         stamp_ns, (q,) = heard.stamp_ns, heard.values
         self._due_ns = stamp_ns - stamp_ns % self._period_ns + self._period_ns

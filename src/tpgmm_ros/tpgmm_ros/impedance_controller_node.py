@@ -32,12 +32,12 @@ from tpgmm_ros import conversions
 from tpgmm_ros.background import Background
 from tpgmm_ros.conversions import JointStates, MessageError
 from tpgmm_ros.executor import run
-from tpgmm_ros.joint_states import SPREAD
+from tpgmm_ros.joint_states import SPREAD, waiting
 from tpgmm_ros.lifecycle import ManagedNode
 from tpgmm_ros.lockstep import Barrier, is_no_reference
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters, declared_of, fill
-from tpgmm_ros.qos import LATCHED, STREAM
+from tpgmm_ros.qos import LATCHED, STATES, STREAM
 from tpgmm_ros.timing import clock_trouble, loop_clock
 from tpgmm_ros.torque_outputs import OUTPUTS, TorqueOutputs
 
@@ -127,7 +127,7 @@ class ImpedanceControllerNode(ManagedNode):
         self._simulated = bool(self.get_parameter("use_sim_time").value)
         self._states = self.create_lifecycle_publisher(ControllerState, "controller_state", LATCHED)
         self.create_subscription(ReferenceMessage, "reference", self._take_reference, STREAM)
-        self.create_subscription(JointState, "joint_states", self._take_state, STREAM)
+        self._state_messages = self.create_subscription(JointState, "joint_states", self._take_states, STATES)
         # The steady clock, also under simulated time: it calls even where that stands still. Ages are the loop clock's.
         self.create_timer(WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return TransitionCallbackReturn.SUCCESS
@@ -199,22 +199,29 @@ class ImpedanceControllerNode(ManagedNode):
             self.controller.refuse_reference(str(error))
             self.get_logger().error(f"reference refused: {error}", throttle_duration_sec=1.0)
 
-    def _take_state(self, message: JointState) -> None:
-        if not self._active:
+    def _take_states(self, message: JointState) -> None:
+        """All that wait, since a state may come in parts; the newest state is answered, others would be too late."""
+        samples = [self._sample(item) for item in (message, *waiting(self._state_messages)) if self._active]
+        newest = next((sample for sample in reversed(samples) if sample is not None), None)
+        if newest is None:
             return
-        stamp_ns = conversions.time_to_ns(message.header.stamp)
+        if self._barrier is None:
+            self._answer(newest)
+        else:
+            self._barrier.take(newest, newest.stamp_ns)
+
+    def _sample(self, message: JointState) -> JointSample | None:
+        """The state that a message completes, if it completes one."""
         try:
             sample = self._joint_states.take(message)
         except MessageError as error:
+            stamp_ns = conversions.time_to_ns(message.header.stamp)
             now_ns, _ = self._times(stamp_ns)
             self._report(self.controller.refuse_state(str(error), stamp_ns, now_ns), now_ns)
-            return
+            return None
         if sample is None:  # joints of others, or a part of the state
             self.controller.miss_state(self._joint_states.incomplete)
-        elif self._barrier is None:
-            self._answer(sample)
-        else:
-            self._barrier.take(sample, sample.stamp_ns)
+        return sample
 
     def _times(self, stamp_ns: int) -> tuple[int, int]:
         """The clock that watches, and that of the stamps, ns, when a message came."""

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
 
 from tpgmm_core import TPGMM
 from tpgmm_core.control.hand_tasks import ActiveTasks, HandTask, HandTasks
@@ -26,7 +25,7 @@ from tpgmm_core.streams import Stamp
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
 from tpgmm_ros.executor import run
-from tpgmm_ros.joint_states import SPREAD, JointStateStream
+from tpgmm_ros.joint_states import SPREAD, Heard, JointStateStream
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters
 from tpgmm_ros.qos import STREAM
@@ -87,12 +86,13 @@ class JointReferenceNode(Node):
             name: tuple(f"{name}/{frame}" for frame in hand.model.frame_names_) for name, hand in hands.items()
         }
         spread = self.parameters[SPREAD.name]
-        self._joint_states = JointStateStream(self, self.robot.joint_names, ("position",), spread)
+        self._joint_states = JointStateStream(
+            self, "joint_states", self._answer, self.robot.joint_names, ("position",), spread
+        )
         self._last_ns: int | None = None
         self._last: ReferenceMessage | None = None
         self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"], self._joint_states.silence)
         self._references = self.create_publisher(ReferenceMessage, "reference", STREAM)
-        self.create_subscription(JointState, "joint_states", self._answer, STREAM)
 
     def _check(self, values: Mapping[str, Any]) -> None:
         if self.active is not None:
@@ -102,12 +102,9 @@ class JointReferenceNode(Node):
         if self.active is not None:
             self.active.choose(_names(self.parameters["active"]))
 
-    def _answer(self, message: JointState) -> None:
+    def _answer(self, heard: Heard) -> None:
         assert self.active is not None
         start = time.perf_counter()
-        heard = self._joint_states.take(message)
-        if heard is None:
-            return
         if heard.kind is Stamp.REPEATED:  # it comes again, since an answer was lost
             if self._last is not None:
                 self._references.publish(self._last)

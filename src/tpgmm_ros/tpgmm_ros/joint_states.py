@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from tpgmm_core.joint_states import MAX_SPREAD
@@ -17,6 +18,7 @@ from tpgmm_core.streams import RESTARTED_AFTER, Leader, Stamp, StreamWatch, stan
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointStates, MessageError
 from tpgmm_ros.parameters import Declared
+from tpgmm_ros.qos import STATES
 from tpgmm_ros.timing import clock_trouble
 
 SPREAD = Declared(
@@ -42,11 +44,22 @@ class Heard:
     values: tuple[Array, ...]
 
 
+def waiting(subscription: Subscription) -> Iterator[JointState]:
+    """The messages that have come since the executor has taken one."""
+    with subscription.handle:
+        while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
+            yield taken[0]
+
+
 class JointStateStream:
-    """Messages in; states out that are to be answered, each with what its stamp says.
+    """Subscribes to messages, and hands on states that are to be answered, each with what its stamp says.
+
+    Of states that have waited together the newest is handed on: the others would be answered too late.
 
     Args:
         node: says in its log what is refused.
+        topic: of the messages.
+        answer: called with each state.
         joints: whose states; None where no joint is known and states are only a beat, which `Leader` gives then.
         fields: what of them, "position", "velocity".
         max_spread: parts of one state may be this far apart, s.
@@ -56,17 +69,27 @@ class JointStateStream:
     def __init__(
         self,
         node: Node,
+        topic: str,
+        answer: Callable[[Heard], object],
         joints: Sequence[str] | None,
         fields: Sequence[str] = (),
         max_spread: float = MAX_SPREAD,
         max_future: Callable[[], float] | None = None,
     ) -> None:
-        self._node = node
+        self._node, self._answer = node, answer
         self._assembler = None if joints is None else JointStates(joints, fields, max_spread)
         self._leader, self._watch = Leader(), StreamWatch()
         self._max_future = max_future
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._trouble: Callable[[], str] = str
+        self._subscription = node.create_subscription(JointState, topic, self._take_all, STATES)
+
+    def _take_all(self, message: JointState) -> None:
+        heard = [item for item in map(self.take, [message, *waiting(self._subscription)]) if item is not None]
+        if heard:
+            newest = heard[-1]
+            restarted = any(item.kind is Stamp.RESTARTED for item in heard)
+            self._answer(replace(newest, kind=Stamp.RESTARTED) if restarted else newest)
 
     def take(self, message: JointState) -> Heard | None:
         """What a message has brought; None where that is nothing to answer."""

@@ -16,7 +16,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from tpgmm_core.reference import Reference
@@ -30,7 +29,7 @@ from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros import conversions
 from tpgmm_ros.controller_words import ControllerWords
 from tpgmm_ros.executor import run
-from tpgmm_ros.joint_states import MAX_FUTURE, SPREAD, JointStateStream
+from tpgmm_ros.joint_states import MAX_FUTURE, SPREAD, Heard, JointStateStream
 from tpgmm_ros.lifecycle import ManagedNode
 from tpgmm_ros.lockstep import Barrier, no_reference
 from tpgmm_ros.markers import markers
@@ -127,15 +126,13 @@ class ReproductionNode(ManagedNode):
         kinematic = self.task.kinematic
         self._joint_states = JointStateStream(
             self,
+            "joint_states" if kinematic is None else kinematic.joint_states,
+            self._take_joint_state,
             None if kinematic is None else self._dimensions,
             () if kinematic is None else ("position",),
             self.parameters[SPREAD.name],
             lambda: self.parameters[MAX_FUTURE.name],
         )
-        if kinematic is not None:
-            self.create_subscription(JointState, kinematic.joint_states, self._take_joint_state, STREAM)
-        elif not self.parameters["rate"] > 0.0:
-            self.create_subscription(JointState, "joint_states", self._take_joint_state, STREAM)
         self.movements = Movements(
             self, self.task, model, self.parameters, self._joint_states.why_silent, ControllerWords(self)
         )
@@ -181,15 +178,11 @@ class ReproductionNode(ManagedNode):
         if self.movements is not None:
             self.movements.take_frames(known)
 
-    def _take_joint_state(self, message: JointState) -> None:
-        heard = self._joint_states.take(message)
-        if heard is None:
+    def _take_joint_state(self, heard: Heard) -> None:
+        if self.task.kinematic is not None and self.movements is not None:
+            self.movements.state = heard.values[0]
+        if self.parameters["rate"] > 0.0:  # a timer gives the beat
             return
-        if self.task.kinematic is not None:
-            if self.movements is not None:
-                self.movements.state = heard.values[0]
-            if self.parameters["rate"] > 0.0:
-                return
         if self._barrier is not None:
             self._barrier.take(heard.stamp_ns, heard.stamp_ns)
         elif heard.kind is not Stamp.REPEATED:
