@@ -69,7 +69,7 @@ class Fuzz:
             self._spoil_one(message)
         return message
 
-    def float(self) -> float:
+    def number(self) -> float:
         kind = self._rng.integers(4)
         if kind == 0:
             return float(self._rng.choice(NOT_FINITE))
@@ -93,7 +93,7 @@ class Fuzz:
 
     def _like(self, values: Any) -> Any:
         is_float = values.typecode in "df" if isinstance(values, array) else values.dtype.kind == "f"
-        return self.float() if is_float else 0
+        return self.number() if is_float else 0
 
     def _spoil(self, message: Any, share: float) -> None:
         for name, kind in message.get_fields_and_field_types().items():
@@ -125,7 +125,7 @@ class Fuzz:
 
     def _item(self, kind: str, share: float) -> Any:
         if kind in ("double", "float"):
-            return self.float() if kind == "double" else float(np.clip(np.nan_to_num(self.float()), -3e38, 3e38))
+            return self.number() if kind == "double" else float(np.clip(np.nan_to_num(self.number()), -3e38, 3e38))
         if integer := _INTEGER.fullmatch(kind):
             bits = int(integer["bits"])
             low, high = (0, 2**bits - 1) if integer["u"] else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)

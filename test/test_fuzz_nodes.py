@@ -39,6 +39,8 @@ MESSAGES = int(os.environ.get("TPGMM_FUZZ_EXAMPLES", "300"))
 ANYONE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: A log of lines that are longer is for nobody.
 LONGEST_LINE = 4000
+#: Whose subscription of /clock is tried too.
+ON_CLOCK = ("frame_tracker", "impedance_controller")
 ROBOT_ARGUMENTS: dict[str, object] = {"robot_file": ROBOT_FILE}
 NODES: dict[str, dict[str, object]] = {
     "frame_tracker": {"task_file": TASK_FILE},
@@ -152,13 +154,16 @@ def opened(node: Node, start: StartProcess, name: str, **more: object) -> Bench:
     return bench
 
 
+@pytest.mark.parametrize("on_clock", [False, True], ids=["", "use_sim_time"])
 @pytest.mark.parametrize("name", NODES)
 def test_whatever_message_comes_the_node_goes_on_and_answers_good_ones_as_before(
-    ros_node: Node, start_process: StartProcess, tmp_path: Path, name: str
+    ros_node: Node, start_process: StartProcess, tmp_path: Path, name: str, on_clock: bool
 ) -> None:
-    more: dict[str, object] = {}
+    if on_clock and name not in ON_CLOCK:
+        pytest.skip("the clock is the same code in all nodes")
+    more: dict[str, object] = {"use_sim_time": on_clock}
     if name == "reproduction":
-        more = {"model_file": trained(tmp_path / "model.tpgmm")}
+        more |= {"model_file": trained(tmp_path / "model.tpgmm")}
     bench = opened(ros_node, start_process, name, **more)
 
     def at_work() -> bool:

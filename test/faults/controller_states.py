@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import time
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from sensor_msgs.msg import JointState
 
 from faults.controller_bench import AWAY, STATE_TIMEOUT, ControllerBench
+from faults.parts import gripper, part
 from faults.table import fault
 from ros_testing import spin_until
 from simulated_hand import NAMES, TICK_NS, pose_reference
@@ -20,21 +21,6 @@ from tpgmm_ros import conversions
 LEFT = [name for name in NAMES if name.startswith("left")]
 OTHERS = [name for name in NAMES if not name.startswith("left")]
 TICKS = 600
-
-
-def part(state: JointState, names: Sequence[str], stamp_ns: int) -> JointState:
-    """Of a state what one of several drivers publishes."""
-    chosen = [state.name.index(name) for name in names]
-    message = conversions.joint_state_message(list(names), stamp_ns)
-    for field in ("position", "velocity", "effort"):
-        setattr(message, field, array("d", [getattr(state, field)[i] for i in chosen]))
-    return message
-
-
-def gripper(stamp_ns: int) -> JointState:
-    """What a gripper's driver publishes on the same topic."""
-    two = np.array([0.02, 0.02])
-    return conversions.joint_state_message(["finger_joint1", "finger_joint2"], stamp_ns, two, 0.0 * two, two + np.nan)
 
 
 def measured(bench: ControllerBench, goal: np.ndarray, largest: float = 0.03) -> str:
