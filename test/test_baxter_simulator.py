@@ -178,7 +178,7 @@ def test_torques_beyond_the_limits_are_clamped_to_them(lockstep: Lockstep) -> No
         ("effort of left_s0 is not finite", NAMES, np.where(np.array(NAMES) == "left_s0", np.nan, 1.0)),
         ("joints missing: head_pan", [name for name in NAMES if name != "head_pan"], np.ones(ROBOT.nv - 1)),
         (f"effort has 3 numbers for {ROBOT.nv} joint names", NAMES, np.ones(3)),
-        ("joints are named twice", [*NAMES[1:], NAMES[1]], np.ones(ROBOT.nv)),
+        ("left_s0 is named twice", [*NAMES[1:], NAMES[1]], np.ones(ROBOT.nv)),
     ],
 )
 def test_torques_that_cannot_be_used_are_refused_with_the_reason(

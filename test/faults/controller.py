@@ -128,16 +128,8 @@ def chosen(state: JointState, joints: list[int]) -> None:
         setattr(state, name, array("d", [getattr(state, name)[i] for i in joints]))
 
 
-def without_a_joint(state: JointState) -> None:
-    chosen(state, [i for i, name in enumerate(NAMES) if name != "left_s0"])
-
-
 def with_a_joint_twice(state: JointState) -> None:
     state.name = [NAMES[0], *NAMES[:-1]]
-
-
-def without_anything(state: JointState) -> None:
-    chosen(state, [])
 
 
 def out_of_all_proportion(state: JointState) -> None:
@@ -148,8 +140,6 @@ BAD_STATES: dict[str, tuple[Callable[[JointState], None], str]] = {
     "with NaN": (with_nan, "not finite"),
     "with infinite speeds": (with_infinity, "not finite"),
     "of wrong length": (too_short, "numbers for"),
-    "without one of the joints": (without_a_joint, "joints missing: left_s0"),
-    "that are empty": (without_anything, "joints missing"),
     "with a joint named twice": (with_a_joint_twice, "twice"),
     "with speeds of 1e200 rad/s": (out_of_all_proportion, "out of all proportion"),
 }

@@ -209,5 +209,5 @@ def two_cameras(bench: GraphBench) -> str:
     result = bench.result(goal)
     bench.node.destroy_timer(timer)
     bench.node.destroy_publisher(second)
-    assert result.reason.endswith("from the end of the movement"), result.reason
+    assert "from the model's end of the movement" in result.reason, result.reason
     return f"'{words}'; {result.reason}; {bench.assert_sound()}"

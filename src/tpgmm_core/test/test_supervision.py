@@ -7,11 +7,10 @@ import math
 
 import pytest
 
-from tpgmm_core.control.supervision import ControllerMode, Inputs, Stamp, StreamWatch, Timeouts, decide
+from tpgmm_core.control.supervision import ControllerMode, Inputs, Timeouts, decide, slow_states
 
 TIMEOUTS = Timeouts(joint_state_timeout=0.02, silence_after=0.2, reference_timeout=0.1, hold_time=1.0)
 WAITING, ACTIVE, HOLD, DAMPING, FAULT = ControllerMode
-MS = 1_000_000
 
 
 @pytest.mark.parametrize(
@@ -58,38 +57,37 @@ def test_timeouts_that_make_no_sense_are_refused_by_name(name: str, value: float
 
 
 @pytest.mark.parametrize(
-    ("stamp_ms", "now_ms", "kind"),
+    ("age", "mode", "reason"),
     [
-        (101, 1, Stamp.NEW),
-        (100, 1, Stamp.REPEATED),
-        (100, 1000, Stamp.REPEATED),  # a stamp that stands still never becomes news
-        (99, 20, Stamp.OLD),
-        (99, 21, Stamp.RESTARTED),
-        (99, -10, Stamp.OLD),  # a simulated clock that comes after the message
-        (99, -51, Stamp.RESTARTED),  # the clock that watches jumped too
-        (150, 1, Stamp.NEW),
-        (151, 1, Stamp.FUTURE),
+        (None, WAITING, "no joint state yet (missing a)"),
+        (0.021, DAMPING, "gravity compensation where it was last (missing a)"),
+        (0.221, WAITING, "silent (missing a)"),
     ],
 )
-def test_a_stamp_tells_new_from_repeated_overtaken_restarted_and_future(
-    stamp_ms: int, now_ms: int, kind: Stamp
+def test_what_came_instead_of_joint_states_is_part_of_the_reason(
+    age: float | None, mode: ControllerMode, reason: str
 ) -> None:
-    watch = StreamWatch()
-    watch.accept(100 * MS, 0)
-    assert watch.judge(stamp_ms * MS, now_ms * MS, 100 * MS, timeout=0.02, max_future=0.05) is kind
+    decision = decide(Inputs(age, "", 0.0, "", "missing a"), TIMEOUTS)
+    assert decision.mode is mode and decision.reason.endswith(reason)
 
 
-def test_before_the_first_message_any_stamp_is_new_and_before_the_clock_is_known_none_is_future() -> None:
-    watch = StreamWatch()
-    assert watch.age(7) is None
-    assert watch.judge(0, 0, 100 * MS, 0.02, 0.05) is Stamp.NEW
-    assert watch.judge(10**18, 0, 0, 0.02, 0.05) is Stamp.NEW
-    assert watch.judge(10**18, 0, 1, 0.02, 0.05) is Stamp.FUTURE
-
-
-def test_an_age_is_that_of_the_arrival_and_infinite_after_a_jump_of_the_clock() -> None:
-    watch = StreamWatch()
-    watch.accept(5, 100 * MS)
-    assert watch.age(130 * MS) == pytest.approx(0.03)
-    assert watch.age(99 * MS) == 0.0
-    assert watch.age(49 * MS) == math.inf
+@pytest.mark.parametrize(
+    ("period", "advice"),
+    [
+        (0.001, []),
+        (0.0051, []),  # what is measured is not taken too literally
+        (
+            0.02,
+            ["joint_state_timeout is 0.02 s, but joint states come every 0.02 s (measured): set it to 0.06 s or more"],
+        ),
+    ],
+)
+def test_joint_states_that_are_too_slow_for_the_settings_are_told_with_what_to_set(
+    period: float, advice: list[str]
+) -> None:
+    found = slow_states(period, "measured", TIMEOUTS, 0.005)
+    assert found[: len(advice)] == advice and len(found) == 2 * len(advice)
+    if advice:
+        assert found[1].startswith("max_time_step is 0.005 s") and found[1].endswith("set it to 0.02 s or more")
+        enough = Timeouts(joint_state_timeout=0.06)
+        assert slow_states(period, "measured", enough, 0.02) == []

@@ -22,6 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 from tpgmm_core.settings import check_settings, setting
 
 _SECOND = 1_000_000_000
+#: Of a pose: positions in m farther than the size of the Earth, quaternions of no length that means anything.
+MAX_NUMBER = 1e8
 
 
 class FrameStatus(enum.IntEnum):
@@ -211,6 +213,8 @@ def check_pose(pose: ArrayLike) -> tuple[NDArray[np.float64] | None, str]:
         return None, f"wrong size: shape {checked.shape}, expected 7 numbers x y z qx qy qz qw"
     if not np.isfinite(checked).all():
         return None, f"not finite: {checked.tolist()}"
+    if np.abs(checked).max() > MAX_NUMBER:  # squares of such numbers are not finite, and no camera sees so far
+        return None, f"out of all proportion: {checked.tolist()}, expected numbers up to {MAX_NUMBER:g}"
     length = float(np.linalg.norm(checked[3:]))
     if length < 1e-3:
         return None, f"zero quaternion: {checked[3:].tolist()} has length {length:.3g}, expected 1"

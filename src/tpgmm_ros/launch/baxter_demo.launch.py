@@ -53,7 +53,7 @@ def generate_launch_description() -> LaunchDescription:
             "use_sim_time",
             default_value="false",
             choices=["true", "false"],
-            description="take the time from /clock",
+            description="the simulator runs in lockstep and gives the time on /clock; poses have their stamps from there",
         ),
     ]
     clock = {"use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)}
@@ -73,7 +73,8 @@ def generate_launch_description() -> LaunchDescription:
         executable="baxter_simulator",
         name="baxter_simulator",
         output="screen",
-        parameters=[robot, clock],
+        # a clock that nobody else would publish
+        parameters=[robot, {"lockstep": clock["use_sim_time"]}],
     )
     reproduction = LifecycleNode(
         package="tpgmm_ros",

@@ -130,7 +130,11 @@ def test_configurations_are_read_by_joint_names(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("broken", "words"),
-    [("joint", "lacks the joints right_w2"), ("nan", "not finite"), ("late", "does not cover the movement, by 0.8 s")],
+    [
+        ("joint", "never has all joints of the task: missing right_w2"),
+        ("nan", "not finite"),
+        ("late", "does not cover the movement, by 0.8 s"),
+    ],
 )
 def test_joint_states_that_cannot_be_used_are_named(tmp_path: Path, broken: str, words: str) -> None:
     task = Task.load(TASK_FILE)

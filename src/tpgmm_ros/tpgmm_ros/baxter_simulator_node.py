@@ -22,6 +22,7 @@ from sensor_msgs.msg import JointState
 
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator
+from tpgmm_core.streams import SECOND, Stamp, StreamWatch
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader, MessageError
 from tpgmm_ros.executor import StopFlag, run
@@ -44,7 +45,8 @@ PARAMETERS = [
 ]
 
 Array = NDArray[np.float64]
-SECOND = 1_000_000_000
+#: Torques answer joint states: none may be stamped so far ahead of the newest one, s.
+MAX_FUTURE = 0.05
 #: In lockstep, a state without an answer is published again after this long, s: best effort may lose a message.
 REPEAT_AFTER = 0.1
 #: In lockstep, Hz of simulated time: every node hears the clock, and what is to be exact has a stamp of its own.
@@ -77,6 +79,7 @@ class BaxterSimulatorNode(Node):
         self._stamp_ns = 0
         self._torque: Array | None = None
         self._torque_stamp_ns = -1
+        self._torque_watch = StreamWatch()
         self._torque_received = 0.0  # simulated s
         self._pushes: dict[str, _Push] = {}
         self._wrench_stamp_ns = -1
@@ -98,9 +101,20 @@ class BaxterSimulatorNode(Node):
         except MessageError as error:
             self.get_logger().error(f"torques refused: {error}", throttle_duration_sec=1.0)
             return
-        self._torque = torque
-        self._torque_stamp_ns = conversions.time_to_ns(message.header.stamp)
-        self._torque_received = self.simulator.state.time
+        # repeated ones count: a controller that hears nothing goes on by the stamp of the last state
+        stamp_ns, now_ns = conversions.time_to_ns(message.header.stamp), round(SECOND * self.simulator.state.time)
+        kind = self._torque_watch.judge(
+            stamp_ns, now_ns, self._stamp_ns, self.parameters["command_timeout"], MAX_FUTURE
+        )
+        if kind is Stamp.FUTURE:
+            self.get_logger().error(
+                f"torques refused: their stamp lies more than {MAX_FUTURE:g} s ahead of the newest joint state",
+                throttle_duration_sec=1.0,
+            )
+        if kind in (Stamp.FUTURE, Stamp.OLD):
+            return
+        self._torque_watch.accept(stamp_ns, now_ns)
+        self._torque, self._torque_stamp_ns, self._torque_received = torque, stamp_ns, self.simulator.state.time
 
     def _take_wrench(self, message: WrenchStamped) -> None:
         link = message.header.frame_id

@@ -20,8 +20,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from tpgmm_core import Frame, Gaussian
+from tpgmm_core.joint_states import JointColumns, JointSample, JointStateAssembler, JointStateError
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.reference import Reference
+from tpgmm_core.text import listed
 from tpgmm_core.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import ControllerState, TaskFrame, TaskParameters
 from tpgmm_msgs.msg import Gaussian as GaussianMessage
@@ -33,6 +35,8 @@ Array = NDArray[np.float64]
 MAX_DIMENSION = 256
 #: Nor has it more frames, or references more Gaussians ahead.
 MAX_ITEMS = 256
+#: N and N m: the weight of a ton.
+MAX_WRENCH = 1e4
 
 
 class MessageError(ValueError):
@@ -48,7 +52,8 @@ def floats(values: Array) -> array[float]:
 
 
 def time_to_ns(stamp: TimeMessage) -> int:
-    return stamp.sec * 1_000_000_000 + stamp.nanosec
+    """A stamp in ns. More nanoseconds than a second has are none: the stamp is taken for the end of its second."""
+    return stamp.sec * 1_000_000_000 + min(stamp.nanosec, 999_999_999)
 
 
 def time_from_ns(nanoseconds: int) -> TimeMessage:
@@ -93,12 +98,14 @@ def wrench_to_array(message: WrenchStamped) -> Array:
     """(6,): force in N, torque in N m.
 
     Raises:
-        MessageError: not finite.
+        MessageError: not finite, or more than any robot stands.
     """
     force, torque = message.wrench.force, message.wrench.torque
     wrench = np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z])
     if not np.isfinite(wrench).all():
         raise MessageError(f"wrench on '{message.header.frame_id}' is not finite: {wrench.tolist()}")
+    if np.abs(wrench).max() > MAX_WRENCH:
+        raise MessageError(f"a wrench is out of all proportion: {wrench.tolist()}; expected {MAX_WRENCH:g} at most")
     return wrench
 
 
@@ -297,9 +304,7 @@ def joint_state_message(
 
 
 class JointReader:
-    """Reads joint arrays out of JointState messages by name, never by position.
-
-    The order of the names is worked out once and kept as long as messages keep it.
+    """Reads arrays of all its joints out of single JointState messages: what has no use in parts, as torques.
 
     Args:
         names: the joints, in the order in which the arrays are wanted.
@@ -307,8 +312,7 @@ class JointReader:
 
     def __init__(self, names: Sequence[str]) -> None:
         self.names = list(names)
-        self._seen: list[str] | None = None
-        self._order: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
+        self._columns: dict[tuple[str, ...], JointColumns] = {}
 
     def read(self, message: JointState, *fields: str) -> tuple[Array, ...]:
         """The named fields ("position", "velocity", "effort"), each (len(names),).
@@ -316,28 +320,38 @@ class JointReader:
         Raises:
             MessageError: joints are missing or named twice, a field has another length than the names, not finite.
         """
-        if message.name != self._seen:
-            self._learn_order(message.name)
-        arrays = []
-        for name in fields:
-            values = np.asarray(getattr(message, name))
-            if len(values) != len(message.name):
-                raise MessageError(
-                    f"{name} has {len(values)} numbers for {len(message.name)} joint names; expected as many"
-                )
-            values = values[self._order]
-            if not np.isfinite(values).all():
-                bad = [joint for joint, ok in zip(self.names, np.isfinite(values), strict=True) if not ok]
-                raise MessageError(f"{name} of {', '.join(bad)} is not finite")
-            arrays.append(values)
-        return tuple(arrays)
+        columns = self._columns.setdefault(fields, JointColumns(self.names, fields))
+        try:
+            found = columns.read(message.name, [getattr(message, field) for field in fields])
+        except JointStateError as error:
+            raise MessageError(str(error)) from error
+        if not columns.is_whole:
+            missing = [self.names[i] for i in range(len(self.names)) if i not in columns.own]
+            raise MessageError(f"joints missing: {listed(missing)}; the message names {listed(message.name)}")
+        return found
 
-    def _learn_order(self, names: Sequence[str]) -> None:
-        at = {name: index for index, name in enumerate(names)}
-        if len(at) != len(names):
-            raise MessageError(f"joints are named twice in {list(names)}")
-        missing = [name for name in self.names if name not in at]
-        if missing:
-            raise MessageError(f"joints missing: {', '.join(missing)}; the message names {', '.join(names)}")
-        self._order = np.array([at[name] for name in self.names], dtype=np.intp)
-        self._seen = list(names)
+
+class JointStates:
+    """Reads states of all its joints out of JointState messages, each of which may hold a part; see the core.
+
+    Args:
+        names, fields: which joints, and what of them, in which order.
+        max_spread: the parts of one state may be this far apart, s.
+    """
+
+    def __init__(self, names: Sequence[str], fields: Sequence[str], max_spread: float) -> None:
+        self._fields = tuple(fields)
+        self._assembler = JointStateAssembler(names, fields, max_spread)
+        self.forget, self.incomplete = self._assembler.forget, self._assembler.incomplete
+
+    def take(self, message: JointState) -> JointSample | None:
+        """The state that a message completes, None where it completes none.
+
+        Raises:
+            MessageError: an own joint is named twice or not finite, or a field has another length than the names.
+        """
+        columns = [getattr(message, field) for field in self._fields]
+        try:
+            return self._assembler.take(message.name, columns, time_to_ns(message.header.stamp))
+        except JointStateError as error:
+            raise MessageError(str(error)) from error

@@ -9,12 +9,12 @@ import time
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
 
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.streams import Stamp
 from tpgmm_ros import conversions
-from tpgmm_ros.conversions import JointReader, MessageError
 from tpgmm_ros.executor import run
+from tpgmm_ros.joint_states import SPREAD, Heard, JointStateStream
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters
 from tpgmm_ros.qos import STREAM
@@ -22,6 +22,7 @@ from tpgmm_ros.qos import STREAM
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
     Declared("pose_rate", 100.0, "End point poses, at most as often as joint states, Hz", 1.0, 1000.0, fixed=True),
+    SPREAD,
 ]
 
 
@@ -31,26 +32,22 @@ class EndpointPosesNode(Node):
         parameters = Parameters(self, PARAMETERS)
         self.robot = RobotModel.from_file(parameters.file("robot_file"))
         self._data = self.robot.create_data()
-        self._reader = JointReader(self.robot.joint_names)
         self._period_ns = round(1e9 / parameters["pose_rate"])
         self._due_ns = 0
         self._poses = {
             name: self.create_publisher(PoseStamped, f"endpoint/{name}/pose", STREAM) for name in self.robot.endpoints
         }
-        self.create_subscription(JointState, "joint_states", self._take, STREAM)
-        self.monitor = Monitor(self, self._status, parameters["pose_rate"])
+        self._joint_states = JointStateStream(
+            self, "joint_states", self._take, self.robot.joint_names, ("position",), parameters[SPREAD.name]
+        )
+        self.monitor = Monitor(self, self._status, parameters["pose_rate"], self._joint_states.silence)
 
-    def _take(self, message: JointState) -> None:
-        stamp_ns = conversions.time_to_ns(message.header.stamp)
-        # by the stamps, on a grid of the period; further ahead than a period: time jumped backwards
-        if 0 < self._due_ns - stamp_ns <= self._period_ns:
-            return
+    def _take(self, heard: Heard) -> None:
         start = time.perf_counter()
-        try:
-            (q,) = self._reader.read(message, "position")
-        except MessageError as error:
-            self.get_logger().error(f"joint state refused: {error}", throttle_duration_sec=1.0)
+        # by the stamps, on a grid of the period; further ahead than a period: time jumped backwards
+        if heard.kind is Stamp.REPEATED or 0 < self._due_ns - heard.stamp_ns <= self._period_ns:
             return
+        stamp_ns, (q,) = heard.stamp_ns, heard.values
         self._due_ns = stamp_ns - stamp_ns % self._period_ns + self._period_ns
         self.monitor.tick(stamp_ns)
         self._data.update(q)
@@ -60,8 +57,6 @@ class EndpointPosesNode(Node):
         self.monitor.step.add(time.perf_counter() - start)
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
-        if not self.monitor.done:
-            return DiagnosticStatus.WARN, "no joint states yet", {}
         return DiagnosticStatus.OK, f"poses of {', '.join(self._poses)}", {}
 
 

@@ -12,6 +12,9 @@ from rclpy.node import Node
 from tpgmm_core.retrieval.execution import Outcome
 from tpgmm_msgs.action import Reproduce
 
+#: A result is kept for so long for clients whose link was down, s.
+RESULT_TIMEOUT = 600
+
 
 class Goals:
     """Serves the action; ``accept`` gets each goal that comes and gives it back to ``begin`` or ``finish``."""
@@ -27,6 +30,7 @@ class Goals:
             handle_accepted_callback=accept,
             goal_callback=lambda _: GoalResponse.ACCEPT,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
+            result_timeout=RESULT_TIMEOUT,
         )
 
     @property

@@ -22,21 +22,23 @@ from tpgmm_core.control.controller import TorqueCommand
 from tpgmm_core.control.laws import CONFIGS, LAWS, LawSettings, LawTarget, ReferenceLaw
 from tpgmm_core.control.planning import at_once
 from tpgmm_core.control.supervised_controller import Answer, SupervisedController
-from tpgmm_core.control.supervision import ControllerMode, Timeouts
+from tpgmm_core.control.supervision import ControllerMode, Timeouts, slow_states
 from tpgmm_core.control.torque_pipeline import TorqueLimits
+from tpgmm_core.joint_states import JointSample
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
 from tpgmm_ros.background import Background
-from tpgmm_ros.conversions import JointReader, MessageError
+from tpgmm_ros.conversions import JointStates, MessageError
 from tpgmm_ros.executor import run
+from tpgmm_ros.joint_states import SPREAD, waiting
 from tpgmm_ros.lifecycle import ManagedNode
 from tpgmm_ros.lockstep import Barrier, is_no_reference
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters, declared_of, fill
-from tpgmm_ros.qos import LATCHED, STREAM
-from tpgmm_ros.timing import loop_clock
+from tpgmm_ros.qos import LATCHED, STATES, STREAM
+from tpgmm_ros.timing import clock_trouble, loop_clock
 from tpgmm_ros.torque_outputs import OUTPUTS, TorqueOutputs
 
 PARAMETERS = [
@@ -46,6 +48,7 @@ PARAMETERS = [
     Declared(
         "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
     ),
+    SPREAD,
     Declared("autostart", False, "Configure and activate at start, without a lifecycle manager", fixed=True),
     Declared(
         "lockstep", False, "Answer each joint state only when the reference of the same stamp is there", fixed=True
@@ -60,8 +63,6 @@ PARAMETERS = [
 STATE_PERIOD_NS = 100_000_000
 #: How often silence is looked for, and the safe torque sent meanwhile, s.
 WATCH_PERIOD = 0.005
-#: Fewer joint states than this within `joint_state_timeout`, and one that is late is taken for silence.
-STATES_WITHIN_TIMEOUT = 3
 #: Step of the last torques, which lead to the safe one, s; and how long that may take.
 RELEASE_STEP, RELEASE_TIME = 0.001, 0.2
 
@@ -73,7 +74,7 @@ class ImpedanceControllerNode(ManagedNode):
         self.parameters = Parameters(self, PARAMETERS, check=self._check_parameters, changed=self._reconfigure)
         self.law: ReferenceLaw | None = None
         self._background = Background(self)
-        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"])
+        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"], self._slow)
         self._active = False
         self._mode, self._reason = ControllerMode.WAITING, "not active"
         self._actions: Counter[str] = Counter()
@@ -115,35 +116,30 @@ class ImpedanceControllerNode(ManagedNode):
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
         limits, timeouts = self.parameters.fill(TorqueLimits), self.parameters.fill(Timeouts)
-        self._warn_of_slow_states(limits, timeouts)
+        for text in slow_states(
+            1.0 / self.parameters["joint_state_rate"], "joint_state_rate", timeouts, limits.max_time_step
+        ):
+            self.get_logger().warning(text)
         self.controller: SupervisedController[LawTarget] = SupervisedController(self.robot, self.law, limits, timeouts)
         self._names = list(self.robot.joint_names)
-        self._reader = JointReader(self._names)
+        self._joint_states = JointStates(self._names, ("position", "velocity"), self.parameters[SPREAD.name])
         self._loop_clock = loop_clock(self)
         self._simulated = bool(self.get_parameter("use_sim_time").value)
         self._states = self.create_lifecycle_publisher(ControllerState, "controller_state", LATCHED)
         self.create_subscription(ReferenceMessage, "reference", self._take_reference, STREAM)
-        self.create_subscription(JointState, "joint_states", self._take_state, STREAM)
+        self._state_messages = self.create_subscription(JointState, "joint_states", self._take_states, STATES)
         # The steady clock, also under simulated time: it calls even where that stands still. Ages are the loop clock's.
         self.create_timer(WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return TransitionCallbackReturn.SUCCESS
 
-    def _warn_of_slow_states(self, limits: TorqueLimits, timeouts: Timeouts) -> None:
-        """The defaults are those of a robot with some hundred joint states per second."""
-        period = 1.0 / self.parameters["joint_state_rate"]
-        for name, value, least in (
-            ("joint_state_timeout", timeouts.joint_state_timeout, STATES_WITHIN_TIMEOUT * period),
-            ("max_time_step", limits.max_time_step, period),
-        ):
-            if value < least:
-                self.get_logger().warning(
-                    f"{name} is {value:g} s, but joint states come every {period:g} s (joint_state_rate): "
-                    f"set it to {least:g} s or more"
-                )
+    def _slow(self) -> list[str]:
+        """The defaults are those of a robot with some hundred joint states per second: what others have to set."""
+        return self.controller.slow if self._active else []
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         result = super().on_activate(state)
         self.controller.start()
+        self._joint_states.forget()
         self._barrier = Barrier(("reference",), self._answer) if self.parameters["lockstep"] else None
         self._state_due_ns = 0
         self._actions.clear()
@@ -203,13 +199,29 @@ class ImpedanceControllerNode(ManagedNode):
             self.controller.refuse_reference(str(error))
             self.get_logger().error(f"reference refused: {error}", throttle_duration_sec=1.0)
 
-    def _take_state(self, message: JointState) -> None:
-        if not self._active:
+    def _take_states(self, message: JointState) -> None:
+        """All that wait, since a state may come in parts; the newest state is answered, others would be too late."""
+        samples = [self._sample(item) for item in (message, *waiting(self._state_messages)) if self._active]
+        newest = next((sample for sample in reversed(samples) if sample is not None), None)
+        if newest is None:
             return
         if self._barrier is None:
-            self._answer(message)
+            self._answer(newest)
         else:
-            self._barrier.take(message, conversions.time_to_ns(message.header.stamp))
+            self._barrier.take(newest, newest.stamp_ns)
+
+    def _sample(self, message: JointState) -> JointSample | None:
+        """The state that a message completes, if it completes one."""
+        try:
+            sample = self._joint_states.take(message)
+        except MessageError as error:
+            stamp_ns = conversions.time_to_ns(message.header.stamp)
+            now_ns, _ = self._times(stamp_ns)
+            self._report(self.controller.refuse_state(str(error), stamp_ns, now_ns), now_ns)
+            return None
+        if sample is None:  # joints of others, or a part of the state
+            self.controller.miss_state(self._joint_states.incomplete)
+        return sample
 
     def _times(self, stamp_ns: int) -> tuple[int, int]:
         """The clock that watches, and that of the stamps, ns, when a message came."""
@@ -220,16 +232,12 @@ class ImpedanceControllerNode(ManagedNode):
 
     # -- one step -----------------------------------------------------------------------------------------------------
 
-    def _answer(self, message: JointState) -> None:
+    def _answer(self, sample: JointSample) -> None:
         start = time.perf_counter()
-        stamp_ns = conversions.time_to_ns(message.header.stamp)
-        self.monitor.tick(stamp_ns)
-        now_ns, clock_ns = self._times(stamp_ns)
-        try:
-            q, v = self._reader.read(message, "position", "velocity")
-            answer = self.controller.take_state(q, v, stamp_ns, now_ns, clock_ns)
-        except MessageError as error:
-            answer = self.controller.refuse_state(str(error), stamp_ns, now_ns)
+        self.monitor.tick(sample.stamp_ns)
+        now_ns, clock_ns = self._times(sample.stamp_ns)
+        q, v = sample.values
+        answer = self.controller.take_state(q, v, sample.stamp_ns, now_ns, clock_ns)
         self._report(answer, now_ns)
         if answer is not None:
             self.monitor.done += 1
@@ -237,9 +245,13 @@ class ImpedanceControllerNode(ManagedNode):
 
     def _watch(self) -> None:
         """Joint states may have stopped, which no message tells."""
-        now_ns = self._loop_clock.now().nanoseconds if self._active else 0
-        if now_ns:  # 0: a simulated clock that has not come yet
+        if not self._active:
+            return
+        now_ns = self._loop_clock.now().nanoseconds
+        if now_ns:
             self._report(self.controller.watch(now_ns), now_ns)
+        elif not self.controller.stamp_ns:  # a simulated clock that has not come yet
+            self._change(ControllerMode.WAITING, clock_trouble(self), now_ns)
 
     def _report(self, answer: Answer | None, now_ns: int) -> None:
         """Send torques, if any, and tell what is done and why."""

@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
 
 from tpgmm_core import TPGMM
 from tpgmm_core.control.hand_tasks import ActiveTasks, HandTask, HandTasks
 from tpgmm_core.reference import Reference
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.streams import Stamp
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
-from tpgmm_ros.conversions import JointReader, MessageError
 from tpgmm_ros.executor import run
+from tpgmm_ros.joint_states import SPREAD, Heard, JointStateStream
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters
 from tpgmm_ros.qos import STREAM
@@ -44,6 +44,7 @@ PARAMETERS = [
     Declared(
         "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
     ),
+    SPREAD,
 ]
 #: A longer pause between two joint states counts as this long, s.
 MAX_PAUSE = 0.02
@@ -84,12 +85,14 @@ class JointReferenceNode(Node):
         self._frames = {
             name: tuple(f"{name}/{frame}" for frame in hand.model.frame_names_) for name, hand in hands.items()
         }
-        self._reader = JointReader(self.robot.joint_names)
+        spread = self.parameters[SPREAD.name]
+        self._joint_states = JointStateStream(
+            self, "joint_states", self._answer, self.robot.joint_names, ("position",), spread
+        )
         self._last_ns: int | None = None
         self._last: ReferenceMessage | None = None
-        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"])
+        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"], self._joint_states.silence)
         self._references = self.create_publisher(ReferenceMessage, "reference", STREAM)
-        self.create_subscription(JointState, "joint_states", self._answer, STREAM)
 
     def _check(self, values: Mapping[str, Any]) -> None:
         if self.active is not None:
@@ -99,20 +102,15 @@ class JointReferenceNode(Node):
         if self.active is not None:
             self.active.choose(_names(self.parameters["active"]))
 
-    def _answer(self, message: JointState) -> None:
+    def _answer(self, heard: Heard) -> None:
         assert self.active is not None
         start = time.perf_counter()
-        stamp_ns = conversions.time_to_ns(message.header.stamp)
-        if stamp_ns == self._last_ns:  # it comes again, since an answer was lost
+        if heard.kind is Stamp.REPEATED:  # it comes again, since an answer was lost
             if self._last is not None:
                 self._references.publish(self._last)
             return
+        stamp_ns, (q,) = heard.stamp_ns, heard.values
         self.monitor.tick(stamp_ns)
-        try:
-            (q,) = self._reader.read(message, "position")
-        except MessageError as error:
-            self.get_logger().error(f"joint state refused: {error}", throttle_duration_sec=1.0)
-            return
         dt = 0.0 if self._last_ns is None else 1e-9 * (stamp_ns - self._last_ns)
         gaussian = self.active.step(q, min(max(0.0, dt), MAX_PAUSE))
         self._last_ns = stamp_ns

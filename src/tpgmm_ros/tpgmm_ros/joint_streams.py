@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """A topic of JointState out of one bag: positions of chosen joints, by name."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from tpgmm_core.joint_states import JointStateAssembler, JointStateError
+from tpgmm_core.streams import RESTARTED_AFTER, SECOND, Stamp, StreamWatch
 from tpgmm_ros.bag_messages import Array, BagError, Nanoseconds, read_messages
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -34,38 +37,34 @@ class JointStream:
 
 
 def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> JointStream:
-    """Read positions of joints (n), in this order; a message may hold more joints, in any order.
+    """Read positions of joints (n), in this order, from messages as the robot's drivers have published them.
+
+    They become states as they do while a robot runs (`tpgmm_core.joint_states`): a message may hold more joints, fewer,
+    or others, in any order. A state has the times of its last message where these are the recorder's.
 
     Raises:
-        BagError: the bag is damaged or incomplete, the topic is absent, empty or of another type, or a message
-            lacks a joint, names one twice, or has a position that is not finite.
+        BagError: the bag is damaged or incomplete, the topic is absent, empty or of another type, some joint never
+            came, or a message names a joint twice, or has a position of one that is not finite.
     """
     several = read_messages(path, [topic], JOINT_STATE)[topic]
-    positions = np.empty((len(several.messages), len(joints)))
-    order: dict[tuple[str, ...], list[int]] = {}
-    for i, message in enumerate(several.messages):
-        names = tuple(message.name)
-        if names not in order:
-            order[names] = _places(path, several.topic, names, joints)
-        if len(message.position) != len(names):
-            raise BagError(
-                path,
-                f"{several.topic} has {len(message.position)} positions for {len(names)} joint names in message {i}; "
-                "expected as many: record it again",
-            )
-        positions[i] = np.asarray(message.position)[order[names]]
-    finite = np.isfinite(positions).all(axis=1)
-    if not finite.all():
-        bad = f"{np.count_nonzero(~finite)} of {len(finite)} messages"
-        raise BagError(path, f"{several.topic} has positions that are not finite in {bad}: record it again")
-    headers = [message.header.stamp for message in several.messages]
-    stamps = np.array([stamp.sec * 1_000_000_000 + stamp.nanosec for stamp in headers], np.int64)
-    return JointStream(several.topic, stamps, several.recorded, positions)
-
-
-def _places(path: Path, topic: str, names: tuple[str, ...], joints: Sequence[str]) -> list[int]:
-    missing = [joint for joint in joints if joint not in names]
-    if missing or len(set(names)) < len(names):
-        what = f"lacks the joints {', '.join(missing)}" if missing else "names joints twice"
-        raise BagError(path, f"{topic} {what}; it names {', '.join(names)}. Record them, or correct the task file")
-    return [names.index(joint) for joint in joints]
+    assembler, watch = JointStateAssembler(joints, ["position"]), StreamWatch()
+    states: list[tuple[int, int, Array]] = []
+    for i, (recorded, message) in enumerate(zip(several.recorded.tolist(), several.messages, strict=True)):
+        stamp_ns = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
+        try:
+            sample = assembler.take(list(message.name), [message.position], stamp_ns)
+        except JointStateError as error:
+            raise BagError(path, f"{several.topic}: {error}, in message {i}; record it again") from error
+        # overtaken ones are left out; what runs backwards for good, or never changes, is for others to judge
+        if sample is None or watch.judge(sample.stamp_ns, recorded, 0, RESTARTED_AFTER, math.inf) is Stamp.OLD:
+            continue
+        watch.accept(sample.stamp_ns, recorded)
+        states.append((sample.stamp_ns, recorded, sample.values[0]))
+    if not states:
+        raise BagError(
+            path,
+            f"{several.topic} never has all joints of the task: {assembler.incomplete()}. "
+            "Record all their drivers, or correct the task file",
+        )
+    stamps, at, positions = zip(*states, strict=True)
+    return JointStream(several.topic, np.array(stamps, np.int64), np.array(at, np.int64), np.array(positions))

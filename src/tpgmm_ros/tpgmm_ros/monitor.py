@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well a node keeps up: ticks asked and done, time per step, age of what it used; published once a second.
 
-Once a second too: whether other nodes fit to its topics (`peers`), in the diagnostics and, when it is news, in the log.
+Once a second too: whether other nodes fit to its topics (`peers`), whether its clock goes, and what else it complains
+of, in the diagnostics and, when it is news, in the log.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from tpgmm_core.streams import RateMeter
 from tpgmm_ros.peers import complaints
 from tpgmm_ros.qos import EVENTS
+from tpgmm_ros.timing import clock_trouble
 
 #: A longer silence is a pause, not lost ticks.
 _PAUSE_NS = 1_000_000_000
@@ -46,20 +49,26 @@ class Monitor:
         node: the node.
         status: called once a second, returns (level, message, further key-value pairs).
         rate: at which the ticks should come that ``tick`` is told of, Hz.
+        further: called once a second, returns what there is to complain of, which is said in the log when it is news.
     """
 
     def __init__(
-        self, node: Node, status: Callable[[], tuple[bytes, str, dict[str, str]]], rate: float = 1000.0
+        self,
+        node: Node,
+        status: Callable[[], tuple[bytes, str, dict[str, str]]],
+        rate: float = 1000.0,
+        further: Callable[[], list[str]] = list,
     ) -> None:
         self.asked = 0
         self.done = 0
         self.step = Samples()
         self.age = Samples()
         self._node = node
-        self._status = status
+        self._status, self._further = status, further
         self._last_tick_ns = 0
         self._ticks = 0.0
         self._rate = rate
+        self._meter = RateMeter()
         self._complaints: list[str] = []
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", EVENTS)
         # A timer on ROS time would stall with a paused simulation, just when one wants to know.
@@ -67,6 +76,7 @@ class Monitor:
 
     def tick(self, stamp_ns: int) -> None:
         """A tick that another node gives, by the stamp of its message: ticks that never came count as asked too."""
+        self._meter.add(stamp_ns)
         gap = stamp_ns - self._last_tick_ns
         self._last_tick_ns = stamp_ns
         # Summed up, so that ticks that are late and catch up count once.
@@ -75,13 +85,16 @@ class Monitor:
 
     def publish(self) -> None:
         level, message, extra = self._status()
-        complained, self._complaints = self._complaints, complaints(self._node)
+        complained, self._complaints = self._complaints, [*self._further(), *complaints(self._node)]
+        if trouble := clock_trouble(self._node):
+            self._complaints.insert(0, trouble)
         for text in self._complaints:
             if text not in complained:
                 self._node.get_logger().warning(text)
         if self._complaints:
             level, message = max(level, DiagnosticStatus.WARN), "; ".join([message, *self._complaints])
         step_p50, step_p99, step_max = self.step.percentile_ms(50, 99, 100)
+        period = self._meter.measured()
         age_p50, age_p99 = self.age.percentile_ms(50, 99)
         values = {
             "ticks_asked": str(self.asked),
@@ -91,6 +104,7 @@ class Monitor:
             "step_max_ms": f"{step_max:.4f}",
             "age_p50_ms": f"{age_p50:.4f}",
             "age_p99_ms": f"{age_p99:.4f}",
+            **({} if period is None else {"tick_rate_hz": f"{1.0 / period:.1f}"}),
             **extra,
         }
         array = DiagnosticArray()

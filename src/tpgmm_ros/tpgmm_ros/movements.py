@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -22,10 +23,12 @@ from tpgmm_core.retrieval.execution import Execution, ExecutionConfig, Outcome, 
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_msgs.srv import LoadModel
 from tpgmm_ros.background import Background, create_patient_service
+from tpgmm_ros.controller_words import ControllerWords
 from tpgmm_ros.goals import Goals, finish
 from tpgmm_ros.parameters import Parameters
 from tpgmm_ros.task import Task
 from tpgmm_ros.task_model import load_model, make_retrieval
+from tpgmm_ros.timing import clock_trouble
 
 RETRIEVAL_SETTINGS = ("retrieval", "phase", "speed", "horizon_steps", "horizon_time_step", "blend_time")
 """The parameters that a retrieval is made with."""
@@ -44,6 +47,8 @@ class Movements:
         task: what models have to fit.
         model: the one in use, as long as no other is loaded; None without.
         parameters: of the node; RETRIEVAL_SETTINGS and those of ExecutionConfig.
+        why_silent: called where no ticks come: why, in words.
+        controller: what is said of the robot where it did not get to the end.
 
     Attributes:
         execution: of the movement that goes on or was the last one; None before, and while the node is not active.
@@ -51,16 +56,25 @@ class Movements:
         state: (D,), where the robot is, as far as that is known: its pose, or its configuration.
     """
 
-    def __init__(self, node: Node, task: Task, model: TPGMM | None, parameters: Parameters) -> None:
+    def __init__(
+        self,
+        node: Node,
+        task: Task,
+        model: TPGMM | None,
+        parameters: Parameters,
+        why_silent: Callable[[], str],
+        controller: ControllerWords,
+    ) -> None:
         self.execution: Execution | None = None
         self.frames: dict[str, Frame] = {}
         self.state: Array | None = None
         self._node, self._task, self._model, self._parameters = node, task, model, parameters
+        self._why_silent, self._controller = why_silent, controller
         self._known: Mapping[str, tuple[Frame, float]] = {}
         self._weights: dict[str, float] = {}
         self._duration = 0.0
         self._activation: object | None = None  # of the node, which a goal belongs to; None while it is not active
-        self._last_ns = 0
+        self._last_ns: int | None = None  # of the movement that goes on
         # Ticks that stop are noticed by a clock that does not.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._stepped_ns = 0
@@ -71,7 +85,6 @@ class Movements:
     def activate(self) -> None:
         """Take goals from now on."""
         self._activation = object()
-        self._last_ns = 0  # what the clock said before is no time to jump back from
 
     def deactivate(self) -> None:
         """Take no goals from now on, and end the movement that goes on."""
@@ -100,8 +113,12 @@ class Movements:
         if self.execution is None:
             return None
         self._stepped_ns = self._steady.now().nanoseconds
-        if stamp_ns < self._last_ns:
-            self._end("time jumped backwards")
+        if self._last_ns is not None:
+            jump = 1e-9 * (stamp_ns - self._last_ns)
+            if jump < 0.0:
+                self._end(f"time jumped backwards, by {-jump:.3f} s")
+            elif jump > self._parameters["start_timeout"]:  # such a silence would have ended it too
+                self._end(f"time jumped forwards, by {jump:.3f} s")
         self._last_ns = stamp_ns
         if self.goals.is_cancel_requested:
             self._end("canceled")
@@ -121,7 +138,7 @@ class Movements:
         if self.goals.is_cancel_requested:
             self._end("canceled")
         if self.goals.is_going_on and silence > self._parameters["start_timeout"]:
-            self._end(f"no joint states for {silence:.1f} s: is the robot running, and is the topic the right one?")
+            self._end(f"no joint states for {silence:.1f} s: {self._why_silent()}")
 
     def _prepare(self, path: str, duration: float, then: Callable[[Future[Prepared]], None]) -> None:
         """Read the model in a file (the one in use where there is none) and make it ready."""
@@ -195,18 +212,27 @@ class Movements:
         self.goals.begin(goal)
         self.execution = Execution(retrieval, self._parameters.fill(ExecutionConfig))
         self._duration = goal.request.duration
+        self._last_ns = None  # what the clock said before is no time to jump from
+        self._controller.begin()
         self._stepped_ns = self._steady.now().nanoseconds
         self.take_frames(self._known)
 
     def _end(self, reason: str) -> None:
         """Stop the movement that goes on, if one does."""
         if self.execution is not None:
-            self.execution.stop(self._last_ns, reason)
+            self.execution.stop(self._last_ns or 0, reason)
             self._report_end()
 
     def _report_end(self) -> None:
-        if self.execution is not None and self.execution.outcome is not None:
-            self.goals.end(self.execution.outcome)
+        if self.execution is None or self.execution.outcome is None or not self.goals.is_going_on:
+            return
+        outcome = self.execution.outcome
+        trouble = clock_trouble(self._node)
+        if not outcome.success and trouble not in outcome.reason:
+            outcome = replace(outcome, reason=f"{outcome.reason}; {trouble}")
+        if outcome.is_missed:
+            outcome = replace(outcome, reason=f"{outcome.reason}; {self._controller.say()}")
+        self.goals.end(outcome)
 
 
 def those_of(

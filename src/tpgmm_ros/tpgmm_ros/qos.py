@@ -6,6 +6,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 #: Streams (references, joint states, torques, poses): only the newest counts, and a late one is worth nothing.
 STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
+#: Joint states: a state may come in several messages at once, with those of others between. Whoever subscribes takes
+#: all that wait and answers the newest state, so that a queue costs no time.
+STATES = QoSProfile(depth=16, reliability=ReliabilityPolicy.BEST_EFFORT)
+
 #: Streams to programs of others, which may insist on reliable ones, as ros2_control's controllers do.
 COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 

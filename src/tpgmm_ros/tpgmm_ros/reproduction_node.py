@@ -16,19 +16,20 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from tpgmm_core.reference import Reference
 from tpgmm_core.retrieval.execution import ExecutionConfig
 from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.ways import WAYS, way_named
+from tpgmm_core.streams import Stamp
 from tpgmm_core.tracking import check_pose
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros import conversions
-from tpgmm_ros.conversions import JointReader
+from tpgmm_ros.controller_words import ControllerWords
 from tpgmm_ros.executor import run
+from tpgmm_ros.joint_states import MAX_FUTURE, SPREAD, Heard, JointStateStream
 from tpgmm_ros.lifecycle import ManagedNode
 from tpgmm_ros.lockstep import Barrier, no_reference
 from tpgmm_ros.markers import markers
@@ -46,6 +47,8 @@ PARAMETERS = [
     Declared(
         "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
     ),
+    SPREAD,
+    MAX_FUTURE,
     Declared("autostart", False, "Configure and activate at start, without a lifecycle manager", fixed=True),
     Declared(
         "lockstep_rate",
@@ -120,12 +123,19 @@ class ReproductionNode(ManagedNode):
                 lambda: self._step(self.get_clock().now().nanoseconds),
                 clock=loop_clock(self),
             )
-        if self.task.kinematic is not None:
-            self._reader = JointReader(self._dimensions)
-            self.create_subscription(JointState, self.task.kinematic.joint_states, self._take_joint_state, STREAM)
-        elif not self.parameters["rate"] > 0.0:
-            self.create_subscription(JointState, "joint_states", self._take_joint_state, STREAM)
-        self.movements = Movements(self, self.task, model, self.parameters)
+        kinematic = self.task.kinematic
+        self._joint_states = JointStateStream(
+            self,
+            "joint_states" if kinematic is None else kinematic.joint_states,
+            self._take_joint_state,
+            None if kinematic is None else self._dimensions,
+            () if kinematic is None else ("position",),
+            self.parameters[SPREAD.name],
+            lambda: self.parameters[MAX_FUTURE.name],
+        )
+        self.movements = Movements(
+            self, self.task, model, self.parameters, self._joint_states.why_silent, ControllerWords(self)
+        )
         self._received = []
         self.create_timer(WATCH_PERIOD, self.movements.watch, clock=self._steady)
         return TransitionCallbackReturn.SUCCESS
@@ -168,22 +178,17 @@ class ReproductionNode(ManagedNode):
         if self.movements is not None:
             self.movements.take_frames(known)
 
-    def _take_joint_state(self, message: JointState) -> None:
-        stamp_ns = conversions.time_to_ns(message.header.stamp)
-        if self.task.kinematic is not None:
-            try:
-                (configuration,) = self._reader.read(message, "position")
-            except conversions.MessageError as error:
-                self.get_logger().error(f"joint state refused: {error}", throttle_duration_sec=1.0)
-                return
-            if self.movements is not None:
-                self.movements.state = configuration
-            if self.parameters["rate"] > 0.0:
-                return
-        if self._barrier is None:
-            self._step(stamp_ns)
-        else:
-            self._barrier.take(stamp_ns, stamp_ns)
+    def _take_joint_state(self, heard: Heard) -> None:
+        if self.task.kinematic is not None and self.movements is not None:
+            self.movements.state = heard.values[0]
+        if self.parameters["rate"] > 0.0:  # a timer gives the beat
+            return
+        if self._barrier is not None:
+            self._barrier.take(heard.stamp_ns, heard.stamp_ns)
+        elif heard.kind is not Stamp.REPEATED:
+            self._step(heard.stamp_ns)
+        elif self._sent is not None and conversions.time_to_ns(self._sent.header.stamp) == heard.stamp_ns:
+            self._send(self._sent)  # it comes again, since an answer was lost
 
     def _take_pose(self, message: PoseStamped) -> None:
         pose, reason = check_pose(conversions.pose_to_array(message.pose))

@@ -9,6 +9,7 @@ the clock of the stamps.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +17,11 @@ from numpy.typing import NDArray
 
 from tpgmm_core.control.control_law import ControlLaw
 from tpgmm_core.control.controller import Controller, TorqueCommand
-from tpgmm_core.control.supervision import SECOND, ControllerMode, Inputs, Stamp, StreamWatch, Timeouts, decide
+from tpgmm_core.control.supervision import ControllerMode, Inputs, Timeouts, decide, slow_states
 from tpgmm_core.control.torque_pipeline import TorqueLimits
 from tpgmm_core.reference import Reference
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.streams import SECOND, RateMeter, Stamp, StreamWatch, standing_still
 
 Array = NDArray[np.float64]
 
@@ -43,6 +45,7 @@ class SupervisedController[TargetT]:
         timeouts: Timeouts | None = None,
     ) -> None:
         self.law, self.timeouts = law, timeouts or Timeouts()
+        self._max_time_step = (limits or TorqueLimits()).max_time_step
         self.controller = Controller(robot, law, limits)
         self.start()
 
@@ -50,6 +53,8 @@ class SupervisedController[TargetT]:
         """Forget everything: torques begin with the first joint state, as gravity compensation with damping."""
         self.controller.reset()
         self._states, self._references = StreamWatch(), StreamWatch()
+        self._rate = RateMeter()
+        self._trouble: Callable[[], str] = str
         self._reference: Reference | None = None
         self._moving: TargetT | None = None
         self._held: TargetT | None = None
@@ -63,7 +68,7 @@ class SupervisedController[TargetT]:
     def configure(self, limits: TorqueLimits, timeouts: Timeouts) -> None:
         """Take other limits and time-outs, and let the law judge the reference with its new parameters."""
         self.controller.pipeline.configure(limits)
-        self.timeouts = timeouts
+        self.timeouts, self._max_time_step = timeouts, limits.max_time_step
         if self._reference is not None:
             self._moving, self._held = self.law.target(self._reference, True), None
 
@@ -71,6 +76,12 @@ class SupervisedController[TargetT]:
     def stamp_ns(self) -> int:
         """Stamp of the last good joint state; 0 before the first."""
         return self._states.stamp_ns or 0
+
+    @property
+    def slow(self) -> list[str]:
+        """What has to be set for joint states as slow as they are measured to come, in words."""
+        period = self._rate.period()
+        return [] if period is None else slow_states(period, "measured", self.timeouts, self._max_time_step)
 
     # -- inputs --------------------------------------------------------------------------------------------------
 
@@ -112,6 +123,7 @@ class SupervisedController[TargetT]:
         age = self._states.age(now_ns)
         stale = age is not None and age > timeouts.joint_state_timeout
         if kind is Stamp.REPEATED:
+            self._trouble = lambda: standing_still(stamp_ns)
             return None if stale else self._answer  # once it is stale, `watch` speaks
         if kind is Stamp.RESTARTED:
             self._references.forget()
@@ -120,7 +132,8 @@ class SupervisedController[TargetT]:
             self.controller.restart()
         dt = self._since_last(stamp_ns if self._answered_state else None, now_ns)
         self._states.accept(stamp_ns, now_ns)
-        self._state_fault = ""
+        self._rate.add(stamp_ns)
+        self._state_fault, self._trouble = "", str
         self.decision = decide(self._inputs(now_ns), timeouts)
         command = self.controller.step(q, v, self._target(), dt)
         if command is None or command.reason:
@@ -134,6 +147,10 @@ class SupervisedController[TargetT]:
         self._state_fault = reason
         return self._rest(stamp_ns, now_ns)
 
+    def miss_state(self, trouble: Callable[[], str]) -> None:
+        """A message came that is no joint state by itself; `trouble` says what is missing, should none come."""
+        self._trouble = trouble
+
     def watch(self, now_ns: int) -> Answer | None:
         """What is to be sent though no joint state came: the safe torque for some time, then nothing."""
         timeout = self.timeouts.joint_state_timeout
@@ -141,6 +158,8 @@ class SupervisedController[TargetT]:
         self._paused = not self._paused and now_ns - self._watched_ns > timeout * SECOND
         self._watched_ns = now_ns
         age = self._states.age(now_ns)
+        if age is None:
+            self.decision = decide(self._inputs(now_ns), self.timeouts)  # what is missing may be another joint by now
         if self._paused or age is None or age <= timeout:
             return None
         return self._rest(self.stamp_ns, now_ns)
@@ -173,7 +192,10 @@ class SupervisedController[TargetT]:
         if reference_age is not None and stamp is not None and state_stamp is not None:
             # what was long on its way is as old as what came long ago
             reference_age = max(reference_age, 1e-9 * (state_stamp - stamp))
-        return Inputs(self._states.age(now_ns), self._state_fault, reference_age, self._reference_fault)
+        state_age, trouble = self._states.age(now_ns), ""
+        if state_age is None or state_age > self.timeouts.joint_state_timeout:
+            trouble = self._trouble() or "; ".join(self.slow)
+        return Inputs(state_age, self._state_fault, reference_age, self._reference_fault, trouble)
 
     def _target(self) -> TargetT | None:
         if self.decision.mode is ControllerMode.ACTIVE:

@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 import enum
-import math
 from dataclasses import dataclass
 
 from tpgmm_core.settings import check_settings, setting
 
-SECOND = 1_000_000_000
-#: A clock that is behind a message by no more than this has been overtaken by it; by more, it has jumped back, s.
-OVERTAKEN = 0.05
+#: Fewer joint states than this within `joint_state_timeout`, and one that is late is taken for silence.
+STATES_WITHIN_TIMEOUT = 3
+#: Nor is a measured rate to be taken too literally.
+RATE_TOLERANCE = 0.05
 
 
 class ControllerMode(enum.IntEnum):
@@ -47,12 +47,14 @@ class Inputs:
     state_fault : why the newest joint state was refused; empty when it was good
     reference_age : s since the last good reference, by arrival or by stamp, whichever is more; None: never one
     reference_fault : why the newest reference was refused; empty when it was good
+    state_trouble : what came instead of a joint state: joints that are missing, stamps that stand still
     """
 
     state_age: float | None
     state_fault: str
     reference_age: float | None
     reference_fault: str
+    state_trouble: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,16 +69,17 @@ class Decision:
 def decide(inputs: Inputs, timeouts: Timeouts) -> Decision:
     """What is to be done about inputs of these ages. The joint states come first: without them nothing is known."""
     patience = timeouts.joint_state_timeout + timeouts.silence_after
+    trouble = f" ({inputs.state_trouble})" if inputs.state_trouble else ""
     if inputs.state_fault:
         in_time = inputs.state_age is not None and inputs.state_age <= patience
         return Decision(ControllerMode.FAULT, f"joint state refused: {inputs.state_fault}", in_time)
     if inputs.state_age is None:
-        return Decision(ControllerMode.WAITING, "no joint state yet", False)
+        return Decision(ControllerMode.WAITING, "no joint state yet" + trouble, False)
     if inputs.state_age > patience:
-        return Decision(ControllerMode.WAITING, f"no new joint state for {patience:g} s: silent", False)
+        return Decision(ControllerMode.WAITING, f"no new joint state for {patience:g} s: silent{trouble}", False)
     if inputs.state_age > timeouts.joint_state_timeout:
         words = f"no new joint state for {timeouts.joint_state_timeout:g} s: gravity compensation where it was last"
-        return Decision(ControllerMode.DAMPING, words, True)
+        return Decision(ControllerMode.DAMPING, words + trouble, True)
     refused = f" (the newest was refused: {inputs.reference_fault})" if inputs.reference_fault else ""
     age = inputs.reference_age
     if age is None:
@@ -90,52 +93,20 @@ def decide(inputs: Inputs, timeouts: Timeouts) -> Decision:
     return Decision(ControllerMode.DAMPING, f"no reference for {held_until:g} s: gravity compensation" + refused, True)
 
 
-class Stamp(enum.Enum):
-    """What a message's stamp says about it."""
+def slow_states(period: float, source: str, timeouts: Timeouts, max_time_step: float) -> list[str]:
+    """What has to be set for joint states that come every `period` s, in words; nothing where all is well.
 
-    NEW = enum.auto()
-    REPEATED = enum.auto()  # the stamp of the last message: nothing new, however often it comes
-    OLD = enum.auto()  # overtaken by a newer one on its way
-    FUTURE = enum.auto()
-    RESTARTED = enum.auto()  # older, after all that was newer has become stale: time has jumped backwards
+    source : where the period is known from, in a word
 
-
-class StreamWatch:
-    """Tells the messages of one stream that are new from those that are not, and how old the last one is.
-
-    Times in ns: stamps, `now_ns` of the clock that watches (steady), `clock_ns` of the clock of the stamps.
+    Only told, not done: how long a robot may go on without being seen is for those to say who know the robot.
     """
-
-    def __init__(self) -> None:
-        self.forget()
-
-    def forget(self) -> None:
-        """No message yet."""
-        self.stamp_ns: int | None = None
-        self._received_ns = 0
-
-    def age(self, now_ns: int) -> float | None:
-        """Seconds since the last message came; None without one, infinite where the clock itself jumped backwards."""
-        if self.stamp_ns is None:
-            return None
-        age = 1e-9 * (now_ns - self._received_ns)
-        return max(0.0, age) if age >= -OVERTAKEN else math.inf
-
-    def judge(self, stamp_ns: int, now_ns: int, clock_ns: int, timeout: float, max_future: float) -> Stamp:
-        """What a message with this stamp is; it counts as the last one only if it is then accepted.
-
-        timeout : after which the last message is stale, s. Only then an older stamp is a clock that jumped.
-        clock_ns : 0 while that clock is not known, in which case no stamp is called future.
-        """
-        if clock_ns > 0 and stamp_ns - clock_ns > max_future * SECOND:
-            return Stamp.FUTURE
-        age = self.age(now_ns)
-        if self.stamp_ns is None or age is None or stamp_ns > self.stamp_ns:
-            return Stamp.NEW
-        if stamp_ns == self.stamp_ns:
-            return Stamp.REPEATED
-        return Stamp.RESTARTED if age > timeout else Stamp.OLD
-
-    def accept(self, stamp_ns: int, now_ns: int) -> None:
-        """A message that counts as the last one."""
-        self.stamp_ns, self._received_ns = stamp_ns, now_ns
+    least = {
+        "joint_state_timeout": (timeouts.joint_state_timeout, STATES_WITHIN_TIMEOUT * period),
+        "max_time_step": (max_time_step, period),
+    }
+    come = f"joint states come every {period:.3g} s ({source})"
+    return [
+        f"{name} is {value:g} s, but {come}: set it to {needed:.3g} s or more"
+        for name, (value, needed) in least.items()
+        if value < needed * (1.0 - RATE_TOLERANCE)
+    ]

@@ -17,6 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tpgmm_core.frame import Frame
+from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
 from tpgmm_core.retrieval.continuity import Continued
@@ -26,6 +28,8 @@ from tpgmm_core.settings import check_settings, setting
 _SECOND = 1_000_000_000
 _PROGRESS = 0.01
 """Share of what a movement at its speed would advance by in a time: with less than that it stands still."""
+_HARDLY = 0.1
+"""Share of a way that is next to nothing of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,12 +62,14 @@ class Stage(enum.Enum):
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """How it ended. Errors of the robot's pose against the end of the reference, m and rad; NaN if unknown, as they are
-    of movements of joints."""
+    of movements of joints. `is_missed`: the robot did not get where the references went; whoever knows more of it may
+    say why."""
 
     success: bool
     reason: str
     position_error: float = math.nan
     orientation_error: float = math.nan
+    is_missed: bool = False
 
 
 class Execution:
@@ -83,6 +89,8 @@ class Execution:
         self._asked_ns: int | None = None
         self._reference_ns = 0
         self._settling_ns = 0
+        self._first_pose: Array | None = None  # of the robot, since the movement began
+        self._settling_pose: Array | None = None
         self._progress_phase = 0.0
         self._stalled_ns = 0
         self._stopped_ns: int | None = None
@@ -111,9 +119,11 @@ class Execution:
         at = time_ns if self._stopped_ns is None else self._stopped_ns
         self.reference = self.retrieval.step(at, frames, pose, weights)
         since, self._reference_ns = at - self._reference_ns, at
+        if self._first_pose is None:
+            self._first_pose = pose
         if self.stage is Stage.MOVING and self.reference.phase >= 1.0:
             self.stage = Stage.SETTLING
-            self._settling_ns = time_ns
+            self._settling_ns, self._settling_pose = time_ns, pose
         elif self.stage is Stage.SETTLING and self.reference.phase < 1.0:
             self.stage = Stage.MOVING  # it was told to go back
         if self.stage is Stage.SETTLING:
@@ -172,10 +182,12 @@ class Execution:
             return
         self._stalled_ns += max(0, since_ns)
         if self._stalled_ns > timeout * _SECOND:
-            self.stop(
-                time_ns,
+            self._stopped_ns = time_ns
+            self._end(
+                False,
                 f"the movement has stood still for {timeout:g} s at phase {phase:.2f}: "
                 "is the robot held, or are the references out of its reach?",
+                is_missed=True,
             )
 
     def _judge(self, time_ns: int, reference: Reference, pose: Array | None) -> None:
@@ -185,16 +197,48 @@ class Execution:
         if pose is None:
             self._end(False, "the robot's pose is not known: nothing came on the movement's topic")
             return
-        error = reference.gaussian.manifold.log(reference.gaussian.mean, pose)
-        if reference.gaussian.manifold.is_euclidean:
-            farthest = float(np.abs(error).max())
-            self._end(farthest <= config.joint_tolerance, f"joints are {farthest:.3f} from the end of the movement")
-            return
-        position, orientation = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
-        words = f"{1e3 * position:.1f} mm and {math.degrees(orientation):.1f} deg from the end of the movement"
-        near = position <= config.position_tolerance and orientation <= config.orientation_tolerance
-        self._end(near, words, position, orientation)
+        gaussian = reference.gaussian
+        near = self._off(gaussian.manifold, gaussian.mean, pose) <= 1.0
+        error = gaussian.manifold.log(gaussian.mean, pose)
+        if gaussian.manifold.is_euclidean:
+            position = orientation = math.nan
+            words = f"joints are {np.abs(error).max():.3f} rad or m"
+        else:
+            position, orientation = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+            words = f"{1e3 * position:.1f} mm and {math.degrees(orientation):.1f} deg"
+        words += " from the model's end of the movement"
+        if not near:
+            words += f"; {self._cause(gaussian, pose)}"
+        self._end(near, words, position, orientation, is_missed=not near)
 
-    def _end(self, success: bool, reason: str, position: float = math.nan, orientation: float = math.nan) -> None:
+    def _off(self, manifold: Manifold, end: Array, pose: Array) -> float:
+        """How far a pose or a configuration is from another, in tolerances."""
+        config, error = self.config, manifold.log(end, pose)
+        if manifold.is_euclidean:
+            return float(np.abs(error).max()) / config.joint_tolerance
+        position, orientation = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+        return max(position / config.position_tolerance, orientation / config.orientation_tolerance)
+
+    def _cause(self, end: Gaussian, pose: Array) -> str:
+        """What the way that the robot has gone tells of why it is not at the end, in words."""
+        if self._first_pose is None or self._settling_pose is None:
+            return "its pose came only at the end"
+        manifold = end.manifold
+        left, asked = self._off(manifold, end.mean, pose), self._off(manifold, end.mean, self._first_pose)
+        gone, late = self._off(manifold, self._first_pose, pose), self._off(manifold, end.mean, self._settling_pose)
+        if asked > 1.0 and gone < _HARDLY * asked:
+            return "the robot has hardly moved: is a controller active, and the robot free to move?"
+        if left < (1.0 - _HARDLY) * late:
+            return "the robot is late and still comes nearer: ask for a longer duration, or give it more settle_time"
+        return "the robot stands still there: blocked, at its limits, too weak, or out of its reach"
+
+    def _end(
+        self,
+        success: bool,
+        reason: str,
+        position: float = math.nan,
+        orientation: float = math.nan,
+        is_missed: bool = False,
+    ) -> None:
         self.stage = Stage.ENDED
-        self.outcome = Outcome(success, reason, position, orientation)
+        self.outcome = Outcome(success, reason, position, orientation, is_missed)
