@@ -29,7 +29,7 @@ PATIENT = {"joint_state_timeout": 1.0, "silence_after": 1.0}
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What happened, one row for each ms: q, v, tau (T, nv); modes (T,); shares of the gains (T,); reasons that came."""
+    """What happened, one row for each ms: q, v, tau (T, nv); modes (T,); shares of the gains (T,); reasons."""
 
     q: Array
     v: Array

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 #: A loop is made to bear this many times the delay that is known of: half of the phase margin is left.
 DELAY_SAFETY = 2.0
 #: What each bears, times its rate d: pure damping, and critical damping with k = d^2 / 4.
-OF_DAMPING, OF_CRITICAL = 0.5 * math.pi, 1.2939
+OF_DAMPING, OF_CRITICAL = 0.5 * math.pi, 1.2948
 
 
 @compiled

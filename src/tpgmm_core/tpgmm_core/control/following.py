@@ -26,7 +26,7 @@ MOVES, KEEPS_UP = 0.1, 0.5
 #: At a stop: nearer to it than this, rad or m. At its effort limit: above this share.
 AT_STOP, AT_EFFORT = 0.06, 0.98
 #: Smallest singular value (m, turns by `LENGTH`) below which a hand hardly moves in some direction.
-STRETCHED, LENGTH = 0.03, 0.3
+STRETCHED, LENGTH = 0.05, 0.3
 #: The words are made anew this often, s.
 NEW_WORDS = 2.0
 

@@ -38,7 +38,7 @@ POSE_MANIFOLD = "R3 x S3"
 #: The terms of which the torque is the sum, in the order of the rows in `ImpedanceLaw.step`.
 TERMS = ("feedforward", "feedback", "null_space", "hold", "leading")
 #: A hand that is hindered is pulled no further than this (m, rad), and led at this share of the speed.
-LEASH, ANGULAR_LEASH, HINDERED_SPEED = 0.03, 0.15, 0.25
+LEASH, ANGULAR_LEASH, HINDERED_SPEED = 0.03, 0.2, 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +57,7 @@ class ImpedanceConfig(LawConfig):
     max_angular_speed: float = setting(1.2, 1e-3, 20.0, "A reference that leaps is followed at this speed, rad/s")
     max_linear_acceleration: float = setting(40.0, 0.1, 1e3, "What an error asks for at most, m/s^2")
     max_angular_acceleration: float = setting(120.0, 0.1, 1e4, "What an error asks for at most, rad/s^2")
-    max_inertia: float = setting(100.0, 1.0, 1e4, "What a hand is taken for at most where the arm is stretched, kg")
+    max_inertia: float = setting(30.0, 1.0, 1e4, "What a hand is taken for at most where the arm is stretched, kg")
     posture_stiffness: float = setting(4.0, 1e-3, 1e3, "Stiffness of the null space towards the rest posture, 1/s^2")
     posture_damping: float = setting(4.0, 1e-3, 1e3, "Damping of the null space, 1/s")
 

@@ -44,7 +44,9 @@ def approach(pose: Array, goal: Array, max_linear: float, max_angular: float) ->
 
 
 @compiled
-def lead(pose: Array, hand: Array, max_linear: float, max_angular: float, back_linear: float, back_angular: float) -> None:
+def lead(
+    pose: Array, hand: Array, max_linear: float, max_angular: float, back_linear: float, back_angular: float
+) -> None:
     """Bring a pose (7,) in place to at most max_linear (m) and max_angular (rad) from the hand's.
 
     back_linear, back_angular : it comes back by no more than that

@@ -154,4 +154,6 @@ class LoopGuard:
             return f"it swung as if torques came {1e3 * self.age.suspected:.0f} ms late"
         if self.age.age is None:
             return f"joint states come every {1e3 * self.age.period:.0f} ms"
-        return f"joint states are {1e3 * self.age.usual:.0f} ms old by their stamps, every {1e3 * self.age.period:.0f} ms"
+        return (
+            f"joint states are {1e3 * self.age.usual:.0f} ms old by their stamps, every {1e3 * self.age.period:.0f} ms"
+        )

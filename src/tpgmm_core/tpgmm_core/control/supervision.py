@@ -33,7 +33,10 @@ class Timeouts:
     reference_timeout: float = setting(0.1, 0.002, 10.0, "A reference that is older is not followed but held, s")
     hold_time: float = setting(1.0, 0.0, 600.0, "It is held for this long and then let go of, s")
     max_age: float = setting(
-        0.1, 0.0, 10.0, "A joint state whose stamp is older is refused, s; 0: stamps of a clock that is not this machine's"
+        0.1,
+        0.0,
+        10.0,
+        "A joint state whose stamp is older is refused, s; 0: stamps of a clock that is not this machine's",
     )
     actuation_delay: float = setting(0.001, 0.0, 0.1, "From a message with torques to the torques of the motors, s")
     max_future: float = setting(0.05, 0.001, 10.0, "A stamp that lies further ahead of the clock is refused, s")
