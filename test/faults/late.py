@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the impedance_controller does about joint states that come late, arms that swing, and arms that do not follow."""
+"""What the impedance_controller does about joint states that come late, and arms that swing or do not follow."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def sent_away(bench: LateBench, deviation: float, seconds: float = 3.0) -> str:
     assert torque <= 1.0 + 1e-9
     ages = bench.diagnostics.values["impedance_controller"]
     return (
-        f"largest speed {100 * fastest:.0f} % and torque {100 * torque:.0f} % of the limits, {1e3 * bench.away():.1f} mm "
-        f"from the goal; {', '.join(bench.said())}: {bench.modes.last.reason}; age p50 {ages['state_age_p50_ms']} ms, "
+        f"largest speed {100 * fastest:.0f} % and torque {100 * torque:.0f} % of the limits, "
+        f"{1e3 * bench.away():.1f} mm from the goal; {', '.join(bench.said())}: {bench.modes.last.reason}; age p50 {ages['state_age_p50_ms']} ms, "
         f"tolerated {ages['tolerated_age_ms']} ms"
     )
 
@@ -113,7 +113,7 @@ def beyond_max_age(bench: LateBench) -> str:
 @fault(
     LateBench,
     "joint states 40 ms late whose stamps do not tell",
-    "swings are noticed: DAMPING with the reason; once calm it follows with gains that bear what swung, or says why not",
+    "swings are noticed: DAMPING with the reason; once calm it follows with gains that bear it, or says why not",
 )
 def late_unawares(bench: LateBench) -> str:
     assert set_parameters(bench.node, "impedance_controller", max_age=ANOTHER_CLOCK).successful
@@ -131,8 +131,8 @@ def late_unawares(bench: LateBench) -> str:
     assert again < ORDINARY, f"it swings again, at {again:.2f} of a speed limit"
     bench.spin_for(0.1)
     return (
-        f"noticed {noticed:.2f} s after the reference came, at {100 * before:.0f} % of a speed limit ({reason}); at rest "
-        f"{rest:.2f} s later, then at most {100 * again:.0f} %: {bench.modes.last.reason}"
+        f"noticed {noticed:.2f} s after the reference came, at {100 * before:.0f} % of a speed limit ({reason}); at "
+        f"rest {rest:.2f} s later, then at most {100 * again:.0f} %: {bench.modes.last.reason}"
     )
 
 
@@ -162,8 +162,8 @@ def held(bench: LateBench) -> str:
     fastest = float(bench.speeds().max())
     assert fastest < ORDINARY, f"it leapt, at {fastest:.2f} of a speed limit"
     return (
-        f"HOLD after {took:.1f} s ({reason}); let go, ACTIVE after {back:.1f} s, at most {100 * fastest:.0f} % of a speed "
-        f"limit, {1e3 * bench.away():.0f} mm from the goal"
+        f"HOLD after {took:.1f} s ({reason}); let go, ACTIVE after {back:.1f} s, at most {100 * fastest:.0f} % of a "
+        f"speed limit, {1e3 * bench.away():.0f} mm from the goal"
     )
 
 
@@ -181,4 +181,7 @@ def out_of_reach(bench: LateBench) -> str:
     last = bench.speed()
     bench.goal = bench.pose() + np.array([-0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     back = bench.wait(lambda: bench.is_in(ControllerState.ACTIVE), "following again")
-    return f"HOLD after {took:.1f} s, at {100 * last:.0f} % of a speed limit ({reason}); the next one: ACTIVE after {back:.1f} s"
+    return (
+        f"HOLD after {took:.1f} s, at {100 * last:.0f} % of a speed limit ({reason}); the next one: ACTIVE after "
+        f"{back:.1f} s"
+    )

@@ -46,7 +46,7 @@ PERIOD = 0.01
 FIRM, SOFT = 0.002, 0.02
 #: Where the hand is sent, m.
 AWAY = np.array([0.0, 0.06, 0.04, 0.0, 0.0, 0.0, 0.0])
-#: Shares of the speed limits: without delay a joint of a movement of `AWAY` has some 0.75; slower than the second is rest.
+#: Shares of the speed limits: without delay a joint has some 0.75 on the way `AWAY`; slower than the second is rest.
 ORDINARY, AT_REST = 0.95, 0.03
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Passes joint states on late, with their own stamps: `relay.py FROM TO`, until SIGINT or SIGTERM.
 
-`delay` (std_msgs/Float64MultiArray) says how late, s, and by how much that varies, evenly, from one to the next, s. None
-overtakes another: those that would wait for the one before.
+`delay` (std_msgs/Float64MultiArray) says how late, s, and by how much that varies, evenly, from one to the next, s.
+None overtakes another: those that would wait for the one before.
 """
 
 import sys

@@ -18,7 +18,8 @@ from tpgmm_ros.processes import REALTIME_PRIORITY
 
 #: In the order of the table.
 MODULES = (
-    "controller", "controller_references", "controller_ends", "late", "robot", "bag", "perception", "movement", "processes"
+    "controller", "controller_references", "controller_ends", "late", "robot", "bag", "perception", "movement",
+    "processes"
 )  # fmt: skip
 
 

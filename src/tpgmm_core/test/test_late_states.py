@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A simulated robot whose joint states come late: it follows as far as that can be borne, and never swings.
 
-`make test` tries some random robots, postures, gains, delays and laws; TPGMM_PROPERTY_SEQUENCES=10000 (`make properties`)
-some hundred.
+`make test` tries some random robots, postures, gains, delays and laws;
+`make properties` (TPGMM_PROPERTY_SEQUENCES=10000) some hundred.
 """
 
 from __future__ import annotations

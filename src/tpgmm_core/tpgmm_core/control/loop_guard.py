@@ -9,8 +9,8 @@ It knows how late the loop is (`state_age`), notices swings (`oscillation`) and 
 - **Swings.** DAMPING until all joints have been calm for a second; then it follows with gains that bear a quarter of
   the period of what swung, which is the delay that makes damping swing so. That is forgotten within half a minute.
   What swings for the third time is not tried again before the next activation.
-- **Hindered.** HOLD: pulled by no more than a few centimetres, so that nothing leaps when the obstacle goes; ACTIVE again
-  once the robot is near its reference.
+- **Hindered.** HOLD: pulled by no more than a few centimetres, so that nothing leaps when the obstacle goes; ACTIVE
+  again once the robot is near its reference.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ class SupervisedController[TargetT]:
         period: float = 0.001,
         closed_elsewhere: bool = False,
     ) -> None:
-        """period : of the robot's cycle, s. closed_elsewhere : it answers its state itself, with gains that it is sent."""
+        """period : of the robot's cycle, s. closed_elsewhere : see `LoopGuard`."""
         self.law, self.timeouts = law, timeouts or Timeouts()
         self.controller = Controller(robot, law, limits, period)
         self.guard = LoopGuard(robot, self.timeouts, closed_elsewhere)
@@ -219,8 +219,8 @@ def _behind(stamp_ns: int, clock_ns: int, max_age: float) -> str:
         return "its stamp is 0: let the driver stamp joint states, or set max_age to 0, and its age stays unknown"
     return (
         f"its stamp lies {(clock_ns - stamp_ns) / SECOND:.3g} s behind this machine's clock, more than max_age "
-        f"({max_age:g} s): it is too old, or the clocks differ; synchronise them, or set max_age to 0, and its age stays "
-        "unknown"
+        f"({max_age:g} s): it is too old, or the clocks differ; synchronise them, or set max_age to 0, and its age "
+        "stays unknown"
     )
 
 

@@ -40,8 +40,7 @@ class RobotModel:
     endpoints : name -> Endpoint(frame, joints)
     joint_groups : name -> joint names
     effort_limits, velocity_limits : (nv,), N m and N; rad/s and m/s
-    torque_rates : (nv,), N m/s and N/s, largest changes of the torques that the robot takes; infinite where its file says
-        nothing
+    torque_rates : (nv,), N m/s and N/s, largest changes of torques that the robot takes; infinite where none is given
     lower_limits, upper_limits : (nv,), rad and m; infinite for joints that may turn for ever
     viscous_friction, coulomb_friction : (nv,), N m s/rad and N m (N s/m and N for prismatic joints)
     home : (nv,) posture, rad and m
