@@ -24,10 +24,10 @@ from tpgmm_core.robot.model import RobotModel  # noqa: E402
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 ROBOTS = {"baxter": "left", "panda": "hand", "ur5": "tool", "xarm7": "tool"}
 #: Standard deviations of references, m; ten times as many rad.
-DEVIATIONS = (0.002, 0.01, 0.03, 0.1)
-DELAYS_MS = (5, 10, 15, 20, 25, 30, 40, 50, 60, 80, 100)
+DEVIATIONS = (0.002, 0.01, 0.05)
+DELAYS_MS = (10, 20, 30, 40, 60, 80)
 AWAY = np.array([0.0, 0.06, 0.04, 0.0, 0.0, 0.0, 0.0])
-TICKS = 3000
+TICKS = 2000
 #: An arm that moves faster than this share of a speed limit in the last second does not settle.
 SETTLED = 0.03
 

@@ -28,7 +28,8 @@ def sent_away(bench: LateBench, deviation: float, seconds: float = 3.0) -> str:
     ages = bench.diagnostics.values["impedance_controller"]
     return (
         f"largest speed {100 * fastest:.0f} % and torque {100 * torque:.0f} % of the limits, "
-        f"{1e3 * bench.away():.1f} mm from the goal; {', '.join(bench.said())}: {bench.modes.last.reason}; age p50 {ages['state_age_p50_ms']} ms, "
+        f"{1e3 * bench.away():.1f} mm from the goal; {', '.join(bench.said())}: {bench.modes.last.reason}; "
+        f"age p50 {ages['state_age_p50_ms']} ms, "
         f"tolerated {ages['tolerated_age_ms']} ms"
     )
 
