@@ -14,7 +14,8 @@ import numpy as np  # noqa: E402
 
 from benchmarks.report import durations, write_report  # noqa: E402
 from tpgmm_core.control.controller import Controller  # noqa: E402
-from tpgmm_core.control.impedance import ImpedanceLaw, PoseReference  # noqa: E402
+from tpgmm_core.control.impedance import ImpedanceLaw  # noqa: E402
+from tpgmm_core.control.pose_target import PoseReference  # noqa: E402
 from tpgmm_core.robot.model import RobotModel  # noqa: E402
 from tpgmm_core.robot.simulation import RobotSimulator  # noqa: E402
 

@@ -25,7 +25,7 @@ def test_a_law_follows_and_says_of_which_terms_its_torques_are_the_sum(
     ros_node: Node, start_process: StartProcess, law: str, lockstep: bool
 ) -> None:
     process = start_process(
-        NODE, *ros_arguments(robot_file=ROBOT_FILE, law=law, lockstep=lockstep, joint_state_timeout=5.0)
+        NODE, *ros_arguments(robot_file=ROBOT_FILE, law=law, lockstep=lockstep, joint_state_timeout=5.0, max_age=0.0)
     )
     assert change_state(ros_node, NODE, CONFIGURE)
     assert change_state(ros_node, NODE, ACTIVATE)

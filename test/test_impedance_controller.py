@@ -35,7 +35,9 @@ GENTLE = 0.02
 
 @pytest.fixture(scope="module")
 def process(start_module_process: StartProcess) -> RunningProcess:
-    return start_module_process(NODE, *ros_arguments(robot_file=ROBOT_FILE, hold_time=0.3, joint_state_timeout=5.0))
+    # the hand's time is its own: its stamps are of another clock
+    values = {"hold_time": 0.3, "joint_state_timeout": 5.0, "max_age": 0.0}
+    return start_module_process(NODE, *ros_arguments(robot_file=ROBOT_FILE, **values))
 
 
 @pytest.fixture(scope="module")

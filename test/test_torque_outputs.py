@@ -19,7 +19,8 @@ from std_msgs.msg import Float64MultiArray
 from ros_graph import ACTIVATE, CONFIGURE, ROOT, Inbox, change_state, ros_arguments
 from ros_testing import StartProcess, spin_until
 from tpgmm_core.control.controller import Controller, TorqueCommand
-from tpgmm_core.control.impedance import ImpedanceLaw, PoseReference
+from tpgmm_core.control.impedance import ImpedanceLaw
+from tpgmm_core.control.pose_target import PoseReference
 from tpgmm_core.control.torque_pipeline import TorqueLimits
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator

@@ -63,7 +63,8 @@ class ControllerBench:
         return cls(node, start)
 
     def _started(self) -> RunningProcess:
-        process = self._start(NODE, *ros_arguments(robot_file=ROBOT_FILE, hold_time=HOLD_TIME))
+        # the hand's time is its own: its stamps are of another clock
+        process = self._start(NODE, *ros_arguments(robot_file=ROBOT_FILE, hold_time=HOLD_TIME, max_age=0.0))
         assert change_state(self.node, NODE, CONFIGURE)
         return process
 

@@ -18,8 +18,8 @@ from tpgmm_ros.processes import REALTIME_PRIORITY
 
 #: In the order of the table.
 MODULES = (
-    "controller", "controller_states", "controller_references", "controller_ends", "robot", "bag", "perception",
-    "movement", "driver", "processes"
+    "controller", "controller_states", "controller_references", "controller_ends", "late", "robot", "bag",
+    "perception", "movement", "driver", "processes"
 )  # fmt: skip
 
 

@@ -21,7 +21,8 @@ pytest.importorskip("pinocchio")
 from robots import BAXTER, write_arm
 from tpgmm_core import Gaussian
 from tpgmm_core.control.control_law import RobotMoment
-from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw, PoseTarget
+from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw
+from tpgmm_core.control.pose_target import PoseTarget
 from tpgmm_core.control.supervised_controller import Answer, SupervisedController
 from tpgmm_core.control.supervision import Timeouts
 from tpgmm_core.control.torque_limits import injected_power

@@ -86,7 +86,7 @@ def test_what_brakes_never_drives_however_weak_the_motors_are(robot: RobotModel,
         given = random.uniform(-1.2, 1.2, n) * weak * robot.effort_limits
         feedback, stiffness, damping = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
         shortened += joint_torques(
-            joints, np.eye(n), np.eye(n), nothing, nothing, v, D, 0.5 * np.eye(n), nothing, 1.0,
+            joints, np.eye(n), np.eye(n), nothing, nothing, v, D, 0.5 * np.eye(n), nothing, 1.0, 1.0,
             weak * robot.effort_limits, given, feedback, stiffness, damping,
         )  # fmt: skip
         assert feedback @ v <= 1e-9 * np.abs(feedback) @ np.abs(v)
@@ -101,7 +101,7 @@ def test_a_pull_beyond_the_motor_leaves_room_for_what_brakes(mass: float, start:
     for step in range(6000):
         feedback, stiffness, damping = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1))
         joint_torques(
-            np.arange(1), L, 1.0 / L, np.array([-q]), one, np.array([v]), D, 0.5 * np.eye(1), one, 1.0,
+            np.arange(1), L, 1.0 / L, np.array([-q]), one, np.array([v]), D, 0.5 * np.eye(1), one, 1.0, 1.0,
             np.array([50.0]), one, feedback, stiffness, damping,
         )  # fmt: skip
         tau += np.clip(feedback[0] - tau, -1.5, 1.5)

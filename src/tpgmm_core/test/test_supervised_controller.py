@@ -12,7 +12,8 @@ pytest.importorskip("pinocchio")
 
 from robots import BAXTER
 from tpgmm_core import Gaussian
-from tpgmm_core.control.impedance import ImpedanceLaw, PoseTarget
+from tpgmm_core.control.impedance import ImpedanceLaw
+from tpgmm_core.control.pose_target import PoseTarget
 from tpgmm_core.control.supervised_controller import SupervisedController
 from tpgmm_core.control.supervision import ControllerMode, Timeouts
 from tpgmm_core.control.torque_pipeline import TorqueLimits

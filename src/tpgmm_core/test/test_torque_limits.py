@@ -7,7 +7,6 @@ import pytest
 from tpgmm_core.control.torque_limits import (
     approach_speed,
     blend,
-    brake,
     clamp_at_limits,
     finite,
     fit,
@@ -149,12 +148,6 @@ def test_the_rate_wins_over_the_power_limit() -> None:
     tau = np.array([50.0, 30.0])
     limit_power(tau, v, np.zeros(2), 10.0, low, high)
     np.testing.assert_allclose(tau, [48.0, 0.0])  # as little as the bounds permit
-
-
-def test_damping_is_weaker_for_what_is_so_light_that_it_would_shake() -> None:
-    out = np.empty(2)
-    brake(np.ones(2), np.array([1.0, 0.001]), 2.0, 100.0, out)
-    np.testing.assert_allclose(out, [-2.0, -0.1])
 
 
 @pytest.mark.parametrize(

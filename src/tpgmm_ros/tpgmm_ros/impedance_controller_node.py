@@ -30,12 +30,13 @@ from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
 from tpgmm_ros.background import Background
+from tpgmm_ros.controller_status import limited, loop_values
 from tpgmm_ros.conversions import JointStates, MessageError
 from tpgmm_ros.executor import run
 from tpgmm_ros.joint_states import SPREAD, waiting
 from tpgmm_ros.lifecycle import ManagedNode
 from tpgmm_ros.lockstep import Barrier, is_no_reference
-from tpgmm_ros.monitor import Monitor
+from tpgmm_ros.monitor import Monitor, Samples
 from tpgmm_ros.parameters import Declared, Parameters, declared_of, fill
 from tpgmm_ros.qos import LATCHED, STATES, STREAM
 from tpgmm_ros.timing import clock_trouble, loop_clock
@@ -120,7 +121,15 @@ class ImpedanceControllerNode(ManagedNode):
             1.0 / self.parameters["joint_state_rate"], "joint_state_rate", timeouts, limits.max_time_step
         ):
             self.get_logger().warning(text)
-        self.controller: SupervisedController[LawTarget] = SupervisedController(self.robot, self.law, limits, timeouts)
+        self.controller: SupervisedController[LawTarget] = SupervisedController(
+            self.robot,
+            self.law,
+            limits,
+            timeouts,
+            period=1.0 / self.parameters["joint_state_rate"],
+            # between two of these messages the robot answers its own state, of now
+            closed_elsewhere=self.parameters["torque_outputs"] == ["linear_feedback_controller"],
+        )
         self._names = list(self.robot.joint_names)
         self._joint_states = JointStates(self._names, ("position", "velocity"), self.parameters[SPREAD.name])
         self._loop_clock = loop_clock(self)
@@ -143,6 +152,7 @@ class ImpedanceControllerNode(ManagedNode):
         self._barrier = Barrier(("reference",), self._answer) if self.parameters["lockstep"] else None
         self._state_due_ns = 0
         self._actions.clear()
+        self._ages = Samples()
         self._active = True
         self._change(ControllerMode.WAITING, self.controller.decision.reason, self._loop_clock.now().nanoseconds)
         return result
@@ -172,8 +182,8 @@ class ImpedanceControllerNode(ManagedNode):
             if command is not None:
                 self._publish(command, self.controller.stamp_ns)
         self._active = False
-        if limited := self._limited():
-            self.get_logger().info(f"torques were limited: {limited}")
+        if self._actions:
+            self.get_logger().info(f"torques were limited: {limited(self._actions)}")
         self._change(ControllerMode.WAITING, "not active", self._loop_clock.now().nanoseconds)
 
     # -- inputs -------------------------------------------------------------------------------------------------------
@@ -226,6 +236,8 @@ class ImpedanceControllerNode(ManagedNode):
     def _times(self, stamp_ns: int) -> tuple[int, int]:
         """The clock that watches, and that of the stamps, ns, when a message came."""
         clock_ns = self.get_clock().now().nanoseconds
+        if self._barrier is not None:  # in lockstep time waits for the answer: nothing is older than its stamp says
+            clock_ns = min(clock_ns, stamp_ns)
         if self._simulated:  # the same clock, and /clock and the message of the same moment race each other
             return max(clock_ns, stamp_ns), clock_ns
         return self._loop_clock.now().nanoseconds, clock_ns
@@ -239,6 +251,8 @@ class ImpedanceControllerNode(ManagedNode):
         q, v = sample.values
         answer = self.controller.take_state(q, v, sample.stamp_ns, now_ns, clock_ns)
         self._report(answer, now_ns)
+        if (age := self.controller.guard.age.age) is not None:
+            self._ages.add(age)
         if answer is not None:
             self.monitor.done += 1
             self.monitor.step.add(time.perf_counter() - start)
@@ -308,14 +322,12 @@ class ImpedanceControllerNode(ManagedNode):
             level = DiagnosticStatus.ERROR
         elif self._mode in (ControllerMode.HOLD, ControllerMode.WAITING):
             level = DiagnosticStatus.WARN
-        values = {"torques_limited": self._limited()}
+        values = {"torques_limited": limited(self._actions)}
+        if self._active:
+            values |= loop_values(self.controller.guard, self._ages)
         if self.law is not None and self.law.plan_age is not None:
             values["plan_age_ms"] = f"{1e3 * self.law.plan_age:.1f}"
         return level, f"{self._mode.name}: {self._reason}", values
-
-    def _limited(self) -> str:
-        """How often each stage of the pipeline took something away since the activation."""
-        return ", ".join(f"{name} {count}" for name, count in sorted(self._actions.items()))
 
 
 def main() -> int:

@@ -7,13 +7,15 @@ business: `torque_pipeline` sees to it, whatever the law.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tpgmm_core.control.operational_space import invert_inertia
 from tpgmm_core.reference import Reference
 from tpgmm_core.settings import check_settings, setting
 
@@ -24,27 +26,84 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
+class Loop:
+    """What is known of the loop that a state comes by and its torques leave by.
+
+    age : of the state, s, by which the robot has moved on
+    delay : from what the joints do to the torques that answer it, s; feedback must bear it
+    hindered : the robot does not get where the reference is: it is not to be pulled further than a little
+    """
+
+    age: float = 0.0
+    delay: float = 0.0
+    hindered: bool = False
+
+
+AT_ONCE = Loop()
+
+
+@dataclass(frozen=True, slots=True)
 class RobotMoment:
     """A state of the robot with its dynamics; the arrays are overwritten when the next moment is made.
 
     q, v : (nv,), rad and rad/s (m and m/s for prismatic joints), finite
     inertia : (nv, nv), joint-space inertia M(q), symmetric, C-contiguous
-    nonlinear : (nv,), gravity, Coriolis and centrifugal torques, N m (N)
+    inverse : (nv, nv), M^-1; NaN where M is beyond reckoning
+    nonlinear : (nv,), gravity, Coriolis and centrifugal torques, N m (N), where the robot is by now
     data : kinematics at q and v
+    loop : how the state came
     """
 
     q: Array
     v: Array
     inertia: Array
+    inverse: Array
     nonlinear: Array
     data: RobotData
+    loop: Loop = AT_ONCE
 
     @classmethod
-    def at(cls, data: RobotData, q: Array, v: Array) -> RobotMoment:
+    def at(cls, data: RobotData, q: Array, v: Array, loop: Loop = AT_ONCE) -> RobotMoment:
         """Kinematics and dynamics at q and v (nv,), in the scratch memory `data`."""
         data.update(q, v)
         # Pinocchio's matrices are column-major; of a symmetric one the transpose is the same, row-major
-        return cls(q, v, data.mass_matrix(q).T, data.nonlinear_effects(q, v), data)
+        inertia = data.mass_matrix(q).T
+        inverse = np.empty_like(inertia)
+        if not invert_inertia(inertia, inverse):
+            inverse[:] = np.nan
+        # what carries an arm that stands up would push it over, did it answer where the arm was
+        there = q + loop.age * v if loop.age > 0.0 else q
+        return cls(q, v, inertia, inverse, data.nonlinear_effects(there, v), data, loop)
+
+
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """How far the robot is from what it was asked for.
+
+    distance, angle : m and rad, of a hand; angle : rad (m), the largest one of the joints, for references of joints
+    joint : which one that is; empty for a hand
+    """
+
+    distance: float
+    angle: float
+    joint: str = ""
+
+    @classmethod
+    def of_pose(cls, difference: Array) -> Lag:
+        """Of a tangent vector (6,): position, then turn."""
+        x, y, z, a, b, c = difference.tolist()
+        return cls(math.hypot(x, y, z), math.hypot(a, b, c))
+
+    @classmethod
+    def of_joints(cls, difference: Array, names: Sequence[str]) -> Lag:
+        """Of the differences (n,) of joints."""
+        worst = int(np.argmax(np.abs(difference)))
+        return cls(0.0, float(abs(difference[worst])), names[worst])
+
+    def __str__(self) -> str:
+        if self.joint:
+            return f"{self.joint} is {self.angle:.2f} (rad, m) from the reference"
+        return f"{1e3 * self.distance:.0f} mm and {math.degrees(self.angle):.0f} deg from the reference"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +119,10 @@ class LawTorques:
     blend : 0 (gravity compensation) to 1 (the reference has full hold)
     shortened : whether the law itself asked for less than its error did, since the motors are too weak
     reason : why no torques could be computed, tau then means nothing; empty when all is well
+    lag : how far the robot is from what was asked for, while the law leads up to that, too; None without reference
+    delay_margin : delay of the loop, s, at which the gains that the reference asks for become unstable
+    share : of their rates, 0 to 1, that the delay of the loop leaves: K_P by its square, K_V by itself
+    moves, asked : how fast what is controlled moves, and the reference, 1/s; metres count by the characteristic length
     """
 
     tau: Array
@@ -71,6 +134,11 @@ class LawTorques:
     blend: float
     shortened: bool
     reason: str
+    lag: Lag | None = None
+    delay_margin: float = math.inf
+    share: float = 1.0
+    moves: float = 0.0
+    asked: float = 0.0
 
     def joint_gains(self) -> tuple[Array, Array]:
         """Stiffness and damping as joints feel them, J^T K J and J^T D J, both (nv, nv)."""

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.control.control_law import ControlLaw, LawTorques, RobotMoment
+from tpgmm_core.control.control_law import AT_ONCE, ControlLaw, LawTorques, Loop, RobotMoment
 from tpgmm_core.control.torque_limits import finite
 from tpgmm_core.control.torque_pipeline import TorqueLimits, TorquePipeline, actions
 from tpgmm_core.robot.model import RobotModel
@@ -54,9 +54,12 @@ class TorqueCommand:
 class Controller[TargetT]:
     """States and targets in, torques out that may leave, one for each step; time enters as dt alone."""
 
-    def __init__(self, robot: RobotModel, law: ControlLaw[TargetT], limits: TorqueLimits | None = None) -> None:
+    def __init__(
+        self, robot: RobotModel, law: ControlLaw[TargetT], limits: TorqueLimits | None = None, period: float = 0.001
+    ) -> None:
+        """period : of what drives the robot, s, from one torque that it takes to the next."""
         self.robot, self.law = robot, law
-        self.pipeline = TorquePipeline(robot, limits)
+        self.pipeline = TorquePipeline(robot, limits, period)
         self._data = robot.create_data()
         self.reset()
 
@@ -72,8 +75,12 @@ class Controller[TargetT]:
         self.law.reset()
         self.pipeline.restart()
 
-    def step(self, q: Array, v: Array, target: TargetT | None, dt: float) -> TorqueCommand | None:
-        """Torques for positions q and velocities v (nv,), dt s after the last ones.
+    def step(
+        self, q: Array, v: Array, target: TargetT | None, dt: float, loop: Loop = AT_ONCE, *, brakes: bool = False
+    ) -> TorqueCommand | None:
+        """Torques for positions q and velocities v (nv,), dt s after the last ones; `loop` says how late they are.
+
+        brakes : no law is asked: gravity compensation with damping, at this state. The law starts anew afterwards.
 
         A state that is not finite, or beyond the law's reckoning, gives what `rest` gives, and the reason.
         Raises ValueError for arrays of the wrong shape.
@@ -82,17 +89,19 @@ class Controller[TargetT]:
         if q.shape != (self.robot.nv,) or v.shape != (self.robot.nv,):
             raise ValueError(f"q and v have shapes {q.shape} and {v.shape}, expected ({self.robot.nv},)")
         if not (finite(q) and finite(v)):
-            return self.rest(0.0, dt, "the joint state is not finite")
+            return self.rest(0.0, dt, "the joint state is not finite", loop)
         q = self.robot.unwound(q, self.robot.home if self._q is None else self._q)
-        moment = RobotMoment.at(self._data, q, v)
-        asked = self.law.step(moment, target, self.pipeline.time_step(dt))
-        if asked.reason:
-            return self.rest(0.0, dt, asked.reason)
-        tau, done = self.pipeline.step(asked.tau, moment, dt)
+        moment = RobotMoment.at(self._data, q, v, loop)
+        if brakes:
+            self.law.reset()
+        asked = None if brakes else self.law.step(moment, target, self.pipeline.time_step(dt))
+        if asked is not None and asked.reason:
+            return self.rest(0.0, dt, asked.reason, loop)
+        tau, done = self.pipeline.step(None if asked is None else asked.tau, moment, dt)
         self._q, self._v = q.copy(), v.copy()
         return TorqueCommand(tau, self._q, self._v, asked, actions(done), "")
 
-    def rest(self, age: float, dt: float, reason: str = "") -> TorqueCommand | None:
+    def rest(self, age: float, dt: float, reason: str = "", loop: Loop = AT_ONCE) -> TorqueCommand | None:
         """Gravity compensation with damping, at the last good state, which is `age` s old; None if there was none.
 
         The damping answers the last speed, which is taken to fade: a robot that stood still long ago would be
@@ -101,7 +110,8 @@ class Controller[TargetT]:
         self.law.reset()
         if self._q is None or self._v is None:
             return None
-        moment = RobotMoment.at(self._data, self._q, self._v * math.exp(-max(0.0, age) / REST_TIME))
+        v = self._v * math.exp(-max(0.0, age) / REST_TIME)
+        moment = RobotMoment.at(self._data, self._q, v, replace(loop, age=0.0))
         tau, done = self.pipeline.step(None, moment, dt)
         return TorqueCommand(tau, moment.q, moment.v, None, actions(done), reason)
 

@@ -9,15 +9,24 @@ push.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tpgmm_core.control.control_law import LawConfig, LawTorques, RobotMoment
-from tpgmm_core.control.kernels_impedance import approach, arm_torques, standing_torques
+from tpgmm_core.control.control_law import Lag, LawConfig, LawTorques, RobotMoment
+from tpgmm_core.control.delay_margin import borne_share, delay_margin, fastest_rate
+from tpgmm_core.control.kernels_impedance import (
+    STOP_FREQUENCY,
+    approach,
+    arm_torques,
+    lead,
+    pose_difference,
+    standing_torques,
+)
 from tpgmm_core.control.lqr import double_integrator_gains
 from tpgmm_core.control.operational_space import bound_twist
+from tpgmm_core.control.pose_target import PoseReference, PoseTarget
 from tpgmm_core.control.torque_limits import finite
 from tpgmm_core.reference import Reference
 from tpgmm_core.robot.model import RobotModel
@@ -28,6 +37,8 @@ Array = NDArray[np.float64]
 POSE_MANIFOLD = "R3 x S3"
 #: The terms of which the torque is the sum, in the order of the rows in `ImpedanceLaw.step`.
 TERMS = ("feedforward", "feedback", "null_space", "hold", "leading")
+#: A hand that is hindered is pulled no further than this (m, rad), and led at this share of the speed.
+LEASH, ANGULAR_LEASH, HINDERED_SPEED = 0.03, 0.2, 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +57,7 @@ class ImpedanceConfig(LawConfig):
     max_angular_speed: float = setting(1.2, 1e-3, 20.0, "A reference that leaps is followed at this speed, rad/s")
     max_linear_acceleration: float = setting(40.0, 0.1, 1e3, "What an error asks for at most, m/s^2")
     max_angular_acceleration: float = setting(120.0, 0.1, 1e4, "What an error asks for at most, rad/s^2")
-    max_inertia: float = setting(100.0, 1.0, 1e4, "What a hand is taken for at most where the arm is stretched, kg")
+    max_inertia: float = setting(30.0, 1.0, 1e4, "What a hand is taken for at most where the arm is stretched, kg")
     posture_stiffness: float = setting(4.0, 1e-3, 1e3, "Stiffness of the null space towards the rest posture, 1/s^2")
     posture_damping: float = setting(4.0, 1e-3, 1e3, "Damping of the null space, 1/s")
 
@@ -55,44 +66,6 @@ class ImpedanceConfig(LawConfig):
         LawConfig.__post_init__(self)
         if self.min_stiffness > self.max_stiffness:
             raise ValueError(f"min_stiffness {self.min_stiffness} is above max_stiffness {self.max_stiffness}")
-
-
-@dataclass(frozen=True, slots=True)
-class PoseReference:
-    """Where the hand should be, how surely, and how it moves; all in base axes.
-
-    pose : (7,), x, y, z, qx, qy, qz, qw
-    covariance : (6, 6), position (m), then rotation vector about the fixed axes (rad)
-    twist, acceleration : (6,), linear then angular; zero if not given
-
-    Raises ValueError for wrong shapes; values are judged by `ImpedanceLaw.pose_target`.
-    """
-
-    pose: Array
-    covariance: Array
-    twist: Array = field(default_factory=lambda: np.zeros(6))
-    acceleration: Array = field(default_factory=lambda: np.zeros(6))
-
-    def __post_init__(self) -> None:
-        for name, shape in (("pose", (7,)), ("covariance", (6, 6)), ("twist", (6,)), ("acceleration", (6,))):
-            array = np.asarray(getattr(self, name), dtype=np.float64)
-            if array.shape != shape:
-                raise ValueError(f"{name} of the reference has shape {array.shape}, expected {shape}")
-            object.__setattr__(self, name, array)
-
-
-@dataclass(frozen=True, slots=True)
-class PoseTarget:
-    """A reference that was found good, and its gains.
-
-    K_V : (6, 6), 1/s
-    ratio : (6, 6), C of K_P = K_V C K_V: I / 2 for the infinite-horizon LQR. Gains that follow by way of K_V and C stay
-        definite, and keep the damping ratio where C stays
-    """
-
-    reference: PoseReference
-    K_V: Array
-    ratio: Array = field(default_factory=lambda: 0.5 * np.eye(6))
 
 
 class ImpedanceLaw:
@@ -139,11 +112,15 @@ class ImpedanceLaw:
         self.config = config
         length = config.characteristic_length
         self._control_cost = config.control_cost * np.array([1.0, 1.0, 1.0, *[length**2] * 3])
+        self._scale = np.repeat([1.0 / length, 1.0], 3)
+        k = config.posture_stiffness + STOP_FREQUENCY**2
+        self._null_space_margin = float(delay_margin(k, config.posture_damping))
 
     def reset(self) -> None:
         """Forget the target and the posture; the next step starts from the state that it is given."""
         self._target: PoseTarget | None = None
         self._blend = 0.0
+        self._hindered = False
         self._posture: Array | None = None
 
     def target(self, reference: Reference, moving: bool) -> PoseTarget:
@@ -177,7 +154,8 @@ class ImpedanceLaw:
             raise ValueError(f"the covariance of the reference is not positive definite ({error})") from error
         pose = reference.pose.copy()
         pose[3:] /= length
-        return PoseTarget(replace(reference, pose=pose), gains.damping)
+        rate = fastest_rate(gains.damping, self.config.characteristic_length)
+        return PoseTarget(replace(reference, pose=pose), gains.damping, rate=rate)
 
     def step(self, moment: RobotMoment, target: PoseTarget | None, dt: float) -> LawTorques:
         """Torques dt seconds after the last step.
@@ -186,7 +164,8 @@ class ImpedanceLaw:
         damping. The `reason` is given when the state is beyond all proportion.
         """
         config, nv = self.config, self.robot.nv
-        pose = moment.data.pose(self.endpoint)
+        pose, twist = moment.data.pose(self.endpoint), moment.data.twist(self.endpoint)
+        self._hindered = moment.loop.hindered
         self._take(target, pose, dt)
         feedforward, feedback, null_space, hold, leading, given = rows = np.zeros((6, nv))
         error, stiffness, damping, jacobian = np.zeros(6), np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((6, nv))
@@ -197,20 +176,28 @@ class ImpedanceLaw:
             self._arm,
             self._others,
             moment.inertia,
+            moment.inverse,
             moment.q,
             moment.v,
             self._posture,
             moment.nonlinear,
             config.hold_frequency,
             (1.0 - weight) * config.leading_damping,
+            moment.loop.delay,
             feedforward,
             hold,
             leading,
             given,
         )
-        found = 0
+        found, margin, share, asked, lag = 0, np.inf, 1.0, 0.0, None
         if self._target is not None:
             goal = self._target.reference
+            margin = min(self._target.delay_margin, self._null_space_margin)
+            share = borne_share(margin, moment.loop.delay)
+            asked = float(np.linalg.norm(self._scale * goal.twist))
+            if target is not None:
+                pose_difference(pose, target.reference.pose, error)
+                lag = Lag.of_pose(error)
             jacobian = moment.data.jacobian(self.endpoint)
             found = arm_torques(
                 self._arm,
@@ -219,9 +206,11 @@ class ImpedanceLaw:
                 moment.q,
                 moment.v,
                 self._rest,
+                self.robot.lower_limits,
+                self.robot.upper_limits,
                 moment.data.bias_acceleration(self.endpoint),
                 pose,
-                moment.data.twist(self.endpoint),
+                twist,
                 goal.pose,
                 goal.twist,
                 goal.acceleration,
@@ -234,6 +223,7 @@ class ImpedanceLaw:
                 config.max_angular_acceleration,
                 config.posture_stiffness,
                 config.posture_damping,
+                share,
                 self.robot.effort_limits,
                 feedforward,
                 given,
@@ -255,6 +245,11 @@ class ImpedanceLaw:
             blend=self._blend,
             shortened=found == 1,
             reason="the joint velocities are out of all proportion" if unusable else "",
+            lag=lag,
+            delay_margin=margin,
+            share=share,
+            moves=float(np.linalg.norm(self._scale * twist)),
+            asked=asked,
         )
 
     def _weight(self) -> float:
@@ -280,8 +275,10 @@ class ImpedanceLaw:
         last, config, reference = self._target, self.config, target.reference
         pose = (hand if last is None else last.reference.pose).copy()
         # it starts slowly: a reference that the arm does not follow yet would be caught up with in a leap
-        reach = self._weight() * dt
+        reach = self._weight() * dt * (HINDERED_SPEED if self._hindered else 1.0)
         approach(pose, reference.pose, config.max_linear_speed * reach, config.max_angular_speed * reach)
+        if self._hindered:
+            lead(pose, hand, LEASH, ANGULAR_LEASH, config.max_linear_speed * dt, config.max_angular_speed * dt)
         twist = reference.twist.copy()
         bound_twist(twist, config.max_linear_speed, config.max_angular_speed)
         # leaps of the stiffness would feed in energy
@@ -289,4 +286,8 @@ class ImpedanceLaw:
         before = target if last is None else last
         K_V = before.K_V + share * (target.K_V - before.K_V)
         ratio = before.ratio + share * (target.ratio - before.ratio)
-        return PoseTarget(PoseReference(pose, reference.covariance, twist, reference.acceleration), K_V, ratio)
+        # bounds of what is blended, since the largest eigenvalue is convex
+        rate = before.rate + share * (target.rate - before.rate)
+        firmness = before.firmness + share * (target.firmness - before.firmness)
+        goal = PoseReference(pose, reference.covariance, twist, reference.acceleration)
+        return PoseTarget(goal, K_V, ratio, rate, firmness)

@@ -21,7 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.control.control_law import LawConfig, LawTorques, RobotMoment
+from tpgmm_core.control.control_law import Lag, LawConfig, LawTorques, RobotMoment
+from tpgmm_core.control.delay_margin import borne_share, delay_margin
 from tpgmm_core.control.kernels_impedance import standing_torques
 from tpgmm_core.control.kernels_joint import inertia_factor, joint_torques, precision_damping
 from tpgmm_core.control.torque_limits import finite
@@ -33,6 +34,8 @@ Array = NDArray[np.float64]
 
 #: The terms of which the torque is the sum.
 TERMS = ("feedforward", "feedback", "hold", "leading")
+#: Joints that are hindered are pulled no further than this (rad or m), to which the pull goes back at that speed (1/s).
+LEASH, LEASH_SPEED = 0.1, 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,11 +76,19 @@ class JointGains:
     damping : (n, n), D in joint coordinates, N m s/rad
     ratio : (n, n), C of K = D L^-T C L^-1 D; I / 2 for the infinite horizon, which makes the damping ratio 1 / sqrt(2)
     push : (n,), accelerations of these coordinates beside what follows the reference
+    rate, firmness : bounds of the eigenvalues of K_V = L^-1 D L^-T (1/s) and of C, which say what delay they bear
     """
 
     damping: Array
     ratio: Array
     push: Array
+    rate: float
+    firmness: float = 0.5
+
+    @property
+    def delay_margin(self) -> float:
+        """Delay of the loop (s) that these gains bear."""
+        return float(delay_margin(self.firmness * self.rate**2, self.rate))
 
     def towards(self, other: JointGains, share: float) -> JointGains:
         """A share (0 to 1) of the way to others. K stays definite, since D and C do."""
@@ -85,6 +96,8 @@ class JointGains:
             self.damping + share * (other.damping - self.damping),
             self.ratio + share * (other.ratio - self.ratio),
             self.push + share * (other.push - self.push),
+            self.rate + share * (other.rate - self.rate),
+            self.firmness + share * (other.firmness - self.firmness),
         )
 
 
@@ -128,6 +141,7 @@ class JointImpedanceLaw:
         self._target: JointTarget | None = None
         self._blend = 0.0
         self._gains: JointGains | None = None
+        self._leash = np.inf
         self._posture: Array | None = None
 
     def target(self, reference: Reference, moving: bool) -> JointTarget:
@@ -168,19 +182,21 @@ class JointImpedanceLaw:
             joints,
             self._others,
             moment.inertia,
+            moment.inverse,
             moment.q,
             moment.v,
             self._posture,
             self._carried(moment),
             config.hold_frequency,
             (1.0 - weight) * config.leading_damping,
+            moment.loop.delay,
             feedforward,
             hold,
             leading,
             given,
         )
         error, stiffness, damping = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
-        found = 0
+        found, margin, share, lag = 0, np.inf, 1.0, None
         if self._target is not None:
             L, F = np.zeros((n, n)), np.zeros((n, n))
             wanted = self._wanted(self._target, L, F, dt) if inertia_factor(joints, moment.inertia, L, F) else None
@@ -188,7 +204,11 @@ class JointImpedanceLaw:
                 # leaps of K would feed in energy
                 last = wanted if self._gains is None else self._gains
                 self._gains = last.towards(wanted, min(1.0, dt / config.gain_time))
-                error[:] = self._target.positions - moment.q[joints]
+                margin = self._gains.delay_margin
+                share = borne_share(margin, moment.loop.delay)
+                behind = self._target.positions - moment.q[joints]
+                error[:] = self._leashed(behind, moment.loop.hindered, dt)
+                lag = None if target is None else Lag.of_joints(behind, self.joint_names)
                 push = self._gains.push.copy()
                 if self._target.accelerations is not None:
                     push += L.T @ self._target.accelerations
@@ -203,6 +223,7 @@ class JointImpedanceLaw:
                     self._gains.ratio,
                     push if target is not None else np.zeros(n),
                     weight,
+                    share,
                     self.robot.effort_limits,
                     given,
                     feedback,
@@ -225,7 +246,23 @@ class JointImpedanceLaw:
             blend=self._blend,
             shortened=found == 1,
             reason="the joint state is out of all proportion" if unusable else "",
+            lag=lag,
+            delay_margin=margin,
+            share=share,
+            moves=float(np.abs(moment.v[joints]).max()),
+            asked=0.0 if target is None else float(np.abs(target.velocities).max()),
         )
+
+    def _leashed(self, behind: Array, hindered: bool, dt: float) -> Array:
+        """The error (n,) that the joints are pulled by: less than they lag where they are hindered, without a leap."""
+        furthest = float(np.abs(behind).max())
+        if hindered:
+            self._leash = max(LEASH, min(self._leash, furthest) - LEASH_SPEED * dt)
+        elif self._leash < np.inf:
+            self._leash += LEASH_SPEED * dt
+            if self._leash >= furthest:
+                self._leash = np.inf
+        return behind if self._leash == np.inf else np.clip(behind, -self._leash, self._leash)
 
     def _carried(self, moment: RobotMoment) -> Array:
         """Torques (nv,) that are given whatever the error is."""
@@ -238,6 +275,5 @@ class JointImpedanceLaw:
         config, n = self.config, len(L)
         damping = np.empty((n, n))
         cost, lowest, highest = config.joint_control_cost, config.joint_min_stiffness, config.joint_max_stiffness
-        if not precision_damping(L, F, target.precision, cost, lowest, highest, damping):
-            return None
-        return JointGains(damping, 0.5 * np.eye(n), np.zeros(n))
+        rate = precision_damping(L, F, target.precision, cost, lowest, highest, damping)
+        return None if rate < 0.0 else JointGains(damping, 0.5 * np.eye(n), np.zeros(n), rate)

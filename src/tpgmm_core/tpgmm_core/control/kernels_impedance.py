@@ -8,12 +8,18 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from tpgmm_core.control.delay_margin import OF_CRITICAL, borne_share, joint_damping
 from tpgmm_core.control.operational_space import bound_twist, operational_space
 from tpgmm_core.control.torque_limits import fit
 from tpgmm_core.kernels import compiled, quaternion_difference, turn
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
+
+#: The null space keeps this far away from position limits (rad or m), or this share of the range, ...
+STOP_MARGIN, STOP_SHARE = 0.3, 0.15
+#: ... with springs of this frequency, rad/s.
+STOP_FREQUENCY = 6.0
 
 
 @compiled
@@ -38,6 +44,25 @@ def approach(pose: Array, goal: Array, max_linear: float, max_angular: float) ->
 
 
 @compiled
+def lead(
+    pose: Array, hand: Array, max_linear: float, max_angular: float, back_linear: float, back_angular: float
+) -> None:
+    """Bring a pose (7,) in place to at most max_linear (m) and max_angular (rad) from the hand's.
+
+    back_linear, back_angular : it comes back by no more than that
+    """
+    way = np.empty(6)
+    pose_difference(hand, pose, way)
+    within = way.copy()
+    bound_twist(within, max_linear, max_angular)
+    back = within - way
+    bound_twist(back, back_linear, back_angular)
+    for i in range(3):
+        pose[i] += back[i]
+    turn(pose[3:], back[3], back[4], back[5])
+
+
+@compiled
 def multiply_add(A: Array, x: Array, y: Array) -> None:
     """y += A x, for A (n, m), x (m,), y (n,)."""
     for i in range(len(A)):
@@ -52,12 +77,14 @@ def standing_torques(
     arm: Indices,
     others: Indices,
     M: Array,
+    inverse: Array,
     q: Array,
     v: Array,
     posture: Array,
     nonlinear: Array,
     frequency: float,
     damping: float,
+    delay: float,
     feedforward: Array,
     hold: Array,
     leading: Array,
@@ -65,16 +92,25 @@ def standing_torques(
 ) -> None:
     """What the robot needs whatever the arm is to do: its weight, joints that hold still, an arm that is damped.
 
-    others (m,) : joints that hold the posture (nv,), with a critically damped spring of the frequency (rad/s)
+    others (m,) : joints that hold the posture (nv,), with critically damped springs of the frequency (rad/s): by their
+        inertia as a whole, since a spring for each by itself makes a chain of joints many times as stiff
     damping : of the arm's joints, N m s/rad
+    delay : of the loop, s; frequency and damping are less where it is too long for them
     feedforward, hold, leading, given (nv,), out : the terms, zero before, and their sum
     """
     for i in range(len(q)):
         feedforward[i] = nonlinear[i]
+    mass, damped = np.empty(len(q)), np.zeros(len(q))
+    for i in range(len(q)):
+        mass[i] = 1.0 / inverse[i, i]
+    if damping > 0.0:
+        joint_damping(damping, math.inf, mass, inverse, delay, damped)
+    frequency *= borne_share(0.5 * OF_CRITICAL / frequency, delay)
     for i in arm:
-        leading[i] = -damping * v[i]
+        leading[i] = -damped[i] * v[i]
     for i in others:
-        hold[i] = M[i, i] * frequency * (frequency * (posture[i] - q[i]) - 2.0 * v[i])
+        for j in others:
+            hold[i] += M[i, j] * frequency * (frequency * (posture[j] - q[j]) - 2.0 * v[j])
     for i in range(len(q)):
         given[i] = feedforward[i] + hold[i] + leading[i]
 
@@ -87,6 +123,8 @@ def arm_torques(
     q: Array,
     v: Array,
     rest: Array,
+    lower: Array,
+    upper: Array,
     bias_acceleration: Array,
     pose: Array,
     twist: Array,
@@ -102,6 +140,7 @@ def arm_torques(
     max_angular_acceleration: float,
     posture_stiffness: float,
     posture_damping: float,
+    share: float,
     effort_limits: Array,
     feedforward: Array,
     given: Array,
@@ -114,8 +153,9 @@ def arm_torques(
     """Torques of the n joints of an arm that a pose asks for, scaled by the weight (0 to 1).
 
     arm (n,) : places of the arm's joints in the vectors (nv,); J_T (nv, 6), M (nv, nv), q, v (nv,)
-    rest (n,) : posture that the null space goes to
+    rest (n,) : posture that the null space goes to; lower, upper (nv,) : position limits, which it keeps away from
     K_P, K_V (6, 6) : of the hand, 1/s^2 and 1/s
+    share : of the rates of all feedback, for the delay of the loop
     given (nv,) : what the motors give besides, without which nothing may be shortened; the arm's bias is added
     feedforward, feedback, null_space (nv,), error (6,), stiffness, damping (6, 6), out : see `LawTorques`
 
@@ -134,12 +174,18 @@ def arm_torques(
         return -1
     pose_difference(pose, goal, error)
     pull, brake = goal_acceleration.copy(), np.zeros(6)
-    multiply_add(K_P, error, pull)
+    multiply_add(K_P, share * share * error, pull)
     bound_twist(pull, max_linear_acceleration, max_angular_acceleration)
-    multiply_add(K_V, goal_twist - twist, brake)
+    multiply_add(K_V, share * (goal_twist - twist), brake)
     posture, wanted = np.empty(n), np.zeros(n)
     for i in range(n):
-        posture[i] = posture_stiffness * (rest[i] - q[arm[i]]) - posture_damping * v[arm[i]]
+        k = arm[i]
+        posture[i] = share * (share * posture_stiffness * (rest[i] - q[k]) - posture_damping * v[k])
+        margin = min(STOP_MARGIN, STOP_SHARE * (upper[k] - lower[k]))
+        depth = max(margin - (q[k] - lower[k]), 0.0) - max(margin - (upper[k] - q[k]), 0.0)
+        if depth != 0.0:
+            depth = min(max(depth, -margin), margin)
+            posture[i] += share * STOP_FREQUENCY * (share * STOP_FREQUENCY * depth - 2.0 * abs(depth) / margin * v[k])
     multiply_add(M_arm, posture, wanted)
     # (I - J^T Lambda J M^-1) tau does not accelerate the hand
     of_hand = np.zeros(6)
@@ -170,6 +216,6 @@ def arm_torques(
     for i in range(n):
         feedback[arm[i]] = braking * damper[i] + pulling * spring[i]
         null_space[arm[i]] = braking * free[i]
-    stiffness[:] = weight * (Lambda @ K_P)
-    damping[:] = weight * (Lambda @ K_V)
+    stiffness[:] = weight * share * share * (Lambda @ K_P)
+    damping[:] = weight * share * (Lambda @ K_V)
     return 1 if min(braking, pulling) < 1.0 else 0

@@ -35,8 +35,10 @@ def inertia_factor(joints: Indices, M: Array, L: Array, F: Array) -> bool:
 @compiled
 def precision_damping(
     L: Array, F: Array, precision: Array, control_cost: float, min_stiffness: float, max_stiffness: float, D: Array
-) -> bool:
-    """D = L (2 S)^(1/2) L^T, S^2 = F Q F^T / r with the precision Q (n, n); False where S is beyond reckoning.
+) -> float:
+    """D = L (2 S)^(1/2) L^T, S^2 = F Q F^T / r with the precision Q (n, n).
+
+    Returns the largest eigenvalue of K_V = F D F^T, 1/s; -1 where S is beyond reckoning.
 
     min_stiffness, max_stiffness : bounds of the eigenvalues of S, 1/s^2
     """
@@ -45,18 +47,19 @@ def precision_damping(
     for i in range(n):
         for j in range(i + 1):
             if not np.isfinite(S[i, j]):
-                return False
+                return -1.0
             S[i, j] = S[j, i] = 0.5 * (S[i, j] + S[j, i])
     values, vectors = np.linalg.eigh(S)
+    rate = 0.0
     for k in range(n):
         frequency = np.sqrt(max(values[k], 0.0) / control_cost)
-        # a fourth root, since the product with its own transpose follows
-        root = (2.0 * min(max(frequency, min_stiffness), max_stiffness)) ** 0.25
+        rate = np.sqrt(2.0 * min(max(frequency, min_stiffness), max_stiffness))
+        root = np.sqrt(rate)  # since the product with its own transpose follows
         for i in range(n):
             vectors[i, k] *= root
     modes = L @ vectors
     D[:] = modes @ modes.T
-    return True
+    return rate  # eigenvalues come in ascending order
 
 
 @compiled
@@ -71,6 +74,7 @@ def joint_torques(
     ratio: Array,
     push: Array,
     weight: float,
+    share: float,
     effort_limits: Array,
     given: Array,
     feedback: Array,
@@ -81,17 +85,19 @@ def joint_torques(
 
     joints (n,) : places in the vectors (nv,); L, F (n, n) of their inertia; error, velocities (n,) of the reference
     v (nv,); D, ratio (n, n), push (n,) : of `JointGains`
+    share : of the rates of the feedback, for the delay of the loop
     given (nv,) : what the motors give besides
     feedback (nv,), stiffness, damping (n, n), out
 
     Returns 0, 1 where motors too weak made it shorten something, -1 where the state is beyond reckoning.
     """
     n = len(joints)
-    half = F @ D
+    half = share * (F @ D)
     K = half.T @ (ratio @ half)
+    D = share * D
     pull, brake, own = K @ error + L @ push, np.zeros(n), np.empty(n)
     most, least = np.empty(n), np.empty(n)
-    share = 1.0
+    braked = 1.0
     for i in range(n):
         for j in range(n):
             brake[i] += weight * D[i, j] * (velocities[j] - v[joints[j]])
@@ -103,18 +109,18 @@ def joint_torques(
             return -1
         most[i], least[i] = max(limit - sofar, 0.0), min(-limit - sofar, 0.0)
         if brake[i] > most[i]:
-            share = min(share, most[i] / brake[i])
+            braked = min(braked, most[i] / brake[i])
         elif brake[i] < least[i]:
-            share = min(share, least[i] / brake[i])
+            braked = min(braked, least[i] / brake[i])
     # What brakes goes first, and is shortened as a whole: with one torque cut, those of the other joints that answer
     # its speed may drive what they are to brake. What is missing then each joint adds for itself, as far as it can.
     # What pulls is cut where it is too much, and there alone: the others take its lack for one more push, and go on
     # holding what they hold. Shortening all would let go of both arms where one shoulder is too weak. It is never more
     # than the motor can give by itself: a far reference would leave nothing of what brakes, and the arm would swing.
-    shortened = 0 if share == 1.0 else 1
+    shortened = 0 if braked == 1.0 else 1
     for i in range(n):
-        together = share * brake[i]
-        braking = together + clamp((1.0 - share) * own[i], least[i] - together, most[i] - together)
+        together = braked * brake[i]
+        braking = together + clamp((1.0 - braked) * own[i], least[i] - together, most[i] - together)
         pulling = clamp(pull[i], max(least[i], least[i] - braking), min(most[i], most[i] - braking))
         if pulling != pull[i]:
             shortened = 1

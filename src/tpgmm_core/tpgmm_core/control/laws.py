@@ -203,4 +203,6 @@ def _between(before: LawTorques, after: LawTorques, share: float) -> LawTorques:
         damping=share * after.damping,
         shortened=after.shortened or before.shortened,
         reason=after.reason or before.reason,
+        delay_margin=min(before.delay_margin, after.delay_margin),
+        share=min(before.share, after.share),
     )

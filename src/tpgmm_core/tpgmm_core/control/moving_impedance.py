@@ -13,8 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw, PoseTarget
+from tpgmm_core.control.delay_margin import fastest_rate
+from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw
 from tpgmm_core.control.planning import PlanConfig, Schedule
+from tpgmm_core.control.pose_target import PoseTarget
 from tpgmm_core.control.receding_horizon import receding_horizon_gains
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.reference import Reference
@@ -64,7 +66,8 @@ class MovingImpedanceLaw(ImpedanceLaw):
         here = super().target(reference, moving)
         check_horizon(reference, needed=not self.fears)
         course = (reference.gaussian, *reference.horizon) if moving else (reference.gaussian,)
-        return MovingPoseTarget(here.reference, here.K_V, here.ratio, course, reference.horizon_time_step)
+        time_step = reference.horizon_time_step
+        return MovingPoseTarget(here.reference, here.K_V, rate=here.rate, course=course, time_step=time_step)
 
     def _take(self, target: PoseTarget | None, pose: Array, dt: float) -> None:
         if isinstance(target, MovingPoseTarget):
@@ -78,7 +81,7 @@ class MovingImpedanceLaw(ImpedanceLaw):
         planned = self._planned
         # the feedforward belongs to the gains, and comes as they do
         self._push += min(1.0, dt / self.config.gain_time) * (planned.reference.acceleration - self._push)
-        return PoseTarget(replace(target.reference, acceleration=self._push.copy()), planned.K_V, planned.ratio)
+        return replace(planned, reference=replace(target.reference, acceleration=self._push.copy()))
 
     def _solve(self, target: MovingPoseTarget) -> PoseTarget:
         config, plan = self.config, self.plan
@@ -98,7 +101,9 @@ class MovingImpedanceLaw(ImpedanceLaw):
         back = np.outer(1.0 / scale, scale)
         inverse = np.linalg.inv(gains.damping)
         reference = replace(target.reference, acceleration=gains.acceleration / scale)
-        return PoseTarget(reference, back * gains.damping, back * (inverse @ gains.stiffness @ inverse))
+        K_V, ratio = back * gains.damping, back * (inverse @ gains.stiffness @ inverse)
+        rate, firmness = (fastest_rate(matrix, config.characteristic_length) for matrix in (K_V, ratio))
+        return PoseTarget(reference, K_V, ratio, rate, firmness)
 
 
 def check_horizon(reference: Reference, needed: bool) -> None:

@@ -109,4 +109,6 @@ def moving_joint_gains(
         risk_stiffness=risk_stiffness,
     )
     inverse = np.linalg.inv(gains.damping)
-    return JointGains(L @ gains.damping @ L.T, inverse @ gains.stiffness @ inverse, gains.acceleration)
+    ratio = inverse @ gains.stiffness @ inverse
+    rate, firmness = (float(np.linalg.norm(matrix, 2)) for matrix in (gains.damping, ratio))
+    return JointGains(L @ gains.damping @ L.T, ratio, gains.acceleration, rate, firmness)

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.control.control_law import LawTorques, RobotMoment
+from tpgmm_core.control.control_law import Lag, LawTorques, RobotMoment
 from tpgmm_core.control.joint_impedance import JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
 from tpgmm_core.control.joint_space import to_joint_space
 from tpgmm_core.control.moving_impedance import check_horizon
@@ -176,7 +176,14 @@ class PredictiveLaw(JointImpedanceLaw):
             if not self._failed:
                 self._planned, self._begun = future.result(), begun
         planned = self._planned
-        return super().step(moment, None if planned is None else self._at(planned, self._time - self._begun), dt)
+        asked = super().step(moment, None if planned is None else self._at(planned, self._time - self._begun), dt)
+        return asked if planned is None else replace(asked, lag=self._lag(moment, target))
+
+    def _lag(self, moment: RobotMoment, target: PredictiveTarget) -> Lag:
+        """From the robot to the reference, which plans begin far from."""
+        if self.endpoint is None:
+            return Lag.of_joints(target.means[0] - moment.q[self._joints], self.joint_names)
+        return Lag.of_pose(POSE.log(moment.data.pose(self.endpoint), target.means[0]))
 
     def _wanted(self, target: JointTarget, L: Array, F: Array, dt: float) -> JointGains | None:
         if self._planned is None:

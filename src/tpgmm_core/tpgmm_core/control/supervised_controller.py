@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from tpgmm_core.control.control_law import ControlLaw
 from tpgmm_core.control.controller import Controller, TorqueCommand
+from tpgmm_core.control.loop_guard import LoopGuard
 from tpgmm_core.control.supervision import ControllerMode, Inputs, Timeouts, decide, slow_states
 from tpgmm_core.control.torque_pipeline import TorqueLimits
 from tpgmm_core.reference import Reference
@@ -43,15 +44,21 @@ class SupervisedController[TargetT]:
         law: ControlLaw[TargetT],
         limits: TorqueLimits | None = None,
         timeouts: Timeouts | None = None,
+        *,
+        period: float = 0.001,
+        closed_elsewhere: bool = False,
     ) -> None:
+        """period : of the robot's cycle, s. closed_elsewhere : see `LoopGuard`."""
         self.law, self.timeouts = law, timeouts or Timeouts()
         self._max_time_step = (limits or TorqueLimits()).max_time_step
-        self.controller = Controller(robot, law, limits)
+        self.controller = Controller(robot, law, limits, period)
+        self.guard = LoopGuard(robot, self.timeouts, closed_elsewhere)
         self.start()
 
     def start(self) -> None:
         """Forget everything: torques begin with the first joint state, as gravity compensation with damping."""
         self.controller.reset()
+        self.guard.forget()
         self._states, self._references = StreamWatch(), StreamWatch()
         self._rate = RateMeter()
         self._trouble: Callable[[], str] = str
@@ -68,7 +75,8 @@ class SupervisedController[TargetT]:
     def configure(self, limits: TorqueLimits, timeouts: Timeouts) -> None:
         """Take other limits and time-outs, and let the law judge the reference with its new parameters."""
         self.controller.pipeline.configure(limits)
-        self.timeouts, self._max_time_step = timeouts, limits.max_time_step
+        self.timeouts = self.guard.timeouts = timeouts
+        self._max_time_step = limits.max_time_step
         if self._reference is not None:
             self._moving, self._held = self.law.target(self._reference, True), None
 
@@ -125,7 +133,10 @@ class SupervisedController[TargetT]:
         if kind is Stamp.REPEATED:
             self._trouble = lambda: standing_still(stamp_ns)
             return None if stale else self._answer  # once it is stale, `watch` speaks
+        if timeouts.max_age > 0.0 and clock_ns > 0 and clock_ns - stamp_ns > timeouts.max_age * SECOND:
+            return self.refuse_state(_behind(stamp_ns, clock_ns, timeouts.max_age), stamp_ns, now_ns)
         if kind is Stamp.RESTARTED:
+            self.guard.forget()
             self._references.forget()
             self._reference = self._moving = self._held = None
         if stale or self._state_fault:
@@ -134,12 +145,16 @@ class SupervisedController[TargetT]:
         self._states.accept(stamp_ns, now_ns)
         self._rate.add(stamp_ns)
         self._state_fault, self._trouble = "", str
-        self.decision = decide(self._inputs(now_ns), timeouts)
-        command = self.controller.step(q, v, self._target(), dt)
+        self.guard.age.take(stamp_ns, clock_ns, of_another_clock=timeouts.max_age == 0.0)
+        self.decision = self.guard.judge(decide(self._inputs(now_ns), timeouts))
+        guard = self.guard
+        command = self.controller.step(q, v, self._target(), dt, guard.loop(), brakes=guard.swings)
         if command is None or command.reason:
             # a state that reads well and still means nothing
             self._state_fault = command.reason if command is not None else "the joint state is not finite"
             self.decision = decide(self._inputs(now_ns), timeouts)
+        else:
+            guard.after(command, self.decision.mode, self.controller.pipeline.time_step(dt))
         return self._send(command, stamp_ns, now_ns, to_state=not self._state_fault)
 
     def refuse_state(self, reason: str, stamp_ns: int, now_ns: int) -> Answer | None:
@@ -173,7 +188,7 @@ class SupervisedController[TargetT]:
         """
         if not self.decision.sends:
             return None, True
-        command = self.controller.rest(0.0, dt)
+        command = self.controller.rest(0.0, dt, loop=self.guard.loop())
         return command, command is None or self.controller.at_rest(command)
 
     # -- what is behind them -------------------------------------------------------------------------------------
@@ -184,7 +199,8 @@ class SupervisedController[TargetT]:
         if not self.decision.sends:
             return None
         dt = self._since_last(None, now_ns)
-        return self._send(self.controller.rest(inputs.state_age or 0.0, dt), stamp_ns, now_ns, to_state=False)
+        command = self.controller.rest(inputs.state_age or 0.0, dt, loop=self.guard.loop())
+        return self._send(command, stamp_ns, now_ns, to_state=False)
 
     def _inputs(self, now_ns: int) -> Inputs:
         reference_age = self._references.age(now_ns)
@@ -219,6 +235,16 @@ class SupervisedController[TargetT]:
             return None
         self._answer, self._answered_state, self._sent_ns = Answer(stamp_ns, command), to_state, now_ns
         return self._answer
+
+
+def _behind(stamp_ns: int, clock_ns: int, max_age: float) -> str:
+    if stamp_ns == 0:
+        return "its stamp is 0: let the driver stamp joint states, or set max_age to 0, and its age stays unknown"
+    return (
+        f"its stamp lies {(clock_ns - stamp_ns) / SECOND:.3g} s behind this machine's clock, more than max_age "
+        f"({max_age:g} s): it is too old, or the clocks differ; synchronise them, or set max_age to 0, and its age "
+        "stays unknown"
+    )
 
 
 def _ahead(max_future: float) -> str:

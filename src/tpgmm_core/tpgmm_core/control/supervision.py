@@ -19,8 +19,8 @@ class ControllerMode(enum.IntEnum):
 
     WAITING = 0  # no joint states: no torques
     ACTIVE = 1  # follows the reference
-    HOLD = 2  # holds the last reference with its stiffness
-    DAMPING = 3  # carries the robot's weight and damps its motion
+    HOLD = 2  # holds the last reference with its stiffness, or cannot get to it and is pulled a little only
+    DAMPING = 3  # carries the robot's weight and damps its motion: no reference, or one that cannot be followed safely
     FAULT = 4  # joint states that cannot be used: as DAMPING at the last good one, then no torques
 
 
@@ -32,6 +32,13 @@ class Timeouts:
     silence_after: float = setting(0.2, 0.0, 10.0, "Damping without joint states for this long, then silence, s")
     reference_timeout: float = setting(0.1, 0.002, 10.0, "A reference that is older is not followed but held, s")
     hold_time: float = setting(1.0, 0.0, 600.0, "It is held for this long and then let go of, s")
+    max_age: float = setting(
+        0.1,
+        0.0,
+        10.0,
+        "A joint state whose stamp is older is refused, s; 0: stamps of a clock that is not this machine's",
+    )
+    actuation_delay: float = setting(0.001, 0.0, 0.1, "From a message with torques to the torques of the motors, s")
     max_future: float = setting(0.05, 0.001, 10.0, "A stamp that lies further ahead of the clock is refused, s")
 
     def __post_init__(self) -> None:

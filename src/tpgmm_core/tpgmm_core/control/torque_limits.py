@@ -176,13 +176,6 @@ def limit_power(tau: Array, v: Array, nonlinear: Array, max_power: float, lowest
 
 
 @compiled
-def brake(v: Array, mass: Array, damping: float, bandwidth: float, out: Array) -> None:
-    """Torques (n,) that damp motion: -damping v (N m s/rad), less for joints so light that it would shake them."""
-    for i in range(len(v)):
-        out[i] = -min(damping, bandwidth * mass[i]) * v[i]
-
-
-@compiled
 def fit(wanted: Array, given: Array, limits: Array) -> float:
     """Largest share s in 0..1 with |given + s wanted| <= limits, all torques (n,).
 

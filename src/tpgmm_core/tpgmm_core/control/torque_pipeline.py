@@ -6,7 +6,9 @@
 3. blend-in: after a start or an interruption the law takes over from the safe torque, over `recovery_time`.
 4. limits of positions and speeds: no torque drives a joint beyond them (`clamp_at_limits`).
 5. repulsion from the margin before the position limits (`repel`).
-6. effort and rate: `|tau| <= effort limit` and `|tau - last tau| <= torque_rate dt` are one interval per joint.
+6. effort and rate: `|tau| <= effort limit` and `|tau - last tau| <= torque_rate dt` are one interval per joint. Where
+   the robot file gives a rate of the robot's own, the smaller one counts, and no more than one period of it at once:
+   the robot compares with what it got in its last cycle, however long the pause was for us.
 7. power: what the motors put into the motion is at most `max_power`.
 
 **What holds at the output.** Finite, within the effort limits, within the rate limit: always, and at once. The
@@ -21,6 +23,9 @@ the motors feed kinetic energy, and what the robot touches. A limit on `tau^T v`
 lifted too fast.
 
 With dt = 0 nothing changes, whatever is asked for: the last torque is repeated.
+
+**What the delay of the loop leaves.** All that brakes or pushes answers a speed that was: where it is too fast for that
+(`control.delay_margin`), it is less firm.
 """
 
 from __future__ import annotations
@@ -31,10 +36,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.control.control_law import RobotMoment
-from tpgmm_core.control.operational_space import invert_inertia
+from tpgmm_core.control.delay_margin import OF_CRITICAL, borne_share, joint_damping
 from tpgmm_core.control.torque_limits import (
     blend,
-    brake,
     clamp_at_limits,
     finite,
     keep_within,
@@ -51,6 +55,10 @@ Array = NDArray[np.float64]
 #: What a step did beside passing a torque on, by the bits of `limit_torques`.
 ACTIONS = ("not finite", "joint limit", "repulsion", "effort or rate", "power")
 NOT_FINITE, AT_LIMIT, REPELLED, BOUNDED, POWER = (1 << i for i in range(len(ACTIONS)))
+#: So much less than the robot's own limit of the rate is kept: rounding must not exceed it.
+ROUNDING = 1e-6
+#: A joint's speed towards its limit falls no faster than this share of the rate with which that is enforced.
+GENTLY = 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,14 +86,17 @@ def limit_torques(
     q: Array,
     v: Array,
     nonlinear: Array,
-    inertia: Array,
+    inverse: Array,
     previous: Array,
     dt: float,
+    delay: float,
     share: float,
     lower: Array,
     upper: Array,
     max_speed: Array,
     effort: Array,
+    own_rates: Array,
+    period: float,
     torque_rate: float,
     max_power: float,
     approach_rate: float,
@@ -97,24 +108,30 @@ def limit_torques(
 ) -> int:
     """Stages 1 and 3 to 7 on tau (n,) in place; see the module. Returns the bits of what was done.
 
-    inertia (n, n), nonlinear (n,) : at q and v (n,); previous (n,) : the last torques, NaN where there were none
+    inverse (n, n), nonlinear (n,) : M^-1 and what carries the robot at q and v (n,)
+    previous (n,) : the last torques, NaN where there were none
+    delay : of the loop, s
     share : of the law in the blend, 0 to 1
+    own_rates (n,), period : what the robot permits, N m/s, infinite where it says nothing, and its cycle, s
     safe (n,), out : gravity compensation with damping
     """
     n = len(tau)
     done = 0
-    mass, lowest, highest, inverse = np.zeros(n), np.empty(n), np.empty(n), np.empty((n, n))
-    known = finite(q) and finite(v) and finite(nonlinear) and invert_inertia(inertia, inverse)
+    mass, lowest, highest, change = np.zeros(n), np.empty(n), np.empty(n), np.empty(n)
+    known = finite(q) and finite(v) and finite(nonlinear)
     for i in range(n):
         safe[i] = 0.0 if not known else nonlinear[i]
         if known:
             mass[i] = 1.0 / inverse[i, i]
             known = known and np.isfinite(mass[i])
     if known:
-        slowing = np.empty(n)
-        brake(v, mass, safe_damping, 0.5 * limit_bandwidth, slowing)
+        limit_bandwidth *= borne_share(OF_CRITICAL / limit_bandwidth, delay)
+        approach_rate = min(approach_rate, GENTLY * limit_bandwidth)
+        repulsion_frequency *= borne_share(0.5 * OF_CRITICAL / repulsion_frequency, delay)
+        damping = np.empty(n)
+        joint_damping(safe_damping, 0.5 * limit_bandwidth, mass, inverse, delay, damping)
         for i in range(n):
-            safe[i] += slowing[i]
+            safe[i] -= damping[i] * v[i]
     if not known or not finite(tau):
         done |= NOT_FINITE
         for i in range(n):
@@ -126,7 +143,11 @@ def limit_torques(
             done |= AT_LIMIT
         if repel(tau, q, v, mass, lower, upper, repulsion_margin, repulsion_frequency):
             done |= REPELLED
-    torque_bounds(effort, previous, torque_rate * dt * effort, lowest, highest)
+    for i in range(n):
+        change[i] = torque_rate * dt * effort[i]
+        if own_rates[i] < np.inf:
+            change[i] = min(change[i], (1.0 - ROUNDING) * own_rates[i] * min(dt, period))
+    torque_bounds(effort, previous, change, lowest, highest)
     if keep_within(tau, lowest, highest):
         done |= BOUNDED
     if known and limit_power(tau, v, nonlinear, max_power, lowest, highest):
@@ -142,8 +163,9 @@ def limit_torques(
 class TorquePipeline:
     """Passes torques on, within limits; remembers the last ones."""
 
-    def __init__(self, robot: RobotModel, limits: TorqueLimits | None = None) -> None:
-        self.robot = robot
+    def __init__(self, robot: RobotModel, limits: TorqueLimits | None = None, period: float = 0.001) -> None:
+        """period : from one torque that the robot takes to the next, s."""
+        self.robot, self._period = robot, period
         self.configure(limits or TorqueLimits())
         self.reset()
         moment = RobotMoment.at(robot.create_data(), robot.home, np.zeros(robot.nv))
@@ -186,14 +208,17 @@ class TorquePipeline:
             moment.q,
             moment.v,
             moment.nonlinear,
-            moment.inertia,
+            moment.inverse,
             self._previous,
             dt,
+            moment.loop.delay,
             self._blend**2 * (3.0 - 2.0 * self._blend),
             robot.lower_limits,
             robot.upper_limits,
             robot.velocity_limits,
             robot.effort_limits,
+            robot.torque_rates,
+            self._period,
             limits.torque_rate,
             limits.max_power,
             limits.approach_rate,

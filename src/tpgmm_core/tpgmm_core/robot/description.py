@@ -5,7 +5,7 @@
     base_frame: base                      # poses, Jacobians and wrenches are expressed in its axes
     joint_groups: {left_arm: [left_s0, ...], ...}
     endpoints: {left: {frame: left_gripper, joints: left_arm}, ...}
-    limits: {head_pan: {effort: 5.0, velocity: 1.5}}       # optional; these replace the URDF's
+    limits: {head_pan: {effort: 5.0, velocity: 1.5}}       # optional; these replace the URDF's; also torque_rate, N m/s
     friction: {left_arm: {coulomb: 0.2}, ...}              # optional; replaces the URDF's damping and friction
     armature: {left_arm: {inertia: 0.1}, ...}              # optional, kg m^2: of the motors, as the joint feels it
     locked: {finger: 0.02, ...}                            # optional; joints that nobody here commands or measures
@@ -32,7 +32,7 @@ from tpgmm_core.safe_yaml import YamlError, load_yaml, shown
 PACKAGE_SCHEME = "package://"
 REQUIRED_KEYS = ("urdf", "base_frame", "joint_groups", "endpoints", "home")
 OPTIONAL_KEYS = ("limits", "friction", "armature", "locked", "gravity")
-LIMIT_KEYS = ("effort", "velocity", "lower", "upper")
+LIMIT_KEYS = ("effort", "velocity", "lower", "upper", "torque_rate")
 FRICTION_KEYS = ("viscous", "coulomb")
 ARMATURE_KEYS = ("inertia",)
 MAX_URDF_BYTES = 4_000_000

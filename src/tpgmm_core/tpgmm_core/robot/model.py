@@ -35,11 +35,12 @@ class RobotModel:
     Attributes
     ----------
     pinocchio : the Pinocchio model, with the limits of the robot file; do not change it
-    joint_names : (nv,) names in model order
+    joint_names, joint_units : (nv,) names in model order, and "rad" or "m"
     base_frame : name of the frame in whose axes poses, Jacobians and wrenches are expressed
     endpoints : name -> Endpoint(frame, joints)
     joint_groups : name -> joint names
     effort_limits, velocity_limits : (nv,), N m and N; rad/s and m/s
+    torque_rates : (nv,), N m/s and N/s, largest changes of torques that the robot takes; infinite where none is given
     lower_limits, upper_limits : (nv,), rad and m; infinite for joints that may turn for ever
     viscous_friction, coulomb_friction : (nv,), N m s/rad and N m (N s/m and N for prismatic joints)
     home : (nv,) posture, rad and m
@@ -55,6 +56,7 @@ class RobotModel:
         self.pinocchio = model
         self.nv: int = model.nv
         self.joint_names: tuple[str, ...] = tuple(model.names[1:])
+        self.joint_units = tuple("m" if "P" in joint.shortname() else "rad" for joint in model.joints.tolist()[1:])
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self.base_frame = description.base_frame
         self.endpoints: Mapping[str, Endpoint] = dict(description.endpoints)
@@ -68,6 +70,7 @@ class RobotModel:
         self.lower_limits = self._limits(description, "lower", np.where(endless, -np.inf, model.lowerPositionLimit))
         self.upper_limits = self._limits(description, "upper", np.where(endless, np.inf, model.upperPositionLimit))
         self._endless = np.flatnonzero(np.isinf(self.upper_limits - self.lower_limits))
+        self.torque_rates = self._limits(description, "torque_rate", np.full(model.nv, np.inf))
         self.viscous_friction = self._spread(model.damping, description.friction, "viscous")
         self.coulomb_friction = self._spread(model.friction, description.friction, "coulomb")
         model.armature = self._spread(model.armature, description.armature, "inertia")
@@ -200,6 +203,11 @@ class RobotModel:
             if not lower <= home <= upper:
                 raise RobotFileError(
                     f"{description.path}: home of {joint!r} is {home:g}, outside {lower:g} to {upper:g}"
+                )
+            if not self.torque_rates[i] > 0.0:
+                raise RobotFileError(
+                    f"{description.path}: torque_rate of {joint!r} is {self.torque_rates[i]:g}; expected one above 0, "
+                    "N m/s, or none where the maker gives none"
                 )
             if self.viscous_friction[i] < 0.0 or self.coulomb_friction[i] < 0.0:
                 raise RobotFileError(f"{description.path}: friction of {joint!r} must not be negative")

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ProgressWatch`: whether a robot gets to where its reference is, and if not, why; time is an argument.
+
+A robot that is far from its reference and comes no nearer does not follow it: it stands at a stop, its motors are too
+weak, it is stretched out, or something holds it. It follows again once it is near.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core.control.control_law import Lag, LawTorques
+from tpgmm_core.robot.model import RobotModel
+
+Array = NDArray[np.float64]
+
+#: Far from the reference, m and rad; near again below the share of it.
+FAR, FAR_ANGLE, NEAR = 0.05, 0.3, 0.7
+#: Who has not come nearer by a share of the distance, or by so much of `FAR`, for so long (s) gets no nearer.
+NEARER, STEP, PATIENCE = 0.05, 0.4, 1.0
+#: A reference that moves (1/s) is followed by what moves at this share of its speed.
+MOVES, KEEPS_UP = 0.1, 0.5
+#: At a stop: nearer to it than this, rad or m. At its effort limit: above this share.
+AT_STOP, AT_EFFORT = 0.06, 0.98
+#: Smallest singular value (m, turns by `LENGTH`) below which a hand hardly moves in some direction.
+STRETCHED, LENGTH = 0.05, 0.3
+#: The words are made anew this often, s.
+NEW_WORDS = 2.0
+
+
+class ProgressWatch:
+    """See the module. `reason` says why the reference is not followed; empty while it is."""
+
+    def __init__(self, robot: RobotModel) -> None:
+        self._robot = robot
+        self.forget()
+
+    def forget(self) -> None:
+        """A new movement: nothing has been tried yet."""
+        self.reason = ""
+        self._nearest = np.inf
+        self._waited = self._told = 0.0
+
+    def step(self, q: Array, tau: Array, asked: LawTorques, dt: float) -> None:
+        """The state q and the torques tau (nv,) that leave, dt s after the last ones, and what the law asked for."""
+        if asked.lag is None:
+            self.forget()
+            return
+        far = size(asked.lag)
+        if far < (NEAR if self.reason else 1.0):
+            self.forget()
+            return
+        if self.reason:
+            self._told += dt
+            if self._told >= NEW_WORDS:
+                self._told, self.reason = 0.0, self._words(q, tau, asked)
+            return
+        keeps_up = asked.asked > MOVES and asked.moves >= KEEPS_UP * asked.asked
+        if keeps_up or asked.blend < 1.0 or far < self._nearest - min(NEARER * self._nearest, STEP):
+            self._nearest, self._waited = far, 0.0
+            return
+        self._waited += dt
+        if self._waited >= PATIENCE:
+            self.reason = self._words(q, tau, asked)
+
+    def _words(self, q: Array, tau: Array, asked: LawTorques) -> str:
+        causes = "; ".join(hindrances(self._robot, q, tau, asked))
+        return f"not following, {asked.lag} and no nearer: {causes}"
+
+
+def size(lag: Lag) -> float:
+    """How far a robot is, in multiples of what is far."""
+    return max(lag.distance / FAR, lag.angle / FAR_ANGLE)
+
+
+def hindrances(robot: RobotModel, q: Array, tau: Array, asked: LawTorques) -> Iterator[str]:
+    """What may keep a robot from its reference, in words: at least one."""
+    moved = np.abs(asked.jacobian).max(axis=0, initial=0.0) > 0.0
+    names, units, none = robot.joint_names, robot.joint_units, True
+    room = np.minimum(q - robot.lower_limits, robot.upper_limits - q)
+    for what, joints in (
+        ("joint limit", [f"{names[i]}, {q[i]:.2f} {units[i]}" for i in np.flatnonzero(moved & (room < AT_STOP))]),
+        (
+            "effort limit",
+            [
+                f"{names[i]}, {tau[i]:.0f} {'N' if units[i] == 'm' else 'N m'}"
+                for i in np.flatnonzero(moved & (np.abs(tau) > AT_EFFORT * robot.effort_limits))
+            ],
+        ),
+    ):
+        if joints:
+            none = False
+            yield f"at {what}: {', '.join(joints)}"
+    J = asked.jacobian[:, moved]
+    if asked.lag is not None and not asked.lag.joint and len(J) == 6 and J.shape[1] >= 6:
+        least = float(np.linalg.svd(J * np.repeat([1.0, LENGTH], 3)[:, None], compute_uv=False)[-1])
+        if least < STRETCHED:
+            none = False
+            yield f"singular: it can hardly move in some direction ({least:.2g} m per rad)"
+    if asked.asked > MOVES:
+        none = False
+        yield "the reference moves away from it"
+    elif none and asked.shortened:
+        none = False
+        yield "its motors are too weak for what is asked"
+    if none:
+        yield "held by something, or pulled too softly"

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`LoopGuard`: whether a reference that is there can be followed: in time, without swings, and at all.
+
+It knows how late the loop is (`state_age`), notices swings (`oscillation`) and whether the robot gets where it is to be
+(`following`), and turns the decision to follow into one that is true: with its reason, and the way back.
+
+- **Late states.** Laws lower their gains to what the delay permits (`delay_margin`). Below `LEAST_SHARE` of their rates
+  nothing useful is left: DAMPING, until the delay has been well below that for a second, or references have stopped.
+- **Swings.** DAMPING until all joints have been calm for a second; then it follows with gains that bear a quarter of
+  the period of what swung, which is the delay that makes damping swing so. That is forgotten within half a minute.
+  What swings for the third time is not tried again before the next activation.
+- **Hindered.** HOLD: pulled by no more than a few centimetres, so that nothing leaps when the obstacle goes; ACTIVE
+  again once the robot is near its reference.
+"""
+
+from __future__ import annotations
+
+import math
+
+from tpgmm_core.control.control_law import LawTorques, Loop
+from tpgmm_core.control.controller import TorqueCommand
+from tpgmm_core.control.delay_margin import DELAY_SAFETY
+from tpgmm_core.control.following import ProgressWatch
+from tpgmm_core.control.oscillation import SwingWatch
+from tpgmm_core.control.state_age import StateAge
+from tpgmm_core.control.supervision import ControllerMode, Decision, Timeouts
+from tpgmm_core.robot.model import RobotModel
+
+#: Gains slower than this share of what the reference asks for follow nothing: K_P is 1/25 of it.
+LEAST_SHARE = 0.2
+#: It is tried again where the delay has been below this share of the longest one that was borne, for so long, s.
+RETRY, RETRY_TIME = 0.75, 1.0
+#: So many alarms, and swings are not tried again.
+MOST_ALARMS = 3
+#: Words about the share of the gains are made anew where it has changed by this factor.
+TOLD_FACTOR = 1.1
+#: A share above this is no news.
+NEARLY_ALL = 0.95
+
+
+class LoopGuard:
+    """See the module.
+
+    age : how late states are
+    share, tolerated : of the gains' rates that are left (1 without reference), and the age of states (s) that all of
+        them bear; infinite without reference
+    """
+
+    def __init__(self, robot: RobotModel, timeouts: Timeouts, closed_elsewhere: bool = False) -> None:
+        """closed_elsewhere : the robot itself answers its state with gains that it is sent."""
+        self._robot, self.timeouts, self._closed_elsewhere = robot, timeouts, closed_elsewhere
+        self.age = StateAge()
+        self._swings, self._progress = SwingWatch(robot.velocity_limits), ProgressWatch(robot)
+        self.forget()
+
+    def forget(self) -> None:
+        """A new start."""
+        self.age.forget()
+        self._swings.forget()
+        self._progress.forget()
+        self.share, self.tolerated = 1.0, math.inf
+        self._swung, self._alarms = "", 0
+        self._late, self._longest, self._in_time = "", math.inf, 0.0
+        self._told, self._words, self._told_delay = 1.0, "", 0.0
+
+    @property
+    def delay(self) -> float:
+        """Of the loop, s."""
+        return 0.0 if self._closed_elsewhere else self.age.delay(self.timeouts.actuation_delay)
+
+    @property
+    def swings(self) -> bool:
+        """Whether something swings that is to be braked, whatever references say."""
+        return bool(self._swung)
+
+    def loop(self) -> Loop:
+        """What the next torques have to bear."""
+        return Loop(self.age.age or 0.0, self.delay, bool(self._progress.reason))
+
+    def judge(self, decision: Decision) -> Decision:
+        """What is true of a decision that inputs alone led to."""
+        follows = decision.mode in (ControllerMode.ACTIVE, ControllerMode.HOLD)
+        if self._swung and self._alarms < MOST_ALARMS and self._swings.calm:
+            self._swung = ""
+        if self._swung and (follows or decision.mode is ControllerMode.DAMPING):
+            return Decision(ControllerMode.DAMPING, self._swung, decision.sends)
+        if not follows:
+            self._late = ""
+            self._progress.forget()
+            return decision
+        if self._late:
+            return Decision(ControllerMode.DAMPING, self._late, decision.sends)
+        if self._progress.reason:
+            return Decision(ControllerMode.HOLD, self._progress.reason, decision.sends)
+        return Decision(decision.mode, decision.reason + self._words, decision.sends)
+
+    def after(self, command: TorqueCommand, mode: ControllerMode, dt: float) -> None:
+        """Torques that left dt s after the last ones, and in which mode."""
+        asked = command.law
+        follows = mode in (ControllerMode.ACTIVE, ControllerMode.HOLD)
+        moves, wanted = (0.0, 0.0) if asked is None else (asked.moves, asked.asked)
+        if self._swings.step(command.v, moves, wanted, dt) and (follows or self._swung):
+            self._alarm(follows)
+        if asked is None:
+            return
+        self._judge_delay(asked, follows, dt)
+        if follows:
+            self._progress.step(command.q, command.tau, asked, dt)
+
+    def _alarm(self, follows: bool) -> None:
+        swings, robot = self._swings, self._robot
+        self._alarms += follows
+        self.age.suspect(0.5 * swings.half_period)
+        unit = robot.joint_units[swings.joint]
+        self._swung = (
+            f"{robot.joint_names[swings.joint]} swings and does not settle ({swings.speed:.2g} {unit}/s, to and fro in "
+            f"{2e3 * swings.half_period:.0f} ms): states or torques late, or gains too high for the robot's inertia; "
+        )
+        again = "for the third time: activate anew" if self._alarms >= MOST_ALARMS else "softer once it is calm"
+        self._swung += again
+
+    def _judge_delay(self, asked: LawTorques, follows: bool, dt: float) -> None:
+        delay = self.delay
+        if follows:
+            self.share = asked.share
+            self.tolerated = asked.delay_margin / DELAY_SAFETY - self.age.period - self.timeouts.actuation_delay
+        elif not self._late:
+            self.share, self.tolerated = 1.0, math.inf
+        if self._late:
+            self._in_time = self._in_time + dt if delay < RETRY * self._longest else 0.0
+            if self._in_time >= RETRY_TIME:
+                self._late = ""
+            elif not self._told_delay / TOLD_FACTOR < delay < self._told_delay * TOLD_FACTOR:
+                self._late = self._words_of_late(delay)
+        elif follows and asked.share < LEAST_SHARE and asked.blend > 0.0:
+            self._in_time, self._longest = 0.0, asked.delay_margin / (DELAY_SAFETY * LEAST_SHARE)
+            self._late = self._words_of_late(delay)
+        if asked.share > NEARLY_ALL:
+            self._told, self._words = 1.0, ""
+        elif not self._told / TOLD_FACTOR < asked.share < self._told * TOLD_FACTOR:
+            self._told = asked.share
+            self._words = f", softer: K_P is {asked.share**2:.2g} of what it asks for, since {self._lateness()}"
+
+    def _words_of_late(self, delay: float) -> str:
+        self._told_delay = delay
+        return (
+            f"{self._lateness()}, the loop {1e3 * delay:.0f} ms late in all; the gains that the reference asks for "
+            f"bear {1e3 * LEAST_SHARE * self._longest:.0f} ms, the softest ones that follow "
+            f"{1e3 * self._longest:.0f} ms"
+        )
+
+    def _lateness(self) -> str:
+        if self.age.suspected > self.age.usual:
+            return f"it swung as if torques came {1e3 * self.age.suspected:.0f} ms late"
+        if self.age.age is None:
+            return f"joint states come every {1e3 * self.age.period:.0f} ms"
+        return (
+            f"joint states are {1e3 * self.age.usual:.0f} ms old by their stamps, every {1e3 * self.age.period:.0f} ms"
+        )

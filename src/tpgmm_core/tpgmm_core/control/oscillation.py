@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`SwingWatch`: notices joints that swing to and fro more and more, whatever the cause; time is an argument.
+
+Each joint's velocity is cut into half-swings, from one change of its sign to the next. A swing is what grows, or does
+not die out, over several of them, is faster than a share of the joint's speed limit, and is not what the reference
+does. A push decays within two half-swings under a damping ratio of 0.7, and so is none; nor are slow movements.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core.kernels import compiled
+
+Array = NDArray[np.float64]
+
+#: Shares of the speed limit: below the first a joint is at rest, the second counts as a swing, the third is an alarm.
+AT_REST, SWINGS, ALARM = 0.01, 0.03, 0.15
+#: Half-swings that are slower than this are movements, s.
+SLOWEST = 0.5
+#: A half-swing of less than this share of the one before has died out.
+DIES_OUT = 0.8
+#: After so many half-swings that have grown by the factor, or so many that have not died out, it is an alarm.
+GROWN_AFTER, GROWTH, ENDLESS_AFTER = 3, 1.5, 6
+#: A joint may swing as long as the hand does no more than this many times what the reference does, ...
+FOLLOWS = 2.0
+#: ... which is remembered for this long, s; motions below (1/s) are none.
+REMEMBERED, NO_MOTION = 0.5, 0.1
+#: Speeds below `CALM` of the limits for so long are calm, s.
+CALM, CALM_TIME = 0.05, 1.0
+
+
+@compiled
+def count_swings(v: Array, speed_limits: Array, dt: float, counts: bool, swings: Array) -> int:
+    """Update the swings (n, 6) of n joints by their velocities v (n,), dt s later. The joint of an alarm, or -1.
+
+    swings : for each joint the sign of its half-swing, its peak speed, its time; the peak of the one before; how many
+        have not died out; the peak of the first of them
+    counts : whether this half-swing may count at all
+    """
+    alarm = -1
+    for i in range(len(v)):
+        row, limit, speed = swings[i], speed_limits[i], abs(v[i])
+        row[2] += dt
+        sign = 0.0 if speed < AT_REST * limit else math.copysign(1.0, v[i])
+        if sign == 0.0 or sign == row[0]:
+            row[1] = max(row[1], speed)
+            continue
+        peak, before = row[1], row[3]
+        if not counts or peak < SWINGS * limit or row[2] > SLOWEST:
+            row[4] = 0.0
+        elif row[4] == 0.0 or peak < DIES_OUT * before:
+            row[4], row[5] = 1.0, peak
+        else:
+            row[4] += 1.0
+            grown = row[4] >= GROWN_AFTER and peak >= GROWTH * row[5]
+            if peak >= ALARM * limit and (grown or row[4] >= ENDLESS_AFTER):
+                alarm = i
+        row[0], row[1], row[3] = sign, speed, peak
+        if alarm != i:
+            row[2] = 0.0
+    return alarm
+
+
+class SwingWatch:
+    """See the module.
+
+    joint, speed, half_period : of the last alarm: index, rad/s (m/s), s
+    calm : whether no joint has moved much for `CALM_TIME`
+    """
+
+    def __init__(self, speed_limits: Array) -> None:
+        self._limits = speed_limits
+        self._swings = np.zeros((len(speed_limits), 6))
+        self.forget()
+        self.step(np.zeros(len(speed_limits)), 0.0, 0.0, 0.0)  # compiles
+
+    def forget(self) -> None:
+        """Nothing has swung yet."""
+        self._swings[:] = 0.0
+        self._asked = self._still = 0.0
+        self.joint, self.speed, self.half_period = -1, 0.0, 0.0
+
+    @property
+    def calm(self) -> bool:
+        return self._still >= CALM_TIME
+
+    def step(self, v: Array, moves: float, asked: float, dt: float) -> bool:
+        """Velocities v (nv,), dt s after the last ones. Whether a joint swings more and more.
+
+        moves, asked : how fast the hand moves, and the reference, 1/s
+        """
+        self._asked = max(asked, self._asked * math.exp(-dt / REMEMBERED))
+        self._still = self._still + dt if (np.abs(v) < CALM * self._limits).all() else 0.0
+        unasked = moves + NO_MOTION >= FOLLOWS * self._asked
+        joint = count_swings(v, self._limits, dt, unasked, self._swings)
+        if joint < 0:
+            return False
+        self.joint, self.speed = joint, float(self._swings[joint, 3])
+        self.half_period = float(self._swings[joint, 2])
+        self._swings[:, 2] = self._swings[:, 4] = 0.0
+        return True

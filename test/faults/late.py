@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the impedance_controller does about joint states that come late, and arms that swing or do not follow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from faults.late_bench import AT_REST, AWAY, FIRM, ORDINARY, SOFT, LateBench
+from faults.table import fault
+from ros_graph import set_parameters
+from tpgmm_msgs.msg import ControllerState
+
+#: No age is measured where it is 0.
+ANOTHER_CLOCK = 0.0
+
+
+def sent_away(bench: LateBench, deviation: float, seconds: float = 3.0) -> str:
+    """Ask for a movement and let it end; AssertionError where the arm swings, or does not come to rest."""
+    bench.deviation = deviation
+    bench.goal = bench.pose() + AWAY
+    bench.clear()
+    bench.spin_for(seconds)
+    fastest, last, torque = float(bench.speeds().max()), bench.speed(), bench.torque()
+    assert fastest < ORDINARY, f"a joint moved at {fastest:.2f} of its limit"
+    assert last < AT_REST, f"a joint still moves at {last:.2f} of its limit"
+    assert not any("swings" in message.reason for message in bench.modes.messages)
+    assert torque <= 1.0 + 1e-9
+    ages = bench.diagnostics.values["impedance_controller"]
+    return (
+        f"largest speed {100 * fastest:.0f} % and torque {100 * torque:.0f} % of the limits, "
+        f"{1e3 * bench.away():.1f} mm from the goal; {', '.join(bench.said())}: {bench.modes.last.reason}; "
+        f"age p50 {ages['state_age_p50_ms']} ms, "
+        f"tolerated {ages['tolerated_age_ms']} ms"
+    )
+
+
+def enter_late(late_ms: int, varies_ms: int, quick: bool) -> None:
+    about = f" (varying by {varies_ms} ms)" if varies_ms else ""
+
+    @fault(
+        LateBench,
+        f"joint states {late_ms} ms old{about}, firm references",
+        "followed with gains that bear it, and it says so; no swings",
+        quick=quick,
+    )
+    def late(bench: LateBench) -> str:
+        bench.delay(1e-3 * late_ms, 1e-3 * varies_ms)
+        bench.spin_for(0.5)
+        observed = sent_away(bench, FIRM)
+        assert bench.is_in(ControllerState.ACTIVE, "ms old by their stamps"), bench.modes.last
+        assert bench.away() < 0.02
+        return observed
+
+
+for _late, _varies, _quick in ((20, 0, True), (30, 0, False), (20, 10, False)):
+    enter_late(_late, _varies, _quick)
+
+
+@fault(
+    LateBench,
+    "joint states 60 ms old, firm references",
+    "DAMPING: no useful gains bear it; the reason has the age and what is borne",
+)
+def too_late(bench: LateBench) -> str:
+    bench.delay(0.06)
+    bench.spin_for(0.5)
+    observed = sent_away(bench, FIRM)
+    assert bench.is_in(ControllerState.DAMPING, "ms old by their stamps"), bench.modes.last
+    assert "bear" in bench.modes.last.reason
+    return observed
+
+
+@fault(LateBench, "joint states 60 ms old, soft references", "followed, more slowly: soft gains bear more", quick=False)
+def late_and_soft(bench: LateBench) -> str:
+    bench.delay(0.06)
+    bench.spin_for(0.5)
+    observed = sent_away(bench, 5.0 * SOFT, 6.0)
+    assert bench.is_in(ControllerState.ACTIVE), bench.modes.last
+    return observed
+
+
+@fault(
+    LateBench,
+    "joint states become 40 ms old in the middle of a movement",
+    "gains fall within some ten ms, before a swing has begun",
+)
+def suddenly_late(bench: LateBench) -> str:
+    bench.deviation, bench.goal = 2.0 * FIRM, bench.pose() + AWAY
+    bench.clear()
+    bench.spin_for(0.4)
+    bench.delay(0.04)
+    bench.spin_for(3.0)
+    fastest, last = float(bench.speeds().max()), bench.speed()
+    assert last < AT_REST, f"in the end {last:.2f} of a speed limit"
+    assert not any("swings" in message.reason for message in bench.modes.messages)
+    return f"largest speed {100 * fastest:.0f} % of a limit; {', '.join(bench.said())}: {bench.modes.last.reason}"
+
+
+@fault(
+    LateBench,
+    "joint states older than max_age",
+    "FAULT with the reason: refused as if none came, then nothing",
+)
+def beyond_max_age(bench: LateBench) -> str:
+    assert set_parameters(bench.node, "impedance_controller", max_age=0.02).successful
+    bench.delay(0.06)
+    took = bench.wait(lambda: bench.is_in(ControllerState.FAULT, "behind this machine's clock"), "FAULT")
+    bench.wait(lambda: bench.speed() < AT_REST, "rest")
+    observed = f"FAULT within {took:.2f} s ({bench.modes.last.reason})"
+    assert set_parameters(bench.node, "impedance_controller", max_age=0.2).successful
+    return observed
+
+
+@fault(
+    LateBench,
+    "joint states 40 ms late whose stamps do not tell",
+    "swings are noticed: DAMPING with the reason; once calm it follows with gains that bear it, or says why not",
+)
+def late_unawares(bench: LateBench) -> str:
+    assert set_parameters(bench.node, "impedance_controller", max_age=ANOTHER_CLOCK).successful
+    bench.delay(0.04)
+    bench.spin_for(0.5)
+    bench.deviation, bench.goal = FIRM, bench.pose() + AWAY
+    bench.clear()
+    noticed = bench.wait(lambda: bench.is_in(ControllerState.DAMPING, "swings and does not settle"), "the swings")
+    reason = bench.modes.last.reason
+    before = float(bench.speeds().max())
+    rest = bench.wait(lambda: bench.speed() < AT_REST, "rest")
+    bench.clear()
+    bench.spin_for(4.0)
+    again = float(bench.speeds().max())
+    assert again < ORDINARY, f"it swings again, at {again:.2f} of a speed limit"
+    bench.spin_for(0.1)
+    return (
+        f"noticed {noticed:.2f} s after the reference came, at {100 * before:.0f} % of a speed limit ({reason}); at "
+        f"rest {rest:.2f} s later, then at most {100 * again:.0f} %: {bench.modes.last.reason}"
+    )
+
+
+@fault(
+    LateBench,
+    "an arm that is held by 120 N on its way",
+    "HOLD with the reason once it gets no nearer; when it is let go it goes on gently, to its goal",
+)
+def held(bench: LateBench) -> str:
+    bench.deviation, start = 5.0 * SOFT, bench.pose()
+    bench.goal = start + 2.5 * AWAY
+    bench.clear()
+
+    def hold() -> None:
+        bench.push(np.clip(-4000.0 * (bench.pose() - start)[:3], -120.0, 120.0))
+
+    def noticed() -> bool:
+        hold()
+        return bench.is_in(ControllerState.HOLD, "not following")
+
+    took = bench.wait(noticed, "HOLD")
+    reason = bench.modes.last.reason
+    bench.spin_for(1.0, hold)
+    bench.clear()
+    back = bench.wait(lambda: bench.is_in(ControllerState.ACTIVE), "following again")
+    bench.spin_for(2.0)
+    fastest = float(bench.speeds().max())
+    assert fastest < ORDINARY, f"it leapt, at {fastest:.2f} of a speed limit"
+    return (
+        f"HOLD after {took:.1f} s ({reason}); let go, ACTIVE after {back:.1f} s, at most {100 * fastest:.0f} % of a "
+        f"speed limit, {1e3 * bench.away():.0f} mm from the goal"
+    )
+
+
+@fault(
+    LateBench,
+    "a reference out of reach",
+    "HOLD with the reason: where it stands, and why it gets no further; ACTIVE with the next one that it can follow",
+)
+def out_of_reach(bench: LateBench) -> str:
+    bench.deviation, bench.goal = SOFT, bench.pose() + np.array([0.8, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
+    bench.clear()
+    took = bench.wait(lambda: bench.is_in(ControllerState.HOLD, "not following"), "HOLD")
+    bench.spin_for(1.0)
+    reason = bench.modes.last.reason
+    last = bench.speed()
+    bench.goal = bench.pose() + np.array([-0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    back = bench.wait(lambda: bench.is_in(ControllerState.ACTIVE), "following again")
+    return (
+        f"HOLD after {took:.1f} s, at {100 * last:.0f} % of a speed limit ({reason}); the next one: ACTIVE after "
+        f"{back:.1f} s"
+    )
