@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tpgmm_core.text import listed
 from tpgmm_ros.bag_messages import Array, BagError, Nanoseconds, read_messages
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -66,6 +67,6 @@ def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> JointStr
 def _places(path: Path, topic: str, names: tuple[str, ...], joints: Sequence[str]) -> list[int]:
     missing = [joint for joint in joints if joint not in names]
     if missing or len(set(names)) < len(names):
-        what = f"lacks the joints {', '.join(missing)}" if missing else "names joints twice"
-        raise BagError(path, f"{topic} {what}; it names {', '.join(names)}. Record them, or correct the task file")
+        what = f"lacks the joints {listed(missing)}" if missing else "names joints twice"
+        raise BagError(path, f"{topic} {what}; it names {listed(names)}. Record them, or correct the task file")
     return [names.index(joint) for joint in joints]

@@ -23,6 +23,7 @@ from tpgmm_core.reference import Reference
 from tpgmm_core.retrieval.execution import ExecutionConfig
 from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.ways import WAYS, way_named
+from tpgmm_core.text import listed, one_line, shown
 from tpgmm_core.tracking import check_pose
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
@@ -93,7 +94,7 @@ class ReproductionNode(ManagedNode):
         if values["retrieval"]:
             way_named(values["retrieval"])
         if values["phase"] not in PHASES:
-            raise ValueError(f"there is no phase {values['phase']!r}; known are {', '.join(PHASES)}")
+            raise ValueError(f"there is no phase {shown(values['phase'])}; known are {', '.join(PHASES)}")
         if self.movements is not None:  # last, since it takes effect: only the way itself knows which speeds it can go
             self.movements.set_speed(values["speed"])
 
@@ -107,7 +108,7 @@ class ReproductionNode(ManagedNode):
             model = load_model(model_file, self.task) if model_file else None
             self._dimensions = state_dimensions(self.task)
         except (ValueError, OSError) as error:
-            self.get_logger().error(str(error))
+            self.get_logger().error(one_line(error))
             return TransitionCallbackReturn.FAILURE
         self._references = self.create_lifecycle_publisher(ReferenceMessage, "reference", STREAM)
         self._reference_poses = self.create_lifecycle_publisher(PoseWithCovarianceStamped, "reference_pose", STREAM)
@@ -256,7 +257,7 @@ class ReproductionNode(ManagedNode):
             return DiagnosticStatus.ERROR, f"no task parameters for {silence:.1f} s: is frame_tracker alive?", values
         missing = [name for name in execution.retrieval.frame_names if name not in self.movements.frames]
         if missing:
-            return DiagnosticStatus.WARN, f"reproducing without {', '.join(missing)}", values
+            return DiagnosticStatus.WARN, f"reproducing without {listed(missing)}", values
         return DiagnosticStatus.OK, "reproducing", values
 
 

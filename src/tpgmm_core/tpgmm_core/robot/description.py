@@ -27,7 +27,8 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from tpgmm_core.safe_yaml import YamlError, load_yaml, shown
+from tpgmm_core.safe_yaml import YamlError, load_yaml
+from tpgmm_core.text import listed, one_line, shown
 
 PACKAGE_SCHEME = "package://"
 REQUIRED_KEYS = ("urdf", "base_frame", "joint_groups", "endpoints", "home")
@@ -79,14 +80,16 @@ class RobotDescription:
         try:
             return cls._from_mapping(path, _mapping(content, "the robot file"))
         except RobotFileError as error:
-            raise RobotFileError(f"{path}: {error}") from error
+            raise RobotFileError(f"{one_line(path)}: {error}") from error
 
     @classmethod
     def _from_mapping(cls, path: Path, content: Mapping[str, Any]) -> RobotDescription:
         missing = [key for key in REQUIRED_KEYS if key not in content]
         unknown = [key for key in content if key not in REQUIRED_KEYS + OPTIONAL_KEYS]
         if missing or unknown:
-            raise RobotFileError(f"missing keys {missing}, unknown keys {shown(unknown)}; required are {REQUIRED_KEYS}")
+            raise RobotFileError(
+                f"missing keys {listed(missing)}; unknown keys {listed(unknown)}; required are {listed(REQUIRED_KEYS)}"
+            )
         groups = {name: _names(joints, name) for name, joints in _items(content, "joint_groups")}
         endpoints = {name: _endpoint(value, name, groups) for name, value in _items(content, "endpoints")}
         return cls(
@@ -196,7 +199,7 @@ def _number(value: Any, what: str) -> float:
 
 
 def _positions(content: Mapping[str, Any], key: str) -> dict[str, float]:
-    return {name: _number(value, f"{key} of {name}") for name, value in _items(content, key)}
+    return {name: _number(value, f"{key} of {one_line(name, 60)}") for name, value in _items(content, key)}
 
 
 def _gravity(value: Any) -> tuple[float, float, float] | None:
@@ -210,19 +213,21 @@ def _gravity(value: Any) -> tuple[float, float, float] | None:
 
 def _names(value: Any, group: str) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value) or not value:
-        raise RobotFileError(f"joint group {group!r} must be a list of joint names, got {shown(value)}")
+        raise RobotFileError(f"joint group {shown(group)} must be a list of joint names, got {shown(value)}")
     if len(set(value)) != len(value):
-        raise RobotFileError(f"joint group {group!r} names a joint twice: {shown(value)}")
+        raise RobotFileError(f"joint group {shown(group)} names a joint twice: {shown(value)}")
     return tuple(value)
 
 
 def _endpoint(value: Any, name: str, groups: Mapping[str, tuple[str, ...]]) -> Endpoint:
-    entry = _mapping(value, f"end point {name!r}")
+    entry = _mapping(value, f"end point {shown(name)}")
     if set(entry) != {"frame", "joints"}:
-        raise RobotFileError(f"end point {name!r} needs the keys 'frame' and 'joints', got {shown(list(entry))}")
-    frame, joints = (_text(entry[key], f"{key} of end point {name!r}") for key in ("frame", "joints"))
+        raise RobotFileError(f"end point {shown(name)} needs the keys 'frame' and 'joints', got {shown(list(entry))}")
+    frame, joints = (_text(entry[key], f"{key} of end point {shown(name)}") for key in ("frame", "joints"))
     if joints not in groups:
-        raise RobotFileError(f"end point {name!r} names the unknown joint group {joints!r}; {list(groups)}")
+        raise RobotFileError(
+            f"end point {shown(name)} names the unknown joint group {shown(joints)}; there are {listed(groups)}"
+        )
     return Endpoint(frame, joints)
 
 
@@ -231,13 +236,17 @@ def _per_joint(
 ) -> dict[str, dict[str, float]]:
     """Entries by joint or by group, spread over the joints."""
     spread: dict[str, dict[str, float]] = {}
-    entries = [(name, _mapping(value, f"{key} of {name}")) for name, value in _items({key: {}, **content}, key)]
+    entries = [
+        (name, _mapping(value, f"{key} of {one_line(name, 60)}")) for name, value in _items({key: {}, **content}, key)
+    ]
     # groups first, so that a joint's own entry replaces what its group says
     for name, entry in sorted(entries, key=lambda item: item[0] not in groups):
         unknown = [word for word in entry if word not in allowed]
         if unknown:
-            raise RobotFileError(f"{key} of {name} has the unknown keys {unknown}; allowed are {allowed}")
-        values = {word: _number(value, f"{key} of {name}, {word},") for word, value in entry.items()}
+            raise RobotFileError(
+                f"{key} of {one_line(name, 60)} has the unknown keys {listed(unknown)}; allowed are {listed(allowed)}"
+            )
+        values = {word: _number(value, f"{key} of {one_line(name, 60)}, {word},") for word, value in entry.items()}
         for joint in groups.get(name, (name,)):
             spread.setdefault(joint, {}).update(values)
     return spread

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.robot.description import Endpoint, RobotDescription, RobotFileError
 from tpgmm_core.robot.urdf import read_urdf
+from tpgmm_core.text import listed, shown
 
 Array = NDArray[np.float64]
 
@@ -100,15 +101,15 @@ class RobotModel:
         names = self.joint_groups.get(joints, (joints,)) if isinstance(joints, str) else joints
         unknown = [name for name in names if name not in self._index]
         if unknown:
-            known = f"joints {list(self.joint_names)} and groups {list(self.joint_groups)}"
-            raise ValueError(f"unknown joints {unknown}; known are {known}")
+            known = f"joints {listed(self.joint_names, 40)} and groups {listed(self.joint_groups)}"
+            raise ValueError(f"unknown joints {listed(unknown)}; known are {known}")
         return np.array([self._index[name] for name in names], dtype=np.intp)
 
     def frame_id(self, frame: str) -> int:
         """Pinocchio's index of a frame of the URDF, a link or else a joint. Raises ValueError for an unknown name."""
         if not self.pinocchio.existFrame(frame):
             bodies = [f.name for f in self.pinocchio.frames if f.type == pin.FrameType.BODY]
-            raise ValueError(f"the URDF has no frame {frame!r}; its links are {bodies}")
+            raise ValueError(f"the URDF has no frame {shown(frame)}; its links are {listed(bodies, 60)}")
         # a link and a joint may have the same name
         link = self.pinocchio.existFrame(frame, pin.FrameType.BODY)
         return int(self.pinocchio.getFrameId(frame, *((pin.FrameType.BODY,) if link else ())))
@@ -144,7 +145,10 @@ class RobotModel:
         unknown = [name for name in names if name not in self._index]
         if missing or unknown or len(names) != self.nv:
             twice = sorted({name for name in names if names.count(name) > 1})
-            raise ValueError(f"joint names do not fit the robot: missing {missing}, unknown {unknown}, twice {twice}")
+            raise ValueError(
+                f"joint names do not fit the robot: missing {listed(missing)}; unknown {listed(unknown)}; "
+                f"twice {listed(twice)}"
+            )
         return np.array([names.index(name) for name in self.joint_names], dtype=np.intp)
 
     def _check_names(self, description: RobotDescription) -> None:
@@ -159,16 +163,16 @@ class RobotModel:
             unknown = sorted({name for name in names if name not in self._index})
             if unknown:
                 raise RobotFileError(
-                    f"{description.path}: {key} names the unknown joints {unknown}; "
-                    f"the URDF has {list(self.joint_names)}"
+                    f"{description.path}: {key} names the unknown joints {listed(unknown)}; "
+                    f"the URDF has {listed(self.joint_names, 40)}"
                 )
         missing = [name for name in self.joint_names if name not in description.home]
         if missing:
-            raise RobotFileError(f"{description.path}: home lacks the joints {missing}")
+            raise RobotFileError(f"{description.path}: home lacks the joints {listed(missing)}")
         frames = [self.base_frame, *(end.frame for end in self.endpoints.values())]
         absent = [frame for frame in frames if not self.pinocchio.existFrame(frame)]
         if absent:
-            raise RobotFileError(f"{description.path}: the URDF {description.urdf.name} has no frames {absent}")
+            raise RobotFileError(f"{description.path}: the URDF {description.urdf.name} has no frames {listed(absent)}")
 
     def _spread(self, default: ArrayLike, entries: Mapping[str, Mapping[str, float]], word: str) -> Array:
         values = np.array(default, dtype=np.float64)

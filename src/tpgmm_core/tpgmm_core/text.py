@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Text of others in our own sentences: on one line, without control characters, and short.
+
+Names in messages and files, parameters, topics of bags may be megabytes, hold line breaks that pass for lines of a log,
+or codes that a terminal obeys. Whatever comes from outside goes through here before it is part of an error, a log, a
+diagnostic or a status.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from itertools import islice
+from typing import Any
+
+NAME_LIMIT = 60
+"""Characters of a name or value in a sentence."""
+LINE_LIMIT = 2000
+"""Characters of a whole message."""
+_NAME = re.compile(r"[A-Za-z0-9_./~-]+")
+_NAME = re.compile(r"[A-Za-z0-9_./~-]+")
+_NAME = re.compile(r"[A-Za-z0-9_./~-]+")
+
+
+def shown(value: Any, limit: int = NAME_LIMIT) -> str:
+    """A value as Python writes it, texts in quotes, short enough for a sentence.
+
+    Parameters
+    ----------
+    value : anything
+    limit : characters of it that are shown
+    """
+    if isinstance(value, str | bytes):
+        value = value[: limit + 1]  # what is not shown need not be escaped
+    try:
+        text = repr(value)
+    except ValueError:  # integers beyond Python's limit of digits have no text
+        text = f"{type(value).__name__} too large to show"
+    return one_line(text, limit)
+
+
+def listed(values: Iterable[Any], most: int = 12) -> str:
+    """Names or values separated by commas, and the number of those beyond `most`; "nothing" where there are none.
+
+    Names of letters, digits, and what topics and files have between them stand as they are, all others as `shown`.
+    """
+    rest = iter(values)
+    parts = [_plain(value) for value in islice(rest, most)]
+    others = sum(1 for _ in rest)
+    if others:
+        parts.append(f"… and {others} more")
+    return ", ".join(parts) or "nothing"
+
+
+def _plain(value: Any) -> str:
+    is_plain = isinstance(value, str) and len(value) <= NAME_LIMIT and _NAME.fullmatch(value)
+    return value if is_plain else shown(value)
+
+
+def _plain(value: Any) -> str:
+    is_plain = isinstance(value, str) and len(value) <= NAME_LIMIT and _NAME.fullmatch(value)
+    return value if is_plain else shown(value)
+
+
+def _plain(value: Any) -> str:
+    is_plain = isinstance(value, str) and len(value) <= NAME_LIMIT and _NAME.fullmatch(value)
+    return value if is_plain else shown(value)
+
+
+def one_line(text: object, limit: int = LINE_LIMIT) -> str:
+    """A text without quotes: line breaks and spaces as one space, what cannot be printed escaped, cut to `limit`."""
+    whole = str(text)
+    line = " ".join(whole[: 2 * limit].split())
+    if not line.isprintable():
+        line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in line)
+    return line if len(line) <= limit and len(whole) <= 2 * limit else line[:limit] + "…"
