@@ -19,6 +19,7 @@ A robot file may come from a stranger: it reads no files but those of installed 
 
 from __future__ import annotations
 
+import codecs
 import os
 import sys
 from collections.abc import Iterator, Mapping
@@ -39,6 +40,9 @@ ARMATURE_KEYS = ("inertia",)
 MAX_URDF_BYTES = 4_000_000
 MAX_URDF_DEPTH, MAX_URDF_JOINTS = 50, 500
 """The depth of a URDF's XML, and its joints: its parser descends both by recursion, to the end of the stack."""
+
+
+_GEOMETRY = ("robot", "link", "joint", "origin", "mass", "inertia", "axis", "limit", "parent", "child", "mimic")
 
 
 class RobotFileError(ValueError):
@@ -127,28 +131,45 @@ def resolve_urdf(reference: str, folder: Path) -> Path:
             if not is_package and not found.is_relative_to(folder.resolve()):
                 raise RobotFileError(f"urdf {shown(reference)} is a link to {found}, out of the robot file's folder")
             return found
-    places = ", ".join(map(str, candidates))
+    if is_package:
+        places = listed(map(str, candidates), 6)
+        raise RobotFileError(
+            f"no URDF {shown(reference)} in {places}. Is its package installed (pip install example-robot-data)?"
+        )
+    hint = "; a xacro is expanded first: xacro FILE.xacro > robot.urdf" if "xacro" in reference else ""
     raise RobotFileError(
-        f"no URDF {shown(reference)} in {places}. Is its package installed (pip install example-robot-data)?"
+        f"no URDF {shown(reference)} in {folder.resolve()}; expected a file beside the robot file or below{hint}"
     )
 
 
-def check_urdf(path: Path) -> None:
-    """Raise RobotFileError for a URDF that its parser should not be given: no XML, too large or too deep, or with a
-    document type, which XML entities need that refer to files or unfold to gigabytes. Meshes are never opened."""
+def read_xml(path: Path) -> bytes:
+    """The XML of a URDF, without what may stand before it: blank lines, and a byte order mark before these.
+
+    Raises RobotFileError for what its parsers should not be given: no XML, a xacro, too large or too deep, or with a
+    document type, which XML entities need that refer to files or unfold to gigabytes. Meshes are never opened. OSError
+    where the file cannot be read.
+    """
     with path.open("rb") as file:
         content = file.read(MAX_URDF_BYTES + 1)
     if len(content) > MAX_URDF_BYTES:
         raise RobotFileError(f"the URDF {path} has more than {MAX_URDF_BYTES} bytes")
+    if not content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        content = content.lstrip().removeprefix(codecs.BOM_UTF8).lstrip()
+    if not content:
+        raise RobotFileError(f"the URDF {path} is no XML: it is empty")
     depth = joints = 0
+    is_xacro = False
 
-    def start(tag: str, _: dict[str, str]) -> None:
-        nonlocal depth, joints
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth, joints, is_xacro
         depth, joints = depth + 1, joints + (tag == "joint")
         if depth > MAX_URDF_DEPTH or joints > MAX_URDF_JOINTS:
             raise RobotFileError(
                 f"the URDF {path} has more than {MAX_URDF_JOINTS} joints or levels within {MAX_URDF_DEPTH} others"
             )
+        # an expanded xacro has no such elements and formulas any more
+        is_formula = tag in _GEOMETRY and any("${" in text for text in attributes.values())
+        is_xacro = is_xacro or is_formula or tag.startswith("xacro:")
 
     def end(_: str) -> None:
         nonlocal depth
@@ -162,8 +183,11 @@ def check_urdf(path: Path) -> None:
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(content, True)
-    except expat.ExpatError as error:
+    except (expat.ExpatError, LookupError) as error:  # LookupError: an encoding that nobody knows
         raise RobotFileError(f"the URDF {path} is no XML: {error}") from None
+    if is_xacro:
+        raise RobotFileError(f"{path} is a xacro, not a URDF; expand it first: xacro {path.name} > robot.urdf")
+    return content
 
 
 def _share_folders() -> Iterator[Path]:
@@ -213,7 +237,10 @@ def _gravity(value: Any) -> tuple[float, float, float] | None:
 
 def _names(value: Any, group: str) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value) or not value:
-        raise RobotFileError(f"joint group {shown(group)} must be a list of joint names, got {shown(value)}")
+        raise RobotFileError(
+            f"joint group {shown(group)} must be a list of joint names, got {shown(value)}; quote names that "
+            "look like something else, such as '1' or 'on'"
+        )
     if len(set(value)) != len(value):
         raise RobotFileError(f"joint group {shown(group)} names a joint twice: {shown(value)}")
     return tuple(value)
