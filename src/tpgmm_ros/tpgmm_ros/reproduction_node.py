@@ -32,7 +32,7 @@ from tpgmm_ros.conversions import JointReader
 from tpgmm_ros.executor import run
 from tpgmm_ros.lifecycle import ManagedNode
 from tpgmm_ros.lockstep import Barrier, no_reference
-from tpgmm_ros.markers import markers
+from tpgmm_ros.markers import Scene
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.movements import Movements
 from tpgmm_ros.parameters import Declared, Parameters, declared_of
@@ -84,6 +84,7 @@ class ReproductionNode(ManagedNode):
         self._received_ns = 0
         self._done_ns: dict[str, int] = {}
         self._sent: ReferenceMessage | None = None
+        self._scene = Scene()
         self._barrier: Barrier[int] | None = None
         if rate := self.parameters["lockstep_rate"]:
             self._barrier = Barrier(("task_parameters", "pose"), self._answer, round(1e9 / rate))
@@ -139,6 +140,7 @@ class ReproductionNode(ManagedNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         assert self.movements is not None
         self.movements.deactivate()
+        self._hide(self.get_clock().now().nanoseconds)
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -213,11 +215,13 @@ class ReproductionNode(ManagedNode):
 
     def _step(self, stamp_ns: int) -> None:
         if self.movements is None or self.movements.execution is None:
+            self._hide(stamp_ns)
             return
         start = time.perf_counter()
         self.monitor.tick(stamp_ns)
         reference = self.movements.step(stamp_ns)
         if reference is None:
+            self._hide(stamp_ns)
             return
         self._send(conversions.reference_message(reference, self._dimensions, stamp_ns, self.task.base_frame))
         self.monitor.done += 1
@@ -236,7 +240,13 @@ class ReproductionNode(ManagedNode):
         if self._markers.get_subscription_count() and self._is_due("markers", stamp_ns, MARKER_PERIOD_NS):
             assert movements.execution is not None
             mixture = movements.execution.retrieval.mixture()
-            self._markers.publish(markers(mixture, reference.activations, movements.frames, stamp_ns, frame_id))
+            shown = self._scene.show(mixture, reference.activations, movements.frames, stamp_ns, frame_id)
+            self._markers.publish(shown)
+
+    def _hide(self, stamp_ns: int) -> None:
+        """Nothing is reproduced any more: viewers forget what they were shown."""
+        if not self._scene.is_empty:
+            self._markers.publish(self._scene.clear(stamp_ns, self.task.base_frame))
 
     def _is_due(self, what: str, stamp_ns: int, period_ns: int) -> bool:
         if 0 <= stamp_ns - self._done_ns.get(what, -period_ns) < period_ns:
