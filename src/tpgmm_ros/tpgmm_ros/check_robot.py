@@ -85,7 +85,7 @@ def _endpoint_rows(robot: RobotModel) -> list[tuple[str, ...]]:
     return rows
 
 
-def _pose_rows(robot: RobotModel) -> list[tuple[str, ...]]:
+def _pose_rows(robot: RobotModel) -> list[tuple[str, str, str, str]]:
     """How the hands stand and are turned, as a PoseStamped has it."""
     data = robot.create_data()
     data.update(robot.home)
@@ -93,9 +93,8 @@ def _pose_rows(robot: RobotModel) -> list[tuple[str, ...]]:
     for name in robot.endpoints:
         pose = data.pose(name)
         pose[3:] *= -1.0 if pose[6] < 0.0 else 1.0
-        rows.append(
-            (name, _numbers(pose[:3], 3), _numbers(pose[3:], 4), _numbers(np.degrees(roll_pitch_yaw(pose[3:])), 1))
-        )
+        turned = np.degrees(roll_pitch_yaw(pose[3:]))
+        rows.append((name, _numbers(pose[:3], 3), _numbers(pose[3:], 4), _numbers(turned, 1)))
     return rows
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What RViz and Foxglove show of a reproduction: the adapted Gaussians, the path ahead and the frames.
 
-A viewer keeps what it was shown until it hears otherwise. So each marker has a name that stays the same (of its component,
-of its frame), what is gone is deleted, and all of it is forgotten after `LIFETIME`: a message may get lost, and a process
-that is killed deletes nothing.
+A viewer keeps what it was shown until it hears otherwise. So each marker has a name that stays the same (of its
+component, of its frame), what is gone is deleted, and all of it is forgotten after `LIFETIME`: a message may get lost,
+and a process that is killed deletes nothing.
 """
 
 from __future__ import annotations

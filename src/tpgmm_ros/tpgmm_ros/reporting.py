@@ -62,7 +62,9 @@ def run_with_report(directory: Path, run: Callable[[], bool], errors: tuple[type
     try:
         (directory / "report.json").unlink(missing_ok=True)
         return 0 if run() else 1
-    except (OSError, ValueError, *errors) as error:
+    except Exception as error:
+        if not isinstance(error, (OSError, ValueError, *errors)):
+            raise
         reason = one_line(error)
         print(f"error: {reason}", file=sys.stderr)
     except KeyboardInterrupt:

@@ -174,7 +174,8 @@ def _parents(links: Mapping[str, Element], joints: Mapping[str, Element]) -> dic
         )
         raise RobotFileError(f"it has {what}; expected one tree")
     for link in links:
-        above, seen = link, set()
+        above = link
+        seen: set[str] = set()
         while above in parents:
             if above in seen:
                 raise RobotFileError(f"its joints go round: {listed(sorted(seen))}; expected one tree")
