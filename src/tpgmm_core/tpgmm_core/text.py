@@ -18,8 +18,6 @@ NAME_LIMIT = 60
 LINE_LIMIT = 2000
 """Characters of a whole message."""
 _NAME = re.compile(r"[A-Za-z0-9_./~-]+")
-_NAME = re.compile(r"[A-Za-z0-9_./~-]+")
-_NAME = re.compile(r"[A-Za-z0-9_./~-]+")
 
 
 def shown(value: Any, limit: int = NAME_LIMIT) -> str:
