@@ -35,7 +35,8 @@ def disagreement(gaussians: Mapping[str, Gaussian]) -> str:
         manifold = a.manifold
         step, spread = manifold.log(a.mean, b.mean), a.covariance + b.covariance
         for sphere in manifold.spheres:
-            found = max(found, _between(first, second, step, spread, manifold, sphere))
+            between = _between(first, second, step, spread, manifold, sphere)
+            found = between if between[0] > found[0] else found
     return f"they contradict each other: {found[1]}"
 
 
@@ -78,4 +79,4 @@ def _between(
 
 
 def _deviations(step: Array, covariance: Array) -> float:
-    return float(np.sqrt(max(0.0, step @ np.linalg.pinv(covariance, hermitian=True) @ step)))
+    return float(np.sqrt(max(0.0, float(step @ np.linalg.pinv(covariance, hermitian=True) @ step))))
