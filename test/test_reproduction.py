@@ -14,6 +14,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from visualization_msgs.msg import Marker, MarkerArray
 
 from ros_graph import (
     ACTIVATE,
@@ -317,6 +318,36 @@ def test_a_deactivated_node_ends_its_movement_with_the_reason_and_sends_no_more_
     for _ in range(20):
         player.tick(answered=False)
     assert len(player.references) == sent
+    assert change_state(player.node, NODE, ACTIVATE)
+
+
+def test_viewers_are_shown_what_is_there_and_forget_it_when_the_node_is_deactivated(player: Player) -> None:
+    shown: dict[tuple[str, int], Marker] = {}
+
+    def take(message: MarkerArray) -> None:
+        for marker in message.markers:
+            if marker.action == Marker.ADD:
+                shown[marker.ns, marker.id] = marker
+            else:
+                assert marker.action == Marker.DELETE
+                shown.pop((marker.ns, marker.id), None)
+
+    subscription = player.node.create_subscription(MarkerArray, "markers", take, ALL)
+    player.start(duration=20.0)
+    for visible in (PLACES, {**PLACES, "object": None}, {**PLACES, "target": None}):
+        seen = {f"frames/{name}" for name, pose in visible.items() if pose is not None}
+
+        def is_shown(visible: Mapping[str, np.ndarray | None] = visible, seen: set[str] = seen) -> bool:
+            player.show(visible)
+            player.tick()
+            return {ns for ns, _ in shown if ns.startswith("frames/")} == seen
+
+        spin_until(player.node, is_shown, message=f"markers of {seen} alone", processes=(player.process,))
+    assert {number for ns, number in shown if ns == "components"} == set(range(5))
+    assert change_state(player.node, NODE, DEACTIVATE)
+    spin_until(player.node, lambda: not shown, message="no marker left", processes=(player.process,))
+    player.node.destroy_subscription(subscription)
+    player.show(PLACES)
     assert change_state(player.node, NODE, ACTIVATE)
 
 

@@ -25,17 +25,17 @@ setup(
     extras_require={"test": ["hypothesis", "pytest"]},  # `colcon test` asks for pytest here
     entry_points={
         "console_scripts": [
-            "frame_tracker = tpgmm_ros.frame_tracker_node:main",
-            "reproduction = tpgmm_ros.reproduction_node:main",
-            "impedance_controller = tpgmm_ros.impedance_controller_node:main",
-            "joint_reference = tpgmm_ros.joint_reference_node:main",
-            "baxter_simulator = tpgmm_ros.baxter_simulator_node:main",
-            "endpoint_poses = tpgmm_ros.endpoint_poses_node:main",
-            "check_robot = tpgmm_ros.check_robot:main",
-            "teach = tpgmm_ros.teach:main",
-            "train = tpgmm_ros.train:main",
-            "demo = tpgmm_ros.demo:main",
-            "figure5 = tpgmm_ros.figure5:main",
+            "frame_tracker = tpgmm_ros.entry:frame_tracker",
+            "reproduction = tpgmm_ros.entry:reproduction",
+            "impedance_controller = tpgmm_ros.entry:impedance_controller",
+            "joint_reference = tpgmm_ros.entry:joint_reference",
+            "baxter_simulator = tpgmm_ros.entry:baxter_simulator",
+            "endpoint_poses = tpgmm_ros.entry:endpoint_poses",
+            "check_robot = tpgmm_ros.entry:check_robot",
+            "teach = tpgmm_ros.entry:teach",
+            "train = tpgmm_ros.entry:train",
+            "demo = tpgmm_ros.entry:demo",
+            "figure5 = tpgmm_ros.entry:figure5",
         ]
     },
     zip_safe=True,

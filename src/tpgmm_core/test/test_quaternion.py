@@ -69,3 +69,18 @@ def test_slerp_takes_the_shortest_way_at_constant_speed() -> None:
 def test_a_zero_quaternion_is_refused() -> None:
     with pytest.raises(ValueError, match="norm"):
         qt.normalize([[0.0, 0.0, 0.0, 0.0]])
+
+
+def test_roll_pitch_and_yaw_are_turns_about_fixed_axes() -> None:
+    for q in random_quaternion(rng, 100):
+        np.testing.assert_allclose(qt.roll_pitch_yaw(q), Rotation.from_quat(q).as_euler("xyz"), atol=1e-9)
+
+
+@pytest.mark.parametrize("pitch", [-np.pi / 2, np.pi / 2])
+@pytest.mark.parametrize("yaw", [-3.0, 0.0, 0.4])
+def test_at_a_pitch_of_a_quarter_turn_the_roll_says_it_all(pitch: float, yaw: float) -> None:
+    q = qt.multiply(qt.exp([0.0, 0.0, yaw]), qt.exp([0.0, pitch, 0.0]))
+    angles = qt.roll_pitch_yaw(q)
+    np.testing.assert_allclose(angles[1:], [pitch, 0.0], atol=1e-6)
+    again = qt.multiply(qt.exp([0.0, angles[1], 0.0]), qt.exp([angles[0], 0.0, 0.0]))
+    assert qt.angle_between(again, q) < 1e-6

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core import kernels_adapt, kernels_regress
+from tpgmm_core.disagreement import no_product
 from tpgmm_core.frame import Frame
 from tpgmm_core.frame_buffer import FrameBuffer
 from tpgmm_core.gaussian import Gaussian
@@ -157,5 +158,18 @@ class Adapter:
         return 1.0 / UNCONSTRAINED_VARIANCE, self._means_out, self._covariances_out
 
     def _check(self, failed: int) -> None:
-        if failed != -1:
+        if failed < -1:
+            raise no_product(f"component {-2 - failed}", self._views(-2 - failed))
+        if failed >= 0:
             self.buffer.refuse(failed)
+
+    def _views(self, k: int) -> dict[str, Gaussian]:
+        """Component k as the frames that are there see it, in the common frame; on S³ these have one manifold."""
+        s, K = self.buffer, len(self.priors)
+        views = {}
+        for j in np.flatnonzero(s.weights):
+            D_j, n_j = s.sizes[j]
+            covariance = np.linalg.inv(self._precisions[j, :n_j, k : n_j * K : K])
+            seen = Gaussian(self._means[j, :D_j, k], covariance, s.manifold)
+            views[self.frame_names[j]] = seen.transform(s.frame(j))
+        return views

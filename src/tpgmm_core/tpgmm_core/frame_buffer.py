@@ -118,14 +118,7 @@ class FrameBuffer:
         return Frame(self.A[j, :, :D_j], self.b[j], self.inverses[j, :D_j] if self.has_inverse[j] else None)
 
     def refuse(self, j: int) -> None:
-        """Raises ValueError for what `kernels_adapt.adapt` returned: the matrix of frame j does not fit the manifold,
-        or the product of component -2 - j did not converge.
-        """
-        if j < 0:
-            raise ValueError(
-                f"the product of component {-2 - j} over the frames did not converge: their orientations contradict "
-                "each other; bring the frames closer to demonstrated situations, or trust some of them less (weights)"
-            )
+        """Raises ValueError: the matrix of frame j does not fit the manifold."""
         self.manifold.tangent_map(self.A[j, :, : self.sizes[j, 0]])  # raises, and says why
         raise ValueError(f"frame {self.frame_names[j]!r} does not fit the manifold {self.manifold}")
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tpgmm_core import kernels_product, quaternion
+from tpgmm_core.disagreement import disagreement
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
 
@@ -112,7 +113,8 @@ class Gaussian:
             means, precisions, np.ones(len(means)), means[0], 0.0, *layout, mean, covariance
         )
         if not converged:
-            raise ValueError("the product did not converge: the orientations of the Gaussians contradict each other")
+            named = {f"number {i}": gaussian for i, gaussian in enumerate(gaussians)}
+            raise ValueError(f"the Gaussians have no product; {disagreement(named)}")
         return cls(mean, covariance, manifold)
 
     def marginal(self, dims: Sequence[int]) -> Gaussian:

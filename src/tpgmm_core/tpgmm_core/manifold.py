@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from tpgmm_core import quaternion
 from tpgmm_core.kernels_product import difference, move
 from tpgmm_core.quaternion import Array
+from tpgmm_core.text import shown
 
 MAX_TEXT = 1000
 """Characters of a manifold's text, which messages and files of others bring along."""
@@ -62,11 +63,11 @@ class Manifold:
         for part in text.split("x"):
             match = re.fullmatch(r"\s*([RS])(\d+)\s*", part)
             if match is None:
-                raise ValueError(f'a manifold is "euclidean" or a product such as "R1 x R3 x S3", got {text!r}')
+                raise ValueError(f'a manifold is "euclidean" or a product such as "R1 x R3 x S3", got {shown(text)}')
             factors.append((match[1], int(match[2])))
         manifold = cls(tuple(factors))
         if dim is not None and manifold.dim != dim:
-            raise ValueError(f"the manifold {text!r} has {manifold.dim} ambient dimensions, expected {dim}")
+            raise ValueError(f"the manifold {shown(text)} has {manifold.dim} ambient dimensions, expected {dim}")
         return manifold
 
     @classmethod

@@ -2,7 +2,7 @@
 """Model files: one file of numbers and text, versioned; loading executes nothing.
 
 A file is a zip archive in numpy's npz format: `model.json` as an array of bytes with the names, texts and
-settings, and plain numeric arrays. It is written beside its place and then moved there, so that an
+settings, and plain numeric arrays. It is replaced as a whole (`atomic_file`): an
 interrupted save loses nothing.
 
 A file may come from a stranger: what it announces is held against limits and against what it holds, before memory is
@@ -16,7 +16,6 @@ import json
 import math
 import os
 import stat
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -26,10 +25,12 @@ from typing import Any
 
 import numpy as np
 
+from tpgmm_core.atomic_file import write_atomically
 from tpgmm_core.learning.structure import Covariances, Structure
 from tpgmm_core.learning.structures import covariances_class
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
+from tpgmm_core.text import one_line, shown
 
 FORMAT = "tpgmm model"
 VERSION = 2  # 2 knows structures and kinds; a mixture of full covariances is written as 1
@@ -73,7 +74,6 @@ def write(path: str | PathLike[str], contents: ModelContents) -> None:
     Raises ValueError when the metadata hold something else than texts and finite numbers, OSError when the
     disk refuses.
     """
-    path = Path(path)
     _check_metadata(contents.metadata)
     names = list(contents.means)
     header = {
@@ -102,16 +102,12 @@ def write(path: str | PathLike[str], contents: ModelContents) -> None:
             arrays[f"covariances_{j}"] = contents.covariances[name]
         else:
             arrays |= {f"frame_{j}_{key}": array for key, array in contents.frames[name].arrays().items()}
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as stream:
+
+    def fill(draft: Path) -> None:
+        with draft.open("wb") as stream:  # a name would be given the ending .npz
             np.savez_compressed(stream, **arrays)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+
+    write_atomically(path, fill)
 
 
 def read(path: str | PathLike[str]) -> ModelContents:
@@ -126,10 +122,11 @@ def read(path: str | PathLike[str]) -> ModelContents:
     except (FileNotFoundError, IsADirectoryError, PermissionError):
         raise
     except ModelFileError as error:
-        raise ModelFileError(f"{path}: {error}") from None
+        raise ModelFileError(f"{one_line(path)}: {error}") from None
     except Exception as error:  # whatever zip, numpy and json raise on damaged bytes: to the caller it is one thing
         raise ModelFileError(
-            f"{path}: damaged, or no model file ({type(error).__name__}: {error}); train the model again"
+            f"{one_line(path)}: damaged, or no model file ({type(error).__name__}: {one_line(error, 300)}); "
+            "train the model again"
         ) from error
 
 
@@ -173,11 +170,11 @@ def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise ModelFileError("no model file: it does not say so in its header")
     if header.get("version") not in range(1, VERSION + 1):
-        raise ModelFileError(f"version {header.get('version')!r}, this software reads versions up to {VERSION}")
+        raise ModelFileError(f"version {shown(header.get('version'))}, this software reads versions up to {VERSION}")
     names = header["frames"]
     is_list = isinstance(names, list) and all(isinstance(name, str) for name in names)
     if not names or not is_list or len(set(names)) != len(names):
-        raise ModelFileError(f"frames are distinct names, got {names!r}")
+        raise ModelFileError(f"frames are distinct names, got {shown(names)}")
     manifold = Manifold.parse(header["manifold"])
     if manifold.dim > MAX_DIMENSIONS:
         raise ModelFileError(f"the manifold has {manifold.dim} dimensions, a model file at most {MAX_DIMENSIONS}")
@@ -198,7 +195,7 @@ def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
         shape = (*frames[name].shape, n) if frames else covariances[name].shape
         if means[name].shape != (K, space.dim) or shape != (K, n, n):
             raise ModelFileError(
-                f"frame {name!r} has means {means[name].shape} and covariances {shape}, "
+                f"frame {shown(name)} has means {means[name].shape} and covariances {shape}, "
                 f"expected {(K, space.dim)} and {(K, n, n)}"
             )
         n_numbers += K * n * n
@@ -213,7 +210,7 @@ def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
         and len(dimensions) == manifold.dim
         and all(isinstance(name, str) for name in dimensions)
     ):
-        raise ModelFileError(f"dimensions are {manifold.dim} names, got {dimensions!r}")
+        raise ModelFileError(f"dimensions are {manifold.dim} names, got {shown(dimensions)}")
     course = [_numbers(arrays, name, 1) for name in ("log_likelihoods", "objectives")]
     if not all(map(len, course)):
         raise ModelFileError(f"log_likelihoods and objectives have at least one number, got {[len(c) for c in course]}")
@@ -263,8 +260,8 @@ def _numbers(arrays: dict[str, Any], name: str, ndim: int | None = None) -> Arra
 
 def _check_metadata(metadata: Any) -> None:
     if not isinstance(metadata, Mapping):
-        raise ValueError(f"metadata is a mapping from names to texts and numbers, got {metadata!r}")
+        raise ValueError(f"metadata is a mapping from names to texts and numbers, got {shown(metadata)}")
     for key, value in metadata.items():
         is_number = isinstance(value, int | float) and abs(value) < 1e300  # larger integers are no float any more
         if not isinstance(key, str) or not (isinstance(value, str) or is_number):
-            raise ValueError(f"metadata maps names to texts and finite numbers, got {key!r}: {value!r}")
+            raise ValueError(f"metadata maps names to texts and finite numbers, got {shown(key)}: {shown(value)}")

@@ -77,6 +77,19 @@ def rotation_matrix(q: ArrayLike) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def roll_pitch_yaw(q: ArrayLike) -> Array:
+    """Turns (3,) about the fixed axes x, then y, then z (REP 103), rad, that make up a unit quaternion (4,).
+
+    Where the pitch is a quarter turn, roll and yaw are the same turn, which is given as roll.
+    """
+    R = rotation_matrix(q)
+    cosine = np.hypot(R[0, 0], R[1, 0])
+    pitch = np.arctan2(-R[2, 0], cosine)
+    if cosine < 1e-9:
+        return np.array([np.arctan2(-np.sign(R[2, 0]) * R[0, 1], R[1, 1]), pitch, 0.0])
+    return np.array([np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])])
+
+
 def from_matrix(R: ArrayLike) -> Array:
     """Unit quaternion (..., 4), w >= 0, of a rotation matrix (..., 3, 3).
 

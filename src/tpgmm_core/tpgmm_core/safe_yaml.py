@@ -14,6 +14,8 @@ from typing import Any
 
 import yaml
 
+from tpgmm_core.text import one_line, shown
+
 MAX_BYTES = 64 * 1024
 MAX_DEPTH = 20
 """Mappings and lists within one another. The files of this project have 3."""
@@ -35,13 +37,13 @@ def load_yaml(path: Path, what: str) -> Any:
             content = file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
         reason = getattr(error, "strerror", None) or error
-        raise YamlError(f"{path}: cannot be read ({reason}); expected {what} in YAML") from None
+        raise YamlError(f"{one_line(path)}: cannot be read ({one_line(reason)}); expected {what} in YAML") from None
     if len(content) > MAX_BYTES:
-        raise YamlError(f"{path}: is larger than {MAX_BYTES} bytes; expected {what} in YAML")
+        raise YamlError(f"{one_line(path)}: is larger than {MAX_BYTES} bytes; expected {what} in YAML")
     try:
-        return parse_yaml(content.decode("utf-8"), str(path))
+        return parse_yaml(content.decode("utf-8"), one_line(path))
     except UnicodeDecodeError:
-        raise YamlError(f"{path}: is not UTF-8 text; expected {what} in YAML") from None
+        raise YamlError(f"{one_line(path)}: is not UTF-8 text; expected {what} in YAML") from None
 
 
 def parse_yaml(text: str, source: str) -> Any:
@@ -53,16 +55,7 @@ def parse_yaml(text: str, source: str) -> Any:
         return yaml.load(text, Loader=_Loader)
     # PyYAML lets more than YAMLError out of malformed scalars: KeyError, IndexError, AttributeError, ...
     except Exception as error:
-        raise YamlError(f"{source}: is not a YAML file that can be read: {error}") from None
-
-
-def shown(value: Any, limit: int = 60) -> str:
-    """A value as text, short enough for an error."""
-    try:
-        text = repr(value)
-    except ValueError:  # integers beyond Python's limit of digits have no text
-        text = f"a {type(value).__name__} too large to show"
-    return text if len(text) <= limit else text[:limit] + "…"
+        raise YamlError(f"{source}: is not a YAML file that can be read: {one_line(error, 400)}") from None
 
 
 class _Loader(yaml.SafeLoader):

@@ -15,6 +15,8 @@ from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields
 from typing import Any
 
+from tpgmm_core.text import listed, shown
+
 
 @dataclass(frozen=True, slots=True)
 class Setting:
@@ -46,7 +48,7 @@ def configured[ConfigT](config: type[ConfigT], values: Mapping[str, Any]) -> Con
     known = [item.name for item in fields(config)]  # type: ignore[arg-type]
     unknown = [name for name in values if name not in known]
     if unknown:
-        raise ValueError(f"unknown settings {', '.join(unknown)}; known are {', '.join(known)}")
+        raise ValueError(f"unknown settings {listed(unknown)}; known are {', '.join(known)}")
     return config(**values)
 
 
@@ -57,5 +59,5 @@ def check_settings(config: Any) -> None:
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if not (number and known.lower <= value <= known.upper):
             raise ValueError(
-                f"{item.name} is {value!r}, expected {known.lower:g} to {known.upper:g} ({known.description})"
+                f"{item.name} is {shown(value)}, expected {known.lower:g} to {known.upper:g} ({known.description})"
             )

@@ -51,8 +51,9 @@ def listed(values: Iterable[Any], most: int = 12) -> str:
 
 
 def _plain(value: Any) -> str:
-    is_plain = isinstance(value, str) and len(value) <= NAME_LIMIT and _NAME.fullmatch(value)
-    return value if is_plain else shown(value)
+    if isinstance(value, str) and len(value) <= NAME_LIMIT and _NAME.fullmatch(value):
+        return value
+    return shown(value)
 
 
 def one_line(text: object, limit: int = LINE_LIMIT) -> str:

@@ -2,6 +2,7 @@
 """`train`: what comes out of good bags, and that nothing is lost or half written when something is wrong."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ from synthetic_bags import REACH_TASK, reach, write_bag
 from tpgmm_core import TPGMM, Frame, quaternion
 from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_ros.bags import Recording, read_recording
-from tpgmm_ros.reporting import format_table, write_atomically, write_report
+from tpgmm_ros.reporting import format_table, write_report
 from tpgmm_ros.task import Task
 from tpgmm_ros.task_model import load_model
 from tpgmm_ros.train import main
@@ -260,17 +261,14 @@ def test_a_frame_that_comes_late_is_used_from_then_on(bags: Path, tmp_path: Path
 # Reports
 
 
-def test_a_file_is_written_as_a_whole_or_not_at_all(tmp_path: Path) -> None:
-    path = tmp_path / "new" / "file.txt"
-    write_atomically(path, lambda draft: draft.write_text("first"))
-    with pytest.raises(RuntimeError, match="power"):
-        write_atomically(path, _fail_halfway)
-    assert path.read_text() == "first" and list(path.parent.iterdir()) == [path]
-
-
-def _fail_halfway(draft: Path) -> None:
-    draft.write_text("sec")
-    raise RuntimeError("power cut")
+def test_a_report_and_a_model_have_the_mode_that_the_umask_says(bags: Path, tmp_path: Path) -> None:
+    former = os.umask(0o027)
+    try:
+        assert train(bags, "--output", tmp_path / "new" / "model", "--report", tmp_path / "report", bags) == 0
+    finally:
+        os.umask(former)
+    for path, mode in (("new", 0o750), ("new/model", 0o640), ("report", 0o750), ("report/report.json", 0o640)):
+        assert (tmp_path / path).stat().st_mode & 0o777 == mode, path
 
 
 def test_a_report_holds_no_numbers_that_json_does_not_know(tmp_path: Path) -> None:

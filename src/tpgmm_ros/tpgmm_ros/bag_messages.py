@@ -17,6 +17,7 @@ from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
 from tpgmm_core import quaternion
+from tpgmm_core.text import listed, one_line
 
 Array = NDArray[np.float64]
 Nanoseconds = NDArray[np.int64]
@@ -29,7 +30,7 @@ class BagError(ValueError):
     """A bag that cannot be used; the text names the bag, what was found, what was expected, what to do."""
 
     def __init__(self, path: Path, text: str) -> None:
-        super().__init__(f"{path}: {text}")
+        super().__init__(one_line(f"{path}: {text}"))
         self.path = path
 
 
@@ -82,7 +83,7 @@ def read_messages(path: Path, topics: Iterable[str], message_type: str) -> dict[
     except Exception as error:
         raise BagError(
             path,
-            f"cannot be read ({type(error).__name__}: {error}); expected a complete bag. If it was cut "
+            f"cannot be read ({type(error).__name__}: {one_line(error, 300)}); expected a complete bag. If it was cut "
             "off, 'ros2 bag reindex' or 'mcap recover' may save what is left; else record it again",
         ) from error
     for topic, count in counts.items():
@@ -110,7 +111,7 @@ def checked_poses(path: Path, topic: str, poses: Sequence[Any], frame_ids: Itera
     if foreign:
         raise BagError(
             path,
-            f"{topic} has poses in the frame {', '.join(map(repr, foreign))}, expected the base frame "
+            f"{topic} has poses in the frame {listed(foreign, 5)}, expected the base frame "
             f"{base_frame!r}; transform them before recording, or correct base_frame in the task file",
         )
     numbers = np.array([_numbers(pose) for pose in poses])
@@ -140,7 +141,7 @@ def _connections(
     for connection in connections:
         by_name.setdefault(connection.topic.strip("/"), []).append(connection)
     poses = sorted(connection.topic for connection in connections if connection.msgtype == message_type)
-    there = (f"its {kind} topics are " + ", ".join(dict.fromkeys(poses))) if poses else f"it has no {kind} topics"
+    there = (f"its {kind} topics are " + listed(dict.fromkeys(poses))) if poses else f"it has no {kind} topics"
 
     prefixes = {name.removesuffix(topics[0]) for name in by_name if f"/{name}".endswith(f"/{topics[0]}")}
     complete = sorted(prefix for prefix in prefixes if all(prefix + topic in by_name for topic in topics))
@@ -148,7 +149,7 @@ def _connections(
         if complete:
             raise BagError(
                 path,
-                f"holds the topics {', '.join(topics)} in several namespaces ({', '.join(complete)}); "
+                f"holds the topics {', '.join(topics)} in several namespaces ({listed(complete)}); "
                 "write the namespace into the topics of the task file",
             )
         prefix = min(prefixes, default="")
@@ -162,8 +163,8 @@ def _connections(
             if connection.msgtype != message_type:
                 raise BagError(
                     path,
-                    f"{connection.topic} is of type {connection.msgtype}, expected {message_type}; "
-                    f"{there}. Correct the topic in the task file",
+                    f"{one_line(connection.topic, 60)} is of type {one_line(connection.msgtype, 60)}, expected "
+                    f"{message_type}; {there}. Correct the topic in the task file",
                 )
         if not any(connection.msgcount for connection in several):
             raise BagError(path, f"{topic} is there, but without a message; nothing published it while recording")

@@ -23,7 +23,7 @@ from tpgmm_core import Frame, Gaussian
 from tpgmm_core.joint_states import JointColumns, JointSample, JointStateAssembler, JointStateError
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.reference import Reference
-from tpgmm_core.text import listed
+from tpgmm_core.text import listed, shown
 from tpgmm_core.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import ControllerState, TaskFrame, TaskParameters
 from tpgmm_msgs.msg import Gaussian as GaussianMessage
@@ -157,15 +157,15 @@ def task_parameters(message: TaskParameters) -> dict[str, TaskFrameState]:
     states: dict[str, TaskFrameState] = {}
     for item in message.frames:
         if item.name in states:
-            raise MessageError(f"task parameters name the frame '{item.name}' twice")
+            raise MessageError(f"task parameters name the frame {shown(item.name)} twice")
         try:
             status = FrameStatus(item.status)
         except ValueError:
             raise MessageError(
-                f"frame '{item.name}' has status {item.status}; expected 0 (VISIBLE), 1 (HELD) or 2 (MISSING)"
+                f"frame {shown(item.name)} has status {item.status}; expected 0 (VISIBLE), 1 (HELD) or 2 (MISSING)"
             ) from None
         if not 0.0 <= item.confidence <= 1.0:
-            raise MessageError(f"frame '{item.name}' has confidence {item.confidence}; expected 0 to 1")
+            raise MessageError(f"frame {shown(item.name)} has confidence {item.confidence}; expected 0 to 1")
         if status is FrameStatus.MISSING or item.confidence == 0.0:
             states[item.name] = TaskFrameState(None, 0.0, status)
             continue
@@ -176,16 +176,16 @@ def task_parameters(message: TaskParameters) -> dict[str, TaskFrameState]:
 def _frame(item: TaskFrame) -> Frame:
     rows, cols = item.rows, item.cols
     if not (0 < rows <= MAX_DIMENSION and 0 < cols <= MAX_DIMENSION):
-        raise MessageError(f"frame '{item.name}' says {rows} x {cols}; expected 1 to {MAX_DIMENSION} each")
+        raise MessageError(f"frame {shown(item.name)} says {rows} x {cols}; expected 1 to {MAX_DIMENSION} each")
     if len(item.a) != rows * cols or len(item.b) != rows:
         raise MessageError(
-            f"frame '{item.name}' says {rows} x {cols} but holds {len(item.a)} numbers in a and {len(item.b)} in b; "
-            f"expected {rows * cols} and {rows}"
+            f"frame {shown(item.name)} says {rows} x {cols} but holds {len(item.a)} numbers in a and {len(item.b)} in "
+            f"b; expected {rows * cols} and {rows}"
         )
     try:
         return Frame(np.array(item.a).reshape(rows, cols), np.array(item.b))
     except ValueError as error:
-        raise MessageError(f"frame '{item.name}': {error}") from error
+        raise MessageError(f"frame {shown(item.name)}: {error}") from error
 
 
 # -- references -------------------------------------------------------------------------------------------------------
@@ -213,7 +213,7 @@ def gaussian(message: GaussianMessage) -> Gaussian:
     size = manifold.tangent_dim
     if manifold.dim != dimension or len(message.covariance) != size * size:
         raise MessageError(
-            f"a Gaussian on '{message.manifold}' holds {dimension} numbers in its mean and "
+            f"a Gaussian on {shown(message.manifold)} holds {dimension} numbers in its mean and "
             f"{len(message.covariance)} in its covariance; expected {manifold.dim} and {size * size}"
         )
     mean, covariance = np.array(message.mean), np.array(message.covariance).reshape(size, size)
@@ -276,8 +276,8 @@ def terms_of(message: ControllerState) -> dict[str, Array]:
     names, joints = list(message.term_names), len(message.joints)
     if len(message.terms) != len(names) * joints or len(set(names)) != len(names):
         raise MessageError(
-            f"{len(message.terms)} numbers for the terms {names} of {joints} joints; expected {len(names) * joints}, "
-            "and each name once"
+            f"{len(message.terms)} numbers for the terms {listed(names)} of {joints} joints; expected "
+            f"{len(names) * joints}, and each name once"
         )
     return dict(zip(names, np.array(message.terms).reshape(len(names), joints), strict=True))
 

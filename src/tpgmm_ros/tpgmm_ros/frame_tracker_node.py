@@ -12,6 +12,7 @@ from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 
+from tpgmm_core.text import shown
 from tpgmm_core.tracking import FrameStatus, FrameTracker, TrackedFrame, TrackingConfig
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros import conversions
@@ -106,7 +107,9 @@ class FrameTrackerNode(Node):
         """Whether the observation was taken."""
         if message.header.frame_id != self.task.base_frame:
             found, expected = message.header.frame_id, self.task.base_frame
-            reason = f"wrong frame_id: '{found}', expected '{expected}'; transform poses before they are published"
+            reason = (
+                f"wrong frame_id: {shown(found)}, expected {shown(expected)}; transform poses before they are published"
+            )
             self._warn(self.tracker.refuse(name, reason))
             return False
         pose, stamp_ns = conversions.pose_to_array(message.pose), conversions.time_to_ns(message.header.stamp)

@@ -10,6 +10,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
 from tpgmm_core.retrieval.execution import Outcome
+from tpgmm_core.text import one_line
 from tpgmm_msgs.action import Reproduce
 
 #: A result is kept for so long for clients whose link was down, s.
@@ -55,7 +56,7 @@ class Goals:
     def end(self, outcome: Outcome) -> None:
         """Give the client of the goal that is being carried out, if one is, the outcome."""
         if self._goal is not None:
-            self._node.get_logger().info(f"movement ended: {outcome.reason}")
+            self._node.get_logger().info(f"movement ended: {one_line(outcome.reason)}")
             finish(self._goal, outcome)
             self._goal = None
 
@@ -80,7 +81,7 @@ def finish(goal: ServerGoalHandle, outcome: Outcome) -> None:
             goal.abort()
         return Reproduce.Result(
             success=outcome.success,
-            reason=outcome.reason,
+            reason=one_line(outcome.reason),
             final_position_error=outcome.position_error,
             final_orientation_error=outcome.orientation_error,
         )

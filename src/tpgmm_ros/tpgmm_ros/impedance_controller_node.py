@@ -26,6 +26,7 @@ from tpgmm_core.control.supervision import ControllerMode, Timeouts, slow_states
 from tpgmm_core.control.torque_pipeline import TorqueLimits
 from tpgmm_core.joint_states import JointSample
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.text import one_line, shown
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
@@ -85,7 +86,7 @@ class ImpedanceControllerNode(ManagedNode):
     @staticmethod
     def _check_parameters(values: Mapping[str, Any]) -> None:
         if values["law"] not in LAWS:
-            raise ValueError(f"law is '{values['law']}', expected one of {', '.join(LAWS)}")
+            raise ValueError(f"law is {shown(values['law'])}, expected one of {', '.join(LAWS)}")
         LawSettings.filled(lambda config: fill(config, values))
 
     def _make_law(self) -> ReferenceLaw:
@@ -114,7 +115,7 @@ class ImpedanceControllerNode(ManagedNode):
                 self.parameters["gravity_compensated"],
             )
         except (ValueError, OSError, ImportError) as error:
-            self.get_logger().error(str(error))
+            self.get_logger().error(one_line(error))
             return TransitionCallbackReturn.FAILURE
         limits, timeouts = self.parameters.fill(TorqueLimits), self.parameters.fill(Timeouts)
         for text in slow_states(
@@ -202,7 +203,8 @@ class ImpedanceControllerNode(ManagedNode):
         try:
             if message.header.frame_id not in ("", self.robot.base_frame):
                 raise MessageError(
-                    f"the reference is expressed in '{message.header.frame_id}'; expected '{self.robot.base_frame}'"
+                    f"the reference is expressed in {shown(message.header.frame_id)}; "
+                    f"expected '{self.robot.base_frame}'"
                 )
             self.controller.take_reference(conversions.reference(message), stamp_ns, now_ns, clock_ns)
         except ValueError as error:

@@ -22,6 +22,7 @@ from tpgmm_core.control.hand_tasks import ActiveTasks, HandTask, HandTasks
 from tpgmm_core.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.streams import Stamp
+from tpgmm_core.text import listed, shown
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
 from tpgmm_ros.executor import run
@@ -63,7 +64,9 @@ def hand_task(task: Task, model: TPGMM, endpoints: list[str]) -> HandTask:
         elif frame.topic in topics:
             places[name] = topics[frame.topic]
         else:
-            raise ValueError(f"{task.name}: frame '{name}' is on '{frame.topic}'; expected one of {sorted(topics)}")
+            raise ValueError(
+                f"{task.name}: frame '{name}' is on {shown(frame.topic)}; expected one of {listed(sorted(topics))}"
+            )
     return HandTask(model, task.endpoint, places)
 
 
@@ -76,7 +79,7 @@ class JointReferenceNode(Node):
         # ROS has no empty arrays on the command line
         files = [[file for file in self.parameters[name] if file] for name in ("task_files", "model_files")]
         if len(files[0]) != len(files[1]):
-            raise ValueError(f"expected one model file for each task file, got {files[0]} and {files[1]}")
+            raise ValueError(f"expected one model file for each task file, got {shown(files[0])} and {shown(files[1])}")
         tasks = [(Task.load(task), TPGMM.load(model)) for task, model in zip(*files, strict=True)]
         hands = {task.name: hand_task(task, model, list(self.robot.endpoints)) for task, model in tasks}
         product = HandTasks(self.robot, hands, self.parameters["joints"], self.parameters["rest_deviation"])

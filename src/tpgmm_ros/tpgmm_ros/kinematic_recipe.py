@@ -13,6 +13,7 @@ from tpgmm_core.kinematics.aims import aim_at_origins
 from tpgmm_core.kinematics.movement import KinematicMovement
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.retrieval.ways import KEY
+from tpgmm_core.text import shown
 from tpgmm_ros.bags import Recording
 from tpgmm_ros.kinematic_task import KinematicSpec
 
@@ -108,8 +109,8 @@ def make_movement(
     """
     if way is not None or phase != "clock":
         raise ValueError(
-            f"a model of kinematic frames is reproduced in one way, by the clock; got {way or WAY!r} and "
-            f"{phase!r}: leave retrieval empty and the phase at 'clock'"
+            f"a model of kinematic frames is reproduced in one way, by the clock; got {shown(way or WAY)} and "
+            f"{shown(phase)}: leave retrieval empty and the phase at 'clock'"
         )
     movement = KinematicMovement(model, spec.frames(), duration=duration)
     movement.speed = speed

@@ -35,6 +35,7 @@ from tpgmm_core.kinematics.moving import MovingFrames
 from tpgmm_core.kinematics.tasks import Task
 from tpgmm_core.kinematics.urdf import UrdfKinematics
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.text import listed, shown
 from tpgmm_ros.yaml_sections import Section, a_choice, a_name, a_number, a_topic
 
 PREVIOUS = "previous"
@@ -139,7 +140,7 @@ class KinematicSpec:
         unclear = [name for name in observers if (name in self.objects) == (name in robot.endpoints)]
         if unclear:
             raise ValueError(
-                f"tasks are relative to {', '.join(sorted(unclear))}; expected either a frame of the task "
+                f"tasks are relative to {listed(sorted(unclear))}; expected either a frame of the task "
                 f"({', '.join(sorted(self.objects))}) or another end point of the robot ({', '.join(robot.endpoints)})"
             )
         points = {task.point for task in self.tasks.values()} | (observers - self.objects)
@@ -159,7 +160,7 @@ def _tasks(section: Section, objects: Collection[str]) -> tuple[dict[str, Task],
         try:
             a_name(name)
         except ValueError as error:
-            raise section.error(f"has the task name {name!r}, expected {error}") from None
+            raise section.error(f"has the task name {shown(name)}, expected {error}") from None
         entry = section.section(name)
         entry.refuse_others("point", "part", "relative_to", "aim")
         point, values = entry.required("point", a_name), entry.values
@@ -168,11 +169,13 @@ def _tasks(section: Section, objects: Collection[str]) -> tuple[dict[str, Task],
             part = entry.required("part", a_choice("position", "orientation", "pose"))
         relative_to = entry.required("relative_to", a_name) if "relative_to" in values else None
         if relative_to == point:
-            raise entry.error(f"sees the point {point!r} from itself; expected a frame of the task or another point")
+            raise entry.error(
+                f"sees the point {shown(point)} from itself; expected a frame of the task or another point"
+            )
         if "aim" in values and entry.required("aim", a_choice("object", "learned")) == "object":
             if relative_to not in objects:
                 raise entry.error(
-                    f"aims at its object and is relative to {relative_to!r}; expected one of the task's frames: "
+                    f"aims at its object and is relative to {shown(relative_to)}; expected one of the task's frames: "
                     + ", ".join(objects)
                 )
             aims.add(name)

@@ -15,6 +15,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from tpgmm_core.streams import RateMeter
+from tpgmm_core.text import one_line
 from tpgmm_ros.peers import complaints
 from tpgmm_ros.qos import EVENTS
 from tpgmm_ros.timing import clock_trouble
@@ -113,9 +114,9 @@ class Monitor:
             DiagnosticStatus(
                 level=level,
                 name=self._node.get_fully_qualified_name().lstrip("/"),
-                message=message,
+                message=one_line(message),
                 hardware_id="",
-                values=[KeyValue(key=key, value=value) for key, value in values.items()],
+                values=[KeyValue(key=one_line(key, 200), value=one_line(value)) for key, value in values.items()],
             )
         ]
         self._publisher.publish(array)

@@ -21,6 +21,7 @@ from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
 from tpgmm_core.retrieval.execution import Execution, ExecutionConfig, Outcome, Stage
 from tpgmm_core.retrieval.interface import Retrieval
+from tpgmm_core.text import listed, one_line
 from tpgmm_msgs.srv import LoadModel
 from tpgmm_ros.background import Background, create_patient_service
 from tpgmm_ros.controller_words import ControllerWords
@@ -177,16 +178,17 @@ class Movements:
             if self.execution is not None and self.execution.stage is not Stage.ENDED:
                 self._go_on_with(self.execution, retrieval)
         except (ValueError, OSError) as error:
-            answer.set_result(LoadModel.Response(success=False, reason=str(error)))
+            answer.set_result(LoadModel.Response(success=False, reason=one_line(error)))
             return
         self._model = model
-        self._node.get_logger().info(f"loaded {path}" if path else "the model in use goes on as the parameters say")
+        loaded = f"loaded {one_line(path)}" if path else "the model in use goes on as the parameters say"
+        self._node.get_logger().info(loaded)
         answer.set_result(LoadModel.Response(success=True))
 
     def _go_on_with(self, execution: Execution, retrieval: Retrieval) -> None:
         unseen = [name for name in retrieval.frame_names if name not in self._known]
         if unseen:
-            raise ValueError(f"the frames {', '.join(unseen)} are not seen, and a movement is being reproduced")
+            raise ValueError(f"the frames {listed(unseen)} are not seen, and a movement is being reproduced")
         execution.take_over(retrieval, self.state, self._parameters["blend_time"])
         self.take_frames(self._known)
 

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from tpgmm_core.settings import setting_of
+from tpgmm_core.text import one_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +41,13 @@ class Declared:
                     FloatingPointRange(from_value=self.lower, to_value=self.upper, step=0.0)
                 ]
         return descriptor
+
+    def help(self) -> str:
+        """Meaning, default and range in a line."""
+        known = f"default {self.default!r}"
+        if self.lower is not None and self.upper is not None:
+            known += f", {self.lower:g} to {self.upper:g}"
+        return f"{self.description} ({known}{', fixed' if self.fixed else ''})"
 
 
 def declared_of(config: type) -> list[Declared]:
@@ -111,7 +119,7 @@ class Parameters:
             if self._check is not None:
                 self._check(changed)
         except ValueError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=False, reason=one_line(error))
         return SetParametersResult(successful=True)
 
     def _take(self, parameters: list[Parameter]) -> None:

@@ -9,6 +9,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+from tpgmm_core.text import one_line
+
 #: Topics that every node writes to, or anyone may.
 SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/external_wrench")
 
@@ -54,8 +56,9 @@ def _advice(misfits: Iterable[str], own: QoSProfile) -> str:
 
 
 def _name(info: TopicEndpointInfo) -> str:
-    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+    return one_line(f"{info.node_namespace.rstrip('/')}/{info.node_name}", 120)
 
 
 def _names(infos: Iterable[TopicEndpointInfo]) -> str:
-    return " and ".join(sorted(_name(info) for info in infos))
+    names = sorted(_name(info) for info in infos)
+    return " and ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

@@ -2,11 +2,14 @@
 """Reports: a table for people, a JSON file for programs."""
 
 import json
-import os
-import tempfile
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
+
+from tpgmm_core.atomic_file import write_atomically
+from tpgmm_core.text import one_line
+from tpgmm_ros.entry import INTERRUPTED
 
 
 def format_table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
@@ -42,19 +45,33 @@ def write_report(directory: str | Path, values: dict[str, Any] | list[dict[str, 
     """
     path = Path(directory) / "report.json"
     text = json.dumps(values, indent=2, allow_nan=False) + "\n"
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, lambda draft: draft.write_text(text, encoding="utf-8"))
     return path
 
 
-def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
-    """Have a file written beside `path`, and put it in its place only when that succeeded.
+def run_with_report(directory: Path, run: Callable[[], bool], errors: tuple[type[Exception], ...]) -> int:
+    """Run a program that leaves a report, whatever happens; returns its exit status.
 
     Args:
-        path: the file; its directory is made where it is missing.
-        write: writes the file of the name it is given.
+        directory: of report.json. One of an earlier success never stands beside a failure.
+        run: does the work, writes its report, and returns the verdict.
+        errors: what may go wrong, besides the disk; said in one line.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as directory:
-        draft = Path(directory) / path.name
-        write(draft)
-        os.replace(draft, path)
+    status = 1
+    try:
+        (directory / "report.json").unlink(missing_ok=True)
+        return 0 if run() else 1
+    except Exception as error:
+        if not isinstance(error, (OSError, ValueError, *errors)):
+            raise
+        reason = one_line(error)
+        print(f"error: {reason}", file=sys.stderr)
+    except KeyboardInterrupt:
+        reason, status = "interrupted", INTERRUPTED
+        print(reason, file=sys.stderr)
+    try:
+        write_report(directory, {"passed": False, "error": reason})
+    except OSError as error:
+        print(f"error: the report could not be written: {one_line(error)}", file=sys.stderr)
+    return status

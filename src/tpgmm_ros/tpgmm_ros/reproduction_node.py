@@ -23,6 +23,7 @@ from tpgmm_core.retrieval.execution import ExecutionConfig
 from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.ways import WAYS, way_named
 from tpgmm_core.streams import Stamp
+from tpgmm_core.text import listed, one_line, shown
 from tpgmm_core.tracking import check_pose
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
@@ -32,7 +33,7 @@ from tpgmm_ros.executor import run
 from tpgmm_ros.joint_states import MAX_FUTURE, SPREAD, Heard, JointStateStream
 from tpgmm_ros.lifecycle import ManagedNode
 from tpgmm_ros.lockstep import Barrier, no_reference
-from tpgmm_ros.markers import markers
+from tpgmm_ros.markers import Scene
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.movements import Movements
 from tpgmm_ros.parameters import Declared, Parameters, declared_of
@@ -86,6 +87,7 @@ class ReproductionNode(ManagedNode):
         self._received_ns = 0
         self._done_ns: dict[str, int] = {}
         self._sent: ReferenceMessage | None = None
+        self._scene = Scene()
         self._barrier: Barrier[int] | None = None
         if rate := self.parameters["lockstep_rate"]:
             self._barrier = Barrier(("task_parameters", "pose"), self._answer, round(1e9 / rate))
@@ -96,7 +98,7 @@ class ReproductionNode(ManagedNode):
         if values["retrieval"]:
             way_named(values["retrieval"])
         if values["phase"] not in PHASES:
-            raise ValueError(f"there is no phase {values['phase']!r}; known are {', '.join(PHASES)}")
+            raise ValueError(f"there is no phase {shown(values['phase'])}; known are {', '.join(PHASES)}")
         if self.movements is not None:  # last, since it takes effect: only the way itself knows which speeds it can go
             self.movements.set_speed(values["speed"])
 
@@ -110,7 +112,7 @@ class ReproductionNode(ManagedNode):
             model = load_model(model_file, self.task) if model_file else None
             self._dimensions = state_dimensions(self.task)
         except (ValueError, OSError) as error:
-            self.get_logger().error(str(error))
+            self.get_logger().error(one_line(error))
             return TransitionCallbackReturn.FAILURE
         self._references = self.create_lifecycle_publisher(ReferenceMessage, "reference", STREAM)
         self._reference_poses = self.create_lifecycle_publisher(PoseWithCovarianceStamped, "reference_pose", STREAM)
@@ -148,6 +150,7 @@ class ReproductionNode(ManagedNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         assert self.movements is not None
         self.movements.deactivate()
+        self._hide(self.get_clock().now().nanoseconds)
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -217,11 +220,13 @@ class ReproductionNode(ManagedNode):
 
     def _step(self, stamp_ns: int) -> None:
         if self.movements is None or self.movements.execution is None:
+            self._hide(stamp_ns)
             return
         start = time.perf_counter()
         self.monitor.tick(stamp_ns)
         reference = self.movements.step(stamp_ns)
         if reference is None:
+            self._hide(stamp_ns)
             return
         self._send(conversions.reference_message(reference, self._dimensions, stamp_ns, self.task.base_frame))
         self.monitor.done += 1
@@ -240,7 +245,13 @@ class ReproductionNode(ManagedNode):
         if self._markers.get_subscription_count() and self._is_due("markers", stamp_ns, MARKER_PERIOD_NS):
             assert movements.execution is not None
             mixture = movements.execution.retrieval.mixture()
-            self._markers.publish(markers(mixture, reference.activations, movements.frames, stamp_ns, frame_id))
+            shown = self._scene.show(mixture, reference.activations, movements.frames, stamp_ns, frame_id)
+            self._markers.publish(shown)
+
+    def _hide(self, stamp_ns: int) -> None:
+        """Nothing is reproduced any more: viewers forget what they were shown."""
+        if not self._scene.is_empty:
+            self._markers.publish(self._scene.clear(stamp_ns, self.task.base_frame))
 
     def _is_due(self, what: str, stamp_ns: int, period_ns: int) -> bool:
         if 0 <= stamp_ns - self._done_ns.get(what, -period_ns) < period_ns:
@@ -261,7 +272,7 @@ class ReproductionNode(ManagedNode):
             return DiagnosticStatus.ERROR, f"no task parameters for {silence:.1f} s: is frame_tracker alive?", values
         missing = [name for name in execution.retrieval.frame_names if name not in self.movements.frames]
         if missing:
-            return DiagnosticStatus.WARN, f"reproducing without {', '.join(missing)}", values
+            return DiagnosticStatus.WARN, f"reproducing without {listed(missing)}", values
         return DiagnosticStatus.OK, "reproducing", values
 
 

@@ -28,6 +28,7 @@ from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_core.safe_yaml import YamlError, load_yaml, parse_yaml
 from tpgmm_core.settings import configured
+from tpgmm_core.text import shown
 from tpgmm_core.tracking import TrackingConfig
 from tpgmm_ros.kinematic_task import KinematicSpec
 from tpgmm_ros.yaml_sections import (
@@ -168,7 +169,7 @@ def _frames(section: Section, movement: str) -> dict[str, TaskFrameSpec]:
     frames: dict[str, TaskFrameSpec] = {}
     for name in section.values:
         if not is_name(name):
-            raise section.error(f"has the frame name {name!r}: use letters, digits and underscores")
+            raise section.error(f"has the frame name {shown(name)}: use letters, digits and underscores")
         entry = section.section(name)
         entry.refuse_others("topic", "pose")
         if len(entry.values) != 1:
@@ -179,7 +180,8 @@ def _frames(section: Section, movement: str) -> dict[str, TaskFrameSpec]:
         topic = entry.required("topic", a_topic)
         if topic in taken:
             raise entry.error(
-                f"has the topic {topic!r}, which is already that of {taken[topic]}: each frame has a topic of its own"
+                f"has the topic {shown(topic)}, which is already that of {taken[topic]}: "
+                "each frame has a topic of its own"
             )
         taken[topic] = f"the frame {name!r}"
         frames[name] = TaskFrameSpec(name, topic=topic)

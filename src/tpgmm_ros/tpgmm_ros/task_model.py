@@ -12,6 +12,7 @@ from tpgmm_core.manifold import POSE, Manifold
 from tpgmm_core.retrieval import ways
 from tpgmm_core.retrieval.encodings import encoding_of
 from tpgmm_core.retrieval.interface import Retrieval
+from tpgmm_core.text import listed, one_line, shown
 from tpgmm_ros import kinematic_recipe
 from tpgmm_ros.conversions import TaskFrameState
 from tpgmm_ros.task import DIMENSIONS, MANIFOLD, Task
@@ -29,20 +30,20 @@ def load_model(path: str | Path, task: Task) -> TPGMM:
         try:
             kinematic_recipe.check_model(model, task.kinematic)
         except ValueError as error:
-            raise ValueError(f"{path} does not fit task '{task.name}': {error}") from error
+            raise ValueError(f"{one_line(path)} does not fit task '{task.name}': {error}") from error
         return model
     encoding, space = encoding_of(model), Manifold.parse(MANIFOLD)
     manifold, dimensions = encoding.manifold(space), encoding.dimensions(DIMENSIONS, space)
     if model.manifold_ != manifold or tuple(model.dimensions_ or ()) != dimensions:
         raise ValueError(
-            f"{path} encodes {model.dimensions_} on {model.manifold_}; "
+            f"{one_line(path)} encodes {listed(model.dimensions_ or ())} on {model.manifold_}; "
             f"task '{task.name}' needs {dimensions} on {manifold}"
         )
     unknown = [name for name in model.frame_names_ if name not in task.frames]
     if unknown:
         raise ValueError(
-            f"{path} was learned from the frames {', '.join(model.frame_names_)}; task '{task.name}' "
-            f"names {', '.join(task.frames)} and lacks {', '.join(unknown)}"
+            f"{one_line(path)} was learned from the frames {listed(model.frame_names_)}; task '{task.name}' "
+            f"names {listed(task.frames)} and lacks {listed(unknown)}"
         )
     return model
 
@@ -77,6 +78,6 @@ def known_frames(states: Mapping[str, TaskFrameState]) -> dict[str, tuple[Frame,
         try:
             POSE.tangent_map(state.frame.A)
         except ValueError as error:
-            raise ValueError(f"frame '{name}': {error}") from error
+            raise ValueError(f"frame {shown(name)}: {error}") from error
         known[name] = state.frame.with_time(), state.weight
     return known

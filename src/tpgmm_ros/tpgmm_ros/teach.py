@@ -25,19 +25,18 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from tqdm import tqdm
 
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.text import one_line
 from tpgmm_ros import bar_lesson, conversions
 from tpgmm_ros.bag_recorder import BagRecorder
 from tpgmm_ros.bar_lesson import BarLesson
-from tpgmm_ros.executor import StopFlag
+from tpgmm_ros.executor import StopFlag, init
 from tpgmm_ros.pick_place import Array, Grasp, Situation, random_situation
 from tpgmm_ros.processes import Graph, GraphError, NodeProcesses
 from tpgmm_ros.qos import STREAM
-from tpgmm_ros.rclpy_workarounds import init_rclpy
 from tpgmm_ros.resources import config_file
 from tpgmm_ros.task import Task, TaskError
 from tpgmm_ros.teacher import Intention, Teacher, TeacherConfig
@@ -167,7 +166,7 @@ def record_scripted(
     with domain_id() as domain, tempfile.TemporaryDirectory() as logs:
         # Nodes started here talk to each other and to nobody else.
         os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", ROS_LOG_DIR=logs)
-        init_rclpy(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        init([])
         stop = StopFlag()
         with tqdm(total=count, unit="demonstration", desc="teaching") as progress:
             for index in range(count):
@@ -231,7 +230,7 @@ def _record_lesson(
 
 def record_live(task: Task, output: Path) -> dict[str, int]:
     """Record the task's topics until SIGINT or SIGTERM; returns the number of messages by topic."""
-    init_rclpy(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    init([])
     stop = StopFlag()
     node = Node("teach")
     executor = EventsExecutor()
@@ -292,7 +291,7 @@ def main() -> int:
                 print(f"warning: nothing came on {', '.join(silent)}", file=sys.stderr)
             print(f"{arguments.output}: " + ", ".join(f"{topic} {count}" for topic, count in counts.items()))
     except (TaskError, GraphError, OSError, ValueError) as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {one_line(error)}", file=sys.stderr)
         return 1
     return 0
 

@@ -26,6 +26,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayou
 
 from tpgmm_core.control.controller import TorqueCommand
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.text import listed, shown
 from tpgmm_ros import conversions
 from tpgmm_ros.qos import COMMANDS, STREAM
 
@@ -137,7 +138,7 @@ def message_class(name: str) -> Any:
     """The message of an output. Raises ValueError: unknown output, or its package is not installed."""
     output = OUTPUTS.get(name)
     if output is None:
-        raise ValueError(f"torque_outputs names '{name}'; expected some of {', '.join(OUTPUTS)}")
+        raise ValueError(f"torque_outputs names {shown(name)}; expected some of {', '.join(OUTPUTS)}")
     try:
         return getattr(importlib.import_module(f"{output.package}.msg"), output.message)
     except ImportError as error:
@@ -175,10 +176,11 @@ class TorqueOutputs:
         self, node: LifecycleNode, robot: RobotModel, outputs: Sequence[str], joints: str, gravity_compensated: bool
     ) -> None:
         if not outputs or len(set(outputs)) != len(outputs):
-            raise ValueError(f"torque_outputs must name some of {', '.join(OUTPUTS)}, each once; got {list(outputs)}")
+            raise ValueError(f"torque_outputs must name some of {', '.join(OUTPUTS)}, each once; got {listed(outputs)}")
         if joints and joints not in robot.joint_groups:
             raise ValueError(
-                f"torque_joints names no joint group of the robot file: '{joints}'; {list(robot.joint_groups)}"
+                f"torque_joints names no joint group of the robot file: {shown(joints)}; "
+                f"it has {listed(robot.joint_groups)}"
             )
         classes = [message_class(name) for name in outputs]
         self._data = robot.create_data() if gravity_compensated else None

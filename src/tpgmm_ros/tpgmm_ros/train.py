@@ -15,9 +15,11 @@ from tqdm import tqdm
 from tpgmm_core import TPGMM
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS
+from tpgmm_core.text import one_line
 from tpgmm_ros.bags import Recording, align, find_bags, read_recordings
+from tpgmm_ros.entry import INTERRUPTED
 from tpgmm_ros.kinematic_recipe import WAY, KinematicRecipe
-from tpgmm_ros.reporting import format_table, write_atomically, write_report
+from tpgmm_ros.reporting import format_table, write_report
 from tpgmm_ros.task import DIMENSIONS, MANIFOLD, Task
 from tpgmm_ros.validation import Fold, PathErrors, leave_one_out, mean_errors
 
@@ -29,7 +31,8 @@ examples:
   train --task config/pick_place.yaml --output decay.tpgmm --retrieval decay bags/
   train --task config/pick_place.yaml --output few.tpgmm --components 4 --every 5 --skip-bad bags/
 
-exit status: 0 the model was trained and saved; 1 it was not, the reason is on stderr; 2 wrong arguments
+exit status: 0 the model was trained and saved; 1 it was not, the reason is on stderr; 2 wrong arguments;
+130 interrupted
 """
 
 
@@ -54,23 +57,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.output is None and not options.leave_one_out:
         _parser().error("nothing to do: give --output to save a model, --leave-one-out to measure one, or both")
     report: dict[str, Any] = {"passed": False}
+    status = 1
     try:
         _run(options, report)
-        report["passed"] = True
+        report["passed"], status = True, 0
     except (TrainingError, OSError, ValueError, np.linalg.LinAlgError) as error:
-        report["error"] = str(error)
-        print(f"train: {error}", file=sys.stderr)
+        report["error"] = one_line(error)
+        print(f"train: {report['error']}", file=sys.stderr)
     except KeyboardInterrupt:
-        report["error"] = "interrupted"
+        report["error"], status = "interrupted", INTERRUPTED
         print("train: interrupted, nothing was saved", file=sys.stderr)
     if options.report is not None:
         # Written after a failure too: a report of an earlier success must not stand beside it.
         try:
             print(f"report: {write_report(options.report, report)}")
         except OSError as error:
-            print(f"train: the report could not be written: {error}", file=sys.stderr)
+            print(f"train: the report could not be written: {one_line(error)}", file=sys.stderr)
             return 1
-    return 0 if report["passed"] else 1
+    return status
 
 
 def _run(options: argparse.Namespace, report: dict[str, Any]) -> None:
@@ -85,7 +89,8 @@ def _run(options: argparse.Namespace, report: dict[str, Any]) -> None:
         assert isinstance(recipe, Recipe)  # `_recipe` refused the others
         report["leave_one_out"] = _validate(task, recipe, recordings)
     if options.output is not None:
-        write_atomically(options.output, training.model.save)
+        options.output.parent.mkdir(parents=True, exist_ok=True)
+        training.model.save(options.output)
         report["model"] = str(options.output)
         print(f"model: {options.output}")
 
@@ -100,7 +105,7 @@ def _read(options: argparse.Namespace, task: Task, report: dict[str, Any]) -> li
     report["bad_bags"] = [{"bag": str(error.path), "error": str(error)} for error in bad]
     for recording in good:
         for note in recording.notes:
-            print(f"{recording.path}: {note}", file=sys.stderr)
+            print(one_line(f"{recording.path}: {note}"), file=sys.stderr)
         if options.verbose:
             print(
                 f"{recording.path}: {len(recording.times)} samples, {recording.duration:.2f} s",

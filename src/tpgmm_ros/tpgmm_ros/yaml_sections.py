@@ -10,7 +10,8 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from tpgmm_core.safe_yaml import YamlError, shown
+from tpgmm_core.safe_yaml import YamlError
+from tpgmm_core.text import one_line, shown
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _TOPIC = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
@@ -34,7 +35,7 @@ class Section:
         self.values: Mapping[str, Any] = values
 
     def error(self, text: str) -> YamlError:
-        return YamlError(f"{self.source}: {f"'{self.where}'" if self.where else 'the file'} {text}")
+        return YamlError(f"{self.source}: {f"'{one_line(self.where)}'" if self.where else 'the file'} {text}")
 
     def path(self, key: str) -> str:
         return f"{self.where}.{key}" if self.where else key
@@ -53,7 +54,7 @@ class Section:
             return read(self.values[key])
         except ValueError as error:
             found = shown(self.values[key])
-            raise YamlError(f"{self.source}: '{self.path(key)}' is {found}, expected {error}") from None
+            raise YamlError(f"{self.source}: '{one_line(self.path(key))}' is {found}, expected {error}") from None
 
     def section(self, key: str, optional: bool = False) -> "Section":
         if key not in self.values and not optional:

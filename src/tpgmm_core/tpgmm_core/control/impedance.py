@@ -31,6 +31,7 @@ from tpgmm_core.control.torque_limits import finite
 from tpgmm_core.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.settings import setting
+from tpgmm_core.text import listed, shown
 
 Array = NDArray[np.float64]
 
@@ -88,7 +89,7 @@ class ImpedanceLaw:
         Raises ValueError for an unknown end point or a rest posture that is not (nv,) finite numbers.
         """
         if endpoint not in robot.endpoints:
-            raise ValueError(f"the robot has no end point {endpoint!r}; it has {list(robot.endpoints)}")
+            raise ValueError(f"the robot has no end point {shown(endpoint)}; it has {listed(robot.endpoints)}")
         self.robot, self.endpoint = robot, endpoint
         rest = np.array(robot.home if rest_posture is None else rest_posture, dtype=np.float64)
         if rest.shape != (robot.nv,) or not np.isfinite(rest).all():

@@ -24,6 +24,7 @@ from tpgmm_core.control.planning import PlanConfig, Planning, Submit, at_once
 from tpgmm_core.manifold import POSE
 from tpgmm_core.reference import Reference
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.text import listed, shown
 
 #: Names of the joints that a law moves; none: those of the end point, by its pose.
 type Joints = tuple[str, ...]
@@ -76,9 +77,9 @@ class ReferenceLaw:
         Raises ValueError for an unknown law or end point, and ImportError where a law's solver is not installed.
         """
         if name not in LAWS:
-            raise ValueError(f"there is no law '{name}'; expected one of {', '.join(LAWS)}")
+            raise ValueError(f"there is no law {shown(name)}; expected one of {', '.join(LAWS)}")
         if endpoint not in robot.endpoints:
-            raise ValueError(f"the robot has no end point {endpoint!r}; it has {list(robot.endpoints)}")
+            raise ValueError(f"the robot has no end point {shown(endpoint)}; it has {listed(robot.endpoints)}")
         self.name, self.robot, self.endpoint, self._submit = name, robot, endpoint, submit
         self._settings = settings or LawSettings()
         arm = tuple(robot.joint_names[i] for i in robot.indices(robot.endpoints[endpoint].joints))
@@ -142,8 +143,8 @@ class ReferenceLaw:
         known = all(name in self.robot.joint_names for name in names)
         if not manifold.is_euclidean or not known or len(names) != manifold.dim:
             raise ValueError(
-                f"the reference is on '{manifold}' with the dimensions {list(names)}; expected a pose on '{POSE}', or "
-                f"a Gaussian over joints, which its dimensions name, of {', '.join(self.robot.joint_names)}"
+                f"the reference is on '{manifold}' with the dimensions {listed(names)}; expected a pose on '{POSE}', "
+                f"or a Gaussian over joints, which its dimensions name, of {listed(self.robot.joint_names, 40)}"
             )
         return names
 

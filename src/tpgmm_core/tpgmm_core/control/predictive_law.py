@@ -31,6 +31,7 @@ from tpgmm_core.control.predictive import JointLimits, JointReference, Plan, Pre
 from tpgmm_core.manifold import POSE
 from tpgmm_core.reference import Reference
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.text import listed, shown
 
 Array = NDArray[np.float64]
 
@@ -91,7 +92,7 @@ class PredictiveLaw(JointImpedanceLaw):
     ) -> None:
         """Raises ValueError as `JointImpedanceLaw`, and for an unknown end point."""
         if endpoint is not None and endpoint not in robot.endpoints:
-            raise ValueError(f"the robot has no end point {endpoint!r}; it has {list(robot.endpoints)}")
+            raise ValueError(f"the robot has no end point {shown(endpoint)}; it has {listed(robot.endpoints)}")
         self.plan, self.endpoint, self._submit = plan or PlanConfig(), endpoint, submit
         super().__init__(robot, joints, config)
 

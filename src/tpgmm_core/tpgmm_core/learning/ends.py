@@ -11,6 +11,7 @@ from tpgmm_core import initialization
 from tpgmm_core.estimation import Progress
 from tpgmm_core.quaternion import Array
 from tpgmm_core.samples import Samples
+from tpgmm_core.text import shown
 from tpgmm_core.tpgmm import TPGMM
 
 BEGIN, END = 0, 1
@@ -70,11 +71,11 @@ class GoalTPGMM(TPGMM):
             n = manifold.tangent_dim
             if mean.shape != (2, manifold.dim) or covariance.shape != (2, n, n):
                 raise ValueError(
-                    f"the ends of frame {name!r} have means (2, {manifold.dim}) and covariances (2, {n}, {n}), "
+                    f"the ends of frame {shown(name)} have means (2, {manifold.dim}) and covariances (2, {n}, {n}), "
                     f"got {mean.shape} and {covariance.shape}"
                 )
             if not np.all(np.linalg.eigvalsh(covariance) > 0.0):
-                raise ValueError(f"the covariances of the ends in frame {name!r} are not positive definite")
+                raise ValueError(f"the covariances of the ends in frame {shown(name)} are not positive definite")
             means[name], covariances[name] = mean, covariance
         self._learned_ends(means, covariances)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from tpgmm_core.kernels import LOG_2PI
 from tpgmm_core.quaternion import Array
+from tpgmm_core.text import shown
 
 STRUCTURES = ("full", "diag", "spherical", "tied", "mfa", "mppca", "hddc", "semi_tied", "deep_mfa")
 
@@ -43,15 +44,15 @@ class Structure:
 
     def __post_init__(self) -> None:
         if self.name not in STRUCTURES:
-            raise ValueError(f"a covariance structure is one of {', '.join(STRUCTURES)}, got {self.name!r}")
+            raise ValueError(f"a covariance structure is one of {', '.join(STRUCTURES)}, got {shown(self.name)}")
         if not _is_count(self.n_factors):
-            raise ValueError(f"n_factors is an integer from 1, got {self.n_factors!r}")
+            raise ValueError(f"n_factors is an integer from 1, got {shown(self.n_factors)}")
         if not self.layers or not all(len(layer) == 2 and all(map(_is_count, layer)) for layer in self.layers):
-            raise ValueError(f"layers are pairs (components, factors) of integers from 1, got {self.layers!r}")
+            raise ValueError(f"layers are pairs (components, factors) of integers from 1, got {shown(self.layers)}")
         if not (np.isfinite(self.reg_covar) and self.reg_covar >= 0.0):
             raise ValueError(f"reg_covar is a finite number from 0, got {self.reg_covar!r}")
         if self.regularization not in ("add", "prior"):
-            raise ValueError(f'regularization is "add" or "prior", got {self.regularization!r}')
+            raise ValueError(f'regularization is "add" or "prior", got {shown(self.regularization)}')
         if not 0.0 < self.scree_threshold < 1.0:
             raise ValueError(f"scree_threshold is between 0 and 1, got {self.scree_threshold!r}")
 

@@ -20,6 +20,7 @@ from tpgmm_core.retrieval.decay import DecayLaw
 from tpgmm_core.retrieval.dynamic_features import manifold_with_derivatives, with_derivatives
 from tpgmm_core.retrieval.dynamics import with_velocity
 from tpgmm_core.settings import check_settings, configured, setting
+from tpgmm_core.text import shown
 from tpgmm_core.tpgmm import TPGMM
 
 _WINDOW = "Samples of the parabolas that derivatives are taken from; odd"
@@ -169,7 +170,7 @@ def encoding_of(model: TPGMM) -> Encoding:
     metadata: Mapping[str, str | float] = model.metadata_
     name = metadata.get(_KEY, TimeEncoding.name)
     if name not in ENCODINGS:
-        raise ValueError(f"the model encodes {name!r}, known are {', '.join(ENCODINGS)}: train it again")
+        raise ValueError(f"the model encodes {shown(name)}, known are {', '.join(ENCODINGS)}: train it again")
     options = {key.removeprefix(f"{_KEY}."): value for key, value in metadata.items() if key.startswith(f"{_KEY}.")}
     return configured(ENCODINGS[str(name)], options)
 

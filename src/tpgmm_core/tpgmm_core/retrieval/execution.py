@@ -24,6 +24,7 @@ from tpgmm_core.reference import Reference
 from tpgmm_core.retrieval.continuity import Continued
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.settings import check_settings, setting
+from tpgmm_core.text import listed
 
 _SECOND = 1_000_000_000
 _PROGRESS = 0.01
@@ -167,7 +168,7 @@ class Execution:
         if time_ns - self._asked_ns > self.config.start_timeout * _SECOND:
             self._end(
                 False,
-                f"frames not seen within {self.config.start_timeout:g} s: {', '.join(missing)}; "
+                f"frames not seen within {self.config.start_timeout:g} s: {listed(missing)}; "
                 "check that their poses are published and accepted",
             )
         return False

@@ -20,6 +20,7 @@ from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
+from tpgmm_core.text import shown
 from tpgmm_core.tpgmm import TPGMM
 
 
@@ -127,7 +128,7 @@ def demonstrated_duration(model: TPGMM) -> float:
     duration = model.metadata_.get("duration_s")
     if not isinstance(duration, int | float) or not duration > 0.0:
         raise ValueError(
-            f"the model's metadata say duration_s = {duration!r}; expected the demonstrations' mean duration in s: "
-            "a model that is to be reproduced over time is trained by 'train'"
+            f"the model's metadata say duration_s = {shown(duration)}; expected the demonstrations' mean duration in "
+            "s: a model that is to be reproduced over time is trained by 'train'"
         )
     return float(duration)

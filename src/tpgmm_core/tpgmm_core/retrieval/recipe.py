@@ -16,6 +16,7 @@ from tpgmm_core.manifold import Manifold
 from tpgmm_core.retrieval.encodings import Encoding
 from tpgmm_core.retrieval.ways import DEFAULT, KEY, Way, way_named
 from tpgmm_core.settings import configured
+from tpgmm_core.text import listed
 from tpgmm_core.tpgmm import TPGMM
 
 
@@ -48,7 +49,7 @@ class Recipe:
         unknown = [name for name in rest if name not in options and name not in arguments]
         if unknown:
             known = ", ".join([*arguments, *sorted(options)])
-            raise ValueError(f"{', '.join(unknown)} is no setting of {chosen.name}, which has {known}")
+            raise ValueError(f"{listed(unknown)} is no setting of {chosen.name}, which has {known}")
         encoding = configured(
             chosen.encoding, {**chosen.options, **{name: rest.pop(name) for name in options if name in rest}}
         )

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 
 from tpgmm_core import kernels_regress
 from tpgmm_core.adaptation import UNCONSTRAINED_VARIANCE, Adapter
+from tpgmm_core.disagreement import no_product
 from tpgmm_core.frame import Frame
 from tpgmm_core.frame_buffer import FrameBuffer
 from tpgmm_core.gaussian import Gaussian
@@ -174,9 +175,21 @@ class RegressThenProduct(_Regression):
         if failed >= len(self.frame_names):
             name = self.frame_names[failed - len(self.frame_names)]
             raise ValueError(f"the covariances of frame {name!r} are singular: fit with a larger reg_covar")
-        if failed != -1:
+        if failed < -1:
+            raise no_product(f"the time {times[-2 - failed]:.3g}", self._views_at(times[-2 - failed]))
+        if failed >= 0:
             s.refuse(failed)
         return means, covariances, activations
+
+    def _views_at(self, time: float) -> dict[str, Gaussian]:
+        """What the frames that are there expect at a time, in the common frame."""
+        s, model = self._situation, self.model
+        views = {}
+        for j in np.flatnonzero(s.weights):
+            name = self.frame_names[j]
+            seen = GaussianMixture(model.priors_, model.means_[name], model.covariances_[name], model.manifold_)
+            views[name] = seen.condition([0], [time]).transform(Frame(self._A[j], self._b[j]))
+        return views
 
     def mixture(self) -> GaussianMixture:
         s = self._buffer

@@ -27,6 +27,7 @@ from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 from tpgmm_core.retrieval.reproduction import Reproduction
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 from tpgmm_core.retrieval.trajectory import TrajectoryCourse
+from tpgmm_core.text import shown
 from tpgmm_core.tpgmm import TPGMM
 
 KEY = "retrieval"
@@ -104,7 +105,7 @@ WAYS: dict[str, Way] = {
 def way_named(name: str) -> Way:
     """Raises ValueError for a name that is none of WAYS."""
     if name not in WAYS:
-        raise ValueError(f"there is no way of retrieval {name!r}; known are {', '.join(WAYS)}")
+        raise ValueError(f"there is no way of retrieval {shown(name)}; known are {', '.join(WAYS)}")
     return WAYS[name]
 
 
@@ -136,7 +137,7 @@ def make_retrieval(
     chosen = way_of(model) if way is None else way_named(way)
     chosen.check(model)
     if phase not in PHASES:
-        raise ValueError(f"there is no phase {phase!r}; known are {', '.join(PHASES)}")
+        raise ValueError(f"there is no phase {shown(phase)}; known are {', '.join(PHASES)}")
     settings: dict[str, Any] = {
         "duration": duration,
         "horizon_steps": horizon_steps,
@@ -150,8 +151,8 @@ def make_retrieval(
         assert chosen.movement is not None
         if phase != "clock":
             raise ValueError(
-                f"the phase {phase!r} is for {', '.join(w.name for w in WAYS.values() if w.course)}: {chosen.name} "
-                "finds out by itself how far the movement is; leave the phase at 'clock'"
+                f"the phase {shown(phase)} is for {', '.join(w.name for w in WAYS.values() if w.course)}: "
+                f"{chosen.name} finds out by itself how far the movement is; leave the phase at 'clock'"
             )
         retrieval = chosen.movement(model, **settings)
     retrieval.speed = speed

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.control.impedance import ImpedanceConfig
+from tpgmm_core.robot.bodies import bodies
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_core.text import listed
 
 Array = NDArray[np.float64]
 
@@ -43,7 +45,7 @@ def workspace(robot: RobotModel, endpoint: str, postures: int = 3000, random_sta
 
 def suspicions(robot: RobotModel) -> list[str]:
     """What its author should look at, in words; empty when nothing is suspicious."""
-    return [*_of_joints(robot), *_of_groups(robot), *_of_endpoints(robot), *_of_base(robot)]
+    return [*_of_joints(robot), *_of_bodies(robot), *_of_groups(robot), *_of_endpoints(robot), *_of_base(robot)]
 
 
 def _of_joints(robot: RobotModel) -> Iterator[str]:
@@ -54,24 +56,38 @@ def _of_joints(robot: RobotModel) -> Iterator[str]:
     for i, joint in enumerate(robot.joint_names):
         room = min(home[i] - robot.lower_limits[i], robot.upper_limits[i] - home[i])
         if room < NEAR_LIMIT * (robot.upper_limits[i] - robot.lower_limits[i]):
-            yield f"home of {joint} is {room:.3g} from its limit: choose one further inside"
+            unit = robot.unit(joint, "position")
+            yield f"home of {joint} is {room:.3g} {unit} from its limit: choose one further inside"
         if carried[i] > MUCH_EFFORT:
             yield f"{joint} needs {carried[i]:.0%} of its effort to hold the robot at home: are masses right?"
         if stuck[i] > STUCK:
             yield (
-                f"{joint} moves so little ({felt[i]:.2g} kg m^2) that its friction holds an error of {stuck[i]:.2g}: "
+                f"{joint} moves so little ({felt[i]:.2g} {robot.unit(joint, 'inertia')}) that its friction holds an "
+                f"error of {stuck[i]:.2g} {robot.unit(joint, 'position')}: "
                 f"give the inertia of its motor, as the joint feels it: armature: {{{joint}: {{inertia: ...}}}}"
             )
     without = [joint for joint, friction in zip(robot.joint_names, robot.coulomb_friction, strict=True) if not friction]
     if without:
-        yield f"no friction of {', '.join(without)}: what works in the simulator may stick on the robot"
+        yield f"no friction of {listed(without, 40)}: what works in the simulator may stick on the robot"
+
+
+def _of_bodies(robot: RobotModel) -> Iterator[str]:
+    for body in bodies(robot.pinocchio):
+        if body.is_a_point:
+            yield f"{body}: with a mass of {body.mass:.3g} kg, is it a point? Correct <inertia> in the URDF"
+        elif not body.has_the_shape_of_a_body:
+            yield f"{body}, one of which is larger than the sum of the others: no body is like that; correct <inertia>"
+    moved = {joint for joints in robot.joint_groups.values() for joint in joints}
+    for name, mimic in robot.mimics.items():
+        if mimic.leader in moved and name not in robot.joint_names:
+            yield f"{name} mimics {mimic.leader}: here it stands still, where that puts it at home"
 
 
 def _of_groups(robot: RobotModel) -> Iterator[str]:
     grouped = {joint for joints in robot.joint_groups.values() for joint in joints}
     if others := [joint for joint in robot.joint_names if joint not in grouped]:
         yield (
-            f"{', '.join(others)}: in no group, so they are held where they are found; lock them if something else "
+            f"{listed(others, 40)}: in no group, so they are held where they are found; lock them if something else "
             "drives them (locked: ...)"
         )
 
@@ -84,16 +100,16 @@ def _of_endpoints(robot: RobotModel) -> Iterator[str]:
         frame = robot.pinocchio.frames[robot.endpoint_frame_ids[name]]
         movers = [robot.joint_names[i - 1] for i in robot.pinocchio.supports[frame.parentJoint] if i > 0]
         if idle := [joint for joint in group if joint not in movers]:
-            yield f"end point {name}: {', '.join(idle)} of its group do not move it"
+            yield f"end point {name}: {listed(idle)} of its group do not move it"
         if foreign := [joint for joint in movers if joint not in group]:
-            yield f"end point {name}: {', '.join(foreign)} move it too, and are held"
+            yield f"end point {name}: {listed(foreign)} move it too, and are held"
         if len(group) < 6:
             yield f"end point {name}: {len(group)} joints cannot give it every pose; 6 or more can"
             continue
         J = data.jacobian(name)[:, robot.indices(end.joints)] * np.repeat([1.0, length], 3)[:, None]
         least = np.linalg.svd(J, compute_uv=False)[-1]
         if least < HARDLY:
-            yield f"end point {name}: at home it can hardly move in some direction ({least:.2g}): bend the arm"
+            yield f"end point {name}: at home it can hardly move in some direction ({least:.2g} m/rad): bend the arm"
 
 
 def _of_base(robot: RobotModel) -> Iterator[str]:

@@ -19,6 +19,7 @@ A robot file may come from a stranger: it reads no files but those of installed 
 
 from __future__ import annotations
 
+import codecs
 import os
 import sys
 from collections.abc import Iterator, Mapping
@@ -27,7 +28,8 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from tpgmm_core.safe_yaml import YamlError, load_yaml, shown
+from tpgmm_core.safe_yaml import YamlError, load_yaml
+from tpgmm_core.text import listed, one_line, shown
 
 PACKAGE_SCHEME = "package://"
 REQUIRED_KEYS = ("urdf", "base_frame", "joint_groups", "endpoints", "home")
@@ -38,6 +40,9 @@ ARMATURE_KEYS = ("inertia",)
 MAX_URDF_BYTES = 4_000_000
 MAX_URDF_DEPTH, MAX_URDF_JOINTS = 50, 500
 """The depth of a URDF's XML, and its joints: its parser descends both by recursion, to the end of the stack."""
+
+
+_GEOMETRY = ("robot", "link", "joint", "origin", "mass", "inertia", "axis", "limit", "parent", "child", "mimic")
 
 
 class RobotFileError(ValueError):
@@ -79,14 +84,16 @@ class RobotDescription:
         try:
             return cls._from_mapping(path, _mapping(content, "the robot file"))
         except RobotFileError as error:
-            raise RobotFileError(f"{path}: {error}") from error
+            raise RobotFileError(f"{one_line(path)}: {error}") from error
 
     @classmethod
     def _from_mapping(cls, path: Path, content: Mapping[str, Any]) -> RobotDescription:
         missing = [key for key in REQUIRED_KEYS if key not in content]
         unknown = [key for key in content if key not in REQUIRED_KEYS + OPTIONAL_KEYS]
         if missing or unknown:
-            raise RobotFileError(f"missing keys {missing}, unknown keys {shown(unknown)}; required are {REQUIRED_KEYS}")
+            raise RobotFileError(
+                f"missing keys {listed(missing)}; unknown keys {listed(unknown)}; required are {listed(REQUIRED_KEYS)}"
+            )
         groups = {name: _names(joints, name) for name, joints in _items(content, "joint_groups")}
         endpoints = {name: _endpoint(value, name, groups) for name, value in _items(content, "endpoints")}
         return cls(
@@ -124,28 +131,45 @@ def resolve_urdf(reference: str, folder: Path) -> Path:
             if not is_package and not found.is_relative_to(folder.resolve()):
                 raise RobotFileError(f"urdf {shown(reference)} is a link to {found}, out of the robot file's folder")
             return found
-    places = ", ".join(map(str, candidates))
+    if is_package:
+        places = listed(map(str, candidates), 6)
+        raise RobotFileError(
+            f"no URDF {shown(reference)} in {places}. Is its package installed (pip install example-robot-data)?"
+        )
+    hint = "; a xacro is expanded first: xacro FILE.xacro > robot.urdf" if "xacro" in reference else ""
     raise RobotFileError(
-        f"no URDF {shown(reference)} in {places}. Is its package installed (pip install example-robot-data)?"
+        f"no URDF {shown(reference)} in {folder.resolve()}; expected a file beside the robot file or below{hint}"
     )
 
 
-def check_urdf(path: Path) -> None:
-    """Raise RobotFileError for a URDF that its parser should not be given: no XML, too large or too deep, or with a
-    document type, which XML entities need that refer to files or unfold to gigabytes. Meshes are never opened."""
+def read_xml(path: Path) -> bytes:
+    """The XML of a URDF, without what may stand before it: blank lines, and a byte order mark before these.
+
+    Raises RobotFileError for what its parsers should not be given: no XML, a xacro, too large or too deep, or with a
+    document type, which XML entities need that refer to files or unfold to gigabytes. Meshes are never opened. OSError
+    where the file cannot be read.
+    """
     with path.open("rb") as file:
         content = file.read(MAX_URDF_BYTES + 1)
     if len(content) > MAX_URDF_BYTES:
         raise RobotFileError(f"the URDF {path} has more than {MAX_URDF_BYTES} bytes")
+    if not content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        content = content.lstrip().removeprefix(codecs.BOM_UTF8).lstrip()
+    if not content:
+        raise RobotFileError(f"the URDF {path} is no XML: it is empty")
     depth = joints = 0
+    is_xacro = False
 
-    def start(tag: str, _: dict[str, str]) -> None:
-        nonlocal depth, joints
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth, joints, is_xacro
         depth, joints = depth + 1, joints + (tag == "joint")
         if depth > MAX_URDF_DEPTH or joints > MAX_URDF_JOINTS:
             raise RobotFileError(
                 f"the URDF {path} has more than {MAX_URDF_JOINTS} joints or levels within {MAX_URDF_DEPTH} others"
             )
+        # an expanded xacro has no such elements and formulas any more
+        is_formula = tag in _GEOMETRY and any("${" in text for text in attributes.values())
+        is_xacro = is_xacro or is_formula or tag.startswith("xacro:")
 
     def end(_: str) -> None:
         nonlocal depth
@@ -159,8 +183,11 @@ def check_urdf(path: Path) -> None:
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(content, True)
-    except expat.ExpatError as error:
+    except (expat.ExpatError, LookupError) as error:  # LookupError: an encoding that nobody knows
         raise RobotFileError(f"the URDF {path} is no XML: {error}") from None
+    if is_xacro:
+        raise RobotFileError(f"{path} is a xacro, not a URDF; expand it first: xacro {path.name} > robot.urdf")
+    return content
 
 
 def _share_folders() -> Iterator[Path]:
@@ -196,7 +223,7 @@ def _number(value: Any, what: str) -> float:
 
 
 def _positions(content: Mapping[str, Any], key: str) -> dict[str, float]:
-    return {name: _number(value, f"{key} of {name}") for name, value in _items(content, key)}
+    return {name: _number(value, f"{key} of {one_line(name, 60)}") for name, value in _items(content, key)}
 
 
 def _gravity(value: Any) -> tuple[float, float, float] | None:
@@ -210,19 +237,24 @@ def _gravity(value: Any) -> tuple[float, float, float] | None:
 
 def _names(value: Any, group: str) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value) or not value:
-        raise RobotFileError(f"joint group {group!r} must be a list of joint names, got {shown(value)}")
+        raise RobotFileError(
+            f"joint group {shown(group)} must be a list of joint names, got {shown(value)}; quote names that "
+            "look like something else, such as '1' or 'on'"
+        )
     if len(set(value)) != len(value):
-        raise RobotFileError(f"joint group {group!r} names a joint twice: {shown(value)}")
+        raise RobotFileError(f"joint group {shown(group)} names a joint twice: {shown(value)}")
     return tuple(value)
 
 
 def _endpoint(value: Any, name: str, groups: Mapping[str, tuple[str, ...]]) -> Endpoint:
-    entry = _mapping(value, f"end point {name!r}")
+    entry = _mapping(value, f"end point {shown(name)}")
     if set(entry) != {"frame", "joints"}:
-        raise RobotFileError(f"end point {name!r} needs the keys 'frame' and 'joints', got {shown(list(entry))}")
-    frame, joints = (_text(entry[key], f"{key} of end point {name!r}") for key in ("frame", "joints"))
+        raise RobotFileError(f"end point {shown(name)} needs the keys 'frame' and 'joints', got {shown(list(entry))}")
+    frame, joints = (_text(entry[key], f"{key} of end point {shown(name)}") for key in ("frame", "joints"))
     if joints not in groups:
-        raise RobotFileError(f"end point {name!r} names the unknown joint group {joints!r}; {list(groups)}")
+        raise RobotFileError(
+            f"end point {shown(name)} names the unknown joint group {shown(joints)}; there are {listed(groups)}"
+        )
     return Endpoint(frame, joints)
 
 
@@ -231,13 +263,17 @@ def _per_joint(
 ) -> dict[str, dict[str, float]]:
     """Entries by joint or by group, spread over the joints."""
     spread: dict[str, dict[str, float]] = {}
-    entries = [(name, _mapping(value, f"{key} of {name}")) for name, value in _items({key: {}, **content}, key)]
+    entries = [
+        (name, _mapping(value, f"{key} of {one_line(name, 60)}")) for name, value in _items({key: {}, **content}, key)
+    ]
     # groups first, so that a joint's own entry replaces what its group says
     for name, entry in sorted(entries, key=lambda item: item[0] not in groups):
         unknown = [word for word in entry if word not in allowed]
         if unknown:
-            raise RobotFileError(f"{key} of {name} has the unknown keys {unknown}; allowed are {allowed}")
-        values = {word: _number(value, f"{key} of {name}, {word},") for word, value in entry.items()}
+            raise RobotFileError(
+                f"{key} of {one_line(name, 60)} has the unknown keys {listed(unknown)}; allowed are {listed(allowed)}"
+            )
+        values = {word: _number(value, f"{key} of {one_line(name, 60)}, {word},") for word, value in entry.items()}
         for joint in groups.get(name, (name,)):
             spread.setdefault(joint, {}).update(values)
     return spread

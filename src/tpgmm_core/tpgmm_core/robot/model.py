@@ -16,16 +16,23 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.robot.description import Endpoint, RobotDescription, RobotFileError
+from tpgmm_core.robot.fit import check_inertia, check_mimics
 from tpgmm_core.robot.urdf import read_urdf
+from tpgmm_core.robot.urdf_tree import Mimic
+from tpgmm_core.text import listed, shown
 
 Array = NDArray[np.float64]
 
 # No joint of an arm has more (N m or N; rad/s or m/s): URDFs hold such numbers where nobody knew the limit.
 CREDIBLE_EFFORT = 1000.0
 CREDIBLE_VELOCITY = 100.0
-#: A joint that moves less than this (kg m^2 or kg) moves nothing, and its acceleration under a torque means nothing.
-LEAST_INERTIA = 1e-9
-
+#: Of joints that turn, and of those that slide.
+UNITS = {
+    "position": ("rad", "m"),
+    "velocity": ("rad/s", "m/s"),
+    "effort": ("N m", "N"),
+    "inertia": ("kg m^2", "kg"),
+}
 AXES = pin.LOCAL_WORLD_ALIGNED
 
 
@@ -44,12 +51,13 @@ class RobotModel:
     lower_limits, upper_limits : (nv,), rad and m; infinite for joints that may turn for ever
     viscous_friction, coulomb_friction : (nv,), N m s/rad and N m (N s/m and N for prismatic joints)
     home : (nv,) posture, rad and m
+    mimics : joint -> what it mimics; those that home does not name are none of the model, they stand where it puts them
     """
 
     def __init__(self, description: RobotDescription) -> None:
         """Load the URDF. Raises RobotFileError where the robot file and the URDF do not fit each other."""
         try:
-            urdf = read_urdf(description.urdf, description.locked)
+            urdf = read_urdf(description.urdf, description.locked, description.home)
         except RobotFileError as error:
             raise RobotFileError(f"{description.path}: {error}") from error
         model = urdf.model
@@ -63,6 +71,8 @@ class RobotModel:
         self.joint_groups: Mapping[str, tuple[str, ...]] = dict(description.joint_groups)
         self._orders: dict[tuple[str, ...], NDArray[np.intp]] = {}
 
+        self.mimics: Mapping[str, Mimic] = urdf.tree.mimics
+        check_mimics(description, urdf.tree)
         self._check_names(description)
         self.effort_limits = self._limits(description, "effort", model.effortLimit)
         self.velocity_limits = self._limits(description, "velocity", model.velocityLimit)
@@ -76,8 +86,7 @@ class RobotModel:
         model.armature = self._spread(model.armature, description.armature, "inertia")
         self.home = self.ordered(tuple(description.home), tuple(description.home.values()))
         self._check_values(description)
-        self._check_mimics(description, urdf.mimics)
-        self._check_inertia(description)
+        check_inertia(description, model, self.home)
         model.effortLimit, model.velocityLimit = self.effort_limits, self.velocity_limits
         model.lowerPositionLimit, model.upperPositionLimit = self.lower_limits, self.upper_limits
 
@@ -98,20 +107,26 @@ class RobotModel:
         """Scratch memory for one loop."""
         return RobotData(self)
 
+    def unit(self, joint: str, quantity: str) -> str:
+        """Unit of a joint's "position", "velocity", "effort" or "inertia": those that turn have others than those that
+        slide."""
+        is_prismatic = self.pinocchio.joints[self._index[joint] + 1].shortname().startswith("JointModelP")
+        return UNITS[quantity][is_prismatic]
+
     def indices(self, joints: str | Sequence[str]) -> NDArray[np.intp]:
         """Places in joint vectors of a group, or of joints by name. Raises ValueError for unknown names."""
         names = self.joint_groups.get(joints, (joints,)) if isinstance(joints, str) else joints
         unknown = [name for name in names if name not in self._index]
         if unknown:
-            known = f"joints {list(self.joint_names)} and groups {list(self.joint_groups)}"
-            raise ValueError(f"unknown joints {unknown}; known are {known}")
+            known = f"joints {listed(self.joint_names, 40)} and groups {listed(self.joint_groups)}"
+            raise ValueError(f"unknown joints {listed(unknown)}; known are {known}")
         return np.array([self._index[name] for name in names], dtype=np.intp)
 
     def frame_id(self, frame: str) -> int:
         """Pinocchio's index of a frame of the URDF, a link or else a joint. Raises ValueError for an unknown name."""
         if not self.pinocchio.existFrame(frame):
             bodies = [f.name for f in self.pinocchio.frames if f.type == pin.FrameType.BODY]
-            raise ValueError(f"the URDF has no frame {frame!r}; its links are {bodies}")
+            raise ValueError(f"the URDF has no frame {shown(frame)}; its links are {listed(bodies, 60)}")
         # a link and a joint may have the same name
         link = self.pinocchio.existFrame(frame, pin.FrameType.BODY)
         return int(self.pinocchio.getFrameId(frame, *((pin.FrameType.BODY,) if link else ())))
@@ -147,7 +162,10 @@ class RobotModel:
         unknown = [name for name in names if name not in self._index]
         if missing or unknown or len(names) != self.nv:
             twice = sorted({name for name in names if names.count(name) > 1})
-            raise ValueError(f"joint names do not fit the robot: missing {missing}, unknown {unknown}, twice {twice}")
+            raise ValueError(
+                f"joint names do not fit the robot: missing {listed(missing)}; unknown {listed(unknown)}; "
+                f"twice {listed(twice)}"
+            )
         return np.array([names.index(name) for name in self.joint_names], dtype=np.intp)
 
     def _check_names(self, description: RobotDescription) -> None:
@@ -162,16 +180,19 @@ class RobotModel:
             unknown = sorted({name for name in names if name not in self._index})
             if unknown:
                 raise RobotFileError(
-                    f"{description.path}: {key} names the unknown joints {unknown}; "
-                    f"the URDF has {list(self.joint_names)}"
+                    f"{description.path}: {key} names the unknown joints {listed(unknown)}; "
+                    f"the URDF has {listed(self.joint_names, 40)}"
                 )
         missing = [name for name in self.joint_names if name not in description.home]
         if missing:
-            raise RobotFileError(f"{description.path}: home lacks the joints {missing}")
+            raise RobotFileError(
+                f"{description.path}: home lacks the joints {listed(missing, 40)}; give their positions, or take "
+                f"joints that nobody here commands out of the model: locked: {{{missing[0]}: POSITION}}"
+            )
         frames = [self.base_frame, *(end.frame for end in self.endpoints.values())]
         absent = [frame for frame in frames if not self.pinocchio.existFrame(frame)]
         if absent:
-            raise RobotFileError(f"{description.path}: the URDF {description.urdf.name} has no frames {absent}")
+            raise RobotFileError(f"{description.path}: the URDF {description.urdf.name} has no frames {listed(absent)}")
 
     def _spread(self, default: ArrayLike, entries: Mapping[str, Mapping[str, float]], word: str) -> Array:
         values = np.array(default, dtype=np.float64)
@@ -187,22 +208,34 @@ class RobotModel:
                 if not 0.0 < value <= bound:
                     raise RobotFileError(
                         f"{description.path}: {word} limit {value:g} of {joint!r} is not credible (expected "
-                        f"above 0, up to {bound:g}); give the real one: limits: {{{joint}: {{{word}: ...}}}}, or "
-                        f"take a joint that has no motor out of the model: locked: {{{joint}: POSITION}}"
+                        f"above 0, up to {bound:g} {self.unit(joint, word)}); give the real one: limits: {{{joint}: "
+                        f"{{{word}: ...}}}}, or take a joint that has no motor out of the model: locked: {{{joint}: "
+                        f"POSITION}}{self._more_to_say(joint, word, values, bound)}"
                     )
         return values
+
+    def _more_to_say(self, first: str, word: str, values: Array, bound: float) -> str:
+        """Whether it mimics another, and the other joints of which the same is to be said."""
+        leader = ""
+        if first in self.mimics:
+            leader = f". It mimics {self.mimics[first].leader}: left out of home, it stands where that puts it"
+        wrong = ~((values > 0.0) & (values <= bound))
+        others = [joint for joint, bad in zip(self.joint_names, wrong, strict=True) if bad and joint != first]
+        return leader + (f". So are the {word} limits of {listed(others, 40)}" if others else "")
 
     def _check_values(self, description: RobotDescription) -> None:
         for i, joint in enumerate(self.joint_names):
             lower, upper, home = self.lower_limits[i], self.upper_limits[i], self.home[i]
             if not lower < upper:
                 raise RobotFileError(
-                    f"{description.path}: {joint!r} may move from {lower:g} to {upper:g}, which is nowhere; give the "
+                    f"{description.path}: {joint!r} may move from {lower:g} to {upper:g} "
+                    f"{self.unit(joint, 'position')}, which is nowhere; give the "
                     f"real limits: limits: {{{joint}: {{lower: ..., upper: ...}}}}"
                 )
             if not lower <= home <= upper:
                 raise RobotFileError(
-                    f"{description.path}: home of {joint!r} is {home:g}, outside {lower:g} to {upper:g}"
+                    f"{description.path}: home of {joint!r} is {home:g}, outside {lower:g} to {upper:g} "
+                    f"{self.unit(joint, 'position')}"
                 )
             if not self.torque_rates[i] > 0.0:
                 raise RobotFileError(
@@ -213,24 +246,6 @@ class RobotModel:
                 raise RobotFileError(f"{description.path}: friction of {joint!r} must not be negative")
             if self.pinocchio.armature[i] < 0.0:
                 raise RobotFileError(f"{description.path}: armature of {joint!r} must not be negative")
-
-    def _check_mimics(self, description: RobotDescription, mimics: Mapping[str, str]) -> None:
-        for name, end in self.endpoints.items():
-            for joint in self.joint_groups[end.joints]:
-                if joint in mimics:
-                    raise RobotFileError(
-                        f"{description.path}: the end point {name!r} is moved by {joint!r}, which has no motor but "
-                        f"mimics {mimics[joint]!r}; robots with such joints in their arms are not supported"
-                    )
-
-    def _check_inertia(self, description: RobotDescription) -> None:
-        inertia = np.diag(pin.crba(self.pinocchio, self.pinocchio.createData(), self.home))
-        weightless = [joint for joint, value in zip(self.joint_names, inertia, strict=True) if value < LEAST_INERTIA]
-        if weightless:
-            raise RobotFileError(
-                f"{description.path}: the joints {weightless} move nothing that has a mass; the URDF lacks "
-                "<inertial> elements, without which no torque can be computed"
-            )
 
 
 class RobotData:

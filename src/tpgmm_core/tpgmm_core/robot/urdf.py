@@ -3,6 +3,8 @@
 
 Pinocchio keeps cosine and sine of a joint of type `continuous`; here it is a revolute joint without limits, as its
 `JointState` is one angle. What a joint's `<limit>` leaves out is taken as zero, so that the robot file can give it.
+Joints that mimic others have no motor, and many drivers do not publish them: where `home` does not name them, they are
+part of their links, where the mechanism puts them. Named there, they are joints of their own.
 """
 
 from __future__ import annotations
@@ -14,10 +16,9 @@ from xml.etree import ElementTree
 
 import pinocchio as pin
 
-from tpgmm_core.robot.description import RobotFileError, check_urdf
-
-#: Joints of one degree of freedom, whose `<limit>` Pinocchio wants complete.
-SINGLE = ("revolute", "prismatic", "continuous")
+from tpgmm_core.robot.description import RobotFileError
+from tpgmm_core.robot.urdf_tree import SINGLE, UrdfTree, read_tree
+from tpgmm_core.text import listed, one_line, shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,55 +27,76 @@ class Urdf:
 
     model : of nq = nv
     endless : joints of type `continuous`; they may turn for ever
-    mimics : joint -> the one that it follows by a mechanism; to the model it is a joint as any other
+    tree : its links and joints, those that are not in the model too
     """
 
     model: pin.Model
     endless: frozenset[str]
-    mimics: Mapping[str, str]
+    tree: UrdfTree
 
 
-def read_urdf(path: Path, locked: Mapping[str, float]) -> Urdf:
-    """Read a URDF with a fixed base, and lock joints at positions (rad, m): they become part of their links.
+def read_urdf(path: Path, locked: Mapping[str, float], home: Mapping[str, float]) -> Urdf:
+    """Read a URDF, and lock joints at positions (rad, m): they become part of their links.
 
-    Raises RobotFileError: a file that cannot be read or is no URDF (see `check_urdf`), an unknown joint to be locked,
+    Joints that mimic others, and are not in `home`, are locked too, where their leader puts them.
+
+    Raises RobotFileError: a file that cannot be read or is no URDF (see `read_tree`), an unknown joint to be locked,
     joints of more degrees of freedom.
     """
-    try:
-        check_urdf(path)
-        root = ElementTree.fromstring(path.read_bytes())
-    except (OSError, ElementTree.ParseError) as error:
-        raise RobotFileError(f"cannot load the URDF {path}: {error}") from error
-    if any("xacro" in element.tag for element in root.iter() if isinstance(element.tag, str)):
-        raise RobotFileError(f"{path} is a xacro, not a URDF; expand it first: xacro {path.name} > robot.urdf")
-    endless, mimics = set(), {}
-    for joint in root.findall("joint"):
-        name = joint.get("name", "")
-        if joint.get("type") not in SINGLE:
+    tree = read_tree(path)
+    if unknown := [name for name in locked if tree.joints.get(name) is None or _type(tree, name) == "fixed"]:
+        moving = [name for name in tree.joints if _type(tree, name) != "fixed"]
+        raise RobotFileError(
+            f"locked names the unknown joints {listed(unknown)}; the URDF {path.name} has {listed(moving, 40)}"
+        )
+    endless = set()
+    for name, joint in tree.joints.items():
+        kind = joint.get("type") or ""
+        if kind == "fixed":
             continue
-        if joint.get("type") == "continuous":
+        if kind not in SINGLE:
+            _refuse(name, kind, path, name in locked)
+        axis = joint.find("axis")
+        if axis is not None and not any(map(float, (axis.get("xyz") or "1 0 0").split())):
+            raise RobotFileError(f"joint {shown(name)} of {path.name} has an axis of length 0")
+        if kind == "continuous":
             endless.add(name)
             joint.set("type", "revolute")
         _complete_limit(joint)
-        leader = joint.find("mimic")
-        if leader is not None:
-            mimics[name] = leader.get("joint", "")
     try:
-        model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+        model = pin.buildModelFromXML(ElementTree.tostring(tree.root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:  # RuntimeError: what C++ throws
-        raise RobotFileError(f"cannot load the URDF {path}: {error}") from error
-    model = _locked(model, locked, path)
-    for i in range(1, model.njoints):
-        if (model.joints[i].nq, model.joints[i].nv) != (1, 1):
-            raise RobotFileError(
-                f"joint {model.names[i]!r} of {path.name} is {model.joints[i].shortname()}; only joints of one degree "
-                "of freedom are supported (revolute, continuous, prismatic), on a base that is fixed to the world"
-            )
-    return Urdf(
-        model,
-        frozenset(endless - set(locked)),
-        {name: leader for name, leader in mimics.items() if name not in locked},
+        raise RobotFileError(f"cannot load the URDF {path}: {one_line(error, 300)}") from error
+    known = {**home, **locked}
+    places = {**{name: _place(name, tree, known) for name in tree.mimics if name not in known}, **locked}
+    return Urdf(_locked(model, places), frozenset(endless - set(places)), tree)
+
+
+def _type(tree: UrdfTree, joint: str) -> str:
+    return tree.joints[joint].get("type") or ""
+
+
+def _refuse(name: str, kind: str, path: Path, is_locked: bool) -> None:
+    if kind not in ("floating", "planar", "spherical"):
+        what = f"is of type {shown(kind)}, which URDFs do not know" if kind else "has no type"
+        raise RobotFileError(f"joint {shown(name)} of {path.name} {what}; expected {listed(SINGLE)} or fixed")
+    if is_locked:
+        raise RobotFileError(
+            f"joint {shown(name)} of {path.name} is {kind} and cannot be locked by one number; make it fixed "
+            "in the URDF"
+        )
+    raise RobotFileError(
+        f"joint {shown(name)} of {path.name} is {kind}; only joints of one degree of freedom are supported "
+        f"({listed(SINGLE)}), on a base that is fixed to the world: where it does not move, make it fixed in the URDF"
     )
+
+
+def _place(name: str, tree: UrdfTree, places: Mapping[str, float]) -> float:
+    """Where a joint is, rad or m; 0 where nobody says (a fixed joint; one that home lacks is refused elsewhere)."""
+    if name in places or name not in tree.mimics:
+        return places.get(name, 0.0)
+    mimic = tree.mimics[name]
+    return mimic.multiplier * _place(mimic.leader, tree, places) + mimic.offset
 
 
 def _complete_limit(joint: ElementTree.Element) -> None:
@@ -86,17 +108,10 @@ def _complete_limit(joint: ElementTree.Element) -> None:
             limit.set(word, "0")
 
 
-def _locked(model: pin.Model, locked: Mapping[str, float], path: Path) -> pin.Model:
-    unknown = [name for name in locked if not model.existJointName(name)]
-    if unknown:
-        raise RobotFileError(
-            f"locked names the unknown joints {unknown}; the URDF {path.name} has {list(model.names[1:])}"
-        )
-    if not locked:
+def _locked(model: pin.Model, places: Mapping[str, float]) -> pin.Model:
+    if not places:
         return model
-    q, ids = pin.neutral(model), [model.getJointId(name) for name in locked]
-    for joint, position in zip(ids, locked.values(), strict=True):
-        if model.joints[joint].nq != 1:
-            raise RobotFileError(f"joint {model.names[joint]!r} of {path.name} cannot be locked by one number")
+    q, ids = pin.neutral(model), [model.getJointId(name) for name in places]
+    for joint, position in zip(ids, places.values(), strict=True):
         q[model.joints[joint].idx_q] = position
     return pin.buildReducedModel(model, ids, q)

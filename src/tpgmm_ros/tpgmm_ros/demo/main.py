@@ -7,7 +7,6 @@ import argparse
 import contextlib
 import math
 import os
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -32,10 +31,11 @@ from tpgmm_ros.demo.pictures import draw
 from tpgmm_ros.demo.recording import Recording
 from tpgmm_ros.demo.report import evaluate, table
 from tpgmm_ros.demo.world import Disturbances, World
+from tpgmm_ros.entry import INTERRUPTED
+from tpgmm_ros.executor import init
 from tpgmm_ros.pick_place import random_situation
 from tpgmm_ros.processes import REALTIME_PRIORITY, Graph, GraphError, NodeProcesses
-from tpgmm_ros.rclpy_workarounds import init_rclpy
-from tpgmm_ros.reporting import write_report
+from tpgmm_ros.reporting import run_with_report, write_report
 from tpgmm_ros.resources import config_file
 from tpgmm_ros.task import Task
 
@@ -46,24 +46,18 @@ PHYSICS_RATE = 1000.0
 
 def main() -> int:
     arguments = _parser().parse_args()
+    return run_with_report(arguments.output, lambda: _train_and_run(arguments), (GraphError,))
+
+
+def _train_and_run(arguments: argparse.Namespace) -> bool:
     model_file = arguments.output / "pick_place.tpgmm"
-    # A report of an earlier success must not stand beside a failure of any kind.
-    (arguments.output / "report.json").unlink(missing_ok=True)
     print(f"1. training from {arguments.bags}")
-    if train.main(["--task", str(arguments.task), "--output", str(model_file), str(arguments.bags)]) != 0:
-        write_report(arguments.output, {"passed": False, "error": "training failed"})
-        return 1
-    try:
-        passed = _run(arguments, model_file)
-    except (GraphError, OSError, ValueError) as error:
-        write_report(arguments.output, {"passed": False, "error": str(error)})
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        write_report(arguments.output, {"passed": False, "error": "interrupted"})
-        print("interrupted", file=sys.stderr)
-        return 130
-    return 0 if passed else 1
+    status = train.main(["--task", str(arguments.task), "--output", str(model_file), str(arguments.bags)])
+    if status == INTERRUPTED:
+        raise KeyboardInterrupt
+    if status:
+        raise GraphError("training failed")
+    return _run(arguments, model_file)
 
 
 def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
@@ -75,7 +69,7 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
     situation = random_situation(random)
     disturbances = Disturbances.random(random, demonstrated_duration(model))
     with _domain(arguments.domain):
-        init_rclpy(args=[])
+        init([])
         node = Node("demo", parameter_overrides=[Parameter("use_sim_time", value=arguments.lockstep)])
         executor = EventsExecutor()
         executor.add_node(node)

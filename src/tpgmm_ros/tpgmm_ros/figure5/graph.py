@@ -16,13 +16,12 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_ros.executor import init
 from tpgmm_ros.figure5.measures import LAW
 from tpgmm_ros.figure5.session import START_TIMEOUT, Session
 from tpgmm_ros.processes import REALTIME_PRIORITY, GraphError, NodeProcesses
-from tpgmm_ros.rclpy_workarounds import init_rclpy
 from tpgmm_ros.resources import config_file
 from tpgmm_ros.scheduling import end_realtime, request_realtime
 
@@ -35,7 +34,7 @@ def open_session(robot: RobotModel, log_directory: Path, lockstep: bool) -> Iter
     """
     with domain_id() as domain:
         os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-        init_rclpy(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+        init([])
         node = Node("figure5", parameter_overrides=[Parameter("use_sim_time", value=lockstep)])
         executor = EventsExecutor()
         executor.add_node(node)

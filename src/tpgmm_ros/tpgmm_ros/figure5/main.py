@@ -13,35 +13,22 @@ from tqdm import tqdm
 
 import tpgmm_ros.figure5 as package
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_ros.bag_messages import BagError
 from tpgmm_ros.figure5.graph import open_session, start_controller, start_joint_reference
 from tpgmm_ros.figure5.pictures import draw
 from tpgmm_ros.figure5.report import evaluate, table
 from tpgmm_ros.figure5.sequences import CUP, SEQUENCES, SUGAR, Course, random_pushes, run_sequence
 from tpgmm_ros.figure5.teaching import learn, record_lesson
 from tpgmm_ros.processes import GraphError
-from tpgmm_ros.reporting import write_report
+from tpgmm_ros.reporting import run_with_report, write_report
 from tpgmm_ros.resources import config_file
-from tpgmm_ros.task import Task, TaskError
+from tpgmm_ros.task import Task
 
 TASKS = (CUP, SUGAR)
 
 
 def main() -> int:
     arguments = _parser().parse_args()
-    # A report of an earlier success must not stand beside a failure of any kind.
-    (arguments.output / "report.json").unlink(missing_ok=True)
-    try:
-        passed = _run(arguments)
-    except (GraphError, TaskError, BagError, OSError, ValueError) as error:
-        write_report(arguments.output, {"passed": False, "error": str(error)})
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        write_report(arguments.output, {"passed": False, "error": "interrupted"})
-        print("interrupted", file=sys.stderr)
-        return 130
-    return 0 if passed else 1
+    return run_with_report(arguments.output, lambda: _run(arguments), (GraphError,))
 
 
 def _run(arguments: argparse.Namespace) -> bool:

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether what a robot's joints move can be a body: its mass, and its inertia about its centre of mass.
+
+A URDF's links that are fixed to one another are one body. Published URDFs have links of a few grams with impossible
+numbers; what counts is the body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from tpgmm_core.text import listed
+
+Array = NDArray[np.float64]
+
+#: Of the largest one: principal inertias that are below zero by less than this are rounding.
+ROUNDING = 1e-6
+#: Of the sum of the other two: a principal inertia that is larger than that by less is what people write down.
+ROUGHLY = 1.05
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """What moves with a joint, without what the joints behind it move.
+
+    joint : name of the joint
+    links : names of the URDF's links
+    mass : kg
+    principal : (3,) inertias about the axes through the centre of mass, ascending, kg m²
+    """
+
+    joint: str
+    links: tuple[str, ...]
+    mass: float
+    principal: Array
+
+    @property
+    def is_possible(self) -> bool:
+        """No inertia is negative: else no torque may brake the joint, and the arm's equations have no solution."""
+        return bool(self.principal[0] >= -ROUNDING * abs(self.principal[2]))
+
+    @property
+    def has_the_shape_of_a_body(self) -> bool:
+        """The triangle inequality: x² + y² about one axis is at most the sum of what there is about the other two."""
+        return bool(self.principal[2] <= ROUGHLY * (self.principal[0] + self.principal[1]))
+
+    @property
+    def is_a_point(self) -> bool:
+        """It has a mass and no extent."""
+        return self.mass > 0.0 and not self.principal.any()
+
+    def __str__(self) -> str:
+        numbers = ", ".join(f"{value:.3g}" for value in self.principal)
+        return f"what {self.joint} moves ({listed(self.links, 4)}) has the principal inertias {numbers} kg m^2"
+
+
+def bodies(model: pin.Model) -> Iterator[Body]:
+    """The body of each joint, in the model's order."""
+    links: dict[int, list[str]] = {}
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY:
+            links.setdefault(frame.parentJoint, []).append(frame.name)
+    for i in range(1, model.njoints):
+        inertia = model.inertias[i]
+        principal = np.linalg.eigvalsh(inertia.inertia)
+        yield Body(model.names[i], tuple(links.get(i, ())), float(inertia.mass), principal)

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a robot file and what its URDF says of mechanisms and masses fit each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pinocchio as pin
+
+from tpgmm_core.robot.bodies import Array, bodies
+from tpgmm_core.robot.description import RobotDescription, RobotFileError
+from tpgmm_core.robot.urdf_tree import UrdfTree
+from tpgmm_core.text import listed, shown
+
+#: A joint that moves less than this (kg m^2 or kg) moves nothing, and its acceleration under a torque means nothing.
+LEAST_INERTIA = 1e-9
+
+
+def check_mimics(description: RobotDescription, tree: UrdfTree) -> None:
+    """Raise RobotFileError for what is asked of joints that have no motor but mimic others.
+
+    Nobody commands them, which is wrong where they move an end point together with their leader.
+    """
+    for name, end in description.endpoints.items():
+        above = [joint for joint in tree.joints_above(end.frame) if not _is_held(joint, tree, description.locked)]
+        for joint in [*description.joint_groups[end.joints], *above]:
+            if joint in tree.mimics:
+                raise RobotFileError(
+                    f"{description.path}: the end point {shown(name)} is moved by {shown(joint)}, which has no motor "
+                    f"but mimics {shown(tree.mimics[joint].leader)}; robots with such joints in their arms are not "
+                    "supported"
+                )
+    groups = [joint for joints in description.joint_groups.values() for joint in joints]
+    for key in ("joint_groups", "limits", "friction", "armature"):
+        names = groups if key == "joint_groups" else getattr(description, key)
+        if mimics := [joint for joint in names if joint in tree.mimics and joint not in description.home]:
+            raise RobotFileError(
+                f"{description.path}: {key} names {listed(mimics)}, which has no motor but mimics "
+                f"{shown(tree.mimics[mimics[0]].leader)}: leave it out (it stands where that puts it), or name it in "
+                "home too"
+            )
+
+
+def _is_held(joint: str, tree: UrdfTree, locked: Mapping[str, float]) -> bool:
+    """Whether a joint stands still, by the robot file or since it mimics one that does."""
+    while joint not in locked and joint in tree.mimics:
+        joint = tree.mimics[joint].leader
+    return joint in locked or tree.joints[joint].get("type") == "fixed"
+
+
+def check_inertia(description: RobotDescription, model: pin.Model, home: Array) -> None:
+    """Raise RobotFileError for bodies that cannot be, and for joints of which no torque can be computed."""
+    urdf, parts = description.urdf.name, list(bodies(model))
+    for body in parts:
+        if not body.is_possible:
+            raise RobotFileError(
+                f"{description.path}: {body}, none of which can be negative; correct <inertia> of these links in {urdf}"
+            )
+    inertia = np.diag(pin.crba(model, model.createData(), home))
+    weightless = [body for body, value in zip(parts, inertia, strict=True) if value < LEAST_INERTIA]
+    if not weightless:
+        return
+    names = listed(body.joint for body in weightless)
+    points = [body for body in weightless if body.is_a_point]
+    if points:
+        raise RobotFileError(
+            f"{description.path}: the joints {names} move no inertia: {listed(points[0].links, 4)} has a mass of "
+            f"{points[0].mass:g} kg, and an <inertia> of zeros; give it in {urdf}, or what the motor adds: "
+            f"armature: {{{points[0].joint}: {{inertia: ...}}}}"
+        )
+    raise RobotFileError(
+        f"{description.path}: the joints {names} move nothing that has a mass; the URDF lacks <inertial> elements, "
+        "without which no torque can be computed"
+    )
