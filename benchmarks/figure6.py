@@ -252,7 +252,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     candidates = {**hierarchy_frames(tasks, HIERARCHIES), "previous": PreviousConfiguration()}
     frames = MovingFrames(robot, candidates, THRESHOLD)
     rng = np.random.default_rng(options.seed)
-    shown = {case: [demonstration(robot, weights, rng) for _ in range(3)] for case, (weights, _) in CASES.items()}
+    shown = {
+        case: [demonstration(robot, weights, rng) for _ in progress(range(3), f"demonstrations, {case}")]
+        for case, (weights, _) in CASES.items()
+    }
 
     new = [object_paths(robot, rng) for _ in range(options.paths)]
     masks = np.concatenate([out_of_reach(robot, objects) for objects in progress(new, "paths out of reach")])
