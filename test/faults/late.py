@@ -178,7 +178,7 @@ def out_of_reach(bench: LateBench) -> str:
     bench.deviation, bench.goal = SOFT, bench.pose() + np.array([0.8, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
     bench.clear()
     took = bench.wait(lambda: bench.is_in(ControllerState.HOLD, "not following"), "HOLD")
-    bench.spin_for(1.0)
+    bench.spin_for(3.0)
     reason = bench.modes.last.reason
     last = bench.speed()
     bench.goal = bench.pose() + np.array([-0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
