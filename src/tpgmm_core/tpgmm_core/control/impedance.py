@@ -272,7 +272,7 @@ class ImpedanceLaw:
             self._target = replace(self._target, reference=still)
 
     def _waits(self, hand: Array) -> float:
-        """Share of its speed that the pose moves on with: none where the hand lags by twice what that speed makes it."""
+        """Share of its speed that the pose moves on with: none where the hand lags by twice as much as then."""
         if self._target is None:
             return 1.0
         lag = np.empty(6)
