@@ -45,7 +45,8 @@ def settles(robot: RobotModel, course: Course) -> bool:
     return not swung and course.fastest(slice(TICKS - 1000, None), robot.velocity_limits) < SETTLED
 
 
-def first(values: list[float]) -> float | None:
+def first(values: list[int]) -> int | None:
+    """The smallest one, if any."""
     return min(values, default=None)
 
 

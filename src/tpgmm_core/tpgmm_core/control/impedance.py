@@ -9,6 +9,7 @@ push.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -271,12 +272,24 @@ class ImpedanceLaw:
             still = replace(self._target.reference, twist=np.zeros(6), acceleration=np.zeros(6))
             self._target = replace(self._target, reference=still)
 
+    def _waits(self, hand: Array) -> float:
+        """Share of its speed that the pose moves on with: none where the hand lags by twice as much as then."""
+        if self._target is None:
+            return 1.0
+        lag = np.empty(6)
+        pose_difference(hand, self._target.reference.pose, lag)
+        asked = self._target.K_V @ (self._target.ratio @ lag)
+        x, y, z, a, b, c = asked.tolist()
+        config = self.config
+        lags = max(math.hypot(x, y, z) / config.max_linear_speed, math.hypot(a, b, c) / config.max_angular_speed)
+        return min(max(2.0 - lags, 0.0), 1.0)
+
     def _approach(self, target: PoseTarget, hand: Array, dt: float) -> PoseTarget:
         """The target as far as it may have come since the last one, or from where the hand is."""
         last, config, reference = self._target, self.config, target.reference
         pose = (hand if last is None else last.reference.pose).copy()
         # it starts slowly: a reference that the arm does not follow yet would be caught up with in a leap
-        reach = self._weight() * dt * (HINDERED_SPEED if self._hindered else 1.0)
+        reach = self._weight() * dt * (HINDERED_SPEED if self._hindered else self._waits(hand))
         approach(pose, reference.pose, config.max_linear_speed * reach, config.max_angular_speed * reach)
         if self._hindered:
             lead(pose, hand, LEASH, ANGULAR_LEASH, config.max_linear_speed * dt, config.max_angular_speed * dt)

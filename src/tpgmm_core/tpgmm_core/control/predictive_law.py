@@ -22,10 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.control.control_law import Lag, LawTorques, RobotMoment
-from tpgmm_core.control.joint_impedance import JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
+from tpgmm_core.control.impedance import ANGULAR_LEASH
+from tpgmm_core.control.impedance import LEASH as HAND_LEASH
+from tpgmm_core.control.joint_impedance import LEASH, JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
 from tpgmm_core.control.joint_space import to_joint_space
 from tpgmm_core.control.moving_impedance import check_horizon
 from tpgmm_core.control.moving_joint_impedance import moving_joint_gains
+from tpgmm_core.control.operational_space import bound_twist
 from tpgmm_core.control.planning import PlanConfig, Schedule, Submit, at_once
 from tpgmm_core.control.predictive import JointLimits, JointReference, Plan, PredictiveController
 from tpgmm_core.manifold import POSE
@@ -51,7 +54,10 @@ class PredictiveTarget:
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """All that a plan is made from; `jacobian` (6, n) and `pose` (7,) of the hand are None for references of joints."""
+    """All that a plan is made from; `jacobian` (6, n) and `pose` (7,) of the hand are None for references of joints.
+
+    share : of the rates of the feedback, for the delay of the loop: planning again from late states is feedback too
+    """
 
     q: Array
     v: Array
@@ -60,6 +66,7 @@ class _Problem:
     pose: Array | None
     jacobian: Array | None
     target: PredictiveTarget
+    share: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +138,7 @@ class PredictiveLaw(JointImpedanceLaw):
         self._pending: tuple[Future[_Planned], float] | None = None
         self._planned: _Planned | None = None
         self._time = self._begun = 0.0
-        self._failed = False
+        self._failed, self._share = False, 1.0
 
     @property
     def latency(self) -> float:
@@ -165,6 +172,9 @@ class PredictiveLaw(JointImpedanceLaw):
             self._pending = self._planned = None
             self._schedule = Schedule()
             return super().step(moment, None, dt)
+        reference = target
+        if moment.loop.hindered:
+            target = self._leashed_target(moment, target)
         if self._schedule.due(dt, self.plan.plan_rate) and self._pending is None:
             self._schedule.begun()
             problem, solver, config, rest = self._problem(moment, target), self._solver, self.config, self._rest()
@@ -178,7 +188,20 @@ class PredictiveLaw(JointImpedanceLaw):
                 self._planned, self._begun = future.result(), begun
         planned = self._planned
         asked = super().step(moment, None if planned is None else self._at(planned, self._time - self._begun), dt)
-        return asked if planned is None else replace(asked, lag=self._lag(moment, target))
+        self._share = asked.share
+        return asked if planned is None else replace(asked, lag=self._lag(moment, reference))
+
+    def _leashed_target(self, moment: RobotMoment, target: PredictiveTarget) -> PredictiveTarget:
+        """Where the target is now, brought near to the robot."""
+        if self.endpoint is None:
+            here = moment.q[self._joints]
+            mean = here + np.clip(target.means[0] - here, -LEASH, LEASH)
+        else:
+            here = moment.data.pose(self.endpoint)
+            way = POSE.log(here, target.means[0])
+            bound_twist(way, HAND_LEASH, ANGULAR_LEASH)
+            mean = POSE.exp(here, way)
+        return PredictiveTarget(mean[None], target.precisions[:1], target.time_step)
 
     def _lag(self, moment: RobotMoment, target: PredictiveTarget) -> Lag:
         """From the robot to the reference, which plans begin far from."""
@@ -212,6 +235,7 @@ class PredictiveLaw(JointImpedanceLaw):
             pose,
             jacobian,
             target,
+            self._share,
         )
 
     def _at(self, planned: _Planned, age: float) -> JointTarget:
@@ -244,7 +268,9 @@ def _solve(
         gains = moving_joint_gains(L, positions, np.linalg.inv(precisions), dt, config)
     except np.linalg.LinAlgError as error:
         raise ValueError(f"no plan can be made: {error}") from error
-    bounded = JointReference(positions=at, precisions=_bounded(precisions, L, config)[knot])
+    # the fourth power: K_P is the square root of the precision, and goes with the square of the share
+    softer = problem.share**4 * _bounded(precisions, L, config)
+    bounded = JointReference(positions=at, precisions=softer[knot])
     plan = solver.solve(problem.q, problem.v, bounded, problem.inertia, problem.nonlinear)
     return _Planned(problem.q, problem.v, plan, replace(gains, push=np.zeros(len(rest))))  # the plan has it
 
