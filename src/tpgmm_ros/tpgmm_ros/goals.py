@@ -13,7 +13,7 @@ from tpgmm_core.retrieval.execution import Outcome
 from tpgmm_msgs.action import Reproduce
 
 #: A result is kept for so long for clients whose link was down, s.
-RESULT_TIMEOUT = 600
+RESULT_TIMEOUT = 900
 
 
 class Goals:

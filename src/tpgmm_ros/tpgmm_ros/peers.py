@@ -9,8 +9,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-#: Topics that every node writes to, or anyone may.
-SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/external_wrench")
+#: Topics that every node writes to, or anyone may; joints may have several drivers.
+SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/external_wrench", "/joint_states")
 
 
 def complaints(node: Node) -> list[str]:

@@ -27,7 +27,7 @@ def clock_trouble(node: Node) -> str:
 
 
 def guard_clock() -> None:
-    """From now on a time on ``/clock`` that is none is refused: rclpy would raise in its own callback and end the node."""
+    """From now on a time on ``/clock`` that is none is refused: rclpy would raise in its callback and end the node."""
     take = TimeSource.clock_callback
 
     def guarded(self: TimeSource, message: ClockMessage) -> None:
@@ -36,7 +36,7 @@ def guard_clock() -> None:
             take(self, message)
         elif (node := self._get_node()) is not None:
             node.get_logger().error(
-                f"time on /clock refused: {time.sec} s and {time.nanosec} ns; expected 0 s or more, and less than 1e9 ns",
+                f"time on /clock refused: {time.sec} s and {time.nanosec} ns; expected at least 0, and below 1e9",
                 throttle_duration_sec=1.0,
             )
 
