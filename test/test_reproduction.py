@@ -504,7 +504,7 @@ def test_stamps_that_stand_still_end_the_goal_and_are_named(player: Player) -> N
     assert f"their stamps stand still at {player.stamp_ns / SECOND:.3f} s" in reason, reason
 
 
-def test_a_robot_that_does_not_move_is_named_with_what_its_controller_says(player: Player) -> None:
+def test_a_robot_that_is_stuck_elsewhere_is_named_with_what_its_controller_says(player: Player) -> None:
     says = player.node.create_publisher(ControllerState, "controller_state", LATCHED)
     says.publish(ControllerState(state=ControllerState.DAMPING, reason="no reference yet"))
     handle = player.start()
@@ -514,5 +514,5 @@ def test_a_robot_that_does_not_move_is_named_with_what_its_controller_says(playe
         player.tick(unless=future.done, pose=pose)
     player.node.destroy_publisher(says)
     result = future.result().result
-    assert not result.success and "the robot has hardly moved" in result.reason
+    assert not result.success and "the robot stands still there" in result.reason
     assert "the controller says 'DAMPING: no reference yet'" in result.reason
