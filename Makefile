@@ -159,7 +159,10 @@ $(DONE)/packages: tools/link_packages.py $(DONE)/interfaces $(PACKAGE_FILES) $(I
 	@$(PYTHON) tools/link_packages.py src/tpgmm_core src/tpgmm_ros
 	@touch $@
 
-$(DONE)/kernels: $(DONE)/packages $(shell find src/tpgmm_core/tpgmm_core -name "*.py")
+# A compiled function keeps what it was compiled from, also when a function of another file that it calls has changed
+COMPILED := $(shell grep -rlE "compiled|njit" src/tpgmm_core/tpgmm_core --include="*.py")
+$(DONE)/kernels: $(DONE)/packages $(COMPILED)
 	$(call say,compiled kernels (2 minutes; more beside other work))
+	@find src/tpgmm_core/tpgmm_core -name "*.nb[ic]" -delete
 	@$(call progress,kernels) $(PYTHON) -m tpgmm_core.warm_up
 	@touch $@

@@ -17,6 +17,7 @@ import tempfile
 import time
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -79,7 +80,7 @@ def _is_over(end: float) -> bool:
     return time.monotonic() >= end
 
 
-def stress(log: Path, seconds: float, rate: float) -> dict[str, object]:
+def stress(log: Path, seconds: float, rate: float) -> dict[str, Any]:
     """Run it; the report, and the rows of its table."""
     init_rclpy(args=[])
     node = rclpy.create_node("watch")

@@ -122,7 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     product = ConfigurationProduct(model, frames)
     courses: dict[str, list[float]] = {name: [] for name in CANDIDATES}
     at_cup = []
-    for t in progress(times, "steps of the reproduction"):
+    for t in progress(times.tolist(), "steps of the reproduction"):
         now = frames.at(q, objects)
         for name, directions in directions_determined(model, now, t).items():
             courses[name].append(directions)

@@ -36,7 +36,7 @@ from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_core.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.action import Reproduce
-from tpgmm_msgs.msg import Reference, TaskParameters
+from tpgmm_msgs.msg import ControllerState, Reference, TaskParameters
 from tpgmm_msgs.srv import LoadModel
 from tpgmm_ros import conversions, train
 from tpgmm_ros.qos import LATCHED, STREAM
@@ -129,14 +129,23 @@ class Player:
         assert handle.accepted
         return handle
 
-    def tick(self, answered: bool = True, unless: Callable[[], bool] = lambda: False) -> Reference | None:
-        """One joint state; returns the reference that answers it, if one has to, unless something else happens."""
+    def tick(
+        self,
+        answered: bool = True,
+        unless: Callable[[], bool] = lambda: False,
+        names: tuple[str, ...] = (),
+        pose: np.ndarray | None = None,
+    ) -> Reference | None:
+        """One joint state; returns the reference that answers it, if one has to, unless something else happens.
+
+        The robot is at a pose, or else where the reference was.
+        """
         self.stamp_ns += TICK_NS
-        message = JointState()
+        message = JointState(name=list(names))
         message.header.stamp = conversions.time_from_ns(self.stamp_ns)
         if self.references:
-            pose = np.array(self.references[-1].gaussian.mean)
-            self._poses.publish(conversions.pose_stamped(pose, self.stamp_ns, "base"))
+            place = np.array(self.references[-1].gaussian.mean) if pose is None else pose
+            self._poses.publish(conversions.pose_stamped(place, self.stamp_ns, "base"))
         due = 0.0
 
         def is_answered() -> bool:
@@ -479,3 +488,62 @@ def test_parameters_out_of_range_are_refused_with_the_reason(player: Player) -> 
     result = set_parameters(player.node, NODE, blend_time=-1.0)
     assert not result.successful and "blend_time" in result.reason
     assert not set_parameters(player.node, NODE, model_file="other.tpgmm").successful
+
+
+def state_at(stamp_ns: int, names: tuple[str, ...] = ()) -> JointState:
+    return conversions.joint_state_message(list(names), stamp_ns, np.zeros(len(names)))
+
+
+def test_joint_states_out_of_order_or_of_others_beside_are_neither_steps_nor_an_end(player: Player) -> None:
+    arm = ("a", "b", "c")
+    handle = player.start()
+    others: set[int] = set()
+    for tick in range(60):
+        player.tick(names=arm)
+        if tick % 5 == 0:
+            overtaken, of_others = player.stamp_ns - 2 * TICK_NS + 1, player.stamp_ns + TICK_NS // 2
+            others |= {overtaken, of_others}
+            player._states.publish(state_at(overtaken, arm))
+            player._states.publish(state_at(of_others, ("finger",)))
+    stamps = [conversions.time_to_ns(reference.header.stamp) for reference in player.references]
+    assert stamps == sorted(stamps) and not others & set(stamps)
+    status, result = player.result(handle)
+    assert status == GoalStatus.STATUS_SUCCEEDED and result.success, result.reason
+    assert "from the model's end of the movement" in result.reason
+
+
+def test_time_that_has_jumped_back_for_good_ends_the_movement(player: Player) -> None:
+    handle = player.start()
+    player.stamp_ns -= 5 * SECOND
+    status, result = player.result(handle)
+    assert status == GoalStatus.STATUS_ABORTED and "time jumped backwards, by" in result.reason
+
+
+def test_stamps_that_stand_still_end_the_goal_and_are_named(player: Player) -> None:
+    assert set_parameters(player.node, NODE, start_timeout=1.0).successful
+    handle = player.send()
+    future = handle.get_result_async()  # type: ignore[attr-defined]
+
+    def ended() -> bool:
+        player._states.publish(state_at(player.stamp_ns))
+        player.show(PLACES)
+        return bool(future.done())
+
+    spin_until(player.node, ended, message="the result", processes=(player.process,))
+    assert set_parameters(player.node, NODE, start_timeout=STARTUP_TIMEOUT).successful
+    reason = future.result().result.reason
+    assert f"their stamps stand still at {player.stamp_ns / SECOND:.3f} s" in reason, reason
+
+
+def test_a_robot_that_is_stuck_elsewhere_is_named_with_what_its_controller_says(player: Player) -> None:
+    says = player.node.create_publisher(ControllerState, "controller_state", LATCHED)
+    says.publish(ControllerState(state=ControllerState.DAMPING, reason="no reference yet"))
+    handle = player.start()
+    pose = np.array([0.2, -0.6, 0.9, 0.0, 0.0, 0.0, 1.0])
+    future = handle.get_result_async()  # type: ignore[attr-defined]
+    while not future.done():
+        player.tick(unless=future.done, pose=pose)
+    player.node.destroy_publisher(says)
+    result = future.result().result
+    assert not result.success and "the robot stands still there" in result.reason
+    assert "the controller says 'DAMPING: no reference yet'" in result.reason

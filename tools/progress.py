@@ -63,7 +63,7 @@ def run(command: list[str], log: IO[str], count: re.Pattern[str] | None, total: 
             seen += bool(count and count.search(line))
         if time.monotonic() - told >= PERIOD:
             told = time.monotonic()
-            state = f"{seen} of {total}" if count and seen < total else last[:WIDTH]
+            state = f"{seen} of {total}" if count and seen < total else last[:WIDTH] or " ".join(command)[-WIDTH:]
             print(f"    {told - begun:4.0f} s  {state}", flush=True)
     status = process.wait()
     if status:

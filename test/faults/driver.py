@@ -52,7 +52,6 @@ class DriverBench(GraphBench):
 
     def settle(self) -> str:
         self.drive("faithfully")
-        assert set_parameters(self.node, CONTROLLER, **PATIENT).successful
         return super().settle()
 
     def alive(self) -> None:
@@ -136,9 +135,9 @@ def slow(bench: DriverBench) -> str:
     if not result.success:
         assert "joint states come every 0.02 s (measured)" in result.reason, result.reason
     observed = f"'{words}' in the log and the diagnostics; the goal: '{result.reason}', {bench.assert_sound()}"
-    assert set_parameters(bench.node, CONTROLLER, joint_state_timeout=0.06, max_time_step=0.02).successful
+    assert set_parameters(bench.node, CONTROLLER, **PATIENT).successful
     bench.wait(lambda: not bench.said(CONTROLLER, words)(), "the diagnostics to be well")
-    return f"{observed}; with 0.06 s: {bench.moved()}"
+    return f"{observed}; with settings for it: {bench.moved()}"
 
 
 @fault(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A driver as drivers are: `python -m faults.relay` publishes what it hears on `driver/joint_states`, until a signal.
+"""A driver as drivers are: publishes what it hears on `driver/joint_states`, until SIGINT or SIGTERM.
 
 How, it is told on `driver/manner`, by one of the names in MANNERS. A process of its own: whoever looks on has no time.
 """

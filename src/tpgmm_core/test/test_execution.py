@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import fields
 
 import numpy as np
@@ -256,3 +257,25 @@ def test_before_the_movement_begins_another_retrieval_just_takes_its_place() -> 
 def test_settings_that_make_no_sense_are_refused_by_name(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
         ExecutionConfig(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("follows", "cause"),
+    [
+        (lambda t: 0.0, "hardly moved"),
+        (lambda t: min(0.6, t), "stands still there"),
+        (lambda t: min(1.0, 0.3 * t), "late and still comes nearer"),
+    ],
+    ids=["held", "blocked", "late"],
+)
+def test_a_missed_end_names_what_the_way_of_the_robot_tells_of_the_cause(
+    follows: Callable[[float], float], cause: str
+) -> None:
+    run = execution()
+    end = reaching_model().adapt(FRAMES).condition([0], [2.0]).mean
+    start = POSE.exp(end, np.array([0.3, -0.4, 0.2, 0.0, 0.0, 0.0]))
+    way = POSE.log(start, end)
+    for tenth in range(40):
+        run.step(tenth * SECOND // 10, FRAMES, POSE.exp(start, follows(tenth / 10) * way), WEIGHTS)
+    assert run.outcome is not None and run.outcome.is_missed and not run.outcome.success
+    assert "from the model's end of the movement; " in run.outcome.reason and cause in run.outcome.reason

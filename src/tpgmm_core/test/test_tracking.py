@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tpgmm_core.tracking import FrameStatus, FrameTracker, TrackingConfig
+from tpgmm_core.tracking import FrameStatus, FrameTracker, TrackingConfig, check_pose
 
 POSE = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0]
 CONFIG = TrackingConfig(visible_timeout=0.2, hold_time=1.0, fade_time=0.5)
@@ -131,3 +131,13 @@ def test_whatever_comes_poses_stay_finite_with_unit_quaternions(pose):
 def test_a_bad_timeout_is_refused_by_name(value):
     with pytest.raises(ValueError, match="hold_time"):
         TrackingConfig(hold_time=value)
+
+
+@pytest.mark.parametrize("number", [1e200, -1e155, 1.7e308, 1e9])
+@pytest.mark.parametrize("at", range(7))
+def test_a_pose_out_of_all_proportion_is_refused_whatever_its_squares_are(number: float, at: int) -> None:
+    pose = np.array([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0])
+    pose[at] = number
+    with np.errstate(all="raise"):
+        checked, reason = check_pose(pose)
+    assert checked is None and "out of all proportion" in reason

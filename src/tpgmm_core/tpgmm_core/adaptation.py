@@ -171,5 +171,5 @@ class Adapter:
             D_j, n_j = s.sizes[j]
             covariance = np.linalg.inv(self._precisions[j, :n_j, k : n_j * K : K])
             seen = Gaussian(self._means[j, :D_j, k], covariance, s.manifold)
-            views[self.frame_names[j]] = seen.transform(s.frame(j))
+            views[self.frame_names[j]] = seen.transform(s.frame(int(j)))
         return views

@@ -53,7 +53,7 @@ def generate_launch_description() -> LaunchDescription:
             "use_sim_time",
             default_value="false",
             choices=["true", "false"],
-            description="the simulator runs in lockstep and gives the time on /clock, which poses are stamped with",
+            description="the simulator, in lockstep, gives the time on /clock, which poses have their stamps from",
         ),
     ]
     clock = {"use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)}

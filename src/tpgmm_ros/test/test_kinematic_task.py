@@ -114,8 +114,13 @@ def write_bag(path: Path, task: Task, broken: str = "") -> None:
             if broken == "nan":
                 positions[3] = np.nan
             empty = np.zeros(0)
-            state = JointState(header, names, positions, empty, empty)
-            writer.write(states, ns, STORE.serialize_cdr(state, state.__msgtype__))
+            several = [(names, positions)]
+            if broken == "parts":  # of two drivers, and those of a gripper between them
+                fingers = (["finger", "finger"], np.full(2, np.nan))
+                several = [(names[:6], positions[:6]), fingers, (names[6:], positions[6:])]
+            for part, values in several:
+                state = JointState(header, part, values, empty, empty)
+                writer.write(states, ns, STORE.serialize_cdr(state, state.__msgtype__))
 
 
 def test_configurations_are_read_by_joint_names(tmp_path: Path) -> None:
@@ -126,6 +131,10 @@ def test_configurations_are_read_by_joint_names(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.configurations[0], np.arange(14)[::-1])
     np.testing.assert_allclose(np.diff(recording.configurations[:-1], axis=0), 0.02, atol=1e-9)
     assert read_recording(tmp_path / "good", replace(task, kinematic=None)).configurations is None
+    write_bag(tmp_path / "part", task, "parts")
+    parts = read_recording(tmp_path / "part", task, every=2)
+    assert parts.configurations is not None
+    np.testing.assert_array_equal(parts.configurations, recording.configurations)
 
 
 @pytest.mark.parametrize(

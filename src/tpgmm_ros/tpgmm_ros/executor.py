@@ -26,7 +26,6 @@ from tpgmm_core.text import one_line
 from tpgmm_ros.parameters import Declared
 from tpgmm_ros.rclpy_workarounds import init_rclpy
 from tpgmm_ros.scheduling import request_realtime
-from tpgmm_ros.timing import guard_clock
 
 REALTIME = Declared(
     "realtime_priority", 0, "Run ahead of ordinary programs (SCHED_FIFO), 1 to 99; 0: as one of them", 0, 99, fixed=True
@@ -104,7 +103,6 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     stop = StopFlag()
-    guard_clock()
     try:
         node = make_node()
     except (ValueError, OSError, InvalidParameterValueException, InvalidParameterTypeException) as error:

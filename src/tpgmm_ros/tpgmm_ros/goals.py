@@ -14,7 +14,7 @@ from tpgmm_core.text import one_line
 from tpgmm_msgs.action import Reproduce
 
 #: A result is kept for so long for clients whose link was down, s.
-RESULT_TIMEOUT = 600
+RESULT_TIMEOUT = 900
 
 
 class Goals:

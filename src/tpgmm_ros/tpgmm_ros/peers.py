@@ -11,8 +11,8 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tpgmm_core.text import one_line
 
-#: Topics that every node writes to, or anyone may.
-SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/external_wrench")
+#: Topics that every node writes to, or anyone may; joints may have several drivers.
+SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/external_wrench", "/joint_states")
 
 
 def complaints(node: Node) -> list[str]:

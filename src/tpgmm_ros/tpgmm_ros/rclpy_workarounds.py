@@ -7,11 +7,14 @@ from typing import Any
 
 import rclpy
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.time_source import TimeSource
+from rosgraph_msgs.msg import Clock as ClockMessage
 
 
 def init_rclpy(**options: Any) -> None:
-    """`rclpy.init` for every process that has an `EventsExecutor`: no status events, see below."""
+    """`rclpy.init` for every process that has an `EventsExecutor`: see the functions below."""
     without_status_events()
+    guard_clock()
     rclpy.init(**options)
 
 
@@ -26,4 +29,25 @@ def without_status_events() -> None:
     who cannot be heard, from the graph, and with the name of the other node.
     """
     for callbacks in (PublisherEventCallbacks, SubscriptionEventCallbacks):
-        callbacks.__init__.__kwdefaults__["use_default_callbacks"] = False
+        defaults = callbacks.__init__.__kwdefaults__
+        assert defaults is not None
+        defaults["use_default_callbacks"] = False
+
+
+def guard_clock() -> None:
+    """From now on a time on ``/clock`` that is none is refused: rclpy would raise in its callback and end the node."""
+    take = TimeSource.clock_callback
+    if take.__name__ == "guarded":  # once for each process
+        return
+
+    def guarded(self: TimeSource, message: ClockMessage) -> None:
+        time = message.clock
+        if time.sec >= 0 and time.nanosec < 1_000_000_000:
+            take(self, message)
+        elif (node := self._get_node()) is not None:
+            node.get_logger().error(
+                f"time on /clock refused: {time.sec} s and {time.nanosec} ns; expected at least 0, and below 1e9",
+                throttle_duration_sec=1.0,
+            )
+
+    TimeSource.clock_callback = guarded  # type: ignore[method-assign, assignment]  # type: ignore[method-assign, assignment]

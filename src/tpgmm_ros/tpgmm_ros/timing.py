@@ -3,8 +3,6 @@
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.time_source import TimeSource
-from rosgraph_msgs.msg import Clock as ClockMessage
 
 
 def loop_clock(node: Node) -> Clock:
@@ -24,20 +22,3 @@ def clock_trouble(node: Node) -> str:
             "with lockstep), or set use_sim_time to false"
         )
     return ""
-
-
-def guard_clock() -> None:
-    """From now on a time on ``/clock`` that is none is refused: rclpy raises in its own callback, which ends the node."""
-    take = TimeSource.clock_callback
-
-    def guarded(self: TimeSource, message: ClockMessage) -> None:
-        time = message.clock
-        if time.sec >= 0 and time.nanosec < 1_000_000_000:
-            take(self, message)
-        elif (node := self._get_node()) is not None:
-            node.get_logger().error(
-                f"time on /clock refused: {time.sec} s and {time.nanosec} ns; expected 0 s or more and below 1e9 ns",
-                throttle_duration_sec=1.0,
-            )
-
-    TimeSource.clock_callback = guarded

@@ -183,7 +183,7 @@ class RegressThenProduct(_Regression):
 
     def _views_at(self, time: float) -> dict[str, Gaussian]:
         """What the frames that are there expect at a time, in the common frame."""
-        s, model = self._situation, self.model
+        s, model = self._buffer, self.model
         views = {}
         for j in np.flatnonzero(s.weights):
             name = self.frame_names[j]

@@ -141,7 +141,7 @@ class System(ABC):
             self._advance(seconds, where)
             self._fade.advance(seconds)
         mean, covariance, activations = self._now()
-        self._shown = self._fade.of(covariance)
+        self._shown: Array = self._fade.of(covariance)
         return Reference(
             phase=self._phase(),
             gaussian=Gaussian(mean, self._shown, self.manifold),
