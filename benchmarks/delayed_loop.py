@@ -119,8 +119,8 @@ class DelayedLoop:
             if not reasons or reasons[-1] != decision.reason:
                 reasons.append(decision.reason)
             rows.append((state.q, state.v, tau, int(decision.mode), guarded.guard.share))
-        columns = (np.array(column) for column in zip(*rows, strict=True))
-        return Course(*columns, tuple(reasons))
+        q, v, tau, modes, shares = map(np.array, zip(*rows, strict=True))
+        return Course(q, v, tau, modes, shares, tuple(reasons))
 
 
 def pose_reference(pose: Array, deviation: float, turning: float = 10.0) -> Reference:

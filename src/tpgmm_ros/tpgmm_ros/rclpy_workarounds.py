@@ -50,4 +50,4 @@ def guard_clock() -> None:
                 throttle_duration_sec=1.0,
             )
 
-    TimeSource.clock_callback = guarded  # type: ignore[method-assign, assignment]  # type: ignore[method-assign, assignment]
+    TimeSource.clock_callback = guarded  # type: ignore[method-assign, assignment]
