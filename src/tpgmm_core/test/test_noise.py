@@ -164,10 +164,10 @@ def test_equal_situations_are_equal_and_others_are_not() -> None:
 def test_frames_are_values_that_nobody_else_can_change() -> None:
     A, b = np.eye(2), np.array([0.0, 1.0])
     one, other = Frame(A, b), Frame(A.copy(), b.copy())
-    assert one == other and hash(one) == hash(other) and one == Frame(A, [-0.0, 1.0])
-    assert hash(one) == hash(Frame(A, [-0.0, 1.0]))
+    assert one == other and hash(one) == hash(other) and one == Frame(A, np.array([-0.0, 1.0]))
+    assert hash(one) == hash(Frame(A, np.array([-0.0, 1.0])))
     A[0, 0] = b[0] = 5.0
-    assert one == other and one != Frame(A, b) and one != Frame(np.eye(2), [0.0, 1.0], np.eye(2))
+    assert one == other and one != Frame(A, b) and one != Frame(np.eye(2), np.array([0.0, 1.0]), np.eye(2))
     assert Frame(np.ones((2, 3)), np.zeros(2)) != Frame(np.ones((2, 2)), np.zeros(2))
 
 
@@ -243,7 +243,7 @@ def test_velocities_of_a_moment_are_no_reason_to_swing_out() -> None:
     at = continuity.moments + 0.5
     spread = np.tile(np.eye(6), (len(at), 1, 1))
     continuity.take_over(list(course(0.5, at)), list(course(0.51, at)), np.eye(6), spread, spread)
-    times, path = 0.5 + 0.001 * np.arange(500), []
+    times, path = 0.5 + 0.001 * np.arange(500, dtype=np.float64), []
     for mean in course(0.51, times):
         path.append(continuity.mean(mean)[0])
         continuity.advance(0.001)

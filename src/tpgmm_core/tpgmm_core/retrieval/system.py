@@ -61,6 +61,7 @@ class System(ABC):
         self._duration, self._speed = float(duration), 1.0
         self._pace = Pace(1.0 / self._duration, self.blend_time)
         self._fade = CovarianceFade(manifold.tangent_dim, self.blend_time)
+        self._shown: Array = np.eye(manifold.tangent_dim)  # covariance of the last reference
         self._last_ns: int | None = None
         self._situation: Situation | None = None
 
