@@ -77,7 +77,7 @@ class Run:
     @property
     def deviations(self) -> Array:
         """Standard deviations (T, n)."""
-        return np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2))
+        return np.asarray(np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)))
 
 
 def run(
@@ -114,7 +114,7 @@ class Own:
         random = np.random.default_rng(count)
         still = [frames_of(noise.on(poses, random)) for _ in range(count)]
         exact = run(model, way, lambda _: frames_of(poses), start, step)
-        return cls(exact, [run(model, way, lambda _, f=frames: f, start, step) for frames in still])  # type: ignore[misc]
+        return cls(exact, [run(model, way, _standing(frames), start, step) for frames in still])
 
     def spread(self) -> Array:
         """Of the means (n,), as a root mean square over the movement."""
@@ -134,14 +134,18 @@ class Own:
         return low[around].min(axis=1), high[around].max(axis=1)
 
 
+def _standing(frames: Frames) -> Callable[[float], Frames]:
+    return lambda _: frames
+
+
 def away(exact: Run, other: Run) -> Array:
     """By how much means differ, (T, n)."""
-    return exact.manifold.log(exact.means, other.means)
+    return np.asarray(exact.manifold.log(exact.means, other.means))
 
 
 def rms(differences: Array) -> Array:
     """Over time, (n,)."""
-    return np.sqrt(np.mean(differences**2, axis=0))
+    return np.asarray(np.sqrt(np.mean(differences**2, axis=0)))
 
 
 def positions(manifold: Manifold) -> list[int]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -110,10 +111,10 @@ def test_nodes_that_see_trembling_poses_give_references_as_firm_as_with_exact_on
             message.header.stamp = conversions.time_from_ns(stamp)
             states.publish(message)
 
-    def served(is_done: object, what: str) -> None:
+    def served(is_done: Callable[[], object], what: str) -> None:
         def check() -> bool:
             go_on()
-            return bool(is_done())  # type: ignore[operator]
+            return bool(is_done())
 
         spin_until(ros_node, check, message=what, processes=processes)
 

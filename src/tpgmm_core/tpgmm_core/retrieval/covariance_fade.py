@@ -55,7 +55,7 @@ class CovarianceFade:
 
     def lasting(self, former: Array, present: Array, moments: Array) -> float:
         """The share of `moments` (M,), s, for which two courses (M, n, n) differ as much as at the first of them."""
-        return float(lasting(np.ascontiguousarray(former), np.ascontiguousarray(present), moments))
+        return float(lasting(np.array(former, order="C"), np.array(present, order="C"), moments))
 
     def take_over(self, shown: Array, present: Array, lasts: float = 1.0) -> None:
         """Go on from what is shown, where the course now says `present`; both (n, n). What is singular is let go.
@@ -63,7 +63,7 @@ class CovarianceFade:
         lasts : the share of the time constant with which the difference of both courses dies out; what is left of
             former ones counts by its size
         """
-        shown, present = np.ascontiguousarray(shown), np.ascontiguousarray(present)  # other layouts are not compiled
+        shown, present = np.array(shown, order="C"), np.array(present, order="C")  # as compiled: not read-only
         left = self._largest
         if not relate(shown, present, self._basis, self._inverse, self._logs):
             self.forget()
@@ -88,7 +88,7 @@ class CovarianceFade:
         if self._largest == 0.0:
             return covariance
         shown, share = np.empty(covariance.shape), math.exp(-ahead / self._time)
-        multiply(np.ascontiguousarray(covariance), self._basis, self._inverse, self._logs, share, shown)
+        multiply(np.array(covariance, order="C"), self._basis, self._inverse, self._logs, share, shown)
         return shown
 
 

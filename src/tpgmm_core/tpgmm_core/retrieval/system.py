@@ -61,6 +61,7 @@ class System(ABC):
         self._duration, self._speed = float(duration), 1.0
         self._pace = Pace(1.0 / self._duration, self.blend_time)
         self._fade = CovarianceFade(manifold.tangent_dim, self.blend_time)
+        self._shown: Array = np.eye(manifold.tangent_dim)  # covariance of the last reference
         self._last_ns: int | None = None
         self._situation: Situation | None = None
 
@@ -141,7 +142,7 @@ class System(ABC):
             self._advance(seconds, where)
             self._fade.advance(seconds)
         mean, covariance, activations = self._now()
-        self._shown: Array = self._fade.of(covariance)
+        self._shown = self._fade.of(covariance)
         return Reference(
             phase=self._phase(),
             gaussian=Gaussian(mean, self._shown, self.manifold),
