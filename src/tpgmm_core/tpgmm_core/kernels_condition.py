@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gaussian mixture regression (GMR), compiled: the Gaussian of some dimensions, given values of the others.
 
-A `plan` says which dimensions are given and which are free (see `plan_parts`). What does not depend on the values (factors,
-gains, conditional covariances) is worked out once per component; then values are taken in blocks, side by side, so that
-the innermost loops vectorise.
+A `plan` says which dimensions are given and which are free (see `plan_parts`). What does not depend on the values
+(factors, slopes, conditional covariances) is worked out once per component; then values are taken in blocks, side by
+side, so that the innermost loops vectorise.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ def condition(
     """Regression at all values (T, D_i): writes out_means (T, D_o), out_covariances (T, n_o, n_o) and
     out_activations (T, K), which sum to 1, or (0, K) where nobody asks for them.
 
-    priors (K,), means (K, D), covariances (K, n, n): of the mixture. The Gaussians are moment-matched; on S³ the mean is
-    where the weighted tangent vectors cancel out, and the components' covariances move there by parallel transport.
+    priors (K,), means (K, D), covariances (K, n, n): of the mixture. The Gaussians are moment-matched; on S³ the mean
+    is where the weighted tangent vectors cancel out, and the components' covariances move there by parallel transport.
     Returns -1, NOT_FINITE, TOO_FAR, or the component whose covariance of the given dimensions is singular.
     """
     given_tangent, free_tangent, given_ambient, free_ambient, given_flat, free_flat, given_spheres, free_spheres = (
@@ -85,6 +85,8 @@ def condition(
     )
     K, T = len(priors), len(values)
     n_i, n_o = len(given_tangent), len(free_tangent)
+    if T == 0:
+        return -1
     for t in range(T):
         for i in range(values.shape[1]):
             if not math.isfinite(values[t, i]):
@@ -149,7 +151,7 @@ def condition(
         else:
             for c in range(size):
                 match_curved(
-                    active[:n_active], h[:, c], free_means, steps[:, :, c], within, free_flat, free_spheres,
+                    h[:, c], free_means, steps[:, :, c], within, free_flat, free_spheres,
                     out_means[start + c], out_covariances[start + c],
                 )  # fmt: skip
     return -1
@@ -213,9 +215,7 @@ def activate(
 
 
 @compiled
-def factorise(
-    covariance: Array, given: Array, free: Array, whitening: Array, slopes: Array, within: Array
-) -> bool:
+def factorise(covariance: Array, given: Array, free: Array, whitening: Array, slopes: Array, within: Array) -> bool:
     """What regression needs of one component, from its covariance (n, n); False when what is given is singular there.
 
     whitening : W (n_i, n_i), lower triangle, S_ii^-1 = W^T W
@@ -308,38 +308,42 @@ def match_flat(
 
 @compiled
 def match_curved(
-    active: Array, h: Array, means: Array, steps: Array, within: Array, flat: Array, spheres: Array, mean: Array,
-    covariance: Array,
-) -> None:  # fmt: skip
-    """Moments of the active ones of K Gaussians, reached from means (K, D) along steps (K, n), weighted by h (K,), where
-    there are S³ factors.
+    h: Array, means: Array, steps: Array, within: Array, flat: Array, spheres: Array, mean: Array, covariance: Array
+) -> None:
+    """Moments of those of K Gaussians that are not negligible, reached from means (K, D) along steps (K, n), weighted
+    by h (K,), where there are S³ factors.
     """
     n = len(flat)
     conditionals, e, step = means.copy(), np.empty((len(means), n)), np.empty(n)
-    likeliest = active[0, 0]
-    for k in active[:, 0]:
+    active, n_active, likeliest = np.empty(len(h), dtype=np.int64), 0, 0
+    for k in range(len(h)):
+        if h[k] < NEGLIGIBLE:
+            continue
+        active[n_active] = k
+        n_active += 1
         for i in range(n):
             step[i] = steps[k, i]
         move(conditionals[k], step, flat, spheres)
         if h[k] > h[likeliest]:
             likeliest = k
+    active = active[:n_active]
     mean[:] = conditionals[likeliest]
     for s in range(len(spheres)):
         a = spheres[s, 0]
         is_far = False
-        for k in active[:, 0]:
-            if h[k] >= NEGLIGIBLE and abs(along(conditionals[k], mean, a)) < NEAR:
+        for k in active:
+            if abs(along(conditionals[k], mean, a)) < NEAR:
                 is_far = True
         if is_far:  # there may be several means: the main axis of q q^T does not depend on signs, and lies near one
             moments = np.zeros((4, 4))
-            for k in active[:, 0]:
+            for k in active:
                 for i in range(4):
                     for m in range(4):
                         moments[i, m] += h[k] * conditionals[k, a + i] * conditionals[k, a + m]
             mean[a : a + 4] = np.linalg.eigh(moments)[1][:, 3]
     for _ in range(MAX_STEPS):
         step[:] = 0.0
-        for k in active[:, 0]:
+        for k in active:
             difference(conditionals[k], mean, flat, spheres, e[k])
             for i in range(n):
                 step[i] += h[k] * e[k, i]
@@ -348,9 +352,7 @@ def match_curved(
             break
     covariance[:] = 0.0
     C, R, q = np.empty((n, n)), np.empty((3, 3)), np.empty(4)
-    for k in active[:, 0]:
-        if h[k] < NEGLIGIBLE:
-            continue
+    for k in active:
         difference(conditionals[k], mean, flat, spheres, e[k])
         C[:] = within[k]
         for s in range(len(spheres)):
