@@ -4,7 +4,7 @@
 from tpgmm_core.adaptation import Adapter
 from tpgmm_core.demonstration import Demonstration
 from tpgmm_core.frame import Frame
-from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.gaussian import Gaussian, Gaussians
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.model_file import ModelFileError
@@ -17,6 +17,7 @@ __all__ = [
     "Frame",
     "Gaussian",
     "GaussianMixture",
+    "Gaussians",
     "Manifold",
     "ModelFileError",
 ]

@@ -14,6 +14,7 @@ from tpgmm_core.disagreement import no_product
 from tpgmm_core.frame import Frame
 from tpgmm_core.frame_buffer import FrameBuffer
 from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.learned import Learned
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
@@ -41,22 +42,22 @@ class Adapter:
     """
 
     def __init__(self, model: TPGMM) -> None:
+        self.learned = Learned(model)  # before anything is read from it
         self.frame_names = model.frame_names_
-        self.priors = model.priors_
+        self.priors = np.array(model.priors_, dtype=float)
         manifolds = model.frame_manifolds_
         P, K = len(self.frame_names), len(model.priors_)
         D_max = max(m.dim for m in manifolds.values())
         n_max = max(m.tangent_dim for m in manifolds.values())
-        self._log_priors = np.log(np.maximum(model.priors_, np.finfo(float).tiny))
+        self._log_priors = np.log(np.maximum(self.priors, np.finfo(float).tiny))
         self.buffer = FrameBuffer(model)
         self._means = np.zeros((P, D_max, K))
         self._precisions = np.zeros((P, n_max, n_max * K))
         for j, name in enumerate(self.frame_names):
             D_j, n_j = self.buffer.sizes[j]
             self._means[j, :D_j] = model.means_[name].T
-            for k in range(K):
-                g = Gaussian(model.means_[name][k], model.covariances_[name][k], manifolds[name])
-                self._precisions[j, :n_j, k : n_j * K : K] = g.precision
+            precisions = _precisions(name, model.means_[name], model.covariances_[name])
+            self._precisions[j, :n_j, : n_j * K].reshape(n_j, n_j, K)[:] = np.moveaxis(precisions, 0, -1)
         self._means_out, self._covariances_out = np.zeros((K, 0)), np.zeros((K, 0, 0))
         if self.manifold.tangent_dim > 1:
             self._compile()
@@ -105,7 +106,9 @@ class Adapter:
 
     def mixture(self) -> GaussianMixture:
         """The mixture in the situation of the last call."""
-        return GaussianMixture(self.priors, self._means_out.copy(), self._covariances_out.copy(), self.manifold)
+        return GaussianMixture._made(
+            self.priors.copy(), self._means_out.copy(), self._covariances_out.copy(), self.manifold
+        )
 
     def adapt_and_condition(
         self,
@@ -120,7 +123,7 @@ class Adapter:
         first of the times, the same as `adapt(...).condition([0], [t])`. Raises like `adapt`.
         """
         self._take(frames, state, weights)
-        times = np.asarray(times, dtype=float)
+        times = np.array(times, dtype=float)  # of one type for the compiled code, whatever comes
         means, covariances, activations = outputs = self._outputs(len(times))
         failed = kernels_regress.adapt_and_regress(*self._inputs(), *self._result(), self._log_priors, times, *outputs)
         self._check(failed)
@@ -128,7 +131,7 @@ class Adapter:
 
     def condition(self, times: ArrayLike) -> tuple[Array, Array, Array]:
         """Regression at times (H,) in the situation of the last call, without adapting to it again."""
-        times = np.asarray(times, dtype=float)
+        times = np.array(times, dtype=float)
         means, covariances, activations = outputs = self._outputs(len(times))
         kernels_regress.regress_all(
             self._log_priors, self._means_out, self._covariances_out, *self.buffer.layout, times, *outputs
@@ -173,3 +176,17 @@ class Adapter:
             seen = Gaussian(self._means[j, :D_j, k], covariance, s.manifold)
             views[self.frame_names[j]] = seen.transform(s.frame(int(j)))
         return views
+
+
+def _precisions(name: str, means: Array, covariances: Array) -> Array:
+    """Inverse covariances (K, n, n) of the frame `name`. Raises ValueError where there are none."""
+    if not (np.all(np.isfinite(means)) and np.all(np.isfinite(covariances))):
+        raise ValueError(f"the means and covariances of frame {name!r} must be finite")
+    asymmetry = np.abs(covariances - np.swapaxes(covariances, 1, 2)).max(axis=(1, 2))
+    if np.any(asymmetry > 1e-8 * np.abs(covariances).max(axis=(1, 2))):
+        raise ValueError(f"the covariances of frame {name!r} must be symmetric")
+    try:
+        factors = np.linalg.inv(np.linalg.cholesky(covariances))
+    except np.linalg.LinAlgError:
+        raise ValueError(f"the covariances of frame {name!r} are not positive definite") from None
+    return np.swapaxes(factors, 1, 2) @ factors

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,6 +58,17 @@ class Gaussian:
         object.__setattr__(self, "mean", mean)
         object.__setattr__(self, "covariance", covariance)
         object.__setattr__(self, "manifold", manifold)
+
+    @classmethod
+    def _made(cls, mean: Array, covariance: Array, manifold: Manifold) -> Self:
+        """Of what a kernel has just made and checked: in a loop the checks would take most of the time."""
+        mean.setflags(write=False)
+        covariance.setflags(write=False)
+        made = object.__new__(cls)
+        object.__setattr__(made, "mean", mean)
+        object.__setattr__(made, "covariance", covariance)
+        object.__setattr__(made, "manifold", manifold)
+        return made
 
     @property
     def precision(self) -> Array:
@@ -146,3 +157,33 @@ class Gaussian:
         log_determinant = 2.0 * np.sum(np.log(np.diagonal(factor)))
         n = self.manifold.tangent_dim
         return -0.5 * (np.sum(whitened**2, axis=-1) + log_determinant + n * np.log(2.0 * np.pi))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gaussians(Sequence[Gaussian]):
+    """T Gaussians on one space, such as those of a movement at T times: a sequence, kept as two arrays.
+
+    mean : shape (T, D); covariance : shape (T, D_tangent, D_tangent); manifold : the space. Both arrays are read-only.
+    `gaussians[i]` and iteration give each `Gaussian`, `gaussians[a:b]` some of them.
+    """
+
+    mean: Array
+    covariance: Array
+    manifold: Manifold
+
+    def __len__(self) -> int:
+        return len(self.mean)
+
+    @overload
+    def __getitem__(self, index: int) -> Gaussian: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Gaussians: ...
+
+    def __getitem__(self, index: int | slice) -> Gaussian | Gaussians:
+        if isinstance(index, slice):
+            return Gaussians(self.mean[index], self.covariance[index], self.manifold)
+        return Gaussian(self.mean[index], self.covariance[index], self.manifold)
+
+    def __iter__(self) -> Iterator[Gaussian]:
+        return (self[i] for i in range(len(self)))

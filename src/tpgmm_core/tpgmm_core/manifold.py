@@ -271,5 +271,31 @@ class Manifold:
         return tuple(factors), np.array(tangent, dtype=np.intp)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Split:
+    """Dimensions of a manifold that are given and those that are free, as regression takes them.
+
+    given, free : the manifolds of both
+    plan : the same as `kernels_condition.plan_parts` reads it
+    """
+
+    given: Manifold
+    free: Manifold
+    plan: NDArray[np.int64]
+
+
+@lru_cache(maxsize=256)  # worked out once, not at every step
+def split(manifold: Manifold, dims: tuple[int, ...]) -> Split:
+    """The dimensions `dims` are given, the others free. Raises ValueError like `Manifold.subset`, and where no
+    dimension is left."""
+    rest = manifold.rest(dims)
+    given, free = manifold.subset(dims), manifold.subset(rest)
+    sizes = [given.tangent_dim, free.tangent_dim, given.dim, free.dim, len(given.spheres), len(free.spheres)]
+    parts = [sizes, manifold.tangent_indices(dims), manifold.tangent_indices(rest), dims, rest]
+    parts += [given.ambient_of_tangent, free.ambient_of_tangent]
+    parts += [given.sphere_starts.ravel(), free.sphere_starts.ravel()]
+    return Split(given, free, np.concatenate([np.asarray(part, dtype=np.int64) for part in parts]))
+
+
 #: Poses [x, y, z, qx, qy, qz, qw]: m, and tangent vectors in m and rad about the fixed axes.
 POSE = Manifold.parse("R3 x S3")

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tpgmm_core.gaussian import Gaussian
-from tpgmm_core.manifold import Manifold
+from tpgmm_core import kernels_condition
+from tpgmm_core.gaussian import Gaussian, Gaussians
+from tpgmm_core.manifold import Manifold, split
 from tpgmm_core.quaternion import Array
 
 
@@ -56,6 +58,16 @@ class GaussianMixture:
         """The k-th Gaussian, without its prior."""
         return Gaussian(self.means[k], self.covariances[k], self.manifold)
 
+    @classmethod
+    def _made(cls, priors: Array, means: Array, covariances: Array, manifold: Manifold) -> Self:
+        """Of arrays that fit, and that nobody else holds."""
+        made = object.__new__(cls)
+        object.__setattr__(made, "priors", priors)
+        object.__setattr__(made, "means", means)
+        object.__setattr__(made, "covariances", covariances)
+        object.__setattr__(made, "manifold", manifold)
+        return made
+
     def responsibilities(self, dims: Sequence[int], values: ArrayLike) -> Array:
         """How much each component accounts for `values` (..., len(dims)) of the dimensions `dims`: (K, ...).
 
@@ -76,21 +88,74 @@ class GaussianMixture:
         log_priors = np.log(np.maximum(self.priors, np.finfo(float).tiny))
         return np.stack([p + d for p, d in zip(log_priors, densities, strict=True)])
 
-    def condition(self, dims: Sequence[int], values: ArrayLike) -> Gaussian:
-        """Gaussian mixture regression: the other dimensions, given `values` (len(dims),) of the dimensions
-        `dims`.
+    @overload
+    def condition(self, dims: Sequence[int], values: Sequence[float]) -> Gaussian: ...
+
+    @overload
+    def condition(self, dims: Sequence[int], values: ArrayLike) -> Gaussian | Gaussians: ...
+
+    def condition(self, dims: Sequence[int], values: ArrayLike) -> Gaussian | Gaussians:
+        """Gaussian mixture regression: the other dimensions, given values of the ambient dimensions `dims`.
 
         The Gaussian has the first two moments of the conditional mixture. On S³ its mean is where the
         weighted tangent vectors to the components' means cancel out, and their covariances are moved there
-        by parallel transport. A loop over time uses `Adapter.adapt_and_condition`, which is compiled.
+        by parallel transport. Compiled; components whose share is below 1e-20 are left out.
+
+        Parameters
+        ----------
+        dims : distinct ambient dimensions; the four numbers of a quaternion go together
+        values : shape (len(dims),) for one Gaussian, or (T, len(dims)) for T at once, such as `times[:, None]`
+
+        Returns
+        -------
+        The `Gaussian` of the other dimensions, in their order; `Gaussians`, a sequence of T, for values (T, len(dims))
+
+        Raises
+        ------
+        ValueError
+            for dimensions and values that do not fit, values that are not finite or beyond all numbers away, and a
+            component whose covariance of the dimensions `dims` is singular
         """
-        h = self.responsibilities(dims, values)
-        parts = [self.component(k).condition(dims, values) for k in range(len(h))]
-        manifold = parts[0].manifold
-        means = np.stack([part.mean for part in parts])
-        mean = manifold.mean(means, h)
-        T = manifold.transport(means, mean)
-        within = T @ np.stack([part.covariance for part in parts]) @ np.swapaxes(T, 1, 2)
-        d = manifold.log(mean, means)
-        covariance = np.einsum("k,kij->ij", h, within) + (h[:, None] * d).T @ d
-        return Gaussian(mean, 0.5 * (covariance + covariance.T), manifold)
+        parts = split(self.manifold, tuple(dims))
+        given = np.array(values, dtype=float)  # a copy: of one type for the compiled code, whatever comes
+        D = parts.given.dim
+        if given.ndim not in (1, 2) or given.shape[-1] != D:
+            raise ValueError(
+                f"values of {D} dimensions have shape ({D},), or (T, {D}) for several at once, got {given.shape}"
+                + (": write values[:, None] for T values of one dimension" if D == 1 and given.ndim == 1 else "")
+            )
+        free = parts.free
+        block = given.reshape(-1, D)
+        T, n = len(block), free.tangent_dim
+        means, covariances = np.empty((T, free.dim)), np.empty((T, n, n))
+        failed = kernels_condition.condition(
+            _plain(self.priors), _plain(self.means), _plain(self.covariances), parts.plan, block, means, covariances,
+            NOT_WANTED,
+        )  # fmt: skip
+        if failed != -1:
+            raise ValueError(_refusal(failed, dims, values))
+        if given.ndim == 1:
+            return Gaussian._made(means[0], covariances[0], free)
+        means.setflags(write=False)
+        covariances.setflags(write=False)
+        return Gaussians(means, covariances, free)
+
+
+NOT_WANTED: Array = np.empty((0, 0))  # activations
+
+
+def _plain(array: Array) -> Array:
+    """The array as compiled code takes it: read-only and strided ones would each be compiled for anew."""
+    return array if array.flags.carray else array.copy()
+
+
+def _refusal(failed: int, dims: Sequence[int], values: ArrayLike) -> str:
+    """What to say of what `kernels_condition.condition` returned."""
+    if failed == kernels_condition.NOT_FINITE:
+        return f"values must be finite, got {values!r}"
+    if failed == kernels_condition.TOO_FAR:
+        return f"the values {values!r} are so far from all components that no number says how far"
+    return (
+        f"the covariance of component {failed} is not positive definite in the dimensions {list(dims)}: "
+        "fit with a larger reg_covar"
+    )

@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
-from functools import cached_property
 from os import PathLike
 from typing import Any, Self
 
@@ -17,7 +15,9 @@ from tpgmm_core import initialization, model_file
 from tpgmm_core.adaptation import Adapter
 from tpgmm_core.demonstration import Demonstration
 from tpgmm_core.estimation import Estimate, Parameters, Progress, Workspace, expectation_maximisation
+from tpgmm_core.estimator import Estimator
 from tpgmm_core.frame import Frame
+from tpgmm_core.learned import Learned
 from tpgmm_core.learning.classical import FullCovariances
 from tpgmm_core.learning.em import expectation
 from tpgmm_core.learning.emissions import Emissions
@@ -29,7 +29,7 @@ from tpgmm_core.quaternion import Array
 from tpgmm_core.samples import Samples, view_manifold
 
 
-class TPGMM:
+class TPGMM(Estimator):
     """Gaussian mixture that is observed from several frames at once.
 
     Parameters (stored unchanged; checked by `fit`)
@@ -58,6 +58,9 @@ class TPGMM:
     n_iter_, converged_, frame_names_, manifold_ (the space of the data; on R^D with frames that were
     projected elsewhere, the largest D_j), dimensions_ (names, or None), metadata_ (free-form texts and
     numbers)
+
+    A model is a plain value: it may be copied, pickled, fitted again; `priors_`, `means_` and `covariances_` may be
+    set by hand, and changed in place. Whatever is asked afterwards follows from the numbers as they are then.
     """
 
     priors_: Array
@@ -72,6 +75,7 @@ class TPGMM:
     manifold_: Manifold
     dimensions_: tuple[str, ...] | None
     metadata_: dict[str, str | float]
+    _emissions: tuple[Learned, Emissions] | None = None  # as learned, and of which numbers
 
     def __init__(
         self,
@@ -100,28 +104,6 @@ class TPGMM:
         self.covariance = covariance
         self.n_factors = n_factors
         self.covariance_options = covariance_options
-
-    @classmethod
-    def _parameter_names(cls) -> list[str]:
-        return list(inspect.signature(cls).parameters)
-
-    def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """Constructor arguments by name."""
-        return {name: getattr(self, name) for name in self._parameter_names()}
-
-    def set_params(self, **params: Any) -> Self:
-        """Set constructor arguments by name. Raises ValueError for an unknown one."""
-        for name, value in params.items():
-            if name not in (known := self._parameter_names()):
-                raise ValueError(f"{type(self).__name__} has no parameter {name!r}; it has {', '.join(known)}")
-            setattr(self, name, value)
-        return self
-
-    def __repr__(self) -> str:
-        defaults = inspect.signature(type(self)).parameters
-        changed = {k: v for k, v in self.get_params().items() if v is not defaults[k].default}
-        shown = [f"{k}=<{type(v).__name__}>" if isinstance(v, TPGMM) else f"{k}={v!r}" for k, v in changed.items()]
-        return f"{type(self).__name__}({', '.join(shown)})"
 
     def fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
         """Learn from demonstrations, projected into their frames by Eq. (4).
@@ -190,14 +172,20 @@ class TPGMM:
         self.manifold_ = manifold
         self.dimensions_ = None
         self.metadata_ = {}
-        self.__dict__.pop("emissions_", None)  # of an earlier fit
-        if emissions is not None:
-            self.emissions_ = emissions
+        self._emissions = None if emissions is None else (Learned(self), emissions)
 
-    @cached_property
+    @property
     def emissions_(self) -> Emissions:
-        """The components; full ones are put together when first asked for."""
+        """The components; full ones are put together when asked for.
+
+        A structure holds as long as the means and covariances are what was learned: where they were changed by hand,
+        they are what counts, as full covariances.
+        """
         self._check_fitted()
+        if self._emissions is not None:
+            learned, emissions = self._emissions
+            if learned.is_of(self):
+                return emissions
         structure = Structure("full", reg_covar=self.reg_covar, regularization=self.regularization)
         frames = {name: FullCovariances(structure, covariances) for name, covariances in self.covariances_.items()}
         return Emissions(structure, self.frame_manifolds_, self.means_, frames)
@@ -273,8 +261,24 @@ class TPGMM:
         state: ArrayLike | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> GaussianMixture:
-        """The mixture in a new situation, by Eqs. (5) and (6): see `Adapter`, which a loop holds on to."""
-        return Adapter(self).adapt(frames, state, weights)
+        """The mixture in a new situation, by Eqs. (5) and (6): parameters and errors are those of `Adapter.adapt`.
+
+        What can be worked out ahead of the frames is kept for the next call, as long as the model holds the same
+        numbers: attributes may be set, and arrays changed in place, at any time. Calls in several threads at once have
+        an `Adapter` each, and the mixture shares nothing with the model.
+        """
+        self._check_fitted()
+        idle: list[Adapter] = self.__dict__.setdefault("_adapters", [])
+        try:
+            adapter = idle.pop()  # nobody else's until it is put back
+        except IndexError:
+            adapter = Adapter(self)
+        if not adapter.learned.is_of(self):
+            adapter = Adapter(self)
+        try:
+            return adapter.adapt(frames, state, weights)
+        finally:
+            idle.append(adapter)
 
     def score(self, demonstrations: Sequence[Demonstration]) -> float:
         """Log-likelihood per sample of demonstrations, also of such as the model was not fitted to.

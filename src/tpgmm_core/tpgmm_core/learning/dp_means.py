@@ -7,7 +7,6 @@ of probabilistic principal component analyzers (Wang and Zhu, IJCAI 2015).
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.demonstration import Demonstration
+from tpgmm_core.estimator import Estimator
 from tpgmm_core.initialization import Labels
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
@@ -24,7 +24,7 @@ from tpgmm_core.samples import Samples
 ROUNDING = 1e-12  # what the cost has to fall by, relatively, for another sweep
 
 
-class DPMeans:
+class DPMeans(Estimator):
     """Clusters of samples that all frames see together; as many as pay for themselves.
 
     With c_k, U_k the centre and the subspace (d_k dimensions, orthonormal columns) of cluster k in a frame,
@@ -72,11 +72,6 @@ class DPMeans:
         self.dimension_penalty = dimension_penalty
         self.max_iter = max_iter
         self.manifold = manifold
-
-    def __repr__(self) -> str:
-        return (
-            f"DPMeans({', '.join(f'{name}={getattr(self, name)!r}' for name in inspect.signature(DPMeans).parameters)})"
-        )
 
     def fit(self, demonstrations: Sequence[Demonstration]) -> Self:
         """Cluster the samples of demonstrations, projected into their frames by Eq. (4). Raises ValueError like

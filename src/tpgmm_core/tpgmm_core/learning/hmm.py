@@ -90,8 +90,6 @@ class TPHMM(TPGMM):
     priors_ : shape (K,), the share of the samples in each state
     """
 
-    start_probabilities_: Array
-    transitions_: Array
     chain_: Chain
 
     def __init__(
@@ -201,7 +199,16 @@ class TPHMM(TPGMM):
 
     def _learned_chain(self, chain: Chain) -> None:
         self.chain_ = chain
-        self.start_probabilities_, self.transitions_ = chain.start, chain.transitions
+
+    @property
+    def start_probabilities_(self) -> Array:
+        """Of the states at the first sample, (K,)."""
+        return self.chain_.start
+
+    @property
+    def transitions_(self) -> Array:
+        """Probabilities (K, K), from row to column."""
+        return self.chain_.transitions
 
     def _more_arrays(self) -> dict[str, Array]:
         return self.chain_.arrays()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tpgmm_core.learning.hmm import TPHMM, Chain
+from tpgmm_core.learning.hmm import TPHMM
 from tpgmm_core.learning.markov import SemiMarkovChain
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
@@ -34,8 +34,7 @@ class TPHSMM(TPHMM):
     chain_ : the `SemiMarkovChain`, whose `durations` are the whole distributions
     """
 
-    mean_durations_: Array
-    std_durations_: Array
+    chain_: SemiMarkovChain
 
     def __init__(
         self,
@@ -59,6 +58,16 @@ class TPHSMM(TPHMM):
             covariance, n_factors, covariance_options, transitions,
         )  # fmt: skip
         self.max_duration = max_duration
+
+    @property
+    def mean_durations_(self) -> Array:
+        """Expected durations of the states, (K,), samples."""
+        return self.chain_.durations.means
+
+    @property
+    def std_durations_(self) -> Array:
+        """Standard deviations (K,) of the durations, samples."""
+        return self.chain_.durations.standard_deviations
 
     def likeliest_course(self, n_steps: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """The most probable states and their durations in samples, both (S,), of a movement of n_steps samples.
@@ -91,12 +100,6 @@ class TPHSMM(TPHMM):
 
     def _new_chain(self, mean_durations: Array, longest: int) -> SemiMarkovChain:
         return SemiMarkovChain.of(self.transitions, mean_durations, int(self.max_duration or longest))
-
-    def _learned_chain(self, chain: Chain) -> None:
-        super()._learned_chain(chain)
-        assert isinstance(chain, SemiMarkovChain)
-        self.mean_durations_ = chain.durations.means
-        self.std_durations_ = chain.durations.standard_deviations
 
     def _restore(self, arrays: Mapping[str, Array]) -> None:
         self._learned_chain(SemiMarkovChain.from_arrays(arrays, len(self.priors_)))

@@ -1,0 +1,390 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gaussian mixture regression (GMR), compiled: the Gaussian of some dimensions, given values of the others.
+
+A `plan` says which dimensions are given and which are free (see `plan_parts`). What does not depend on the values
+(factors, slopes, conditional covariances) is worked out once per component; then values are taken in blocks, side by
+side, so that the innermost loops vectorise.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tpgmm_core.kernels import (
+    cholesky,
+    compiled,
+    exp_in_place,
+    invert_lower,
+    quaternion_difference,
+    rotation,
+    turn,
+)
+from tpgmm_core.kernels_product import MAX_STEPS, along, difference, longest, move
+from tpgmm_core.quaternion import Array
+
+NEGLIGIBLE = 1e-20  # components with a smaller activation add nothing
+LOG_NEGLIGIBLE = math.log(NEGLIGIBLE)
+SMALLEST = 2.2250738585072014e-308  # normal number: the logarithm of a prior is finite
+MEAN_TOLERANCE = 1e-13  # the weighted mean on S³ stops at steps shorter than this, in rad
+NEAR = math.cos(0.25 * math.pi)  # scalar product of quaternions that are a turn of pi / 2 apart
+BLOCK = 64  # values side by side
+LANES = 16  # of these, what loops take at once
+
+NOT_FINITE = -2  # what `condition` returns for values that are not numbers
+TOO_FAR = -3  # and for values so far from all components that no number says how far
+
+
+@compiled
+def plan_parts(
+    plan: Array,
+) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array]:
+    """The arrays of a plan: its first six numbers are how many tangent dimensions are given and free, n_i and n_o,
+    ambient ones, D_i and D_o, and S³ factors, S_i and S_o.
+
+    Tangent and ambient indices in the mixture of what is given (n_i,), (D_i,) and free (n_o,), (D_o,); then for both
+    the arrangement `flat` and `spheres` of their own manifolds.
+    """
+    n_i, n_o, D_i, D_o, S_i, S_o = plan[0], plan[1], plan[2], plan[3], plan[4], plan[5]
+    a = 6
+    given_tangent = plan[a : a + n_i]
+    a += n_i
+    free_tangent = plan[a : a + n_o]
+    a += n_o
+    given_ambient = plan[a : a + D_i]
+    a += D_i
+    free_ambient = plan[a : a + D_o]
+    a += D_o
+    given_flat = plan[a : a + n_i]
+    a += n_i
+    free_flat = plan[a : a + n_o]
+    a += n_o
+    given_spheres = plan[a : a + 2 * S_i].reshape(S_i, 2)
+    a += 2 * S_i
+    free_spheres = plan[a : a + 2 * S_o].reshape(S_o, 2)
+    return (
+        given_tangent, free_tangent, given_ambient, free_ambient, given_flat, free_flat, given_spheres, free_spheres
+    )  # fmt: skip
+
+
+@compiled
+def condition(
+    priors: Array, means: Array, covariances: Array, plan: Array, values: Array, out_means: Array,
+    out_covariances: Array, out_activations: Array,
+) -> int:  # fmt: skip
+    """Regression at all values (T, D_i): writes out_means (T, D_o), out_covariances (T, n_o, n_o) and
+    out_activations (T, K), which sum to 1, or (0, K) where nobody asks for them.
+
+    priors (K,), means (K, D), covariances (K, n, n): of the mixture. The Gaussians are moment-matched; on S³ the mean
+    is where the weighted tangent vectors cancel out, and the components' covariances move there by parallel transport.
+    Returns -1, NOT_FINITE, TOO_FAR, or the component whose covariance of the given dimensions is singular.
+    """
+    given_tangent, free_tangent, given_ambient, free_ambient, given_flat, free_flat, given_spheres, free_spheres = (
+        plan_parts(plan)
+    )
+    K, T = len(priors), len(values)
+    n_i, n_o = len(given_tangent), len(free_tangent)
+    if T == 0:
+        return -1
+    for t in range(T):
+        for i in range(values.shape[1]):
+            if not math.isfinite(values[t, i]):
+                return NOT_FINITE
+    log_norms, whitening = np.empty(K), np.empty((K, n_i, n_i))
+    slopes, within = np.empty((K, n_i, n_o)), np.empty((K, n_o, n_o))
+    given_means, free_means = np.empty((K, len(given_ambient))), np.empty((K, len(free_ambient)))
+    for k in range(K):
+        if not factorise(covariances[k], given_tangent, free_tangent, whitening[k], slopes[k], within[k]):
+            return k
+        log_norms[k] = math.log(max(priors[k], SMALLEST))
+        for i in range(n_i):
+            log_norms[k] += math.log(whitening[k, i, i])
+        for i in range(len(given_ambient)):
+            given_means[k, i] = means[k, given_ambient[i]]
+        for i in range(len(free_ambient)):
+            free_means[k, i] = means[k, free_ambient[i]]
+    is_flat = len(free_spheres) == 0
+    width = min(BLOCK, T if T < LANES else -(-T // LANES) * LANES)
+    h, z, lanes = np.zeros((K, width)), np.zeros((K, n_i, width)), np.empty((4 + n_i, width))
+    steps = np.empty((K, n_o, width))
+    moments = np.zeros((n_o + n_o * (n_o + 1) // 2 if is_flat else 0, width))
+    active = np.empty((K, 3), dtype=np.int64)
+    wanted = len(out_activations) > 0
+    for start in range(0, T, width):
+        size = min(width, T - start)
+        block = values[start : start + size]
+        if not activate(
+            block, log_norms, whitening, given_means, given_flat, given_spheres, wanted, lanes, z, h
+        ):  # fmt: skip
+            return TOO_FAR
+        h[:, size:] = 0.0
+        if wanted:
+            for k in range(K):
+                for c in range(size):
+                    out_activations[start + c, k] = h[k, c]
+        n_active = 0
+        for k in range(K):
+            begin, end = 0, size  # most components are active for a part of the times only
+            while begin < end and h[k, begin] < NEGLIGIBLE:
+                begin += 1
+            if begin == end:
+                continue
+            while h[k, end - 1] < NEGLIGIBLE:
+                end -= 1
+            # loops over a multiple of what the processor takes at once leave nothing over
+            begin, end = begin // LANES * LANES, min(-(-end // LANES) * LANES, width)
+            active[n_active, 0], active[n_active, 1], active[n_active, 2] = k, begin, end
+            n_active += 1
+            for o in range(n_o):  # how far the conditional mean is from the component's
+                step = steps[k, o, begin:end]
+                step[:] = 0.0
+                for i in range(n_i):
+                    slope, w = slopes[k, i, o], z[k, i, begin:end]
+                    for c in range(len(step)):
+                        step[c] += slope * w[c]
+        if is_flat:
+            match_flat(
+                active[:n_active], h, free_means, steps, within, lanes[0], moments,
+                out_means[start : start + size], out_covariances[start : start + size],
+            )  # fmt: skip
+        else:
+            for c in range(size):
+                match_curved(
+                    h[:, c], free_means, steps[:, :, c], within, free_flat, free_spheres,
+                    out_means[start + c], out_covariances[start + c],
+                )  # fmt: skip
+    return -1
+
+
+@compiled
+def activate(
+    values: Array, log_norms: Array, whitening: Array, means: Array, flat: Array, spheres: Array, wanted: bool,
+    lanes: Array, z: Array, h: Array,
+) -> bool:  # fmt: skip
+    """Activations h (K, T) of values (T, D_i), which sum to 1, and their whitened differences z (K, n_i, T) from the
+    means (K, D_i). Side by side, in logarithms; what is negligible everywhere is 0, if it is not wanted.
+
+    lanes : scratch (4 + n_i, T). False where no number says how far the values are from all components.
+    """
+    K, n_i, size = len(means), len(flat), len(values)
+    top, total, differences = lanes[0], lanes[1], lanes[4:]
+    scratch, scale = lanes[2], lanes[3]
+    for c in range(size):
+        top[c] = -np.inf
+    for k in range(K):
+        given_differences(values, means[k], flat, spheres, differences)
+        for i in range(n_i):
+            f = whitening[k, i, 0]
+            for c in range(size):
+                z[k, i, c] = f * differences[0, c]
+            for m in range(1, i + 1):
+                f = whitening[k, i, m]
+                for c in range(size):
+                    z[k, i, c] += f * differences[m, c]
+        f = log_norms[k]
+        for c in range(size):
+            h[k, c] = f - 0.5 * z[k, 0, c] * z[k, 0, c]
+        for i in range(1, n_i):
+            for c in range(size):
+                h[k, c] -= 0.5 * z[k, i, c] * z[k, i, c]
+        for c in range(size):
+            top[c] = max(top[c], h[k, c])
+    for c in range(size):
+        if not top[c] > -np.inf:
+            return False
+        total[c] = 0.0
+    bits = scale.view(np.int64)
+    for k in range(K):
+        n_active = 0.0  # sums vectorise
+        for c in range(size):
+            h[k, c] -= top[c]
+            n_active += 1.0 if h[k, c] > LOG_NEGLIGIBLE else 0.0
+        if n_active == 0.0 and not wanted:
+            h[k] = 0.0
+            continue
+        exp_in_place(h[k], size, scratch, bits, scale)
+        for c in range(size):
+            total[c] += h[k, c]
+    for c in range(size):
+        total[c] = 1.0 / total[c]
+    for k in range(K):
+        for c in range(size):
+            h[k, c] *= total[c]
+    return True
+
+
+@compiled
+def factorise(covariance: Array, given: Array, free: Array, whitening: Array, slopes: Array, within: Array) -> bool:
+    """What regression needs of one component, from its covariance (n, n); False when what is given is singular there.
+
+    whitening : W (n_i, n_i), lower triangle, S_ii^-1 = W^T W
+    slopes : V = W S_io (n_i, n_o): the conditional mean is V^T W d from the mean, for values d from the given mean
+    within : S_oo - V^T V (n_o, n_o), the conditional covariance
+    """
+    n_i, n_o = len(given), len(free)
+    S, L = np.empty((n_i, n_i)), np.empty((n_i, n_i))
+    for i in range(n_i):
+        for m in range(i + 1):
+            S[i, m] = covariance[given[i], given[m]]
+    if not cholesky(S, n_i, L):
+        return False
+    invert_lower(L, n_i, whitening)
+    for i in range(n_i):
+        for o in range(n_o):
+            slopes[i, o] = 0.0
+            for m in range(i + 1):
+                slopes[i, o] += whitening[i, m] * covariance[given[m], free[o]]
+    for o in range(n_o):
+        for m in range(o + 1):
+            total = covariance[free[o], free[m]]
+            for i in range(n_i):
+                total -= slopes[i, o] * slopes[i, m]
+            within[o, m] = total
+            within[m, o] = total
+    return True
+
+
+@compiled
+def given_differences(values: Array, mean: Array, flat: Array, spheres: Array, out: Array) -> None:
+    """Tangent vectors from the mean (D_i,) to all values (T, D_i), side by side: out (n_i, T or more)."""
+    for i in range(len(flat)):
+        a = flat[i]
+        if a >= 0:
+            for c in range(len(values)):
+                out[i, c] = values[c, a] - mean[a]
+    for s in range(len(spheres)):
+        a, t = spheres[s]
+        for c in range(len(values)):
+            out[t, c], out[t + 1, c], out[t + 2, c] = quaternion_difference(
+                values[c, a], values[c, a + 1], values[c, a + 2], values[c, a + 3],
+                mean[a], mean[a + 1], mean[a + 2], mean[a + 3],
+            )  # fmt: skip
+
+
+@compiled
+def match_flat(
+    active: Array, h: Array, means: Array, steps: Array, within: Array, weight: Array, moments: Array,
+    out_means: Array, out_covariances: Array,
+) -> None:  # fmt: skip
+    """Moments on R^n of the active ones of K Gaussians at means (K, n) + steps (K, n, T), weighted by h (K, T), side by
+    side. steps are overwritten; weight (T,) and moments are scratch.
+    """
+    n, size = means.shape[1], len(out_means)
+    S, d = moments[n:], steps
+    moments[:] = 0.0
+    for o in range(n):
+        for k, begin, end in active:
+            x, mean, w, m = steps[k, o, begin:end], moments[o, begin:end], h[k, begin:end], means[k, o]
+            for c in range(len(x)):
+                x[c] += m
+                mean[c] += w[c] * x[c]
+        for k, begin, end in active:
+            x, mean = steps[k, o, begin:end], moments[o, begin:end]
+            for c in range(len(x)):
+                x[c] -= mean[c]
+    for k, begin, end in active:
+        w, row = h[k, begin:end], 0
+        weighted = weight[: end - begin]
+        for o in range(n):
+            e = d[k, o, begin:end]
+            for c in range(len(e)):
+                weighted[c] = w[c] * e[c]
+            for m in range(o + 1):
+                total, f, C = S[row, begin:end], d[k, m, begin:end], within[k, o, m]
+                for c in range(len(e)):
+                    total[c] += w[c] * C + weighted[c] * f[c]
+                row += 1
+    row = 0
+    for o in range(n):
+        for c in range(size):
+            out_means[c, o] = moments[o, c]
+        for m in range(o + 1):
+            for c in range(size):
+                out_covariances[c, o, m] = S[row, c]
+                out_covariances[c, m, o] = S[row, c]
+            row += 1
+
+
+@compiled
+def match_curved(
+    h: Array, means: Array, steps: Array, within: Array, flat: Array, spheres: Array, mean: Array, covariance: Array
+) -> None:
+    """Moments of those of K Gaussians that are not negligible, reached from means (K, D) along steps (K, n), weighted
+    by h (K,), where there are S³ factors.
+    """
+    n = len(flat)
+    conditionals, e, step = means.copy(), np.empty((len(means), n)), np.empty(n)
+    active, n_active, likeliest = np.empty(len(h), dtype=np.int64), 0, 0
+    for k in range(len(h)):
+        if h[k] < NEGLIGIBLE:
+            continue
+        active[n_active] = k
+        n_active += 1
+        for i in range(n):
+            step[i] = steps[k, i]
+        move(conditionals[k], step, flat, spheres)
+        if h[k] > h[likeliest]:
+            likeliest = k
+    active = active[:n_active]
+    mean[:] = conditionals[likeliest]
+    for s in range(len(spheres)):
+        a = spheres[s, 0]
+        is_far = False
+        for k in active:
+            if abs(along(conditionals[k], mean, a)) < NEAR:
+                is_far = True
+        if is_far:  # there may be several means: the main axis of q q^T does not depend on signs, and lies near one
+            moments = np.zeros((4, 4))
+            for k in active:
+                for i in range(4):
+                    for m in range(4):
+                        moments[i, m] += h[k] * conditionals[k, a + i] * conditionals[k, a + m]
+            mean[a : a + 4] = np.linalg.eigh(moments)[1][:, 3]
+    for _ in range(MAX_STEPS):
+        step[:] = 0.0
+        for k in active:
+            difference(conditionals[k], mean, flat, spheres, e[k])
+            for i in range(n):
+                step[i] += h[k] * e[k, i]
+        move(mean, step, flat, spheres)
+        if longest(step) < MEAN_TOLERANCE:
+            break
+    covariance[:] = 0.0
+    C, R, q = np.empty((n, n)), np.empty((3, 3)), np.empty(4)
+    for k in active:
+        difference(conditionals[k], mean, flat, spheres, e[k])
+        C[:] = within[k]
+        for s in range(len(spheres)):
+            a, t = spheres[s]
+            # half the shortest turn from the component's mean to its conditional one, and from there to the mixture's
+            x, y, z = quaternion_difference(
+                conditionals[k, a], conditionals[k, a + 1], conditionals[k, a + 2], conditionals[k, a + 3],
+                means[k, a], means[k, a + 1], means[k, a + 2], means[k, a + 3],
+            )  # fmt: skip
+            q[:] = 0.0
+            q[3] = 1.0
+            turn(q, 0.5 * x, 0.5 * y, 0.5 * z)
+            turn(q, -0.5 * e[k, t], -0.5 * e[k, t + 1], -0.5 * e[k, t + 2])
+            rotation(q[0], q[1], q[2], q[3], R)
+            rotate(C, t, R)
+        for i in range(n):
+            for m in range(i + 1):
+                covariance[i, m] += h[k] * (C[i, m] + e[k, i] * e[k, m])
+    for i in range(n):
+        for m in range(i):
+            covariance[m, i] = covariance[i, m]
+
+
+@compiled
+def rotate(C: Array, t: int, R: Array) -> None:
+    """C ← R C R^T for the three dimensions from t on."""
+    n = len(C)
+    for i in range(n):
+        c0, c1, c2 = C[i, t], C[i, t + 1], C[i, t + 2]
+        for m in range(3):
+            C[i, t + m] = R[m, 0] * c0 + R[m, 1] * c1 + R[m, 2] * c2
+    for i in range(n):
+        c0, c1, c2 = C[t, i], C[t + 1, i], C[t + 2, i]
+        for m in range(3):
+            C[t + m, i] = R[m, 0] * c0 + R[m, 1] * c1 + R[m, 2] * c2
