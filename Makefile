@@ -15,6 +15,8 @@ PROGRAMS := $(VENV)/lib/tpgmm_ros
 DONE := $(VENV)/.done
 
 SEED ?= 1
+# For `seeds`: numbers and ranges, separated by commas
+SEEDS ?= 1001-1030
 # Of simulated time, for the soak
 MINUTES ?= 30
 # Data sets of others, which are no part of the repository
@@ -26,7 +28,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 say = @printf '\033[1m==> %s\033[0m\n' "$(1)"
 
-.PHONY: help setup lint format test properties faults fuzz determinism soak demo bags results figures figure5 figure6 bench scaling lock clean
+.PHONY: help setup lint format test properties faults fuzz determinism seeds soak demo bags results figures figure5 figure6 bench scaling lock clean
 
 help: ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -55,6 +57,9 @@ fuzz: setup ## files and messages of strangers: refused in words, or sound; 20 0
 determinism: setup ## the demo in lockstep, twice at 1 kHz and at 500 Hz: equal, bit by bit? how fast? out/determinism/ (SEED=7)
 	PYTHONPATH=. $(PYTHON) benchmarks/determinism.py --seed $(SEED)
 
+seeds: setup ## the demo in lockstep in many situations (SEEDS=1001-1030): passed, or the seed and the cause: out/seeds/
+	PYTHONPATH=. $(PYTHON) benchmarks/seeds.py --seeds $(SEEDS)
+
 soak: setup ## 30 minutes of simulated time with random faults (MINUTES=5 for less): tasks, memory: out/soak/
 	PYTHONPATH=. $(PYTHON) benchmarks/soak.py --minutes $(MINUTES) --seed $(SEED)
 
@@ -66,7 +71,7 @@ demo: setup ## train, start the nodes, do the task: out/demo/ (SEED=7 for anothe
 
 bags: setup ## record the demonstrations in bags/ again
 	rm -rf bags/pick_place
-	$(PROGRAMS)/teach --scripted --output bags/pick_place
+	$(PROGRAMS)/teach --scripted --perception exact --output bags/pick_place
 
 results: setup ## the numbers of docs/results.md: leave-one-out on real demonstrations (DATA=directory of the data sets)
 	$(PROGRAMS)/train --task config/baxter_valve.yaml --leave-one-out --report out/results/baxter_valve \

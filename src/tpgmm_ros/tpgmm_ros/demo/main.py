@@ -39,7 +39,10 @@ from tpgmm_ros.reporting import write_report
 from tpgmm_ros.resources import config_file
 from tpgmm_ros.task import Task
 
-START_TIMEOUT = 60.0
+#: How long nodes may take to start, and the movement to end, s: in real time, and in lockstep, where a busy machine is
+#: allowed to take its time.
+START_TIMEOUT = {False: 60.0, True: 600.0}
+END_TIMEOUT = {False: 300.0, True: 1800.0}
 #: Of the simulated robot at least, Hz: its dynamics are the same for controllers of all rates.
 PHYSICS_RATE = 1000.0
 
@@ -59,7 +62,11 @@ def main() -> int:
     try:
         passed = _run(arguments, model_file)
     except (GraphError, OSError, ValueError) as error:
-        write_report(arguments.output, {"passed": False, "error": str(error)})
+        load, cores = os.getloadavg()[0], os.cpu_count() or 1
+        cause = f"the machine is busy: {load:.1f} programs want its {cores} cores" if load > cores + 1 else ""
+        write_report(arguments.output, {"passed": False, "error": str(error), "cause": cause})
+        if cause:
+            print(f"likely cause: {cause}", file=sys.stderr)
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
@@ -93,13 +100,13 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
             _start(graph, arguments, model_file)
             print("3. reproducing in a new situation; the object is pushed and the target hidden on the way")
             if arguments.lockstep:  # simulated time begins with the movement, so that it is the same each time
-                result = _ask(graph, recording)
+                result = _ask(graph, recording, START_TIMEOUT[arguments.lockstep])
             _start_simulator(graph, arguments)
-            graph.wait_for(recording.hand_is_known, START_TIMEOUT, "the hand's pose")
+            graph.wait_for(recording.hand_is_known, START_TIMEOUT[arguments.lockstep], "the hand's pose")
             begun = time.monotonic()
             if not arguments.lockstep:
-                result = _ask(graph, recording)
-            outcome = _outcome(graph, recording, world, result)
+                result = _ask(graph, recording, START_TIMEOUT[arguments.lockstep])
+            outcome = _outcome(graph, recording, world, result, END_TIMEOUT[arguments.lockstep])
             took = time.monotonic() - begun
         executor.remove_node(node)
         node.destroy_node()
@@ -138,13 +145,13 @@ def _start(graph: Graph, arguments: argparse.Namespace, model_file: Path) -> Non
     """All nodes but the simulator."""
     processes, simulated = graph.processes, arguments.lockstep
     both = {"use_sim_time": simulated, "realtime_priority": _priority(arguments)}
-    lockstep = {"lockstep_rate": 100.0, "start_timeout": START_TIMEOUT} if simulated else {}
+    lockstep = {"lockstep_rate": 100.0, "start_timeout": 60.0} if simulated else {}
     processes.start("frame_tracker", task_file=arguments.task, lockstep=simulated, **both)
     answering = {"joint_state_rate": arguments.rate, **both}
     processes.start("reproduction", task_file=arguments.task, model_file=model_file, **lockstep, **answering)
     processes.start("impedance_controller", robot_file=arguments.robot, lockstep=simulated, **answering)
-    graph.bring_up("impedance_controller", START_TIMEOUT)
-    graph.bring_up("reproduction", START_TIMEOUT)
+    graph.bring_up("impedance_controller", START_TIMEOUT[simulated])
+    graph.bring_up("reproduction", START_TIMEOUT[simulated])
 
 
 def _start_simulator(graph: Graph, arguments: argparse.Namespace) -> None:
@@ -162,21 +169,19 @@ def _priority(arguments: argparse.Namespace) -> int:
     return 0 if arguments.lockstep else REALTIME_PRIORITY
 
 
-def _ask(graph: Graph, recording: Recording) -> Future:
+def _ask(graph: Graph, recording: Recording, timeout: float) -> Future:
     """Ask for the movement; returns its result to come once the movement waits for nothing but the robot."""
     client = ActionClient(graph.node, Reproduce, "reproduce")
-    graph.wait_for(client.server_is_ready, START_TIMEOUT, "the action 'reproduce'")
-    goal = graph.result(client.send_goal_async(Reproduce.Goal()), START_TIMEOUT, "the goal to be accepted")
+    graph.wait_for(client.server_is_ready, timeout, "the action 'reproduce'")
+    goal = graph.result(client.send_goal_async(Reproduce.Goal()), timeout, "the goal to be accepted")
     if not goal.accepted:
         raise GraphError("reproduction refused the goal")
     result = goal.get_result_async()
-    graph.wait_for(
-        lambda: result.done() or recording.says("reproduction", "stage"), START_TIMEOUT, "the movement to begin"
-    )
+    graph.wait_for(lambda: result.done() or recording.says("reproduction", "stage"), timeout, "the movement to begin")
     return result
 
 
-def _outcome(graph: Graph, recording: Recording, world: World, result: Future) -> tuple[bool, str]:
+def _outcome(graph: Graph, recording: Recording, world: World, result: Future, timeout: float) -> tuple[bool, str]:
     """Whether the movement succeeded, and what the action said."""
 
     def ended() -> bool:
@@ -185,7 +190,7 @@ def _outcome(graph: Graph, recording: Recording, world: World, result: Future) -
             world.started_ns = recording.first_reference_ns()
         return result.done()
 
-    graph.wait_for(ended, 300.0, "the end of the movement")
+    graph.wait_for(ended, timeout, "the end of the movement")
     if world.started_ns is None:
         raise GraphError(f"the movement never started: {result.result().result.reason}")
     response = result.result()
