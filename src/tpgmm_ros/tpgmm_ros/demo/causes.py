@@ -13,6 +13,9 @@ from tpgmm_ros.pick_place import Grasp
 MAX_LOST_SHARE = 0.01
 MAX_TORQUE_AGE_MS = 5.0
 MIN_PERCEPTION_SHARE = 0.8
+#: More programs than cores that want to run, above which a wait in vain is put down to the machine. The demo's own
+#: nodes are among them: while they start, each wants a core.
+MAX_WAITING_PROGRAMS = 1.0
 
 
 def machine_figures(report: dict[str, Any]) -> list[str]:
@@ -36,6 +39,20 @@ def machine_figures(report: dict[str, Any]) -> list[str]:
             borne = MIN_PERCEPTION_SHARE * perception["camera_hz"]
             found.append(f"of '{frame}' {rate:.0f} poses per second came through (at least {borne:.0f} needed)")
     return found
+
+
+def cause_of_waiting_in_vain(load: float, cores: int, lockstep: bool) -> str:
+    """The likely cause where nothing ended, but something did not come in time; empty if the machine had time for it.
+
+    Args:
+        load: programs that wanted to run, on average over the last minute.
+        cores: that there are for them.
+        lockstep: simulated time waits, and longer already.
+    """
+    if load <= cores + MAX_WAITING_PROGRAMS:
+        return ""
+    remedy = "End other programs" if lockstep else "End other programs, or use --lockstep, which waits longer"
+    return f"The machine was too slow: {load:.1f} programs wanted its {cores} cores. {remedy}."
 
 
 def cause_of_failure(report: dict[str, Any]) -> str:

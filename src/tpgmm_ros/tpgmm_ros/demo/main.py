@@ -28,13 +28,14 @@ from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros import train
+from tpgmm_ros.demo.causes import cause_of_waiting_in_vain
 from tpgmm_ros.demo.pictures import draw
 from tpgmm_ros.demo.recording import Recording
 from tpgmm_ros.demo.report import evaluate, table
 from tpgmm_ros.demo.world import EXACT_RATE, Disturbances, World
 from tpgmm_ros.perception import PERCEPTIONS, Camera, perception
 from tpgmm_ros.pick_place import random_situation
-from tpgmm_ros.processes import REALTIME_PRIORITY, Graph, GraphError, NodeProcesses
+from tpgmm_ros.processes import REALTIME_PRIORITY, Graph, GraphError, GraphTimeoutError, NodeProcesses
 from tpgmm_ros.reporting import write_report
 from tpgmm_ros.resources import config_file
 from tpgmm_ros.task import Task
@@ -62,12 +63,13 @@ def main() -> int:
     try:
         passed = _run(arguments, model_file)
     except (GraphError, OSError, ValueError) as error:
-        load, cores = os.getloadavg()[0], os.cpu_count() or 1
-        cause = f"the machine is busy: {load:.1f} programs want its {cores} cores" if load > cores + 1 else ""
+        cause = ""
+        if isinstance(error, GraphTimeoutError):  # nothing else is a matter of time
+            cause = cause_of_waiting_in_vain(os.getloadavg()[0], os.cpu_count() or 1, arguments.lockstep)
         write_report(arguments.output, {"passed": False, "error": str(error), "cause": cause})
+        print(f"error: {error}", file=sys.stderr)
         if cause:
             print(f"likely cause: {cause}", file=sys.stderr)
-        print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         write_report(arguments.output, {"passed": False, "error": "interrupted"})
