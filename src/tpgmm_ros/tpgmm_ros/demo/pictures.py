@@ -76,11 +76,12 @@ def _path(recording: Recording, world: World, mixture: GaussianMixture) -> plt.F
         ax.plot(*reference[:, sides].T, "--", color="0.35", lw=1.2, label="reference (mean)")
         ax.plot(*hand[:, sides].T, color="#1f4e9c", lw=2, label="hand")
         ax.plot(*hand[0, list(sides)], "o", color="#1f4e9c", ms=6, label="start")
-        # What is shown faintly lies close to what is shown plainly: one name above, the other below.
-        _axes(ax, places[0], sides, "object at first", above=True, alpha=0.35)
-        _axes(ax, places[1], sides, "object, pushed", above=False)
-        _axes(ax, places[2], sides, "target", above=False)
         horizontal, vertical = sides
+        # They lie close together: the upper one has its name above, the lower one below.
+        falls = bool(places[0][vertical] >= places[1][vertical])
+        _axes(ax, places[0], sides, "object at first", above=falls, alpha=0.35)
+        _axes(ax, places[1], sides, "object, pushed", above=not falls)
+        _axes(ax, places[2], sides, "target", above=False)
         ax.set(title=title, ylabel=_AXIS[vertical], aspect="equal")
         ax.set(xlim=(upper[horizontal], lower[horizontal]), ylim=(lower[vertical], upper[vertical]))
         ax.grid(alpha=0.25)
