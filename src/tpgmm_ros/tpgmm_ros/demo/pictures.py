@@ -11,6 +11,7 @@ import matplotlib
 matplotlib.use("Agg")  # headless; must come before pyplot
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
@@ -158,7 +159,8 @@ def _frames(recording: Recording, world: World) -> plt.Figure:
         ax.plot(times, confidence, color="black", lw=1.2)
         _mark_disturbances(ax, world)
         ax.set(ylabel=name, ylim=(-0.03, 1.08), xlim=(0.0, float(times[-1])))
-    handles = [Patch(color=color, alpha=0.45, label=value.name) for value, color in _STATUS_COLORS.items()]
+    handles: list[Artist] = []
+    handles += [Patch(color=color, alpha=0.45, label=value.name) for value, color in _STATUS_COLORS.items()]
     handles += [Line2D([], [], color="black", lw=1.2, label="confidence")]
     handles += [Patch(color=color, alpha=0.25, label=label) for label, color in _DISTURBANCE_COLORS.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=9)
