@@ -17,6 +17,8 @@ DONE := $(VENV)/.steps
 SEED ?= 1
 # Of simulated time, for the soak; of real time, for the stress test
 MINUTES ?= $(if $(filter stress,$(MAKECMDGOALS)),10,30)
+# For `seeds`: numbers and ranges, separated by commas
+SEEDS ?= 1001-1030
 # Data sets of others, which are no part of the repository
 DATA ?= ../shared/data
 
@@ -24,7 +26,7 @@ DATA ?= ../shared/data
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup dev lint format test properties faults fuzz determinism soak demo bags results figures figure5 figure6 bench scaling stress colcon lock clean
+.PHONY: help setup dev lint format test properties faults fuzz determinism seeds soak demo bags results figures figure5 figure6 bench scaling stress colcon lock clean
 
 help: ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -56,6 +58,9 @@ fuzz: dev ## files and messages of strangers: refused in words, or sound; 20 000
 determinism: setup ## the demo in lockstep, twice at 1 kHz and at 500 Hz: equal, bit by bit? how fast? out/determinism/ (SEED=7)
 	PYTHONPATH=. $(PYTHON) benchmarks/determinism.py --seed $(SEED)
 
+seeds: setup ## the demo in lockstep in many situations (SEEDS=1001-1030): passed, or the seed and the cause: out/seeds/
+	PYTHONPATH=. $(PYTHON) benchmarks/seeds.py --seeds $(SEEDS)
+
 soak: setup ## 30 minutes of simulated time with random faults (MINUTES=5 for less): tasks, memory: out/soak/
 	PYTHONPATH=. $(PYTHON) benchmarks/soak.py --minutes $(MINUTES) --seed $(SEED)
 
@@ -67,7 +72,7 @@ demo: setup ## train, start the nodes, do the task: out/demo/ (SEED=7 for anothe
 
 bags: setup ## record the demonstrations in bags/ again
 	rm -rf bags/pick_place
-	$(PROGRAMS)/teach --scripted --output bags/pick_place
+	$(PROGRAMS)/teach --scripted --perception exact --output bags/pick_place
 
 results: setup ## the numbers of docs/results.md: leave-one-out on real demonstrations (DATA=directory of the data sets)
 	$(PROGRAMS)/train --task config/baxter_valve.yaml --leave-one-out --report out/results/baxter_valve \

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from tpgmm_core.manifold import POSE
 from tpgmm_ros import conversions
 from tpgmm_ros.lockstep import nothing_seen
+from tpgmm_ros.perception import Camera, CameraConfig
 from tpgmm_ros.pick_place import Array, random_situation
 from tpgmm_ros.qos import STREAM
 from tpgmm_ros.task import Task
@@ -30,7 +31,7 @@ TICK = 0.01
 
 
 class SoakWorld:
-    """Answers each pose of the hand with one of each frame, with faults.
+    """Answers each pose of the hand with what a camera sees of each frame, with faults.
 
     elapsed : simulated time, s, over all lives of the simulator
     happened : how often each kind of fault began
@@ -40,6 +41,8 @@ class SoakWorld:
         self.elapsed = 0.0
         self.happened: Counter[str] = Counter()
         self._task, self._random = task, random
+        self._camera = Camera(CameraConfig(), int(random.integers(1 << 31)))
+        self._misfortunes: dict[str, set[str]] = {}
         self._places: dict[str, Array] = {}
         self._ends: dict[tuple[str, str], float] = {}
         self._leap = np.zeros(6)
@@ -63,25 +66,37 @@ class SoakWorld:
         if stamp_ns != self._stamp_ns:
             self._stamp_ns = stamp_ns
             self.elapsed += TICK
-            self._said = {name: self._look(name, place) for name, place in self._places.items()}
+            self._misfortunes = {name: self._meet(name) for name in self._places}
+            in_sight = {name: place for name, place in self._places.items() if "hidden" not in self._misfortunes[name]}
+            sighting = self._camera.look(stamp_ns, in_sight)
+            seen = {} if sighting is None else sighting.poses
+            taken_ns = stamp_ns if sighting is None else sighting.stamp_ns
+            self._said = {
+                name: self._say(name, seen[name], taken_ns)
+                if name in seen
+                else nothing_seen(stamp_ns, self._task.base_frame)
+                for name in self._places
+            }
             self._push()
         for name, said in self._said.items():
             self._publishers[name].publish(said)
 
-    def _look(self, name: str, place: Array) -> PoseStamped:
+    def _meet(self, name: str) -> set[str]:
+        """The faults that a frame suffers at this moment."""
         for fault, (probability, duration) in FAULTS.items():
             if self._random.random() < probability and self.elapsed > self._ends.get((name, fault), 0.0):
                 self._ends[name, fault] = self.elapsed + self._random.uniform(*duration)
                 self._leap = self._random.uniform(-LEAP, LEAP, 6)
                 self.happened[fault] += 1
-        going_on = {fault for fault in FAULTS if self.elapsed < self._ends.get((name, fault), 0.0)}
-        if "hidden" in going_on:
-            return nothing_seen(self._stamp_ns, self._task.base_frame)
-        pose = POSE.exp(place, self._leap) if "leaping" in going_on else place.copy()
-        if "no pose" in going_on:
+        return {fault for fault in FAULTS if self.elapsed < self._ends.get((name, fault), 0.0)}
+
+    def _say(self, name: str, seen: Array, stamp_ns: int) -> PoseStamped:
+        """What is said of a frame that was seen."""
+        pose = POSE.exp(seen, self._leap) if "leaping" in self._misfortunes[name] else seen
+        if "no pose" in self._misfortunes[name]:
             pose[self._random.integers(7)] = np.nan
-        frame_id = "camera" if "wrong frame_id" in going_on else self._task.base_frame
-        return conversions.pose_stamped(pose, self._stamp_ns, frame_id)
+        frame_id = "camera" if "wrong frame_id" in self._misfortunes[name] else self._task.base_frame
+        return conversions.pose_stamped(pose, stamp_ns, frame_id)
 
     def _push(self) -> None:
         probability, duration = PUSH

@@ -31,6 +31,12 @@ REPORT: dict[str, Any] = {
     },
     "reproduction_step_ms": {"p50": float, "p99": float},
     "torque_age_ms": {"p50": float, "p99": float},
+    "perception": {"kind": str, "camera_hz": float, "rate_hz": {"object": float, "target": float}},
+    "nearest_to_grasp": {"m": float, "rad": float},
+    "saturated_joints": list,
+    "load": float,
+    "cores": int,
+    "cause": str,
 }
 
 
@@ -78,6 +84,9 @@ def test_the_report_has_all_its_keys_in_plain_numbers_within_what_is_to_be_reach
     assert report["final_position_error_m"] <= 0.01 and report["final_orientation_error_deg"] <= 5.0
     assert 0.0 < report["max_torque_share"] <= 1.0
     assert report["torque_step_when_frame_lost_nm"] <= 0.5 and report["torque_step_when_frame_back_nm"] <= 0.5
+    assert report["cause"] == "" and report["perception"]["kind"] == "camera"
+    for frame, rate in report["perception"]["rate_hz"].items():
+        assert 0.9 * 30.0 < rate < 1.1 * 30.0, frame
     for ticks in report["ticks"].values():
         assert 0 < ticks["done"] <= ticks["asked"]
 
@@ -89,6 +98,14 @@ def test_the_pictures_show_something(demo: tuple[subprocess.CompletedProcess[str
     colors = np.unique((255 * picture[..., :3]).astype(np.uint8).reshape(-1, 3), axis=0)
     assert len(colors) > 200
     assert picture[..., :3].std() > 0.05
+
+
+def test_a_model_that_is_given_is_used_and_one_that_is_none_is_refused_in_words(tmp_path: Path) -> None:
+    (tmp_path / "model.tpgmm").write_text("no model")
+    run = run_demo(tmp_path / "out", "--model", str(tmp_path / "model.tpgmm"))
+    assert run.returncode == 1 and "model.tpgmm" in run.stderr and "Traceback" not in run.stderr
+    assert "training" not in run.stdout
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["passed"] is False
 
 
 def test_a_failed_demo_says_why_and_leaves_no_report_of_an_earlier_success(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from tpgmm_msgs.action import Reproduce
 from tpgmm_ros import train
 from tpgmm_ros.demo.recording import Recording
 from tpgmm_ros.demo.world import Disturbances, World
+from tpgmm_ros.perception import Camera, CameraConfig
 from tpgmm_ros.pick_place import random_situation
 from tpgmm_ros.task import Task
 
@@ -44,7 +45,7 @@ def movement(node: Node, start: StartProcess, model: Path) -> tuple[str, np.ndar
     around = Node("world", context=node.context)
     assert node.executor is not None
     node.executor.add_node(around)
-    world = World(around, task, situation, disturbances, lockstep=True)
+    world = World(around, task, situation, disturbances, Camera(CameraConfig(), seed=5), lockstep=True)
     recorder = Node("recorder", context=node.context)
     recording = Recording(recorder, task, list(RobotModel.from_file(ROBOT_FILE).joint_names))
     waits = {"start_timeout": TIMEOUT, "settle_time": 0.05}

@@ -253,3 +253,44 @@ def test_a_change_is_published_at_once_and_not_with_the_next_regular_message(
     assert time.monotonic() - begin < 0.5 * answers
     process.send_signal(signal.SIGTERM)
     assert process.wait(10.0) == 0
+
+
+def test_in_lockstep_a_tick_waits_for_perception_and_takes_what_it_saw_earlier(
+    ros_node: Node, start_process: StartProcess, tmp_path: Path
+) -> None:
+    task = write_task(tmp_path / "task.yaml", ("left", "right"))
+    process = start_process("frame_tracker", *ros_arguments(task_file=task, lockstep=True, use_sim_time=True))
+    inbox = Inbox(ros_node, TaskParameters, "task_parameters", ALL_LATCHED)
+    topics = {name: f"{name}/pose" for name in ("hand", "left", "right")}
+    publishers = {name: ros_node.create_publisher(PoseStamped, topic, STREAM) for name, topic in topics.items()}
+    spin_until(
+        ros_node,
+        lambda: all(publisher.get_subscription_count() for publisher in publishers.values()),
+        processes=(process,),
+    )
+
+    def answer(tick: int, **seen: tuple[np.ndarray, int]) -> TaskParameters:
+        """What is known at a tick, ns, with what was seen and when; sent as often as it takes."""
+
+        def answered() -> bool:
+            publishers["hand"].publish(conversions.pose_stamped(GOOD, tick, "base"))
+            for name in ("left", "right"):
+                pose, stamp = seen.get(name, (np.full(7, np.nan), tick))
+                publishers[name].publish(conversions.pose_stamped(pose, stamp, "base"))
+            return bool(inbox.messages) and conversions.time_to_ns(inbox.last.header.stamp) == tick
+
+        spin_until(ros_node, answered, message=f"the answer to {tick}", processes=(process,))
+        return inbox.last
+
+    tick, late = SECOND, 30_000_000
+    assert {frame_of(answer(tick), name).status for name in ("left", "right")} == {TaskFrame.MISSING}
+    for i in range(1, 6):
+        tick += late
+        place = GOOD + 0.01 * i * np.eye(7)[0]
+        known = answer(tick, left=(place, tick - late))
+        left, right = frame_of(known, "left"), frame_of(known, "right")
+        assert left.status == TaskFrame.VISIBLE and right.status == TaskFrame.MISSING
+        assert conversions.time_to_ns(left.stamp) == tick - late
+        assert left.b[0] == place[0], "what was seen belongs to the tick that it answers"
+        known = answer(tick + late // 3)
+        assert conversions.time_to_ns(frame_of(known, "left").stamp) == tick - late

@@ -20,6 +20,7 @@ from tpgmm_core.quaternion import Array
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader
+from tpgmm_ros.perception import Camera
 from tpgmm_ros.qos import STREAM
 from tpgmm_ros.task import Task
 from tpgmm_ros.teacher import Teacher, TeacherConfig
@@ -29,8 +30,8 @@ DURATION = 12.0  # s
 #: Steps of the simulation per second, and how often it publishes poses and waits for a wrench, Hz: hands and elbows
 #: take turns.
 RATE, TOUCH_RATE = 500.0, 500.0
-#: One of so many poses is recorded, and the targets are seen then.
-TICKS_PER_OBSERVATION = 10
+#: One of so many poses is recorded; exact perception sees the targets then.
+KEEP_EVERY = 10
 #: Both hands look where it matters; elbows are only kept from drifting.
 HAND = TeacherConfig(stiffness=(2000.0, 60.0), damping=(110.0, 2.0), correction=6.0, max_force=90.0, max_torque=15.0)
 ELBOW = TeacherConfig(stiffness=(300.0, 0.0), damping=(30.0, 0.0), correction=0.0, max_force=30.0, max_torque=0.0)
@@ -116,6 +117,7 @@ class BarLesson:
         task: topics of the targets, by the frames `left_target` and `right_target`.
         robot_file: the robot that is led.
         first: the hand that has priority.
+        camera: sees the targets.
         random: where the variation comes from.
 
     Attributes:
@@ -124,9 +126,11 @@ class BarLesson:
         failure: what the teacher did not manage; empty if all went well.
     """
 
-    def __init__(self, node: Node, task: Task, robot_file: Path, first: str, random: np.random.Generator) -> None:
+    def __init__(
+        self, node: Node, task: Task, robot_file: Path, first: str, camera: Camera, random: np.random.Generator
+    ) -> None:
         self.done, self.duration, self.failure = False, DURATION, ""
-        self._task, self._first, self._random = task, first, random
+        self._task, self._first, self._camera, self._random = task, first, camera, random
         self._robot = RobotModel.from_file(robot_file)
         self._data = self._robot.create_data()
         self._reader = JointReader(self._robot.joint_names)
@@ -168,10 +172,11 @@ class BarLesson:
             self._begin(now, poses)
         time = now - self._start
         targets = self._targets.at(time)
-        if self._ticks % TICKS_PER_OBSERVATION == 0:
-            for hand, publisher in self._places.items():
-                place = np.concatenate([targets[hand], quaternion.IDENTITY])
-                publisher.publish(conversions.pose_stamped(place, self._stamp_ns, self._task.base_frame))
+        places = {hand: np.concatenate([targets[hand], quaternion.IDENTITY]) for hand in HANDS}
+        sighting = self._camera.look(self._stamp_ns, places)
+        if sighting is not None:
+            for hand, pose in sighting.poses.items():
+                self._places[hand].publish(conversions.pose_stamped(pose, sighting.stamp_ns, self._task.base_frame))
         name = list(self._links)[self._ticks % len(self._links)]
         self._ticks += 1
         self.done = time >= DURATION

@@ -17,7 +17,7 @@ from tpgmm_core.tracking import FrameStatus, FrameTracker, TrackedFrame, Trackin
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros import conversions
 from tpgmm_ros.executor import run
-from tpgmm_ros.lockstep import Barrier, is_nothing_seen
+from tpgmm_ros.lockstep import LateBarrier, is_nothing_seen
 from tpgmm_ros.monitor import Monitor
 from tpgmm_ros.parameters import Declared, Parameters
 from tpgmm_ros.qos import LATCHED, STREAM
@@ -28,7 +28,7 @@ PARAMETERS = [
     Declared("task_file", "", "Task file (YAML): frames, their topics, time-outs", fixed=True),
     Declared("rate", 100.0, "Task parameters are published this often, Hz", 1.0, 1000.0, fixed=True),
     Declared(
-        "lockstep", False, "Answer each pose of the movement when all frames have a pose of this stamp", fixed=True
+        "lockstep", False, "Answer each pose of the movement when perception has answered it for all frames", fixed=True
     ),
 ]
 
@@ -54,9 +54,7 @@ class FrameTrackerNode(Node):
         take = self._observe
         if parameters["lockstep"]:
             take = self._collect
-            self._seen: dict[str, PoseStamped] = {}
-            self._answered_ns = -1
-            self._barrier = Barrier(self.task.topics, self._answer)
+            self._barrier = LateBarrier[PoseStamped](self.task.topics, self._answer, self._send)
             self.create_subscription(PoseStamped, self.task.movement, self._tick, STREAM)
         else:
             self.create_timer(1.0 / parameters["rate"], self._publish_regularly, clock=self._loop_clock)
@@ -69,20 +67,17 @@ class FrameTrackerNode(Node):
     # -- in lockstep --------------------------------------------------------------------------------------------------
 
     def _tick(self, message: PoseStamped) -> None:
-        stamp_ns = conversions.time_to_ns(message.header.stamp)
-        self._barrier.take(stamp_ns, stamp_ns)
+        self._barrier.tick(conversions.time_to_ns(message.header.stamp))
 
     def _collect(self, name: str, message: PoseStamped) -> None:
-        self._seen[name] = message
-        self._barrier.came(name, conversions.time_to_ns(message.header.stamp))
+        seen = None if is_nothing_seen(message) else message
+        self._barrier.came(name, conversions.time_to_ns(message.header.stamp), seen)
 
-    def _answer(self, stamp_ns: int) -> None:
-        if stamp_ns != self._answered_ns:
-            self._answered_ns = stamp_ns
-            for name, message in self._seen.items():
-                if not is_nothing_seen(message):
-                    self._take(name, message, stamp_ns, stamp_ns)
-            self._update(stamp_ns)
+    def _answer(self, stamp_ns: int, seen: dict[str, PoseStamped | None]) -> None:
+        for name in self.task.topics:
+            if (message := seen[name]) is not None:
+                self._take(name, message, stamp_ns, stamp_ns)
+        self._update(stamp_ns)
         self._send(stamp_ns)
 
     # -- otherwise ----------------------------------------------------------------------------------------------------

@@ -32,6 +32,10 @@ class GraphError(RuntimeError):
     """A node did not start, did not answer, or ended on its own."""
 
 
+class GraphTimeoutError(GraphError):
+    """What was waited for did not come in time, and no process ended: on a busy machine, perhaps it would have."""
+
+
 def end_with_parent() -> None:
     """To be called in a child process: it gets SIGTERM when the thread that started it ends, also by SIGKILL (Linux).
 
@@ -134,14 +138,15 @@ class Graph:
         """Serve the node until ``condition()`` holds.
 
         Raises:
-            GraphError: it does not within ``timeout`` seconds of steady time, or a process ended.
+            GraphTimeoutError: it does not within ``timeout`` seconds of steady time.
+            GraphError: a process ended.
         """
         deadline = time.monotonic() + timeout
         while not condition():
             self.executor.spin_once(timeout_sec=0.02)
             self.processes.check()
             if time.monotonic() > deadline:
-                raise GraphError(f"waited {timeout:g} s for {what} in vain; see {self.processes.log_directory}")
+                raise GraphTimeoutError(f"waited {timeout:g} s for {what} in vain; see {self.processes.log_directory}")
 
     def result(self, future: Future, timeout: float, what: str) -> Any:
         """What a future (of a service or an action) comes to. Raises GraphError like `wait_for`."""

@@ -50,28 +50,36 @@ def write_report(directory: str | Path, values: dict[str, Any] | list[dict[str, 
     return path
 
 
-def run_with_report(directory: Path, run: Callable[[], bool], errors: tuple[type[Exception], ...]) -> int:
+def run_with_report(
+    directory: Path,
+    run: Callable[[], bool],
+    errors: tuple[type[Exception], ...],
+    cause_of: Callable[[Exception], str] = lambda error: "",
+) -> int:
     """Run a program that leaves a report, whatever happens; returns its exit status.
 
     Args:
         directory: of report.json. One of an earlier success never stands beside a failure.
         run: does the work, writes its report, and returns the verdict.
         errors: what may go wrong, besides the disk; said in one line.
+        cause_of: the likely cause of an error, where there is one to tell.
     """
-    status = 1
+    status, cause = 1, ""
     try:
         (directory / "report.json").unlink(missing_ok=True)
         return 0 if run() else 1
     except Exception as error:
         if not isinstance(error, (OSError, ValueError, *errors)):
             raise
-        reason = one_line(error)
+        reason, cause = one_line(error), cause_of(error)
         print(f"error: {reason}", file=sys.stderr)
+        if cause:
+            print(f"likely cause: {cause}", file=sys.stderr)
     except KeyboardInterrupt:
         reason, status = "interrupted", INTERRUPTED
         print(reason, file=sys.stderr)
     try:
-        write_report(directory, {"passed": False, "error": reason})
+        write_report(directory, {"passed": False, "error": reason, "cause": cause})
     except OSError as error:
         print(f"error: the report could not be written: {one_line(error)}", file=sys.stderr)
     return status

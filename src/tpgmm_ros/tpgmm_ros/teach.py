@@ -34,6 +34,7 @@ from tpgmm_ros import bar_lesson, conversions
 from tpgmm_ros.bag_recorder import BagRecorder
 from tpgmm_ros.bar_lesson import BarLesson
 from tpgmm_ros.executor import StopFlag, init
+from tpgmm_ros.perception import PERCEPTIONS, Camera, perception
 from tpgmm_ros.pick_place import Array, Grasp, Situation, random_situation
 from tpgmm_ros.processes import Graph, GraphError, NodeProcesses
 from tpgmm_ros.qos import STREAM
@@ -43,8 +44,8 @@ from tpgmm_ros.teacher import Intention, Teacher, TeacherConfig
 
 #: Joint states come at up to 1 kHz; a demonstration needs no more than the poses' rate, Hz.
 JOINT_STATE_RATE = 50.0
-#: Perception sees the objects this often, in ticks of the end point's pose.
-TICKS_PER_OBSERVATION = 3
+#: Exact perception sees the objects this often, Hz: at every third pose of the hand.
+EXACT_RATE = 100.0 / 3.0
 #: The arm comes to rest before the teacher takes the hand, s.
 SETTLE = 0.3
 #: After Ctrl-C, s
@@ -62,17 +63,19 @@ class ScriptedLesson:
     The object is seen as long as it lies; in the hand it is hidden.
     """
 
-    def __init__(self, node: Node, task: Task, link: str, situation: Situation, random: np.random.Generator) -> None:
+    def __init__(
+        self, node: Node, task: Task, link: str, situation: Situation, camera: Camera, random: np.random.Generator
+    ) -> None:
         self.done = False
         self._node = node
         self._task = task
         self._link = link
         self._situation = situation
+        self._camera = camera
         self._random = random
         self._grasp = Grasp(situation.object)
         self._start: float | None = None
         self._teacher: Teacher[Intention] | None = None
-        self._ticks = 0
         self._stamp_ns = -1
         self._wrench = np.zeros(6)
         self._wrenches = node.create_publisher(WrenchStamped, "external_wrench", STREAM)
@@ -103,11 +106,14 @@ class ScriptedLesson:
         self._start = now if self._start is None else self._start
         self.time = now - self._start - SETTLE
         self._grasp.update(hand, now)
-        if self._ticks % TICKS_PER_OBSERVATION == 0:
-            self._show("target", self._situation.target)
-            if not self._grasp.holds:
-                self._show("object", self._grasp.object)
-        self._ticks += 1
+        places = {"target": self._situation.target}
+        if not self._grasp.holds:
+            places["object"] = self._grasp.object
+        sighting = self._camera.look(self._stamp_ns, places)
+        if sighting is not None:
+            for name, pose in sighting.poses.items():
+                message = conversions.pose_stamped(pose, sighting.stamp_ns, self._task.base_frame)
+                self._places[name].publish(message)
         if self.time < 0.0 or self.done:
             return
         if self._teacher is None:
@@ -117,37 +123,39 @@ class ScriptedLesson:
         self._wrench = self._teacher.wrench(self.time, hand)
         self.done = self.time >= self.duration
 
-    def _show(self, name: str, place: Array) -> None:
-        self._places[name].publish(conversions.pose_stamped(place, self._stamp_ns, self._task.base_frame))
-
 
 @dataclass(frozen=True, slots=True)
 class LessonKind:
     """How a lesson is made, and what it asks of the simulation.
 
     Attributes:
-        make: the lesson, from the program's node, the task, the robot file and where its variation comes from.
+        make: the lesson, from the program's node, the task, the robot file, the camera and where variation comes from.
+        exact_rate: exact perception sees the objects this often, Hz.
         rate: steps of the simulation per second, Hz.
         pose_rate: it publishes poses and waits for a wrench this often, Hz.
         keep_every: one of so many poses of the hand is recorded.
     """
 
-    make: Callable[[Node, Task, Path, np.random.Generator], ScriptedLesson | BarLesson]
+    make: Callable[[Node, Task, Path, Camera, np.random.Generator], ScriptedLesson | BarLesson]
+    exact_rate: float = EXACT_RATE
     rate: float = 1000.0
     pose_rate: float = 100.0
     keep_every: int = 1
 
 
-def _pick_place(node: Node, task: Task, robot_file: Path, random: np.random.Generator) -> ScriptedLesson:
+def _pick_place(
+    node: Node, task: Task, robot_file: Path, camera: Camera, random: np.random.Generator
+) -> ScriptedLesson:
     link = RobotModel.from_file(robot_file).endpoints[task.endpoint].frame
-    return ScriptedLesson(node, task, link, random_situation(random), random)
+    return ScriptedLesson(node, task, link, random_situation(random), camera, random)
 
 
 def _bar(first: str) -> LessonKind:
-    def make(node: Node, task: Task, robot_file: Path, random: np.random.Generator) -> BarLesson:
-        return BarLesson(node, task, robot_file, first, random)
+    def make(node: Node, task: Task, robot_file: Path, camera: Camera, random: np.random.Generator) -> BarLesson:
+        return BarLesson(node, task, robot_file, first, camera, random)
 
-    return LessonKind(make, bar_lesson.RATE, bar_lesson.TOUCH_RATE, bar_lesson.TICKS_PER_OBSERVATION)
+    exact_rate = bar_lesson.TOUCH_RATE / bar_lesson.KEEP_EVERY
+    return LessonKind(make, exact_rate, bar_lesson.RATE, bar_lesson.TOUCH_RATE, bar_lesson.KEEP_EVERY)
 
 
 #: By the name of their task file in config/.
@@ -155,9 +163,18 @@ LESSONS = {"pick_place": LessonKind(_pick_place), "left_first": _bar("left"), "r
 
 
 def record_scripted(
-    task: Task, robot_file: Path, output: Path, count: int, seed: int, lesson: str = "pick_place"
+    task: Task,
+    robot_file: Path,
+    output: Path,
+    count: int,
+    seed: int,
+    lesson: str = "pick_place",
+    perceived: str = "camera",
 ) -> list[Path]:
     """Record ``count`` demonstrations of one of LESSONS; existing ones are kept and not made again.
+
+    Args:
+        perceived: how the objects are seen, one of PERCEPTIONS.
 
     Raises:
         GraphError: a node failed, or the scripted teacher did not manage what it is to show.
@@ -175,7 +192,9 @@ def record_scripted(
                     progress.write(f"{path}: exists, kept")
                 else:
                     random = np.random.default_rng([seed, index])
-                    words = _record_lesson(task, robot_file, LESSONS[lesson], path, random, Path(logs), stop)
+                    # numbers of its own: the teacher does the same whatever perception is like
+                    camera = Camera(perception(perceived, LESSONS[lesson].exact_rate), [seed, index, 0xCA])
+                    words = _record_lesson(task, robot_file, LESSONS[lesson], path, camera, random, Path(logs), stop)
                     progress.write(f"{path}: {words}")
                     made.append(path)
                 progress.update()
@@ -188,6 +207,7 @@ def _record_lesson(
     robot_file: Path,
     kind: LessonKind,
     path: Path,
+    camera: Camera,
     random: np.random.Generator,
     logs: Path,
     stop: StopFlag,
@@ -216,7 +236,7 @@ def _record_lesson(
         graph.wait_for(lambda: node.count_publishers("joint_torques") > 0, 30.0, "the controller")
         keep_every = {"joint_states": round(kind.rate / JOINT_STATE_RATE), task.movement: kind.keep_every}
         with BagRecorder(node, path, topics_of(task), keep_every=keep_every) as recorder:
-            lesson = kind.make(node, task, robot_file, random)
+            lesson = kind.make(node, task, robot_file, camera, random)
             graph.wait_for(lambda: lesson.done or stop.set, 300.0, "the end of the demonstration")
             lesson.close()
             if stop.set:
@@ -273,6 +293,12 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=16, help=f"demonstrations to record with --scripted {shown}")
     parser.add_argument("--seed", type=int, default=0, help=f"of the scripted teacher's variation {shown}")
     parser.add_argument(
+        "--perception",
+        choices=PERCEPTIONS,
+        default="camera",
+        help=f"how --scripted sees the objects: 30 Hz, late and with noise, or without a fault {shown}",
+    )
+    parser.add_argument(
         "--robot", type=Path, default=config_file("baxter.yaml"), help=f"robot file, with --scripted {shown}"
     )
     arguments = parser.parse_args()
@@ -282,7 +308,9 @@ def main() -> int:
         task = Task.load(arguments.task or config_file(f"{arguments.lesson}.yaml"))
         if arguments.scripted:
             count, seed = arguments.count, arguments.seed
-            made = record_scripted(task, arguments.robot, arguments.output, count, seed, arguments.lesson)
+            made = record_scripted(
+                task, arguments.robot, arguments.output, count, seed, arguments.lesson, arguments.perception
+            )
             print(f"{len(made)} demonstrations recorded in {arguments.output}")
         else:
             counts = record_live(task, arguments.output)

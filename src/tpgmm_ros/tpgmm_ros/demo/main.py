@@ -27,30 +27,44 @@ from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros import train
+from tpgmm_ros.demo.causes import cause_of_waiting_in_vain
 from tpgmm_ros.demo.pictures import draw
 from tpgmm_ros.demo.recording import Recording
 from tpgmm_ros.demo.report import evaluate, table
-from tpgmm_ros.demo.world import Disturbances, World
+from tpgmm_ros.demo.world import EXACT_RATE, Disturbances, World
 from tpgmm_ros.entry import INTERRUPTED
 from tpgmm_ros.executor import init
+from tpgmm_ros.perception import PERCEPTIONS, Camera, perception
 from tpgmm_ros.pick_place import random_situation
-from tpgmm_ros.processes import REALTIME_PRIORITY, Graph, GraphError, NodeProcesses
+from tpgmm_ros.processes import REALTIME_PRIORITY, Graph, GraphError, GraphTimeoutError, NodeProcesses
 from tpgmm_ros.reporting import run_with_report, write_report
 from tpgmm_ros.resources import config_file
 from tpgmm_ros.task import Task
 
-START_TIMEOUT = 60.0
+#: How long nodes may take to start, and the movement to end, s: in real time, and in lockstep, where a busy machine is
+#: allowed to take its time.
+START_TIMEOUT = {False: 60.0, True: 600.0}
+END_TIMEOUT = {False: 300.0, True: 1800.0}
 #: Of the simulated robot at least, Hz: its dynamics are the same for controllers of all rates.
 PHYSICS_RATE = 1000.0
 
 
 def main() -> int:
     arguments = _parser().parse_args()
-    return run_with_report(arguments.output, lambda: _train_and_run(arguments), (GraphError,))
+
+    def cause_of(error: Exception) -> str:
+        if not isinstance(error, GraphTimeoutError):  # nothing else is a matter of time
+            return ""
+        return cause_of_waiting_in_vain(os.getloadavg()[0], os.cpu_count() or 1, arguments.lockstep)
+
+    return run_with_report(arguments.output, lambda: _train_and_run(arguments), (GraphError,), cause_of)
 
 
 def _train_and_run(arguments: argparse.Namespace) -> bool:
-    model_file = arguments.output / "pick_place.tpgmm"
+    model_file = arguments.model or arguments.output / "pick_place.tpgmm"
+    if arguments.model:
+        print(f"1. using the model {model_file}")
+        return _run(arguments, model_file)
     print(f"1. training from {arguments.bags}")
     status = train.main(["--task", str(arguments.task), "--output", str(model_file), str(arguments.bags)])
     if status == INTERRUPTED:
@@ -75,20 +89,22 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
         executor.add_node(node)
         recorder = Node("demo_recorder")
         recording = Recording(recorder, task, list(robot.joint_names))
-        world = World(node, task, situation, disturbances, arguments.lockstep)
+        # numbers of its own: the situation is the same whatever perception is like
+        camera = Camera(perception(arguments.perception, EXACT_RATE), [arguments.seed, 0xDE, 0xCA])
+        world = World(node, task, situation, disturbances, camera, arguments.lockstep)
         with NodeProcesses(arguments.output / "log") as processes:
             graph = Graph(node, executor, processes)
             print(f"2. starting the nodes (logs: {processes.log_directory})")
             _start(graph, arguments, model_file)
             print("3. reproducing in a new situation; the object is pushed and the target hidden on the way")
             if arguments.lockstep:  # simulated time begins with the movement, so that it is the same each time
-                result = _ask(graph, recording)
+                result = _ask(graph, recording, START_TIMEOUT[arguments.lockstep])
             _start_simulator(graph, arguments)
-            graph.wait_for(recording.hand_is_known, START_TIMEOUT, "the hand's pose")
+            graph.wait_for(recording.hand_is_known, START_TIMEOUT[arguments.lockstep], "the hand's pose")
             begun = time.monotonic()
             if not arguments.lockstep:
-                result = _ask(graph, recording)
-            outcome = _outcome(graph, recording, world, result)
+                result = _ask(graph, recording, START_TIMEOUT[arguments.lockstep])
+            outcome = _outcome(graph, recording, world, result, END_TIMEOUT[arguments.lockstep])
             took = time.monotonic() - begun
         executor.remove_node(node)
         node.destroy_node()
@@ -97,6 +113,8 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
     report = evaluate(recording, world, robot.effort_limits, outcome, arguments.lockstep)
     assert world.started_ns is not None
     report["rate_hz"] = arguments.rate
+    report["seed"] = arguments.seed
+    report["perception"]["kind"] = arguments.perception
     report["real_time_factor"] = report["movement_time_s"] / took
     report["digest"] = recording.digest(world.started_ns, demonstrated_duration(model))
     pushed = disturbances.pushed(situation.object, np.inf)
@@ -125,13 +143,13 @@ def _start(graph: Graph, arguments: argparse.Namespace, model_file: Path) -> Non
     """All nodes but the simulator."""
     processes, simulated = graph.processes, arguments.lockstep
     both = {"use_sim_time": simulated, "realtime_priority": _priority(arguments)}
-    lockstep = {"lockstep_rate": 100.0, "start_timeout": START_TIMEOUT} if simulated else {}
+    lockstep = {"lockstep_rate": 100.0, "start_timeout": 60.0} if simulated else {}
     processes.start("frame_tracker", task_file=arguments.task, lockstep=simulated, **both)
     answering = {"joint_state_rate": arguments.rate, **both}
     processes.start("reproduction", task_file=arguments.task, model_file=model_file, **lockstep, **answering)
     processes.start("impedance_controller", robot_file=arguments.robot, lockstep=simulated, **answering)
-    graph.bring_up("impedance_controller", START_TIMEOUT)
-    graph.bring_up("reproduction", START_TIMEOUT)
+    graph.bring_up("impedance_controller", START_TIMEOUT[simulated])
+    graph.bring_up("reproduction", START_TIMEOUT[simulated])
 
 
 def _start_simulator(graph: Graph, arguments: argparse.Namespace) -> None:
@@ -149,21 +167,19 @@ def _priority(arguments: argparse.Namespace) -> int:
     return 0 if arguments.lockstep else REALTIME_PRIORITY
 
 
-def _ask(graph: Graph, recording: Recording) -> Future:
+def _ask(graph: Graph, recording: Recording, timeout: float) -> Future:
     """Ask for the movement; returns its result to come once the movement waits for nothing but the robot."""
     client = ActionClient(graph.node, Reproduce, "reproduce")
-    graph.wait_for(client.server_is_ready, START_TIMEOUT, "the action 'reproduce'")
-    goal = graph.result(client.send_goal_async(Reproduce.Goal()), START_TIMEOUT, "the goal to be accepted")
+    graph.wait_for(client.server_is_ready, timeout, "the action 'reproduce'")
+    goal = graph.result(client.send_goal_async(Reproduce.Goal()), timeout, "the goal to be accepted")
     if not goal.accepted:
         raise GraphError("reproduction refused the goal")
     result = goal.get_result_async()
-    graph.wait_for(
-        lambda: result.done() or recording.says("reproduction", "stage"), START_TIMEOUT, "the movement to begin"
-    )
+    graph.wait_for(lambda: result.done() or recording.says("reproduction", "stage"), timeout, "the movement to begin")
     return result
 
 
-def _outcome(graph: Graph, recording: Recording, world: World, result: Future) -> tuple[bool, str]:
+def _outcome(graph: Graph, recording: Recording, world: World, result: Future, timeout: float) -> tuple[bool, str]:
     """Whether the movement succeeded, and what the action said."""
 
     def ended() -> bool:
@@ -172,7 +188,7 @@ def _outcome(graph: Graph, recording: Recording, world: World, result: Future) -
             world.started_ns = recording.first_reference_ns()
         return result.done()
 
-    graph.wait_for(ended, 300.0, "the end of the movement")
+    graph.wait_for(ended, timeout, "the end of the movement")
     if world.started_ns is None:
         raise GraphError(f"the movement never started: {result.result().result.reason}")
     response = result.result()
@@ -187,6 +203,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--bags", type=Path, default=Path("bags/pick_place"), help="the demonstrations (default: %(default)s)"
     )
+    parser.add_argument("--model", type=Path, help="a model file of the task to use, in place of training one")
     parser.add_argument(
         "--output", type=Path, default=Path("out/demo"), help="report, pictures, model, logs (default: %(default)s)"
     )
@@ -195,6 +212,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--robot", type=Path, default=config_file("baxter.yaml"), help="robot file (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--perception",
+        choices=PERCEPTIONS,
+        default="camera",
+        help="camera: object and target are seen 30 times per second, 30 ms late, with noise of 1 mm and 0.5 deg; "
+        "exact: where they are, at once (default: %(default)s)",
     )
     parser.add_argument(
         "--lockstep", action="store_true", help="as fast as possible on simulated time, not in real time"

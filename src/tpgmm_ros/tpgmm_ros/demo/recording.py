@@ -129,6 +129,14 @@ class Recording:
                 rows[item.name].append((message, np.array([item.status, item.confidence])))
         return {name: _series(values) for name, values in rows.items()}
 
+    def observations(self, since_ns: int) -> dict[str, int]:
+        """How many observations of each frame came through to the task parameters since a stamp."""
+        stamps: dict[str, set[int]] = {name: set() for name in self._frame_names}
+        for message in self._messages(TaskParameters):
+            for item in message.frames:
+                stamps[item.name].add(conversions.time_to_ns(item.stamp))
+        return {name: sum(stamp >= since_ns for stamp in seen) for name, seen in stamps.items()}
+
     def diagnostics(self, node: str, since_ns: int) -> list[dict[str, str]]:
         """What a node has published about itself since a stamp, oldest first; without any since then, the last one."""
         rows = [

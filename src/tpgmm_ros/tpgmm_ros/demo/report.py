@@ -4,10 +4,13 @@
 from __future__ import annotations
 
 import math
+import os
+import textwrap
 from typing import Any
 
 import numpy as np
 
+from tpgmm_ros.demo.causes import cause_of_failure
 from tpgmm_ros.demo.recording import Recording, Series
 from tpgmm_ros.demo.world import World
 from tpgmm_ros.pick_place import pose_error
@@ -21,6 +24,8 @@ LARGEST_POSITION_ERROR = 0.01
 LARGEST_ORIENTATION_ERROR = 5.0
 LARGEST_TORQUE_SHARE = 1.0
 JUMP = 0.5
+#: A motor that gives this share of what it can give counts as one at its limit.
+SATURATED = 0.999
 #: A frame that came back is watched for this long, s.
 AFTERWARDS = 0.5
 #: s from one command to the next.
@@ -60,7 +65,8 @@ def evaluate(
     diagnostics = {node: recording.diagnostics(node, world.started_ns) for node in NODES}
     simulator = diagnostics["baxter_simulator"][-1]
     reproduction = diagnostics["reproduction"][-1]
-    return {
+    at_limit = (np.abs(torque.values) >= SATURATED * effort_limits).any(axis=0)
+    report = {
         "passed": all(checks.values()),
         "final_position_error_m": position,
         "final_orientation_error_deg": orientation,
@@ -76,7 +82,22 @@ def evaluate(
         "movement_time_s": float(torque.times(world.started_ns)[-1]),
         "outcome": outcome[1],
         "checks": checks,
+        "lockstep": lockstep,
+        "perception": _perception(recording, world),
+        "nearest_to_grasp": {"m": float(world.nearest[0]), "rad": float(world.nearest[1])},
+        "saturated_joints": [name for name, full in zip(recording.joints, at_limit, strict=True) if full],
+        "load": os.getloadavg()[0],
+        "cores": os.cpu_count() or 1,
     }
+    return report | {"cause": cause_of_failure(report)}
+
+
+def _perception(recording: Recording, world: World) -> dict[str, Any]:
+    """What of the camera's images came through to the task parameters, per second in which the object was in sight."""
+    assert world.started_ns is not None
+    counts = recording.observations(world.started_ns)
+    rates = {name: counts[name] / time for name, time in world.in_sight_s.items() if time > 0.0}
+    return {"camera_hz": world.camera.config.rate, "rate_hz": rates}
 
 
 def _usual_step(torque: Series, origin_ns: int, hidden: tuple[float, float]) -> float:
@@ -143,6 +164,10 @@ def table(report: dict[str, Any]) -> str:
     for key, name in (("reproduction_step_ms", "reproduction step"), ("torque_age_ms", "torque age")):
         values = report[key]
         rows.append((name, f"p50 {values['p50']:.2f} ms, p99 {values['p99']:.2f} ms", ""))
+    perception = report["perception"]
+    for frame, rate in perception["rate_hz"].items():
+        rows.append((f"poses of '{frame}' that came", f"{rate:.1f} of {perception['camera_hz']:.1f} per s", ""))
     rows += [(what, "yes" if ok else "NO", "yes") for what, ok in report["checks"].items()]
     rows.append(("passed", "yes" if report["passed"] else "NO", "yes"))
-    return format_table(("what", "measured", "to reach"), rows)
+    text = format_table(("what", "measured", "to reach"), rows)
+    return f"{text}\n{textwrap.fill('cause: ' + report['cause'], 120)}" if report["cause"] else text

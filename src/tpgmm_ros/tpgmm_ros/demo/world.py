@@ -12,12 +12,13 @@ from rclpy.node import Node
 from tpgmm_core.manifold import POSE
 from tpgmm_ros import conversions
 from tpgmm_ros.lockstep import nothing_seen
-from tpgmm_ros.pick_place import Array, Grasp, Situation
+from tpgmm_ros.perception import Camera
+from tpgmm_ros.pick_place import Array, Grasp, Situation, hand_at, pose_error
 from tpgmm_ros.qos import STREAM
 from tpgmm_ros.task import Task
 
-#: Perception sees the objects at this share of the rate of the hand's pose.
-TICKS_PER_OBSERVATION = 3
+#: Exact perception sees the objects this often, Hz: at every third pose of the hand.
+EXACT_RATE = 100.0 / 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,23 +70,34 @@ class World:
         task: the topics.
         situation: where things lie at first.
         disturbances: what happens on the way.
-        lockstep: answer each pose of the hand with one of each frame, also where it is not seen; the movement starts
-            with the first one.
+        camera: sees object and target.
+        lockstep: answer each pose of the hand with one message for each frame, also where it is not seen; the movement
+            starts with the first one.
 
     Attributes:
         started_ns: stamp of the movement's start, ns; as long as it is None, the disturbances wait.
+        in_sight_s: for how long each of the objects could be seen during the movement, s.
+        nearest: how near (m, rad) the hand came to where it could grasp the object.
     """
 
     def __init__(
-        self, node: Node, task: Task, situation: Situation, disturbances: Disturbances, lockstep: bool = False
+        self,
+        node: Node,
+        task: Task,
+        situation: Situation,
+        disturbances: Disturbances,
+        camera: Camera,
+        lockstep: bool = False,
     ) -> None:
         self.situation = situation
         self.disturbances = disturbances
         self.grasp = Grasp(situation.object)
         self.started_ns: int | None = None
         self._task = task
+        self.camera = camera
         self._lockstep = lockstep
-        self._ticks = 0
+        self.in_sight_s = dict.fromkeys(task.topics, 0.0)
+        self.nearest = np.inf, np.inf
         self._answered_ns = -1
         self._said: dict[str, PoseStamped] = {}
         self._publishers = {
@@ -96,25 +108,35 @@ class World:
     def _answer(self, message: PoseStamped) -> None:
         stamp_ns = conversions.time_to_ns(message.header.stamp)
         if stamp_ns != self._answered_ns:
-            self._answered_ns = stamp_ns
             if self._lockstep and self.started_ns is None:
                 self.started_ns = stamp_ns
-            self._live(conversions.pose_to_array(message.pose), stamp_ns)
+            elapsed = 1e-9 * (stamp_ns - self._answered_ns) if self._answered_ns >= 0 else 0.0
+            self._answered_ns = stamp_ns
+            self._live(conversions.pose_to_array(message.pose), stamp_ns, elapsed)
         for name, said in self._said.items():
             self._publishers[name].publish(said)
 
-    def _live(self, hand: Array, stamp_ns: int) -> None:
-        """What happens until a moment, with the hand where it is then, and what is seen of it."""
+    def _live(self, hand: Array, stamp_ns: int, elapsed: float) -> None:
+        """What happens until a moment, with the hand where it is then, and what is known of it."""
         time = -np.inf if self.started_ns is None else 1e-9 * (stamp_ns - self.started_ns)
         self.grasp.move_object(self.disturbances.pushed(self.situation.object, time))
         self.grasp.update(hand, 1e-9 * stamp_ns)
+        if not self.grasp.holds:
+            self.nearest = min(self.nearest, pose_error(hand, hand_at(self.grasp.object)))
         places = {"target": self.situation.target, "object": self.grasp.object}
-        looks = self._ticks % TICKS_PER_OBSERVATION == 0
+        in_sight = {name: place for name, place in places.items() if self._is_in_sight(name, time)}
+        if time >= 0.0:
+            for name in in_sight:
+                self.in_sight_s[name] += elapsed
+        sighting = self.camera.look(stamp_ns, in_sight)
         self._said = {}
-        for name, place in places.items():
-            is_held = name == "object" and self.grasp.holds
-            if looks and not is_held and not self.disturbances.hides(name, time):
-                self._said[name] = conversions.pose_stamped(place, stamp_ns, self._task.base_frame)
+        for name in places:
+            if sighting is not None and name in sighting.poses:
+                pose = sighting.poses[name]
+                self._said[name] = conversions.pose_stamped(pose, sighting.stamp_ns, self._task.base_frame)
             elif self._lockstep:
                 self._said[name] = nothing_seen(stamp_ns, self._task.base_frame)
-        self._ticks += 1
+
+    def _is_in_sight(self, name: str, time: float) -> bool:
+        is_held = name == "object" and self.grasp.holds
+        return not is_held and not self.disturbances.hides(name, time)

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The demo in lockstep for many seeds: each is a situation of its own, with pushes, hidden frames and noise of its own.
+
+One model is trained for all of them. Prints a table, and the cause where a seed failed; writes out/seeds/report.json,
+after each seed, and beside it what its demo leaves. Status 0 only if every seed passed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from tpgmm_ros import train
+from tpgmm_ros.perception import PERCEPTIONS
+from tpgmm_ros.reporting import format_table, write_report
+from tpgmm_ros.resources import config_file
+
+TASK_FILE = config_file("pick_place.yaml")
+BAGS = Path("bags/pick_place")
+#: For one seed, s: on a machine with two free cores it takes half a minute.
+TIMEOUT = 900.0
+HEADER = ("seed", "passed", "position, mm", "orientation, deg", "outcome", "cause")
+
+
+def seeds_of(text: str) -> list[int]:
+    """Numbers and ranges, separated by commas: "3,1001-1030"."""
+    seeds: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
+        if match is None:
+            raise argparse.ArgumentTypeError(f"'{part}': give numbers and ranges, such as 3,1001-1030")
+        first, last = int(match[1]), int(match[2] or match[1])
+        if last < first:
+            raise argparse.ArgumentTypeError(f"'{part}': the range ends before it begins")
+        seeds += range(first, last + 1)
+    return list(dict.fromkeys(seeds))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    shown = "(default: %(default)s)"
+    parser.add_argument("--seeds", type=seeds_of, default="1001-1030", help=f"numbers and ranges {shown}")
+    parser.add_argument("--model", type=Path, help="a model file to use, in place of training one")
+    parser.add_argument("--perception", choices=PERCEPTIONS, default="camera", help=f"see demo --help {shown}")
+    parser.add_argument("--output", type=Path, default=Path("out/seeds"), help=f"reports, model, pictures {shown}")
+    arguments = parser.parse_args()
+    (arguments.output / "report.json").unlink(missing_ok=True)
+    model = arguments.model or arguments.output / "pick_place.tpgmm"
+    if arguments.model is None and train.main(["--task", str(TASK_FILE), "--output", str(model), str(BAGS)]) != 0:
+        return 1
+    rows: list[dict[str, Any]] = []
+    begun = time.monotonic()
+    for seed in arguments.seeds:
+        rows.append(run(seed, model, arguments.perception, arguments.output / str(seed)))
+        verdict = "passed" if rows[-1]["passed"] else f"FAILED: {rows[-1]['cause']}"
+        minutes = (time.monotonic() - begun) / 60.0
+        print(f"seed {seed} ({len(rows)} of {len(arguments.seeds)}, {minutes:.1f} min): {verdict}", flush=True)
+        # after each: who ends this early keeps what is known
+        failed = [row["seed"] for row in rows if not row["passed"]]
+        passed = not failed and len(rows) == len(arguments.seeds)
+        path = write_report(arguments.output, {"passed": passed, "failed": failed, "seeds": rows})
+    print(table(rows))
+    print(f"{len(rows) - len(failed)} of {len(rows)} seeds passed" + (f"; failed: {failed}" if failed else ""))
+    print(f"report: {path}")
+    return 0 if passed else 1
+
+
+def run(seed: int, model: Path, perceived: str, output: Path) -> dict[str, Any]:
+    """One demo in a process of its own; what came of it."""
+    command = [sys.executable, "-m", "tpgmm_ros.demo", "--lockstep", "--seed", str(seed), "--model", str(model)]
+    command += ["--perception", perceived, "--output", str(output)]
+    said = ""
+    (output / "report.json").unlink(missing_ok=True)
+    try:
+        ended = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+        said = ended.stderr.strip()
+        report = json.loads((output / "report.json").read_text())
+    except subprocess.TimeoutExpired:
+        report = {"passed": False, "error": f"not done in {TIMEOUT:g} s"}
+    except FileNotFoundError:
+        report = {"passed": False, "error": f"the demo left no report: {said}"}
+    return {
+        "seed": seed,
+        "passed": report["passed"],
+        "final_position_error_m": report.get("final_position_error_m"),
+        "final_orientation_error_deg": report.get("final_orientation_error_deg"),
+        "torque_step_when_frame_lost_nm": report.get("torque_step_when_frame_lost_nm"),
+        "torque_step_when_frame_back_nm": report.get("torque_step_when_frame_back_nm"),
+        "largest_torque_step_nm": report.get("largest_torque_step_nm"),
+        "outcome": report.get("outcome", ""),
+        "cause": " ".join(filter(None, (report.get("error"), report.get("cause")))),
+    }
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The results for people."""
+
+    def cells(row: dict[str, Any]) -> tuple[str, ...]:
+        position, orientation = row["final_position_error_m"], row["final_orientation_error_deg"]
+        return (
+            str(row["seed"]),
+            "yes" if row["passed"] else "NO",
+            "-" if position is None else f"{1e3 * position:.2f}",
+            "-" if orientation is None else f"{orientation:.2f}",
+            row["outcome"],
+            row["cause"],
+        )
+
+    return format_table(HEADER, [cells(row) for row in rows])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
