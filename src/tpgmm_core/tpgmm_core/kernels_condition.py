@@ -316,16 +316,16 @@ def match_curved(
     n = len(flat)
     conditionals, e, step = means.copy(), np.empty((len(means), n)), np.empty(n)
     active, n_active, likeliest = np.empty(len(h), dtype=np.int64), 0, 0
-    for k in range(len(h)):
-        if h[k] < NEGLIGIBLE:
+    for j in range(len(h)):
+        if h[j] < NEGLIGIBLE:
             continue
-        active[n_active] = k
+        active[n_active] = j
         n_active += 1
         for i in range(n):
-            step[i] = steps[k, i]
-        move(conditionals[k], step, flat, spheres)
-        if h[k] > h[likeliest]:
-            likeliest = k
+            step[i] = steps[j, i]
+        move(conditionals[j], step, flat, spheres)
+        if h[j] > h[likeliest]:
+            likeliest = j
     active = active[:n_active]
     mean[:] = conditionals[likeliest]
     for s in range(len(spheres)):
