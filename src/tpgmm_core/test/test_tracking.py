@@ -141,3 +141,13 @@ def test_a_pose_out_of_all_proportion_is_refused_whatever_its_squares_are(number
     with np.errstate(all="raise"):
         checked, reason = check_pose(pose)
     assert checked is None and "out of all proportion" in reason
+
+
+@pytest.mark.parametrize("at", range(7))
+def test_integers_that_a_message_has_taken_for_floats_are_named(at: int) -> None:
+    """The bits of an int of rclpy, read as a double: position and quaternion would be silently wrong."""
+    pose = np.array([0.5, 0.1, 0.2, 0.0, 0.0, 0.0, 1.0])
+    pose[at] = 5e-324
+    accepted, reason = check_pose(pose)
+    assert accepted is None
+    assert "write 1.0, not 1" in reason
