@@ -9,7 +9,6 @@ push.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +22,9 @@ from tpgmm_core.control.kernels_impedance import (
     arm_torques,
     lead,
     pose_difference,
+    scaled_length,
     standing_torques,
+    waiting_share,
 )
 from tpgmm_core.control.lqr import double_integrator_gains
 from tpgmm_core.control.operational_space import bound_twist
@@ -196,7 +197,7 @@ class ImpedanceLaw:
             goal = self._target.reference
             margin = min(self._target.delay_margin, self._null_space_margin)
             share = borne_share(margin, moment.loop.delay)
-            asked = float(np.linalg.norm(self._scale * goal.twist))
+            asked = float(scaled_length(self._scale, goal.twist))
             if target is not None:
                 pose_difference(pose, target.reference.pose, error)
                 lag = Lag.of_pose(error)
@@ -250,7 +251,7 @@ class ImpedanceLaw:
             lag=lag,
             delay_margin=margin,
             share=share,
-            moves=float(np.linalg.norm(self._scale * twist)),
+            moves=float(scaled_length(self._scale, twist)),
             asked=asked,
         )
 
@@ -273,16 +274,12 @@ class ImpedanceLaw:
             self._target = replace(self._target, reference=still)
 
     def _waits(self, hand: Array) -> float:
-        """Share of its speed that the pose moves on with: none where the hand lags by twice as much as then."""
-        if self._target is None:
+        """Share of its speed that the pose moves on with; see `waiting_share`."""
+        last, config = self._target, self.config
+        if last is None:
             return 1.0
-        lag = np.empty(6)
-        pose_difference(hand, self._target.reference.pose, lag)
-        asked = self._target.K_V @ (self._target.ratio @ lag)
-        x, y, z, a, b, c = asked.tolist()
-        config = self.config
-        lags = max(math.hypot(x, y, z) / config.max_linear_speed, math.hypot(a, b, c) / config.max_angular_speed)
-        return min(max(2.0 - lags, 0.0), 1.0)
+        limits = config.max_linear_speed, config.max_angular_speed
+        return float(waiting_share(hand, last.reference.pose, last.K_V, last.ratio, *limits))
 
     def _approach(self, target: PoseTarget, hand: Array, dt: float) -> PoseTarget:
         """The target as far as it may have come since the last one, or from where the hand is."""

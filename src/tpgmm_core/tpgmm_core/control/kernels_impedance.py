@@ -44,6 +44,40 @@ def approach(pose: Array, goal: Array, max_linear: float, max_angular: float) ->
 
 
 @compiled
+def multiply_add(A: Array, x: Array, y: Array) -> None:
+    """y += A x, for A (n, m), x (m,), y (n,)."""
+    for i in range(len(A)):
+        total = 0.0
+        for j in range(A.shape[1]):
+            total += A[i, j] * x[j]
+        y[i] += total
+
+
+@compiled
+def waiting_share(hand: Array, pose: Array, K_V: Array, ratio: Array, max_linear: float, max_angular: float) -> float:
+    """Share (0 to 1) of its speed that a pose (7,) moves on with: none where the hand lags by twice as much as then.
+
+    K_V, ratio (6, 6) : the lag that goes with a speed is (K_V ratio)^-1 of it; max_linear, max_angular : m/s and rad/s
+    """
+    lag, turned, asked = np.empty(6), np.zeros(6), np.zeros(6)
+    pose_difference(hand, pose, lag)
+    multiply_add(ratio, lag, turned)
+    multiply_add(K_V, turned, asked)
+    linear = math.sqrt(asked[0] ** 2 + asked[1] ** 2 + asked[2] ** 2) / max_linear
+    angular = math.sqrt(asked[3] ** 2 + asked[4] ** 2 + asked[5] ** 2) / max_angular
+    return min(max(2.0 - max(linear, angular), 0.0), 1.0)
+
+
+@compiled
+def scaled_length(scale: Array, x: Array) -> float:
+    """Euclidean length of x (n,), of which each number counts by its scale (n,)."""
+    total = 0.0
+    for i in range(len(x)):
+        total += (scale[i] * x[i]) ** 2
+    return math.sqrt(total)
+
+
+@compiled
 def lead(
     pose: Array, hand: Array, max_linear: float, max_angular: float, back_linear: float, back_angular: float
 ) -> None:
@@ -60,16 +94,6 @@ def lead(
     for i in range(3):
         pose[i] += back[i]
     turn(pose[3:], back[3], back[4], back[5])
-
-
-@compiled
-def multiply_add(A: Array, x: Array, y: Array) -> None:
-    """y += A x, for A (n, m), x (m,), y (n,)."""
-    for i in range(len(A)):
-        total = 0.0
-        for j in range(A.shape[1]):
-            total += A[i, j] * x[j]
-        y[i] += total
 
 
 @compiled

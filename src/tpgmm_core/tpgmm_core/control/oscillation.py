@@ -34,16 +34,19 @@ CALM, CALM_TIME = 0.05, 1.0
 
 
 @compiled
-def count_swings(v: Array, speed_limits: Array, dt: float, counts: bool, swings: Array) -> int:
-    """Update the swings (n, 6) of n joints by their velocities v (n,), dt s later. The joint of an alarm, or -1.
+def count_swings(v: Array, speed_limits: Array, dt: float, counts: bool, swings: Array) -> tuple[int, bool]:
+    """Update the swings (n, 6) of n joints by their velocities v (n,), dt s later.
+
+    Returns the joint of an alarm, or -1, and whether all joints are calm.
 
     swings : for each joint the sign of its half-swing, its peak speed, its time; the peak of the one before; how many
         have not died out; the peak of the first of them
     counts : whether this half-swing may count at all
     """
-    alarm = -1
+    alarm, calm = -1, True
     for i in range(len(v)):
         row, limit, speed = swings[i], speed_limits[i], abs(v[i])
+        calm = calm and speed < CALM * limit
         row[2] += dt
         sign = 0.0 if speed < AT_REST * limit else math.copysign(1.0, v[i])
         if sign == 0.0 or sign == row[0]:
@@ -62,7 +65,7 @@ def count_swings(v: Array, speed_limits: Array, dt: float, counts: bool, swings:
         row[0], row[1], row[3] = sign, speed, peak
         if alarm != i:
             row[2] = 0.0
-    return alarm
+    return alarm, calm
 
 
 class SwingWatch:
@@ -94,9 +97,9 @@ class SwingWatch:
         moves, asked : how fast the hand moves, and the reference, 1/s
         """
         self._asked = max(asked, self._asked * math.exp(-dt / REMEMBERED))
-        self._still = self._still + dt if (np.abs(v) < CALM * self._limits).all() else 0.0
         unasked = moves + NO_MOTION >= FOLLOWS * self._asked
-        joint = count_swings(v, self._limits, dt, unasked, self._swings)
+        joint, calm = count_swings(v, self._limits, dt, unasked, self._swings)
+        self._still = self._still + dt if calm else 0.0
         if joint < 0:
             return False
         self.joint, self.speed = joint, float(self._swings[joint, 3])
