@@ -181,7 +181,7 @@ class Gaussians(Sequence[Gaussian]):
     def __getitem__(self, index: int | slice) -> Gaussian | Gaussians:
         if isinstance(index, slice):
             return Gaussians(self.mean[index], self.covariance[index], self.manifold)
-        return Gaussian(self.mean[index], self.covariance[index], self.manifold)
+        return Gaussian._made(self.mean[index], self.covariance[index], self.manifold)
 
     def __iter__(self) -> Iterator[Gaussian]:
         return (self[i] for i in range(len(self)))

@@ -117,7 +117,7 @@ class GaussianMixture:
             component whose covariance of the dimensions `dims` is singular
         """
         parts = split(self.manifold, tuple(dims))
-        given = np.array(values, dtype=float)  # a copy: of one type for the compiled code, whatever comes
+        given = np.array(values, dtype=float, order="C")  # a copy: of one type for the compiled code, whatever comes
         D = parts.given.dim
         if given.ndim not in (1, 2) or given.shape[-1] != D:
             raise ValueError(
