@@ -61,12 +61,12 @@ class Gaussian:
     @classmethod
     def _made(cls, mean: Array, covariance: Array, manifold: Manifold) -> Self:
         """Of what a kernel has just made and checked: in a loop the checks would take most of the time."""
-        mean.setflags(write=False)
-        covariance.setflags(write=False)
+        mean.setflags(False)
+        covariance.setflags(False)
         made = object.__new__(cls)
-        object.__setattr__(made, "mean", mean)
-        object.__setattr__(made, "covariance", covariance)
-        object.__setattr__(made, "manifold", manifold)
+        set_mean(made, mean)
+        set_covariance(made, covariance)
+        set_manifold(made, manifold)
         return made
 
     @property
@@ -155,6 +155,10 @@ class Gaussian:
         log_determinant = 2.0 * np.sum(np.log(np.diagonal(factor)))
         n = self.manifold.tangent_dim
         return -0.5 * (np.sum(whitened**2, axis=-1) + log_determinant + n * np.log(2.0 * np.pi))
+
+
+# the setters that a frozen class does not give away
+set_mean, set_covariance, set_manifold = (vars(Gaussian)[n].__set__ for n in ("mean", "covariance", "manifold"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
