@@ -61,8 +61,8 @@ class Gaussian:
     @classmethod
     def _made(cls, mean: Array, covariance: Array, manifold: Manifold) -> Self:
         """Of what a kernel has just made and checked: in a loop the checks would take most of the time."""
-        mean.setflags(False)
-        covariance.setflags(False)
+        mean.setflags(write=False)
+        covariance.setflags(write=False)
         made = object.__new__(cls)
         set_mean(made, mean)
         set_covariance(made, covariance)

@@ -390,46 +390,46 @@ def match_curved(
     for s in range(len(spheres)):
         a = spheres[s, 0]
         is_far = False
-        for k in active:
-            if abs(along(conditionals[k], mean, a)) < NEAR:
+        for j in active:
+            if abs(along(conditionals[j], mean, a)) < NEAR:
                 is_far = True
         if is_far:  # there may be several means: the main axis of q q^T does not depend on signs, and lies near one
             moments = np.zeros((4, 4))
-            for k in active:
+            for j in active:
                 for i in range(4):
                     for m in range(4):
-                        moments[i, m] += h[k] * conditionals[k, a + i] * conditionals[k, a + m]
+                        moments[i, m] += h[j] * conditionals[j, a + i] * conditionals[j, a + m]
             mean[a : a + 4] = np.linalg.eigh(moments)[1][:, 3]
     for _ in range(MAX_STEPS):
         step[:] = 0.0
-        for k in active:
-            difference(conditionals[k], mean, flat, spheres, e[k])
+        for j in active:
+            difference(conditionals[j], mean, flat, spheres, e[j])
             for i in range(n):
-                step[i] += h[k] * e[k, i]
+                step[i] += h[j] * e[j, i]
         move(mean, step, flat, spheres)
         if longest(step) < MEAN_TOLERANCE:
             break
     covariance[:] = 0.0
     C, R, q = np.empty((n, n)), np.empty((3, 3)), np.empty(4)
-    for k in active:
-        difference(conditionals[k], mean, flat, spheres, e[k])
-        C[:] = within[k]
+    for j in active:
+        difference(conditionals[j], mean, flat, spheres, e[j])
+        C[:] = within[j]
         for s in range(len(spheres)):
             a, t = spheres[s]
             # half the shortest turn from the component's mean to its conditional one, and from there to the mixture's
             x, y, z = quaternion_difference(
-                conditionals[k, a], conditionals[k, a + 1], conditionals[k, a + 2], conditionals[k, a + 3],
-                means[k, a], means[k, a + 1], means[k, a + 2], means[k, a + 3],
+                conditionals[j, a], conditionals[j, a + 1], conditionals[j, a + 2], conditionals[j, a + 3],
+                means[j, a], means[j, a + 1], means[j, a + 2], means[j, a + 3],
             )  # fmt: skip
             q[:] = 0.0
             q[3] = 1.0
             turn(q, 0.5 * x, 0.5 * y, 0.5 * z)
-            turn(q, -0.5 * e[k, t], -0.5 * e[k, t + 1], -0.5 * e[k, t + 2])
+            turn(q, -0.5 * e[j, t], -0.5 * e[j, t + 1], -0.5 * e[j, t + 2])
             rotation(q[0], q[1], q[2], q[3], R)
             rotate(C, t, R)
         for i in range(n):
             for m in range(i + 1):
-                covariance[i, m] += h[k] * (C[i, m] + e[k, i] * e[k, m])
+                covariance[i, m] += h[j] * (C[i, m] + e[j, i] * e[j, m])
     for i in range(n):
         for m in range(i):
             covariance[m, i] = covariance[i, m]

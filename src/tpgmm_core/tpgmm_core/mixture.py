@@ -140,8 +140,8 @@ class GaussianMixture:
             raise ValueError(_refusal(failed, dims, values))
         if is_one:
             return Gaussian._made(out_means[0], out_covariances[0], free)
-        out_means.setflags(False)
-        out_covariances.setflags(False)
+        out_means.setflags(write=False)
+        out_covariances.setflags(write=False)
         return Gaussians(out_means, out_covariances, free)
 
 
