@@ -130,4 +130,4 @@ def test_bad_arguments_are_refused_with_the_reason() -> None:
         DPMeans(dimension_penalty=-1.0).fit_projected(x)
     with pytest.raises(ValueError, match="max_iter"):
         DPMeans(max_iter=0).fit_projected(x)
-    assert repr(DPMeans(2.0)).startswith("DPMeans(penalty=2.0, dimension_penalty=None")
+    assert repr(DPMeans(2.0, max_iter=7)) == "DPMeans(penalty=2.0, max_iter=7)"

@@ -59,6 +59,7 @@ class Adapter:
             precisions = _precisions(name, model.means_[name], model.covariances_[name])
             self._precisions[j, :n_j, : n_j * K].reshape(n_j, n_j, K)[:] = np.moveaxis(precisions, 0, -1)
         self._means_out, self._covariances_out = np.zeros((K, 0)), np.zeros((K, 0, 0))
+        self._arrays: tuple[NDArray[Any], ...] | None = None
         if self.manifold.tangent_dim > 1:
             self._compile()
 
@@ -91,8 +92,10 @@ class Adapter:
         Raises ValueError for unknown names, matrices that do not fit, time-varying frames, weights outside 0..1, and
         orientations so contradictory that their product does not converge (`kernels_product.fuse`).
         """
-        self.situate(frames, state, weights)
-        return self.mixture()
+        self._take(frames, state, weights)
+        means, covariances = np.empty(self._means_out.shape), np.empty(self._covariances_out.shape)
+        self._check(kernels_adapt.adapt(*self._inputs(), 1.0 / UNCONSTRAINED_VARIANCE, means, covariances))
+        return GaussianMixture._made(self.priors.copy(), means, covariances, self.buffer.manifold)
 
     def situate(
         self,
@@ -154,8 +157,10 @@ class Adapter:
 
     def _inputs(self) -> tuple[NDArray[Any], ...]:
         s = self.buffer
-        frames = s.A, s.b, s.inverses, s.has_inverse, s.weights
-        return self._means, self._precisions, s.sizes, *s.layout, *frames, s.state
+        if self._arrays is None or s.A is not self._arrays[5]:  # frames that map to another space have other arrays
+            frames = s.A, s.b, s.inverses, s.has_inverse, s.weights
+            self._arrays = self._means, self._precisions, s.sizes, *s.layout, *frames
+        return *self._arrays, s.state
 
     def _result(self) -> tuple[float, Array, Array]:
         return 1.0 / UNCONSTRAINED_VARIANCE, self._means_out, self._covariances_out

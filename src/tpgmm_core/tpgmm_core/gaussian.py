@@ -65,9 +65,9 @@ class Gaussian:
         mean.setflags(write=False)
         covariance.setflags(write=False)
         made = object.__new__(cls)
-        object.__setattr__(made, "mean", mean)
-        object.__setattr__(made, "covariance", covariance)
-        object.__setattr__(made, "manifold", manifold)
+        set_mean(made, mean)
+        set_covariance(made, covariance)
+        set_manifold(made, manifold)
         return made
 
     @property
@@ -159,6 +159,10 @@ class Gaussian:
         return -0.5 * (np.sum(whitened**2, axis=-1) + log_determinant + n * np.log(2.0 * np.pi))
 
 
+# the setters that a frozen class does not give away
+set_mean, set_covariance, set_manifold = (vars(Gaussian)[n].__set__ for n in ("mean", "covariance", "manifold"))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaussians(Sequence[Gaussian]):
     """T Gaussians on one space, such as those of a movement at T times: a sequence, kept as two arrays.
@@ -183,7 +187,7 @@ class Gaussians(Sequence[Gaussian]):
     def __getitem__(self, index: int | slice) -> Gaussian | Gaussians:
         if isinstance(index, slice):
             return Gaussians(self.mean[index], self.covariance[index], self.manifold)
-        return Gaussian(self.mean[index], self.covariance[index], self.manifold)
+        return Gaussian._made(self.mean[index], self.covariance[index], self.manifold)
 
     def __iter__(self) -> Iterator[Gaussian]:
         return (self[i] for i in range(len(self)))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tpgmm_core.kernels import RANK_TOLERANCE, compiled, pseudo_inverse, rotation_of_left_matrix
+from tpgmm_core.kernels import RANK_TOLERANCE, compiled, is_orthogonal, pseudo_inverse, rotation_of_left_matrix
 from tpgmm_core.kernels_product import fuse, invert_precision, scratch_for
 from tpgmm_core.quaternion import Array
 
@@ -76,6 +76,8 @@ def view_frame(
         return False
     if has_inverse:
         M = np.ascontiguousarray(inverse[:D_j].T)
+    elif n == n_j and is_orthogonal(tangent):  # of a rotation, A^+ = A^T
+        M = tangent
     else:
         M = np.ascontiguousarray(pseudo_inverse(tangent, RANK_TOLERANCE).T)
     multiply(M, precisions, n_j * K, half)

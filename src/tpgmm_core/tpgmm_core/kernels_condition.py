@@ -29,7 +29,7 @@ LOG_NEGLIGIBLE = math.log(NEGLIGIBLE)
 SMALLEST = 2.2250738585072014e-308  # normal number: the logarithm of a prior is finite
 MEAN_TOLERANCE = 1e-13  # the weighted mean on S³ stops at steps shorter than this, in rad
 NEAR = math.cos(0.25 * math.pi)  # scalar product of quaternions that are a turn of pi / 2 apart
-BLOCK = 64  # values side by side
+BLOCK = 128  # values side by side
 LANES = 16  # of these, what loops take at once
 
 NOT_FINITE = -2  # what `condition` returns for values that are not numbers
@@ -91,11 +91,30 @@ def condition(
         for i in range(values.shape[1]):
             if not math.isfinite(values[t, i]):
                 return NOT_FINITE
-    log_norms, whitening = np.empty(K), np.empty((K, n_i, n_i))
-    slopes, within = np.empty((K, n_i, n_o)), np.empty((K, n_o, n_o))
-    given_means, free_means = np.empty((K, len(given_ambient))), np.empty((K, len(free_ambient)))
+    D_i, D_o, is_flat = len(given_ambient), len(free_ambient), len(free_spheres) == 0
+    width = min(BLOCK, T if T < LANES else -(-T // LANES) * LANES)
+    n_moments = n_o + n_o * (n_o + 1) // 2 if is_flat else 0
+    # one piece of memory, since each costs as much as many operations
+    per_component = 1 + n_i * n_i + n_i * n_o + n_o * n_o + D_i + D_o
+    room = np.empty(K * (per_component + width * (1 + n_i + n_o)) + width * (4 + n_i + n_moments) + 2 * n_i * n_i)
+    log_norms, room = room[:K], room[K:]
+    whitening, room = room[: K * n_i * n_i].reshape(K, n_i, n_i), room[K * n_i * n_i :]
+    slopes, room = room[: K * n_i * n_o].reshape(K, n_i, n_o), room[K * n_i * n_o :]
+    within, room = room[: K * n_o * n_o].reshape(K, n_o, n_o), room[K * n_o * n_o :]
+    given_means, room = room[: K * D_i].reshape(K, D_i), room[K * D_i :]
+    free_means, room = room[: K * D_o].reshape(K, D_o), room[K * D_o :]
+    h, room = room[: K * width].reshape(K, width), room[K * width :]
+    z, room = room[: K * n_i * width].reshape(K, n_i, width), room[K * n_i * width :]
+    steps, room = room[: K * n_o * width].reshape(K, n_o, width), room[K * n_o * width :]
+    lanes, room = room[: (4 + n_i) * width].reshape(4 + n_i, width), room[(4 + n_i) * width :]
+    scratch, room = room[: 2 * n_i * n_i].reshape(2, n_i, n_i), room[2 * n_i * n_i :]
+    moments = room.reshape(n_moments, width)
+    active = np.empty((K, 3), dtype=np.int64)
+    h[:] = 0.0
+    z[:] = 0.0
+    wanted = len(out_activations) > 0
     for k in range(K):
-        if not factorise(covariances[k], given_tangent, free_tangent, whitening[k], slopes[k], within[k]):
+        if not factorise(covariances[k], given_tangent, free_tangent, scratch, whitening[k], slopes[k], within[k]):
             return k
         log_norms[k] = math.log(max(priors[k], SMALLEST))
         for i in range(n_i):
@@ -104,13 +123,6 @@ def condition(
             given_means[k, i] = means[k, given_ambient[i]]
         for i in range(len(free_ambient)):
             free_means[k, i] = means[k, free_ambient[i]]
-    is_flat = len(free_spheres) == 0
-    width = min(BLOCK, T if T < LANES else -(-T // LANES) * LANES)
-    h, z, lanes = np.zeros((K, width)), np.zeros((K, n_i, width)), np.empty((4 + n_i, width))
-    steps = np.empty((K, n_o, width))
-    moments = np.zeros((n_o + n_o * (n_o + 1) // 2 if is_flat else 0, width))
-    active = np.empty((K, 3), dtype=np.int64)
-    wanted = len(out_activations) > 0
     for start in range(0, T, width):
         size = min(width, T - start)
         block = values[start : start + size]
@@ -123,6 +135,9 @@ def condition(
             for k in range(K):
                 for c in range(size):
                     out_activations[start + c, k] = h[k, c]
+        if T == 1 and is_flat:
+            match_one(h, z, free_means, slopes, within, steps, out_means, out_covariances)
+            return -1
         n_active = 0
         for k in range(K):
             begin, end = 0, size  # most components are active for a part of the times only
@@ -172,7 +187,16 @@ def activate(
     scratch, scale = lanes[2], lanes[3]
     for c in range(size):
         top[c] = -np.inf
-    for k in range(K):
+    if n_i == 1 and len(spheres) == 0:  # as over time
+        x = values.reshape(size)
+        for k in range(K):
+            f, m, norm = whitening[k, 0, 0], means[k, 0], log_norms[k]
+            d, logarithm = z[k, 0], h[k]
+            for c in range(size):
+                d[c] = f * (x[c] - m)
+                logarithm[c] = norm - 0.5 * d[c] * d[c]
+                top[c] = max(top[c], logarithm[c])
+    for k in range(K if n_i > 1 or len(spheres) > 0 else 0):
         given_differences(values, means[k], flat, spheres, differences)
         for i in range(n_i):
             f = whitening[k, i, 0]
@@ -215,15 +239,18 @@ def activate(
 
 
 @compiled
-def factorise(covariance: Array, given: Array, free: Array, whitening: Array, slopes: Array, within: Array) -> bool:
+def factorise(
+    covariance: Array, given: Array, free: Array, scratch: Array, whitening: Array, slopes: Array, within: Array
+) -> bool:
     """What regression needs of one component, from its covariance (n, n); False when what is given is singular there.
 
     whitening : W (n_i, n_i), lower triangle, S_ii^-1 = W^T W
     slopes : V = W S_io (n_i, n_o): the conditional mean is V^T W d from the mean, for values d from the given mean
     within : S_oo - V^T V (n_o, n_o), the conditional covariance
+    scratch : (2, n_i, n_i)
     """
     n_i, n_o = len(given), len(free)
-    S, L = np.empty((n_i, n_i)), np.empty((n_i, n_i))
+    S, L = scratch
     for i in range(n_i):
         for m in range(i + 1):
             S[i, m] = covariance[given[i], given[m]]
@@ -260,6 +287,38 @@ def given_differences(values: Array, mean: Array, flat: Array, spheres: Array, o
                 values[c, a], values[c, a + 1], values[c, a + 2], values[c, a + 3],
                 mean[a], mean[a + 1], mean[a + 2], mean[a + 3],
             )  # fmt: skip
+
+
+@compiled
+def match_one(
+    h: Array, z: Array, means: Array, slopes: Array, within: Array, steps: Array, out_means: Array,
+    out_covariances: Array,
+) -> None:  # fmt: skip
+    """`match_flat` for one value, without what it takes to have several side by side."""
+    K, n_i, n = slopes.shape
+    for o in range(n):
+        mean = 0.0
+        for k in range(K):
+            x = means[k, o]
+            for i in range(n_i):
+                x += slopes[k, i, o] * z[k, i, 0]
+            steps[k, o, 0] = x
+            mean += h[k, 0] * x
+        out_means[0, o] = mean
+        for m in range(o + 1):
+            out_covariances[0, o, m] = 0.0
+    for k in range(K):
+        w = h[k, 0]
+        if w < NEGLIGIBLE:
+            continue
+        for o in range(n):
+            steps[k, o, 0] -= out_means[0, o]
+            f = w * steps[k, o, 0]
+            for m in range(o + 1):
+                out_covariances[0, o, m] += w * within[k, o, m] + f * steps[k, m, 0]
+    for o in range(n):
+        for m in range(o):
+            out_covariances[0, m, o] = out_covariances[0, o, m]
 
 
 @compiled
@@ -331,46 +390,46 @@ def match_curved(
     for s in range(len(spheres)):
         a = spheres[s, 0]
         is_far = False
-        for k in active:
-            if abs(along(conditionals[k], mean, a)) < NEAR:
+        for j in active:
+            if abs(along(conditionals[j], mean, a)) < NEAR:
                 is_far = True
         if is_far:  # there may be several means: the main axis of q q^T does not depend on signs, and lies near one
             moments = np.zeros((4, 4))
-            for k in active:
+            for j in active:
                 for i in range(4):
                     for m in range(4):
-                        moments[i, m] += h[k] * conditionals[k, a + i] * conditionals[k, a + m]
+                        moments[i, m] += h[j] * conditionals[j, a + i] * conditionals[j, a + m]
             mean[a : a + 4] = np.linalg.eigh(moments)[1][:, 3]
     for _ in range(MAX_STEPS):
         step[:] = 0.0
-        for k in active:
-            difference(conditionals[k], mean, flat, spheres, e[k])
+        for j in active:
+            difference(conditionals[j], mean, flat, spheres, e[j])
             for i in range(n):
-                step[i] += h[k] * e[k, i]
+                step[i] += h[j] * e[j, i]
         move(mean, step, flat, spheres)
         if longest(step) < MEAN_TOLERANCE:
             break
     covariance[:] = 0.0
     C, R, q = np.empty((n, n)), np.empty((3, 3)), np.empty(4)
-    for k in active:
-        difference(conditionals[k], mean, flat, spheres, e[k])
-        C[:] = within[k]
+    for j in active:
+        difference(conditionals[j], mean, flat, spheres, e[j])
+        C[:] = within[j]
         for s in range(len(spheres)):
             a, t = spheres[s]
             # half the shortest turn from the component's mean to its conditional one, and from there to the mixture's
             x, y, z = quaternion_difference(
-                conditionals[k, a], conditionals[k, a + 1], conditionals[k, a + 2], conditionals[k, a + 3],
-                means[k, a], means[k, a + 1], means[k, a + 2], means[k, a + 3],
+                conditionals[j, a], conditionals[j, a + 1], conditionals[j, a + 2], conditionals[j, a + 3],
+                means[j, a], means[j, a + 1], means[j, a + 2], means[j, a + 3],
             )  # fmt: skip
             q[:] = 0.0
             q[3] = 1.0
             turn(q, 0.5 * x, 0.5 * y, 0.5 * z)
-            turn(q, -0.5 * e[k, t], -0.5 * e[k, t + 1], -0.5 * e[k, t + 2])
+            turn(q, -0.5 * e[j, t], -0.5 * e[j, t + 1], -0.5 * e[j, t + 2])
             rotation(q[0], q[1], q[2], q[3], R)
             rotate(C, t, R)
         for i in range(n):
             for m in range(i + 1):
-                covariance[i, m] += h[k] * (C[i, m] + e[k, i] * e[k, m])
+                covariance[i, m] += h[j] * (C[i, m] + e[j, i] * e[j, m])
     for i in range(n):
         for m in range(i):
             covariance[m, i] = covariance[i, m]

@@ -3,10 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
-
-from tpgmm_core.quaternion import Array
 
 if TYPE_CHECKING:
     from tpgmm_core.tpgmm import TPGMM
@@ -23,21 +20,20 @@ class Learned:
 
     def __init__(self, model: TPGMM) -> None:
         self.frame_names, self.manifold = model.frame_names_, model.manifold_
-        self.contents = [(array.shape, array.dtype, array.tobytes()) for array in _arrays(model)]
+        self.contents = _contents(model)
 
     def is_of(self, model: TPGMM) -> bool:
         """Whether the model holds the same numbers now, bit by bit."""
-        if model.frame_names_ != self.frame_names or model.manifold_ != self.manifold:
+        if model.manifold_ is not self.manifold and model.manifold_ != self.manifold:
             return False
-        for array, (shape, dtype, content) in zip(_arrays(model), self.contents, strict=True):
-            if array.shape != shape or array.dtype != dtype or array.tobytes() != content:
-                return False
-        return True
+        return model.frame_names_ == self.frame_names and _contents(model) == self.contents
 
 
-def _arrays(model: TPGMM) -> Iterator[Array]:
+def _contents(model: TPGMM) -> list[bytes]:
+    """Priors, means and covariances. In a sound model their shapes follow from the number of priors and of bytes."""
     means, covariances = model.means_, model.covariances_
-    yield model.priors_
+    contents = [model.priors_.tobytes()]
     for name in model.frame_names_:
-        yield means[name]
-        yield covariances[name]
+        contents.append(means[name].tobytes())
+        contents.append(covariances[name].tobytes())
+    return contents

@@ -8,9 +8,9 @@ Points have ambient coordinates (a quaternion has 4), tangent vectors and covari
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -242,6 +242,14 @@ class Manifold:
         """
         return Manifold(self._select(dims)[0])
 
+    @cached_property
+    def split(self) -> Callable[[tuple[int, ...]], Split]:
+        """`split` of this manifold, which is worked out once for the same dimensions, not at every step."""
+        return lru_cache(maxsize=64)(partial(split, self))
+
+    def __getstate__(self) -> dict[str, object]:
+        return {"factors": self.factors}  # the rest is worked out anew
+
     def rest(self, dims: Sequence[int]) -> list[int]:
         """The ambient indices that are not in `dims`."""
         return [i for i in range(self.dim) if i not in set(dims)]
@@ -284,7 +292,6 @@ class Split:
     plan: NDArray[np.int64]
 
 
-@lru_cache(maxsize=256)  # worked out once, not at every step
 def split(manifold: Manifold, dims: tuple[int, ...]) -> Split:
     """The dimensions `dims` are given, the others free. Raises ValueError like `Manifold.subset`, and where no
     dimension is left."""

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from tpgmm_core import kernels_condition
 from tpgmm_core.gaussian import Gaussian, Gaussians
-from tpgmm_core.manifold import Manifold, split
+from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
 
 
@@ -62,10 +62,10 @@ class GaussianMixture:
     def _made(cls, priors: Array, means: Array, covariances: Array, manifold: Manifold) -> Self:
         """Of arrays that fit, and that nobody else holds."""
         made = object.__new__(cls)
-        object.__setattr__(made, "priors", priors)
-        object.__setattr__(made, "means", means)
-        object.__setattr__(made, "covariances", covariances)
-        object.__setattr__(made, "manifold", manifold)
+        set_priors(made, priors)
+        set_means(made, means)
+        set_covariances(made, covariances)
+        set_manifold(made, manifold)
         return made
 
     def responsibilities(self, dims: Sequence[int], values: ArrayLike) -> Array:
@@ -116,37 +116,41 @@ class GaussianMixture:
             for dimensions and values that do not fit, values that are not finite or beyond all numbers away, and a
             component whose covariance of the dimensions `dims` is singular
         """
-        parts = split(self.manifold, tuple(dims))
-        given = np.array(values, dtype=float)  # a copy: of one type for the compiled code, whatever comes
-        D = parts.given.dim
-        if given.ndim not in (1, 2) or given.shape[-1] != D:
+        parts = self.manifold.split(tuple(dims))
+        given = np.array(values, float, order="C")  # a copy: of one type for the compiled code, whatever comes
+        D, free = parts.given.dim, parts.free
+        is_one = given.shape == (D,)
+        if is_one:
+            given = given.reshape(1, D)
+        elif given.ndim != 2 or given.shape[1] != D:
             raise ValueError(
                 f"values of {D} dimensions have shape ({D},), or (T, {D}) for several at once, got {given.shape}"
                 + (": write values[:, None] for T values of one dimension" if D == 1 and given.ndim == 1 else "")
             )
-        free = parts.free
-        block = given.reshape(-1, D)
-        T, n = len(block), free.tangent_dim
-        means, covariances = np.empty((T, free.dim)), np.empty((T, n, n))
+        priors, means, covariances = self.priors, self.means, self.covariances
+        if not (priors.flags.carray and means.flags.carray and covariances.flags.carray):
+            # read-only and strided arrays would each be compiled for anew
+            priors, means, covariances = priors.copy(), means.copy(), covariances.copy()
+        T, n = len(given), free.tangent_dim
+        out_means, out_covariances = np.empty((T, free.dim)), np.empty((T, n, n))
         failed = kernels_condition.condition(
-            _plain(self.priors), _plain(self.means), _plain(self.covariances), parts.plan, block, means, covariances,
-            NOT_WANTED,
-        )  # fmt: skip
+            priors, means, covariances, parts.plan, given, out_means, out_covariances, NOT_WANTED
+        )
         if failed != -1:
             raise ValueError(_refusal(failed, dims, values))
-        if given.ndim == 1:
-            return Gaussian._made(means[0], covariances[0], free)
-        means.setflags(write=False)
-        covariances.setflags(write=False)
-        return Gaussians(means, covariances, free)
+        if is_one:
+            return Gaussian._made(out_means[0], out_covariances[0], free)
+        out_means.setflags(write=False)
+        out_covariances.setflags(write=False)
+        return Gaussians(out_means, out_covariances, free)
 
+
+# the setters that a frozen class does not give away
+set_priors, set_means, set_covariances, set_manifold = (
+    vars(GaussianMixture)[name].__set__ for name in ("priors", "means", "covariances", "manifold")
+)
 
 NOT_WANTED: Array = np.empty((0, 0))  # activations
-
-
-def _plain(array: Array) -> Array:
-    """The array as compiled code takes it: read-only and strided ones would each be compiled for anew."""
-    return array if array.flags.carray else array.copy()
 
 
 def _refusal(failed: int, dims: Sequence[int], values: ArrayLike) -> str:
