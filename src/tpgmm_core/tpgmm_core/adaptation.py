@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core import kernels_adapt, kernels_regress
 from tpgmm_core.frame import Frame
+from tpgmm_core.frame_buffer import FrameBuffer
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
-from tpgmm_core.situation import Situation
 
 if TYPE_CHECKING:
     from tpgmm_core.tpgmm import TPGMM
@@ -47,11 +47,11 @@ class Adapter:
         D_max = max(m.dim for m in manifolds.values())
         n_max = max(m.tangent_dim for m in manifolds.values())
         self._log_priors = np.log(np.maximum(model.priors_, np.finfo(float).tiny))
-        self.situation = Situation(model)
+        self.buffer = FrameBuffer(model)
         self._means = np.zeros((P, D_max, K))
         self._precisions = np.zeros((P, n_max, n_max * K))
         for j, name in enumerate(self.frame_names):
-            D_j, n_j = self.situation.sizes[j]
+            D_j, n_j = self.buffer.sizes[j]
             self._means[j, :D_j] = model.means_[name].T
             for k in range(K):
                 g = Gaussian(model.means_[name][k], model.covariances_[name][k], manifolds[name])
@@ -63,11 +63,11 @@ class Adapter:
     @property
     def manifold(self) -> Manifold:
         """The space that the frames map to."""
-        return self.situation.manifold
+        return self.buffer.manifold
 
     def _compile(self) -> None:
         """One step with one frame at the origin."""
-        frames = self.situation.identity_frame()
+        frames = self.buffer.identity_frame()
         self.situate(frames)
         if self.manifold.ambient_of_tangent[0] == 0:
             self.adapt_and_condition(frames, np.zeros(1))
@@ -130,7 +130,7 @@ class Adapter:
         times = np.asarray(times, dtype=float)
         means, covariances, activations = outputs = self._outputs(len(times))
         kernels_regress.regress_all(
-            self._log_priors, self._means_out, self._covariances_out, *self.situation.layout, times, *outputs
+            self._log_priors, self._means_out, self._covariances_out, *self.buffer.layout, times, *outputs
         )
         return means, covariances, activations[0]
 
@@ -143,13 +143,13 @@ class Adapter:
         return np.empty((H, manifold.dim - 1)), np.empty((H, n, n)), np.empty((H, len(self.priors)))
 
     def _take(self, frames: Mapping[str, Frame], state: ArrayLike | None, weights: Mapping[str, float] | None) -> None:
-        self.situation.take(frames, state, weights)
+        self.buffer.take(frames, state, weights)
         if self._means_out.shape[1] != self.manifold.dim:
             K, n = len(self.priors), self.manifold.tangent_dim
             self._means_out, self._covariances_out = np.zeros((K, self.manifold.dim)), np.zeros((K, n, n))
 
     def _inputs(self) -> tuple[NDArray[Any], ...]:
-        s = self.situation
+        s = self.buffer
         frames = s.A, s.b, s.inverses, s.has_inverse, s.weights
         return self._means, self._precisions, s.sizes, *s.layout, *frames, s.state
 
@@ -158,4 +158,4 @@ class Adapter:
 
     def _check(self, failed: int) -> None:
         if failed != -1:
-            self.situation.refuse(failed)
+            self.buffer.refuse(failed)

@@ -17,6 +17,7 @@ from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.pace import Pace
+from tpgmm_core.situation import Situation
 from tpgmm_core.tpgmm import TPGMM
 
 _SECOND = 1_000_000_000
@@ -105,7 +106,7 @@ class KinematicMovement:
         self._q = state
         self._mean = state
         self._last = None
-        self._objects: Mapping[str, Frame] | None = None
+        self._situation: Situation | None = None
 
     def step(
         self,
@@ -121,8 +122,9 @@ class KinematicMovement:
         if q is None:
             raise ValueError("the configuration of the robot is not known: its joint states have to come")
         since = max(0.0, (time_ns - self._last_ns) / _SECOND)
-        if frames is not self._objects:
-            self._objects = frames
+        situation = Situation(frames, weights)
+        if self._situation is None or not situation.has_frames_of(self._situation):
+            self._situation = situation
             self._poses = {name: _without_time(frame) for name, frame in frames.items()}
         self._phase = min(max(self._phase + self._pace.advance(since) / self._duration, 0.0), 1.0)
         self._weights = self._weights_of_frames(weights)

@@ -2,8 +2,12 @@
 """References that go on without a jump, although what they come from has become another one at once.
 
 The difference between where the reference was going and where it is to go now is kept as an *offset* that dies out as
-a critically damped spring does, continuous in velocity. The former covariance is faded out beside it: covariances form
-a convex cone, which weighted means never leave. Once both are gone, the reference is exactly what the course says.
+a critically damped spring does, continuous in velocity. Where courses move fast and differ for a moment only, as when
+one component takes over from another a little later, the difference of their velocities lasts no longer than that: the
+*swing*, which is kept apart. The ratio to the former covariance dies out beside it
+(`CovarianceFade`). Both are as large as the change was, and further changes add up: what differs by noise alone leaves
+the noise, smoothed, and the reference goes along with its course in time. Once all is gone, the reference is exactly
+what the course says.
 """
 
 from __future__ import annotations
@@ -15,17 +19,21 @@ from dataclasses import replace
 import numpy as np
 
 from tpgmm_core.frame import Frame
+from tpgmm_core.frame_buffer import manifold_origin
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
+from tpgmm_core.retrieval.covariance_fade import CovarianceFade
 from tpgmm_core.retrieval.interface import Retrieval
-from tpgmm_core.situation import manifold_origin
+from tpgmm_core.retrieval.spring import critically_damped
 
 #: Two moments this far apart, s, tell the velocity of a reference. Short, so that a controller which takes the velocity
 #: from a horizon of such steps sees what is kept continuous here.
 MOMENT = 0.005
+SWING = 0.25
+"""A swing leads less than this share as far as the courses are apart: its velocity was that of a moment."""
 NEGLIGIBLE = 1e-13  # offsets (m, rad) that rounding hides
 _SECOND = 1_000_000_000
 
@@ -35,70 +43,111 @@ class Continuity:
 
     manifold : of the references
     time_constant : with which it dies out, s
+
+    moments : (M,), s from now, where `take_over` has to know both courses
     """
 
     def __init__(self, manifold: Manifold, time_constant: float) -> None:
         self.manifold = manifold
         self.time_constant = time_constant
+        self.moments: Array = np.array([0.0, MOMENT, time_constant / 8.0, time_constant / 3.0, time_constant])
+        self._fade = CovarianceFade(manifold.tangent_dim, time_constant)
         self.forget()
         origin = manifold_origin(manifold)
         manifold.exp(origin, manifold.log(origin, origin))  # compiled, or loaded from the cache
 
     def forget(self) -> None:
         """Nothing of it is left."""
-        self._offset = np.zeros(self.manifold.tangent_dim)
-        self._rate = np.zeros(self.manifold.tangent_dim)
-        self._covariance: Array | None = None
-        self._share = 0.0
+        self._fade.forget()
+        self._forget_offset()
+
+    def _forget_offset(self) -> None:
+        self._offset, self._rate, self._swing, self._swing_rate = np.zeros((4, self.manifold.tangent_dim))
+        self._swing_time = self.time_constant
         self._is_gone = True
 
-    def take_over(self, former: Sequence[Array], means: Sequence[Array], covariance: Array) -> None:
+    def take_over(
+        self,
+        former: Sequence[Array],
+        means: Sequence[Array],
+        shown: Array,
+        covariances: Array,
+        former_covariances: Array | None = None,
+    ) -> None:
         """Go on as before, in place and velocity.
 
-        former : where the reference would have been, two points (D,): now, and MOMENT later
+        former : where the reference would have been, points (D,) at `moments`, or at the first two of them
         means : where the course has it now, at the same times
-        covariance : (n, n), of the last reference
+        shown : covariance (n, n) of the last reference
+        covariances, former_covariances : what the course says of it now, and what it said before, (M, n, n) at
+            `moments`. Of the former ones that are not known, nothing is left sooner
         """
-        here, ahead = (self.manifold.log(mean, one) for mean, one in zip(means, former, strict=True))
-        rate = 1.0 / self.time_constant
-        self._offset = here
-        self._rate = (math.exp(rate * MOMENT) * ahead - here) / MOMENT - rate * here
-        self._covariance, self._share = covariance, 1.0
+        apart = [self.manifold.log(mean, one) for mean, one in zip(means, former, strict=True)]
+        changes = [there - self._after(s) for s, there in zip(self.moments.tolist(), apart, strict=False)]
+        # The offset takes the difference of places over, the swing that of velocities.
+        self._offset = apart[0] - self._swing
+        self._swing_time = self._time_of_swing(changes)
+        rate = 1.0 / self._swing_time
+        ahead = apart[1] - critically_damped(self._offset, self._rate, 1.0 / self.time_constant, MOMENT)[0]
+        self._swing_rate = (math.exp(rate * MOMENT) * ahead - self._swing) / MOMENT - rate * self._swing
         self._is_gone = False
+        lasts = 1.0
+        if former_covariances is not None:
+            lasts = self._fade.lasting(former_covariances, covariances, self.moments)
+        self._fade.take_over(shown, covariances[0], lasts)
+
+    def _time_of_swing(self, changes: Sequence[Array]) -> float:
+        """Time constant, s, with which the swing leads no farther than the courses are apart within `time_constant`.
+
+        changes : (n,) each, by how much the courses are apart, at `moments`. A swing that goes on already counts by its
+        share of the velocity.
+        """
+        change = (changes[1] - changes[0]) / MOMENT
+        size = float(np.linalg.norm(change))
+        going_on = float(np.linalg.norm(self._swing_rate) + np.linalg.norm(self._swing) / self._swing_time)
+        if size + going_on == 0.0 or len(changes) == 2:
+            return self.time_constant
+        reach = SWING * max(abs(float(change @ (there - changes[0]))) for there in changes[1:])
+        time = min(max(reach / max(size, np.finfo(float).tiny) ** 2, MOMENT), self.time_constant)
+        return (size * time + going_on * self._swing_time) / (size + going_on)
 
     def advance(self, seconds: float) -> None:
         """Let time pass."""
-        if not self._is_gone and seconds > 0.0:
-            self._offset, self._rate = self._after(seconds)
-            self._share *= math.exp(-seconds / self.time_constant)
-            if self._share < NEGLIGIBLE:
-                left = np.abs(self._offset).max() + self.time_constant * np.abs(self._rate).max()
-                if left < NEGLIGIBLE:
-                    self.forget()
+        if seconds > 0.0:
+            self._fade.advance(seconds)
+            if not self._is_gone:
+                self._advance_offset(seconds)
+
+    def _advance_offset(self, seconds: float) -> None:
+        rates = 1.0 / self.time_constant, 1.0 / self._swing_time
+        self._offset, self._rate = critically_damped(self._offset, self._rate, rates[0], seconds)
+        self._swing, self._swing_rate = critically_damped(self._swing, self._swing_rate, rates[1], seconds)
+        left = np.abs(self._offset).max() + np.abs(self._swing).max()
+        left += self.time_constant * (np.abs(self._rate).max() + np.abs(self._swing_rate).max())
+        if left < NEGLIGIBLE:
+            self._forget_offset()
 
     def mean(self, mean: Array, ahead: float = 0.0) -> Array:
         """Where the reference is, (D,), where the course says `mean`; both so many seconds ahead."""
         if self._is_gone:
             return mean
-        return self.manifold.exp(mean, self._after(ahead)[0] if ahead > 0.0 else self._offset)
+        return self.manifold.exp(mean, self._after(ahead))
 
     def covariance(self, covariance: Array, ahead: float = 0.0) -> Array:
         """Covariance (n, n) of the reference where the course says `covariance`."""
-        if self._covariance is None:
-            return covariance
-        share = self._share * math.exp(-ahead / self.time_constant)
-        return covariance + share * (self._covariance - covariance)
+        return self._fade.of(covariance, ahead)
 
     def gaussian(self, mean: Array, covariance: Array, ahead: float = 0.0) -> Gaussian:
         """Both."""
         return Gaussian(self.mean(mean, ahead), self.covariance(covariance, ahead), self.manifold)
 
-    def _after(self, seconds: float) -> tuple[Array, Array]:
-        """Offset and its rate after a time: the exact solution of the critically damped spring."""
-        rate = 1.0 / self.time_constant
-        slope = self._rate + rate * self._offset
-        decay = math.exp(-rate * seconds)
-        return decay * (self._offset + seconds * slope), decay * (self._rate - rate * seconds * slope)
+    def _after(self, seconds: float) -> Array:
+        """Offset and swing together, (n,), after a time."""
+        if seconds == 0.0:
+            return self._offset + self._swing
+        offset, _ = critically_damped(self._offset, self._rate, 1.0 / self.time_constant, seconds)
+        swing, _ = critically_damped(self._swing, self._swing_rate, 1.0 / self._swing_time, seconds)
+        return offset + swing
 
 
 class Continued:
@@ -178,7 +227,7 @@ class Continued:
         velocity, start = former.velocity(), former.gaussian.mean
         paths = [self.manifold.exp(start, (since + ahead) * velocity) for ahead in (0.0, MOMENT)]
         means = [reference.gaussian.mean, self._retrieval.horizon(1, MOMENT)[0].mean]
-        self._continuity.take_over(paths, means, former.gaussian.covariance)
+        self._continuity.take_over(paths, means, former.gaussian.covariance, reference.gaussian.covariance[None])
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
         ahead = self._retrieval.horizon(n, dt)

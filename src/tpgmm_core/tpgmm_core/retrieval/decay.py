@@ -33,6 +33,7 @@ from tpgmm_core.retrieval.differences import derivatives
 from tpgmm_core.retrieval.frames import require_time_kept, without_time
 from tpgmm_core.retrieval.spring import critically_damped
 from tpgmm_core.retrieval.system import System, positive
+from tpgmm_core.situation import Situation
 
 LONGEST_STEP = 0.005
 """Of the attractor along its path, in durations; MAX_STEPS of them are made at once at most, else longer ones."""
@@ -137,18 +138,19 @@ class DecayMovement(System):
         self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, which: int
     ) -> Gaussian:
         ends = self._ends.adapt(frames, None if state is None else np.concatenate([[0.0], state]), weights)
-        require_time_kept(self._ends.situation)
+        require_time_kept(self._ends.buffer)
         return Gaussian(ends.means[which, 1:], ends.covariances[which, 1:, 1:], self.manifold)
 
-    def _begin(
-        self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, phase: float
-    ) -> None:
-        self._x = self._end(frames, weights, None, BEGIN).mean.copy() if state is None else state
+    def _begin(self, situation: Situation, state: Array | None, phase: float) -> None:
+        if state is None:
+            state = self._end(situation.frames, situation.weights, None, BEGIN).mean.copy()
+        self._x = state
         self._z = np.zeros(self.manifold.tangent_dim)
         self._own = phase
-        self._situate(frames, weights)
+        self._situate(situation)
 
-    def _situate(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None) -> None:
+    def _situate(self, situation: Situation) -> None:
+        frames, weights = situation.frames, situation.weights
         self._goal = self._end(frames, weights, self._x, END)
         self._adapter.situate(frames, np.concatenate([[0.0], self._x]), weights)
 

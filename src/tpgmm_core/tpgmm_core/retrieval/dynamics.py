@@ -21,8 +21,8 @@ power of the time left.
 any length: d(x) <= r, and r falls by rho at least. Hence d(x(t)) <= (1 + detour) d(x_0) at all times, and x converges
 to x*: where top speed is not what limits it, d(x) <= r_0 ((1 + detour)^(1/3) - rate t / 3)^3, with t in durations,
 until the spring of goal_rate holds. With detour = 0, d itself is the Lyapunov function. When the goal moves by delta,
-or the robot pulls the system by delta, r grows by no more than delta: errors do not add up (input-to-state
-stability).
+r changes with d(x), by no more than delta; when the robot pulls the system by delta, r grows by delta: errors do not
+add up (input-to-state stability), not even those of a goal that trembles.
 
 *Proof.* The laws in rho are solved exactly, each alone; what falls by their minimum is never below any of the three.
 A step of x that ends outside of the ball is brought to the ball's nearest point. The bound holds after each step by
@@ -54,11 +54,14 @@ from tpgmm_core.retrieval.lifting import lifted
 from tpgmm_core.retrieval.spring import critically_damped
 from tpgmm_core.retrieval.system import System
 from tpgmm_core.settings import check_settings, setting
+from tpgmm_core.situation import Situation
 
 MAX_TIME_STEP = 0.005
 """Of the integration, in durations; MAX_STEPS of them are made at once at most, longer ones after a long pause."""
 MAX_STEPS = 200
 BEFORE_THE_END = 1.0 - 1e-9
+GONE_AGAIN = 3.0
+"""A movement that has arrived is at its end until it is so many times as far from the goal as `Convergence.arrival`."""
 
 
 def with_velocity(
@@ -108,7 +111,8 @@ class StableDynamics(System):
     - The covariance of a reference is that of the positions in the active components: little matters along the
       movement, more across it. Near the goal it passes over to that of the demonstrations' ends.
     - The phase is the share of the way that is done, 1 - d / (the largest d since the start); 1 within
-      `Convergence.arrival`, so that it may fall when the goal moves away.
+      `Convergence.arrival`, so that it may fall when the goal moves away. Judged by a goal that follows the one of the
+      situation as a critically damped spring with blend_time: perception trembles.
     - When frames change, the velocity changes at once, and within some mm where one component takes over from another.
       What exceeds the acceleration from rest to top speed within blend_time goes into an offset of the reference, which
       dies out as a critically damped spring with blend_time. So does the reference start at rest.
@@ -164,28 +168,30 @@ class StableDynamics(System):
     def _with_rest(self, state: Array | None) -> Array | None:
         return None if state is None else np.concatenate([state, np.zeros(self.manifold.tangent_dim)])
 
-    def _begin(
-        self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, phase: float
-    ) -> None:
-        self._x = self._end(self._lifted(frames), weights, None, BEGIN).mean.copy() if state is None else state
+    def _begin(self, situation: Situation, state: Array | None, phase: float) -> None:
+        if state is None:
+            state = self._end(self._lifted(situation.frames), situation.weights, None, BEGIN).mean.copy()
+        self._x = state
         self._offset = np.zeros(self.manifold.tangent_dim)
-        self._longest = 0.0
-        self._take(frames, weights)
+        self._goal_offset, self._goal_rate = np.zeros_like(self._offset), np.zeros_like(self._offset)
+        self._longest, self._has_arrived = 0.0, False
+        self._take(situation)
         self._radius = (1.0 + self.convergence.detour) * self.distance
         self._reach(self.distance / max(1.0 - phase, 1e-6))
         self.velocity[:] = 0.0
         self._offset_rate = np.zeros_like(self.velocity)
         self._take_velocity(0.0)
 
-    def _situate(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None) -> None:
-        former_goal = self._goal.mean
-        self._take(frames, weights)
-        self._radius += self._length(self.manifold.log(former_goal, self._goal.mean))
+    def _situate(self, situation: Situation) -> None:
+        slack, seen = self._radius - self.distance, self._seen_goal
+        self._take(situation)
+        self._goal_offset = self.manifold.log(self._goal.mean, seen)
+        self._radius = self.distance + slack  # what the goal goes back and forth by does not add up
         self._take_velocity(0.0)
 
-    def _take(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None) -> None:
+    def _take(self, situation: Situation) -> None:
         """The mixture and the goal in a situation, prepared for regression."""
-        lifted_frames = self._lifted(frames)
+        lifted_frames, weights = self._lifted(situation.frames), situation.weights
         self._adapted = self._adapter.adapt(lifted_frames, self._with_rest(self._x), weights)
         self._goal = self._end(lifted_frames, weights, self._x, END)
         self._centres = np.ascontiguousarray(self._adapted.means)
@@ -231,6 +237,8 @@ class StableDynamics(System):
         before = self._x.copy()
         self._radius = self._go(self._x, self._radius, own)
         self._offset, self._offset_rate = self._offset_after(seconds)
+        rate = 1.0 / self.blend_time
+        self._goal_offset, self._goal_rate = critically_damped(self._goal_offset, self._goal_rate, rate, seconds)
         self._reach()
         self._take_velocity(seconds, self.manifold.log(before, self._x) - own * self.velocity)
 
@@ -260,7 +268,7 @@ class StableDynamics(System):
     def _covariance_at(self, x: Array, activations: Array) -> Array:
         covariance = np.empty((len(self._metric), len(self._metric)))
         kernels.position_covariance(x, activations, self._centres, self._spreads, *self._layout, covariance)
-        d = self._length(self.manifold.log(self._goal.mean, x))
+        d = self._length(self.manifold.log(self._seen_goal, x))
         near = math.exp(-0.5 * (d / self._law[5]) ** 2)
         covariance += near * (self._goal.covariance - covariance)
         return np.asarray(0.5 * (covariance + covariance.T))
@@ -279,10 +287,16 @@ class StableDynamics(System):
     def _offset_after(self, seconds: float) -> tuple[Array, Array]:
         return critically_damped(self._offset, self._offset_rate, 1.0 / self.blend_time, seconds)
 
+    @property
+    def _seen_goal(self) -> Array:
+        """Where the goal is (D,), without its trembling."""
+        return self.manifold.exp(self._goal.mean, self._goal_offset)
+
     def _phase(self) -> float:
         reference = self.manifold.exp(self._x, self._offset)
-        d = self._length(self.manifold.log(self._goal.mean, reference))
-        return 1.0 if d <= self.convergence.arrival else min(max(1.0 - d / self._longest, 0.0), BEFORE_THE_END)
+        d = self._length(self.manifold.log(self._seen_goal, reference))
+        self._has_arrived = d <= self.convergence.arrival * (GONE_AGAIN if self._has_arrived else 1.0)
+        return 1.0 if self._has_arrived else min(max(1.0 - d / self._longest, 0.0), BEFORE_THE_END)
 
     def _mixture(self) -> GaussianMixture:
         return self._adapted

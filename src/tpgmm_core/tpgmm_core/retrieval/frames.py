@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 from tpgmm_core import kernels_regress
 from tpgmm_core.frame import Frame
+from tpgmm_core.frame_buffer import FrameBuffer
 from tpgmm_core.quaternion import Array
-from tpgmm_core.situation import Situation
 
 
 def without_time(frames: Mapping[str, Frame]) -> dict[str, Frame]:
@@ -19,11 +19,11 @@ def without_time(frames: Mapping[str, Frame]) -> dict[str, Frame]:
     return {name: _without_time(name, frame) for name, frame in frames.items()}
 
 
-def require_time_kept(situation: Situation) -> None:
+def require_time_kept(buffer: FrameBuffer) -> None:
     """Raises ValueError like `without_time`, fast enough for every change of the frames."""
-    j = kernels_regress.time_changed(situation.A, situation.b, situation.weights)
+    j = kernels_regress.time_changed(buffer.A, buffer.b, buffer.weights)
     if j >= 0:
-        raise _time_changed(situation.frame_names[j], situation.A[j], situation.b[j])
+        raise _time_changed(buffer.frame_names[j], buffer.A[j], buffer.b[j])
 
 
 def _without_time(name: str, frame: Frame) -> Frame:

@@ -66,10 +66,10 @@ class Retrieval(Protocol):
         """The reference at a time.
 
         time_ns : on the clock that `start` was given
-        frames : those that are known, by name, at least one. The same mapping as long as nothing has changed: a new
-            one is taken as a change
+        frames : those that are known, by name, at least one. What counts as a change is another value: see
+            `tpgmm_core.situation.Situation`
         state : (D,), where the robot is, as far as that is known
-        weights : how far each frame is trusted, 0 to 1; fully where not named. The same mapping while nothing changes
+        weights : how far each frame is trusted, 0 to 1; fully where not named
 
         Raises ValueError for no frames, unknown ones, or when `start` was never called.
         """

@@ -23,13 +23,13 @@ from numpy.typing import ArrayLike
 from tpgmm_core import kernels_regress
 from tpgmm_core.adaptation import UNCONSTRAINED_VARIANCE, Adapter
 from tpgmm_core.frame import Frame
+from tpgmm_core.frame_buffer import FrameBuffer
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
 from tpgmm_core.retrieval.frames import require_time_kept
 from tpgmm_core.retrieval.interface import demonstrated_duration
-from tpgmm_core.situation import Situation
 from tpgmm_core.tpgmm import TPGMM
 
 
@@ -41,8 +41,8 @@ class _Regression(ABC):
     Raises ValueError for a model without time.
     """
 
-    def __init__(self, model: TPGMM, situation: Situation) -> None:
-        self._situation = situation
+    def __init__(self, model: TPGMM, buffer: FrameBuffer) -> None:
+        self._buffer = buffer
         for name, manifold in model.frame_manifolds_.items():
             if manifold.factors[0][0] != "R" or manifold.tangent_dim < 2:
                 raise ValueError(
@@ -65,7 +65,7 @@ class _Regression(ABC):
     @property
     def manifold(self) -> Manifold:
         """Of the data, without time; on R^D it is what the frames of the situation map to."""
-        space = self._situation.manifold
+        space = self._buffer.manifold
         if space is not self._space:
             self._space, self._data_space = space, _data_manifold(space)
         return self._data_space
@@ -115,13 +115,13 @@ class AdaptThenRegress(_Regression):
 
     def __init__(self, model: TPGMM) -> None:
         self._adapter = Adapter(model)
-        super().__init__(model, self._adapter.situation)
+        super().__init__(model, self._adapter.buffer)
 
     def situate(
         self, frames: Mapping[str, Frame], state: ArrayLike | None = None, weights: Mapping[str, float] | None = None
     ) -> None:
         self._adapter.situate(frames, _with_time(state), weights)
-        require_time_kept(self._situation)
+        require_time_kept(self._buffer)
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
         return self._adapter.condition(times)
@@ -137,8 +137,8 @@ class RegressThenProduct(_Regression):
     """
 
     def __init__(self, model: TPGMM) -> None:
-        super().__init__(model, Situation(model))
-        sizes = self._situation.sizes
+        super().__init__(model, FrameBuffer(model))
+        sizes = self._buffer.sizes
         P, K = len(sizes), len(model.priors_)
         D_max, n_max = (int(size) for size in sizes.max(axis=0))
         self._log_priors = np.log(np.maximum(model.priors_, np.finfo(float).tiny))
@@ -148,20 +148,20 @@ class RegressThenProduct(_Regression):
             means[j, :, :D], covariances[j, :, :n, :n] = model.means_[name], model.covariances_[name]
         flat = np.arange(n_max) if model.manifold_.is_euclidean else model.manifold_.ambient_of_tangent
         self._views = self._log_priors, means, covariances, sizes, flat, model.manifold_.sphere_starts
-        self.situate(self._situation.identity_frame())
+        self.situate(self._buffer.identity_frame())
         self.at(np.zeros(1))  # compiled, or loaded from the cache
 
     def situate(
         self, frames: Mapping[str, Frame], state: ArrayLike | None = None, weights: Mapping[str, float] | None = None
     ) -> None:
-        self._situation.take(frames, _with_time(state), weights)
-        require_time_kept(self._situation)
-        self._A = np.ascontiguousarray(self._situation.A[:, 1:, 1:])
-        self._b = np.ascontiguousarray(self._situation.b[:, 1:])
-        self._inverses = np.ascontiguousarray(self._situation.inverses[:, 1:, 1:])
+        self._buffer.take(frames, _with_time(state), weights)
+        require_time_kept(self._buffer)
+        self._A = np.ascontiguousarray(self._buffer.A[:, 1:, 1:])
+        self._b = np.ascontiguousarray(self._buffer.b[:, 1:])
+        self._inverses = np.ascontiguousarray(self._buffer.inverses[:, 1:, 1:])
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
-        s, manifold = self._situation, self.manifold
+        s, manifold = self._buffer, self.manifold
         H, n = len(times), manifold.tangent_dim
         means, covariances = np.empty((H, manifold.dim)), np.empty((H, n, n))
         activations = np.empty(len(self._log_priors))
@@ -179,7 +179,7 @@ class RegressThenProduct(_Regression):
         return means, covariances, activations
 
     def mixture(self) -> GaussianMixture:
-        s = self._situation
+        s = self._buffer
         frames = {name: s.frame(j) for j, name in enumerate(self.frame_names)}
         weights = dict(zip(self.frame_names, s.weights.tolist(), strict=True))
         return self.model.adapt(frames, s.state, weights)

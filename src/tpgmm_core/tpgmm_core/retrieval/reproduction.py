@@ -20,14 +20,14 @@ from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
-from tpgmm_core.retrieval.continuity import MOMENT, Continuity
+from tpgmm_core.retrieval.continuity import Continuity
 from tpgmm_core.retrieval.interface import Course
 from tpgmm_core.retrieval.phase import ClockPhase
 from tpgmm_core.retrieval.regression import AdaptThenRegress
+from tpgmm_core.situation import Situation
 from tpgmm_core.tpgmm import TPGMM
 
 _SECOND = 1_000_000_000
-_NEAR: Array = np.array([0.0, MOMENT])
 
 
 class Reproduction:
@@ -69,7 +69,7 @@ class Reproduction:
         self._seconds_ahead: list[float] = self._ahead.tolist()
         self._continuity = Continuity(self.course.manifold, blend_time)
         self._last_ns: int | None = None
-        self._frames: Mapping[str, Frame] | None = None
+        self._situation: Situation | None = None
 
     @property
     def manifold(self) -> Manifold:
@@ -100,8 +100,7 @@ class Reproduction:
         self.phase.start(time_ns, phase)
         self._last_ns = time_ns
         self._state = state
-        self._frames = None
-        self._weights: Mapping[str, float] | None = None
+        self._situation = None
         self._former: list[Array] = []
         self._is_free = False
         self._continuity.forget()
@@ -123,9 +122,9 @@ class Reproduction:
         since = max(0.0, (time_ns - self._last_ns) / _SECOND)
         self._last_ns = time_ns
         self._state = self._state if state is None else state
-        is_new = frames is not self._frames or weights is not self._weights
-        if is_new or (self._is_free and state is not None):
-            means, covariances, activations = self._situate(time_ns, frames, weights)
+        situation, known = Situation(frames, weights, self._state), self._situation
+        if known is None or not (situation == known if self._is_free else situation.has_frames_of(known)):
+            means, covariances, activations = self._situate(time_ns, situation)
         else:
             self.phase.advance(time_ns)
             means, covariances, activations = self.course.at(self.phase.times(self._ahead))
@@ -145,25 +144,27 @@ class Reproduction:
             frames=tuple(frames),
         )
 
-    def _situate(
-        self, time_ns: int, frames: Mapping[str, Frame], weights: Mapping[str, float] | None
-    ) -> tuple[Array, Array, Array]:
+    def _situate(self, time_ns: int, situation: Situation) -> tuple[Array, Array, Array]:
         """The course at this time and ahead in a new situation, which begins where the last step was.
 
         Hence this step is already on the new course.
         """
-        if self._frames is not None:
-            means = self.course.at(self.phase.times(_NEAR))[0]
-            self._former = [self._continuity.mean(mean, s) for mean, s in zip(means, (0.0, MOMENT), strict=True)]
-            self._frames = None  # a situation that is refused must not be gone on with
-        self.course.situate(frames, self._state, weights)
+        moments = self._continuity.moments
+        if self._situation is not None:
+            means, self._former_covariances, _ = self.course.at(self.phase.times(moments))
+            self._former = [self._continuity.mean(mean, s) for mean, s in zip(means, moments.tolist(), strict=True)]
+            self._situation = None  # a situation that is refused must not be gone on with
+        self.course.situate(situation.frames, situation.state, situation.weights)
         self.phase.situated()
-        near = self.phase.times(_NEAR)
+        near = self.phase.times(moments)
         self.phase.advance(time_ns)
         means, covariances, activations = self.course.at(np.concatenate([self.phase.times(self._ahead), near]))
         if self._former:
-            self._continuity.take_over(self._former, list(means[-2:]), self._covariance)
-        self._frames, self._weights = frames, weights
+            first = len(self._ahead)
+            self._continuity.take_over(
+                self._former, list(means[first:]), self._covariance, covariances[first:], self._former_covariances
+            )
+        self._situation = situation
         self._is_free = float(covariances[0].max()) > 0.5 * UNCONSTRAINED_VARIANCE
         return means, covariances, activations
 
@@ -180,5 +181,5 @@ class Reproduction:
         return self.course.mixture()
 
     def _require_step(self) -> None:
-        if self._frames is None:
+        if self._situation is None:
             raise ValueError("there was no step yet: call start(time_ns) and step(...)")

@@ -17,6 +17,7 @@ import numpy as np
 
 from tpgmm_core.adaptation import Adapter
 from tpgmm_core.frame import Frame
+from tpgmm_core.frame_buffer import manifold_origin
 from tpgmm_core.gaussian import Gaussian
 from tpgmm_core.learning.hsmm import TPHSMM
 from tpgmm_core.learning.markov import SemiMarkovChain
@@ -28,7 +29,7 @@ from tpgmm_core.retrieval.dynamic_features import point_manifold, standing_frame
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.path_follower import AdaptedStates, PathFollower
 from tpgmm_core.retrieval.state_filter import Course, StateFilter
-from tpgmm_core.situation import manifold_origin
+from tpgmm_core.situation import Situation
 
 _SECOND = 1e-9
 
@@ -140,8 +141,7 @@ class SemiMarkovMovement:
         self._begin_state = None if state is None else self._checked(state)
         self._begin_place = self._course.onwards(self._course.first, 0.0, phase * self._course.total)
         self._filter.reset(*self._begin_place)
-        self._frames: Mapping[str, Frame] | None = None
-        self._weights: Mapping[str, float] | None = None
+        self._situation: Situation | None = None
         self._rate = self._speed
         self._remaining = self._course.remaining(*self._begin_place)
         self._is_seen = False
@@ -159,14 +159,15 @@ class SemiMarkovMovement:
         state = None if state is None else self._checked(state)
         since = max(0.0, (time_ns - self._last_ns) * _SECOND)
         self._last_ns = time_ns
-        if self._frames is not None:
+        if self._situation is not None:
             # what the robot could follow is what it was given, not what it is about to be given
             given = self._follower.at()
             samples = min(self._samples(since), self._course.total)  # after a gap as long as that, it is over anyway
             self._rate = self._rate_after(since)
             self._advance(samples, state, given)
-        if frames is not self._frames or weights is not self._weights:
-            self._adopt(frames, state, weights)
+        situation = Situation(frames, weights, state)
+        if self._situation is None or not situation.has_frames_of(self._situation):
+            self._adopt(situation)
         follower = self._follower
         gaussian = Gaussian(follower.at(), follower.covariance, self._manifold)
         horizon = [
@@ -203,10 +204,11 @@ class SemiMarkovMovement:
         self._check_stepped()
         return self._mixture
 
-    def _adopt(self, frames: Mapping[str, Frame], state: Array | None, weights: Mapping[str, float] | None) -> None:
+    def _adopt(self, situation: Situation) -> None:
         """Take a situation over; what no frame constrains stays where the robot, or else the reference, is."""
-        where = self._begin_state if self._frames is None else self._follower.at()
-        where = where if state is None else state
+        frames, weights, where = situation.frames, situation.weights, situation.state
+        if where is None:
+            where = self._begin_state if self._situation is None else self._follower.at()
         full = None
         if where is not None:
             size = self.model.manifold_.dim
@@ -216,11 +218,11 @@ class SemiMarkovMovement:
         if self._mixture.manifold is not self.model.manifold_ and self._mixture.manifold != self.model.manifold_:
             raise ValueError(f"the frames map to {self._mixture.manifold}, the model is on {self.model.manifold_}")
         states = AdaptedStates.of(self._mixture, self._manifold, self._sample_time, self._tolerance)
-        if self._frames is None:
+        if self._situation is None:
             self._follower.begin(self._begin_place, states, where)
         else:
             self._follower.change(states)
-        self._frames, self._weights = frames, weights
+        self._situation = situation
 
     def _advance(self, samples: float, state: Array | None, given: Array) -> None:
         """Go on; at each whole sample, ask where the movement is, from where the robot is of what it was given (D,)."""
@@ -263,7 +265,7 @@ class SemiMarkovMovement:
         return state
 
     def _check_stepped(self) -> None:
-        if not self._started or self._frames is None:
+        if not self._started or self._situation is None:
             raise ValueError("there was no step yet: call start(time_ns) and step(...)")
 
     def _compile(self) -> None:

@@ -18,8 +18,10 @@ from tpgmm_core.manifold import Manifold
 from tpgmm_core.mixture import GaussianMixture
 from tpgmm_core.quaternion import Array
 from tpgmm_core.reference import Reference
+from tpgmm_core.retrieval.covariance_fade import CovarianceFade
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.pace import Pace
+from tpgmm_core.situation import Situation
 
 _SECOND = 1_000_000_000
 
@@ -58,8 +60,10 @@ class System(ABC):
         self._ahead_times: Array = horizon_time_step * np.arange(1, 1 + horizon_steps, dtype=np.float64)
         self._duration, self._speed = float(duration), 1.0
         self._pace = Pace(1.0 / self._duration, self.blend_time)
+        self._fade = CovarianceFade(manifold.tangent_dim, self.blend_time)
+        self._shown: Array = np.eye(manifold.tangent_dim)  # covariance of the last reference
         self._last_ns: int | None = None
-        self._frames: Mapping[str, Frame] | None = None
+        self._situation: Situation | None = None
 
     def _compile(self) -> None:
         """Two steps, so that no later one waits for the compiler; with one frame, since one contradicts no other."""
@@ -68,7 +72,7 @@ class System(ABC):
         self.start(0)
         for time_ns in (0, 1):
             self.step(time_ns, {self.frame_names[0]: frame})
-        self._last_ns = self._frames = None
+        self._last_ns = self._situation = None
 
     @property
     def duration(self) -> float:
@@ -107,9 +111,8 @@ class System(ABC):
             raise ValueError(f"the phase to begin at is 0 to 1, got {phase!r}")
         self._start, self._start_phase = None if state is None else self._point(state), float(phase)
         self._last_ns = time_ns
-        self._frames = None
-        self._weights: Mapping[str, float] | None = None
-        self._covariance: Array | None = None
+        self._situation = None
+        self._fade.forget()
         self._pace.target = self._target()
         self._pace.rate = self._pace.target
 
@@ -125,20 +128,26 @@ class System(ABC):
             raise ValueError("the movement has not been started: call start(time_ns)")
         where = None if state is None else self._point(state)
         seconds = max(0.0, (time_ns - self._last_ns) / _SECOND)
-        if self._frames is None:
-            self._begin(frames, weights, self._start if self._start is not None else where, self._start_phase)
-        elif frames is not self._frames or weights is not self._weights:
-            self._situate(frames, weights)
-        self._frames, self._weights, self._last_ns = frames, weights, time_ns
+        situation = Situation(frames, weights)
+        if self._situation is None:
+            self._begin(situation, self._start if self._start is not None else where, self._start_phase)
+            self._situation = situation
+        elif not situation.has_frames_of(self._situation):
+            self._situate(situation)
+            self._fade.take_over(self._shown, self._now()[1])
+            self._situation = situation
+        self._last_ns = time_ns
         if seconds > 0.0:
             self._pace.target = self._target()
             self._advance(seconds, where)
+            self._fade.advance(seconds)
         mean, covariance, activations = self._now()
+        self._shown = self._fade.of(covariance)
         return Reference(
             phase=self._phase(),
-            gaussian=Gaussian(mean, self._blended(covariance, seconds), self.manifold),
+            gaussian=Gaussian(mean, self._shown, self.manifold),
             horizon_time_step=self._horizon_time_step,
-            horizon=tuple(self._ahead(self._ahead_times)) if len(self._ahead_times) else (),
+            horizon=tuple(self._shown_ahead(self._ahead_times)) if len(self._ahead_times) else (),
             activations=activations,
             frames=tuple(frames),
         )
@@ -149,7 +158,7 @@ class System(ABC):
         self._check_stepped()
         if n < 1:
             return []
-        return self._ahead(dt * np.arange(1, n + 1, dtype=np.float64))
+        return self._shown_ahead(dt * np.arange(1, n + 1, dtype=np.float64))
 
     def mixture(self) -> GaussianMixture:
         """The model in the situation of the last step, over all that it encodes."""
@@ -161,7 +170,7 @@ class System(ABC):
         return self._speed / self._duration
 
     def _check_stepped(self) -> None:
-        if self._frames is None:
+        if self._situation is None:
             raise ValueError("there was no step yet: call start(time_ns) and step(...)")
 
     def _point(self, state: ArrayLike) -> Array:
@@ -174,22 +183,21 @@ class System(ABC):
             point[s.ambient] = quaternion.normalize(point[s.ambient])
         return point
 
-    def _blended(self, covariance: Array, seconds: float) -> Array:
-        """Covariances form a convex cone: a first-order low-pass never leaves it."""
-        if self._covariance is not None:
-            share = -math.expm1(-seconds / self.blend_time)
-            covariance = self._covariance + share * (covariance - self._covariance)
-        self._covariance = covariance
-        return covariance
+    def _shown_ahead(self, seconds: Array) -> list[Gaussian]:
+        gaussians = self._ahead(seconds)
+        if self._fade.is_gone:
+            return gaussians
+        return [
+            Gaussian(g.mean, self._fade.of(g.covariance, ahead), self.manifold)
+            for g, ahead in zip(gaussians, seconds.tolist(), strict=True)
+        ]
 
     @abstractmethod
-    def _begin(
-        self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, phase: float
-    ) -> None:
+    def _begin(self, situation: Situation, state: Array | None, phase: float) -> None:
         """Take the first situation, and begin at this state, or where demonstrations did."""
 
     @abstractmethod
-    def _situate(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None) -> None:
+    def _situate(self, situation: Situation) -> None:
         """Take another situation while moving."""
 
     @abstractmethod

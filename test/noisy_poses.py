@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses as perception sees them, and what they do to the references of a movement."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tpgmm_core import TPGMM, Frame, quaternion
+from tpgmm_core.manifold import Manifold
+from tpgmm_core.quaternion import Array
+from tpgmm_core.retrieval.ways import make_retrieval
+
+SECOND = 1_000_000_000
+WINDOW = 0.02  # s
+BOUND = 1.1
+
+type Frames = Mapping[str, Frame]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of each coordinate, mm, and of each component of the rotation vector, deg."""
+
+    millimetres: float
+    degrees: float = 0.5
+
+    def on(self, poses: Mapping[str, Array], random: np.random.Generator) -> dict[str, Array]:
+        """Poses (7,), or planar ones [x, y, angle], as they are seen; the robot's own frame is known."""
+        return {name: pose if name == "robot" else self._on(pose, random) for name, pose in poses.items()}
+
+    def _on(self, pose: Array, random: np.random.Generator) -> Array:
+        shift, turn = 1e-3 * self.millimetres * random.normal(size=3), np.radians(self.degrees) * random.normal(size=3)
+        if len(pose) == 3:
+            return pose + [*shift[:2], turn[2]]
+        return np.concatenate([pose[:3] + shift, quaternion.multiply(quaternion.exp(turn), pose[3:])])
+
+
+def frames_of(poses: Mapping[str, Array]) -> dict[str, Frame]:
+    """New frames over [time, data]."""
+    return {name: _frame(pose).with_time() for name, pose in poses.items()}
+
+
+def _frame(pose: Array) -> Frame:
+    if len(pose) == 7:
+        return Frame.from_pose(pose[:3], pose[3:])
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return Frame(np.array([[c, -s], [s, c]]), pose[:2])
+
+
+def seen_at(poses: Mapping[str, Array], noise: Noise, rate: float, seed: int) -> Callable[[float], Frames]:
+    """The frames at a time, s: seen anew so many times per second, each time with other noise."""
+    random = np.random.default_rng(seed)
+    seen: list[dict[str, Frame]] = []
+
+    def at(now: float) -> Frames:
+        while len(seen) <= int(now * rate + 1e-9):
+            seen.append(frames_of(noise.on(poses, random)))
+        return seen[int(now * rate + 1e-9)]
+
+    return at
+
+
+@dataclass(frozen=True)
+class Run:
+    """References of a whole movement to a robot that is at once where it is to be."""
+
+    manifold: Manifold
+    means: Array  # (T, D)
+    covariances: Array  # (T, n, n)
+    phases: Array  # (T,)
+    step_time: float  # s, the median
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations (T, n)."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)))
+
+
+def run(
+    model: TPGMM, way: str, frames_at: Callable[[float], Frames], start: Array, step: float, settle: float = 0.5
+) -> Run:
+    """A movement from its start; step, settle : s."""
+    retrieval = make_retrieval(model, way)
+    retrieval.start(0, start)
+    means, covariances, phases, taken, robot = [], [], [], [], start
+    for i in range(1, round((retrieval.duration + settle) / step)):
+        frames = frames_at(i * step)
+        before = time.perf_counter()
+        reference = retrieval.step(round(i * step * SECOND), frames, robot)
+        taken.append(time.perf_counter() - before)
+        robot = reference.gaussian.mean
+        means.append(robot)
+        covariances.append(reference.gaussian.covariance)
+        phases.append(reference.phase)
+    medians = float(np.median(taken))
+    return Run(retrieval.manifold, np.array(means), np.array(covariances), np.array(phases), medians)
+
+
+@dataclass(frozen=True)
+class Own:
+    """What the model itself makes of noise: movements in situations that stand still, each seen with other noise."""
+
+    exact: Run
+    runs: list[Run]
+
+    @classmethod
+    def of(
+        cls, model: TPGMM, way: str, poses: Mapping[str, Array], noise: Noise, start: Array, step: float, count: int
+    ) -> Own:
+        random = np.random.default_rng(count)
+        still = [frames_of(noise.on(poses, random)) for _ in range(count)]
+        exact = run(model, way, lambda _: frames_of(poses), start, step)
+        return cls(exact, [run(model, way, _standing(frames), start, step) for frames in still])
+
+    def spread(self) -> Array:
+        """Of the means (n,), as a root mean square over the movement."""
+        return rms(np.concatenate([away(self.exact, other) for other in self.runs]))
+
+    def band(self, step: float) -> tuple[Array, Array]:
+        """Standard deviations (T, n) that are right: within BOUND of the exact ones, or as the model makes of noise.
+
+        As at any time within WINDOW: where one component takes over from another, noise moves the time.
+        """
+        exact = self.exact.deviations
+        all_of = np.array([r.deviations for r in self.runs])
+        low = np.minimum(exact / BOUND, all_of.min(axis=0))
+        high = np.maximum(exact * BOUND, all_of.max(axis=0))
+        reach = round(WINDOW / step)
+        around = np.clip(np.arange(len(exact))[:, None] + np.arange(-reach, reach + 1), 0, len(exact) - 1)
+        return low[around].min(axis=1), high[around].max(axis=1)
+
+
+def _standing(frames: Frames) -> Callable[[float], Frames]:
+    return lambda _: frames
+
+
+def away(exact: Run, other: Run) -> Array:
+    """By how much means differ, (T, n)."""
+    return np.asarray(exact.manifold.log(exact.means, other.means))
+
+
+def rms(differences: Array) -> Array:
+    """Over time, (n,)."""
+    return np.asarray(np.sqrt(np.mean(differences**2, axis=0)))
+
+
+def positions(manifold: Manifold) -> list[int]:
+    """The tangent dimensions that are positions."""
+    return [int(i) for i in manifold.flat_tangent]
+
+
+def lengths(manifold: Manifold, values: Array) -> tuple[float, float]:
+    """Of what is in positions and in turns of (n,)."""
+    flat = positions(manifold)
+    turns = [i for i in range(len(values)) if i not in flat]
+    return float(np.linalg.norm(values[flat])), float(np.linalg.norm(values[turns]))
