@@ -53,6 +53,12 @@ def test_lost_ticks_are_named_with_node_and_share_and_lockstep_is_offered(node: 
     assert all(other not in cause for other in ticks if other != node)
 
 
+def test_a_node_that_says_nothing_of_its_ticks_starves_too() -> None:
+    silent = copy.deepcopy(GOOD["ticks"]) | {"impedance_controller": {"asked": 0, "done": 0}}
+    cause = cause_of_failure(run_with(ticks=silent))
+    assert "impedance_controller had no time" in cause and "--lockstep" in cause
+
+
 def test_old_torques_and_starving_perception_are_named_with_their_figures() -> None:
     cause = cause_of_failure(run_with(torque_age_ms={"p50": 2.0, "p99": 31.4}))
     assert "31.4 ms" in cause and "--lockstep" in cause and "ticks" not in cause

@@ -25,7 +25,9 @@ def machine_figures(report: dict[str, Any]) -> list[str]:
     found = []
     for node, ticks in report["ticks"].items():
         lost = ticks["asked"] - ticks["done"]
-        if lost > MAX_LOST_SHARE * ticks["asked"]:
+        if not ticks["asked"]:
+            found.append(f"{node} had no time to say how many ticks it did")
+        elif lost > MAX_LOST_SHARE * ticks["asked"]:
             share = 100.0 * lost / ticks["asked"]
             found.append(
                 f"{node} lost {lost} of {ticks['asked']} ticks ({share:.1f} %, {100 * MAX_LOST_SHARE:g} % borne)"
