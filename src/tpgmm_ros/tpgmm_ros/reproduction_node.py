@@ -112,8 +112,7 @@ class ReproductionNode(ManagedNode):
             model = load_model(model_file, self.task) if model_file else None
             self._dimensions = state_dimensions(self.task)
         except (ValueError, OSError) as error:
-            self.get_logger().error(one_line(error))
-            return TransitionCallbackReturn.FAILURE
+            return self.refuse(error)
         self._references = self.create_lifecycle_publisher(ReferenceMessage, "reference", STREAM)
         self._reference_poses = self.create_lifecycle_publisher(PoseWithCovarianceStamped, "reference_pose", STREAM)
         self._markers = self.create_lifecycle_publisher(MarkerArray, "markers", STREAM)
