@@ -53,7 +53,8 @@ properties: dev ## no sequence of inputs makes a torque or a rate beyond its lim
 
 fuzz: dev ## files and messages of strangers: refused in words, or sound; 20 000 of each kind (`make test`: some)
 	TPGMM_FUZZ_EXAMPLES=20000 $(PYTHON) -m pytest --timeout 7200 src/tpgmm_core/test/test_fuzz_model_file.py \
-		src/tpgmm_core/test/test_fuzz_robot_file.py src/tpgmm_core/test/test_file_bombs.py src/tpgmm_ros/test/test_fuzz_messages.py
+		src/tpgmm_core/test/test_fuzz_robot_file.py src/tpgmm_core/test/test_file_bombs.py src/tpgmm_ros/test/test_fuzz_messages.py \
+		test/test_fuzz_nodes.py
 
 determinism: setup ## the demo in lockstep, twice at 1 kHz and at 500 Hz: equal, bit by bit? how fast? out/determinism/ (SEED=7)
 	PYTHONPATH=. $(PYTHON) benchmarks/determinism.py --seed $(SEED)

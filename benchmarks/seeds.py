@@ -2,7 +2,7 @@
 """The demo in lockstep for many seeds: each is a situation of its own, with pushes, hidden frames and noise of its own.
 
 One model is trained for all of them. Prints a table, and the cause where a seed failed; writes out/seeds/report.json,
-after each seed, and beside it what its demo leaves. Status 0 only if every seed passed.
+after each seed, and beside it what its demo leaves. Status 0 only if every seed passed, 130 if it was interrupted.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from tpgmm_core.text import one_line
 from tpgmm_ros import train
+from tpgmm_ros.entry import INTERRUPTED
 from tpgmm_ros.perception import PERCEPTIONS
 from tpgmm_ros.reporting import format_table, write_report
 from tpgmm_ros.resources import config_file
@@ -48,33 +50,66 @@ def main() -> int:
     parser.add_argument("--seeds", type=seeds_of, default="1001-1030", help=f"numbers and ranges {shown}")
     parser.add_argument("--model", type=Path, help="a model file to use, in place of training one")
     parser.add_argument("--perception", choices=PERCEPTIONS, default="camera", help=f"see demo --help {shown}")
+    parser.add_argument("--rate", type=float, default=1000.0, help=f"of joint states and torques, Hz {shown}")
     parser.add_argument("--output", type=Path, default=Path("out/seeds"), help=f"reports, model, pictures {shown}")
     arguments = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    try:
+        return _run(arguments, rows)
+    except KeyboardInterrupt:
+        error, status = "interrupted", INTERRUPTED
+    except (OSError, TrainingError) as reason:
+        error, status = one_line(reason), 1
+    print(f"error: {error}", file=sys.stderr)
+    if rows:
+        print(table(rows))
+    print(f"report: {_report(arguments, rows, error)}")
+    return status
+
+
+class TrainingError(Exception):
+    """No model was trained; the reason was printed."""
+
+
+def _run(arguments: argparse.Namespace, rows: list[dict[str, Any]]) -> int:
+    """All seeds; their results are added to `rows` as they come."""
     (arguments.output / "report.json").unlink(missing_ok=True)
     model = arguments.model or arguments.output / "pick_place.tpgmm"
-    if arguments.model is None and train.main(["--task", str(TASK_FILE), "--output", str(model), str(BAGS)]) != 0:
-        return 1
-    rows: list[dict[str, Any]] = []
+    if arguments.model is None:
+        status = train.main(["--task", str(TASK_FILE), "--output", str(model), str(BAGS)])
+        if status == INTERRUPTED:
+            raise KeyboardInterrupt
+        if status:
+            raise TrainingError("training failed")
     begun = time.monotonic()
     for seed in arguments.seeds:
-        rows.append(run(seed, model, arguments.perception, arguments.output / str(seed)))
+        rows.append(run(seed, model, arguments.perception, arguments.output / str(seed), arguments.rate))
         verdict = "passed" if rows[-1]["passed"] else f"FAILED: {rows[-1]['cause']}"
         minutes = (time.monotonic() - begun) / 60.0
         print(f"seed {seed} ({len(rows)} of {len(arguments.seeds)}, {minutes:.1f} min): {verdict}", flush=True)
-        # after each: who ends this early keeps what is known
-        failed = [row["seed"] for row in rows if not row["passed"]]
-        passed = not failed and len(rows) == len(arguments.seeds)
-        path = write_report(arguments.output, {"passed": passed, "failed": failed, "seeds": rows})
+        path = _report(arguments, rows)  # after each: who ends this early keeps what is known
+    failed = _failed(rows)
     print(table(rows))
     print(f"{len(rows) - len(failed)} of {len(rows)} seeds passed" + (f"; failed: {failed}" if failed else ""))
     print(f"report: {path}")
-    return 0 if passed else 1
+    return 1 if failed else 0
 
 
-def run(seed: int, model: Path, perceived: str, output: Path) -> dict[str, Any]:
-    """One demo in a process of its own; what came of it."""
+def _failed(rows: list[dict[str, Any]]) -> list[int]:
+    return [row["seed"] for row in rows if not row["passed"]]
+
+
+def _report(arguments: argparse.Namespace, rows: list[dict[str, Any]], error: str = "") -> Path:
+    failed = _failed(rows)
+    passed = not failed and not error and len(rows) == len(arguments.seeds)
+    report = {"passed": passed, "error": error, "rate_hz": arguments.rate, "failed": failed, "seeds": rows}
+    return write_report(arguments.output, report)
+
+
+def run(seed: int, model: Path, perceived: str, output: Path, rate: float = 1000.0) -> dict[str, Any]:
+    """One demo in a process of its own, at a rate in Hz; what came of it."""
     command = [sys.executable, "-m", "tpgmm_ros.demo", "--lockstep", "--seed", str(seed), "--model", str(model)]
-    command += ["--perception", perceived, "--output", str(output)]
+    command += ["--perception", perceived, "--rate", str(rate), "--output", str(output)]
     said = ""
     (output / "report.json").unlink(missing_ok=True)
     try:

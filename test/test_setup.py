@@ -7,6 +7,7 @@ import hashlib
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import zipfile
@@ -149,3 +150,34 @@ def test_a_package_that_is_copied_elsewhere_is_built_with_its_configuration(tmp_
     with zipfile.ZipFile(built) as archive:
         names = {Path(name).name for name in archive.namelist() if "/share/tpgmm_ros/config/" in name}
     assert names == {path.name for path in (REPOSITORY / "config").glob("*.yaml")} != set()
+
+
+@pytest.mark.parametrize("program", ["lib/tpgmm_ros/demo", "bin/another"])
+def test_ctrl_c_before_the_imports_ends_our_executables_quietly_and_is_as_ever_for_all_others(
+    environment: Path, tmp_path: Path, program: str
+) -> None:
+    """What Python does at its start takes for ever here, as soon as the environment's own lines have been read."""
+    (packages,) = environment.glob("lib/python*/site-packages")
+    hook = "import sys; from pathlib import Path; sys.path.insert(0, sys.argv[1]); import link_packages as tool"
+    subprocess.run([sys.executable, "-c", f"{hook}; tool.hook(Path(sys.argv[2]))", TOOLS, packages], check=True)
+    waiting = "import sys, time; print('begun', flush=True); time.sleep(60.0)\n"
+    slow = packages / "a.pth"
+    slow.write_text(waiting)
+    script = environment / program
+    script.parent.mkdir(parents=True, exist_ok=True)
+    script.write_text(f"#!{environment}/bin/python\n")
+    script.chmod(0o755)
+    link = tmp_path / "link"
+    link.symlink_to(script)
+    try:
+        for path in (script, link):
+            with subprocess.Popen([path], env=bare(), stdout=-1, stderr=-1, text=True) as process:
+                assert process.stdout is not None and process.stdout.readline() == "begun\n"
+                process.send_signal(signal.SIGINT)
+                _, errors = process.communicate(timeout=30)
+            if program.startswith("lib"):
+                assert (process.returncode, errors) == (-signal.SIGINT, "")
+            else:
+                assert "KeyboardInterrupt" in errors
+    finally:
+        slow.unlink()

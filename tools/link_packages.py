@@ -36,14 +36,27 @@ def link(package: Path) -> None:
                 (target / file.name).symlink_to(file.resolve(strict=True))
 
 
+def hook(directory: Path) -> None:
+    """Lines that every Python process of the environment runs at its start, before any other: they take no time."""
+    # What a process finds of the workspace: `get_package_share_directory` looks in AMENT_PREFIX_PATH
+    found = 'import os, sys; os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)'
+    # Python answers Ctrl-C with a traceback, whenever it comes. Until `tpgmm_ros.entry` knows better, it just ends our
+    # executables. All other programs, such as pytest and the own scripts of users, have it as it was
+    quiet = (
+        'import os, sys; folder = os.path.dirname(os.path.realpath(getattr(sys, "argv", [""])[0])); '
+        'ours = folder == os.path.realpath(os.path.join(sys.prefix, "lib", "tpgmm_ros")); '
+        'ours and (signal := __import__("signal")).signal(signal.SIGINT, signal.SIG_DFL)'
+    )
+    # In the order of their names; that of the ROS wheels starts Python a second time
+    (directory / "_tpgmm_workspace.pth").write_text(f"{found}\n{quiet}\n")
+
+
 def main() -> None:
     if sys.prefix == sys.base_prefix or not sys.argv[1:]:
         sys.exit("usage: .venv/bin/python tools/link_packages.py DIRECTORY...")
     for directory in sys.argv[1:]:
         link(Path(directory).resolve(strict=True))
-    # What a process finds of the workspace: `get_package_share_directory` looks in AMENT_PREFIX_PATH
-    line = 'import os, sys; os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)\n'
-    Path(sysconfig.get_path("purelib"), "tpgmm_workspace.pth").write_text(line)
+    hook(Path(sysconfig.get_path("purelib")))
 
 
 if __name__ == "__main__":

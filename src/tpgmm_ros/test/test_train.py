@@ -171,7 +171,7 @@ def test_nothing_but_bad_bags_is_no_training(bags: Path, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["--components", "400"], "train: "),
+        (["--components", "400"], "error: "),
         (["--task", "none.yaml"], "none.yaml: cannot be read"),
         (["nowhere"], "nowhere: does not exist"),
     ],

@@ -26,7 +26,7 @@ from tpgmm_core.control.supervision import ControllerMode, Timeouts, slow_states
 from tpgmm_core.control.torque_pipeline import TorqueLimits
 from tpgmm_core.joint_states import JointSample
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_core.text import one_line, shown
+from tpgmm_core.text import shown
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
@@ -115,8 +115,7 @@ class ImpedanceControllerNode(ManagedNode):
                 self.parameters["gravity_compensated"],
             )
         except (ValueError, OSError, ImportError) as error:
-            self.get_logger().error(one_line(error))
-            return TransitionCallbackReturn.FAILURE
+            return self.refuse(error)
         limits, timeouts = self.parameters.fill(TorqueLimits), self.parameters.fill(Timeouts)
         for text in slow_states(
             1.0 / self.parameters["joint_state_rate"], "joint_state_rate", timeouts, limits.max_time_step

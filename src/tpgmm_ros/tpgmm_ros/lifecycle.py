@@ -12,6 +12,8 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 
+from tpgmm_core.text import one_line
+
 
 class ManagedNode(LifecycleNode):
     """A lifecycle node that refuses a transition which its state does not have.
@@ -24,6 +26,7 @@ class ManagedNode(LifecycleNode):
         self._follow = self._service_change_state.callback
         self._service_change_state.callback = self._change_state
         self._own: set[int] = set()
+        self._refusal = "see above for the reason"
         self._callbacks = {state: self._telling(callback) for state, callback in self._callbacks.items()}
 
     def _telling(self, callback: Callable[[LifecycleState], TransitionCallbackReturn]) -> Callable[..., Any]:
@@ -32,7 +35,8 @@ class ManagedNode(LifecycleNode):
         def call(state: LifecycleState) -> TransitionCallbackReturn:
             try:
                 return callback(state)
-            except Exception:
+            except Exception as error:
+                self._refusal = one_line(error)
                 self.get_logger().error(traceback.format_exc())
                 raise
 
@@ -75,12 +79,18 @@ class ManagedNode(LifecycleNode):
         else:
             self.destroy_publisher(publisher)
 
+    def refuse(self, error: Exception) -> TransitionCallbackReturn:
+        """What a transition returns that cannot be made; the reason is in the log."""
+        self._refusal = one_line(error)
+        self.get_logger().error(self._refusal)
+        return TransitionCallbackReturn.FAILURE
+
     def start_itself(self) -> None:
         """Configure and activate without a lifecycle manager.
 
         Raises:
-            ValueError: it refused; the reason is in its log.
+            ValueError: it refused; the text says why.
         """
         for name, trigger in (("configured", self.trigger_configure), ("activated", self.trigger_activate)):
             if trigger() is not TransitionCallbackReturn.SUCCESS:
-                raise ValueError(f"{self.get_name()} cannot be {name}: see above for the reason")
+                raise ValueError(f"{self.get_name()} cannot be {name}: {self._refusal}")

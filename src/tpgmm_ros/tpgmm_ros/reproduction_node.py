@@ -23,7 +23,7 @@ from tpgmm_core.retrieval.execution import ExecutionConfig
 from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.ways import WAYS, way_named
 from tpgmm_core.streams import Stamp
-from tpgmm_core.text import listed, one_line, shown
+from tpgmm_core.text import listed, shown
 from tpgmm_core.tracking import check_pose
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
@@ -112,8 +112,7 @@ class ReproductionNode(ManagedNode):
             model = load_model(model_file, self.task) if model_file else None
             self._dimensions = state_dimensions(self.task)
         except (ValueError, OSError) as error:
-            self.get_logger().error(one_line(error))
-            return TransitionCallbackReturn.FAILURE
+            return self.refuse(error)
         self._references = self.create_lifecycle_publisher(ReferenceMessage, "reference", STREAM)
         self._reference_poses = self.create_lifecycle_publisher(PoseWithCovarianceStamped, "reference_pose", STREAM)
         self._markers = self.create_lifecycle_publisher(MarkerArray, "markers", STREAM)

@@ -63,16 +63,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         report["passed"], status = True, 0
     except (TrainingError, OSError, ValueError, np.linalg.LinAlgError) as error:
         report["error"] = one_line(error)
-        print(f"train: {report['error']}", file=sys.stderr)
+        print(f"error: {report['error']}", file=sys.stderr)
     except KeyboardInterrupt:
         report["error"], status = "interrupted", INTERRUPTED
-        print("train: interrupted, nothing was saved", file=sys.stderr)
+        print("interrupted, nothing was saved", file=sys.stderr)
     if options.report is not None:
         # Written after a failure too: a report of an earlier success must not stand beside it.
         try:
             print(f"report: {write_report(options.report, report)}")
         except OSError as error:
-            print(f"train: the report could not be written: {one_line(error)}", file=sys.stderr)
+            print(f"error: the report could not be written: {one_line(error)}", file=sys.stderr)
             return 1
     return status
 
