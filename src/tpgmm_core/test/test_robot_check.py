@@ -37,7 +37,7 @@ def panda(folder: Path, *replace: tuple[str, str]) -> RobotModel:
     ("replace", "message"),
     [
         ((("panda_joint1: 0.0", "panda_joint1: 2.85"),), "home of panda_joint1 is 0.0473 rad from its limit"),
-        ((("friction:", "limits: {panda_joint4: {effort: 25}}\nfriction:"),), "panda_joint4 needs 88% of its effort"),
+        ((("limits:\n", "limits:\n  panda_joint4: {effort: 25}\n"),), "panda_joint4 needs 88% of its effort"),
         ((("coulomb: 0.2", "coulomb: 3.0"),), "panda_joint7 moves so little .* armature: {panda_joint7"),
         ((("coulomb: 0.2", "coulomb: 0.0"),), "no friction of panda_joint1, panda_joint2"),
         ((("panda_joint4: -2.356", "panda_joint4: -0.5"), ("panda_joint6: 1.571", "panda_joint6: 0.0"),), "hand: at home"),  # noqa: E501

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self, overload
+from functools import cache
+from typing import Any, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tpgmm_core import kernels_condition
 from tpgmm_core.gaussian import Gaussian, Gaussians
 from tpgmm_core.manifold import Manifold
 from tpgmm_core.quaternion import Array
@@ -133,9 +133,7 @@ class GaussianMixture:
             priors, means, covariances = priors.copy(), means.copy(), covariances.copy()
         T, n = len(given), free.tangent_dim
         out_means, out_covariances = np.empty((T, free.dim)), np.empty((T, n, n))
-        failed = kernels_condition.condition(
-            priors, means, covariances, parts.plan, given, out_means, out_covariances, NOT_WANTED
-        )
+        failed = kernel()(priors, means, covariances, parts.plan, given, out_means, out_covariances, NOT_WANTED)
         if failed != -1:
             raise ValueError(_refusal(failed, dims, values))
         if is_one:
@@ -150,11 +148,22 @@ set_priors, set_means, set_covariances, set_manifold = (
     vars(GaussianMixture)[name].__set__ for name in ("priors", "means", "covariances", "manifold")
 )
 
+
+@cache
+def kernel() -> Any:
+    """`kernels_condition.condition`, read when first asked for: most programs that import the core never do."""
+    from tpgmm_core.kernels_condition import condition
+
+    return condition
+
+
 NOT_WANTED: Array = np.empty((0, 0))  # activations
 
 
 def _refusal(failed: int, dims: Sequence[int], values: ArrayLike) -> str:
     """What to say of what `kernels_condition.condition` returned."""
+    from tpgmm_core import kernels_condition
+
     if failed == kernels_condition.NOT_FINITE:
         return f"values must be finite, got {values!r}"
     if failed == kernels_condition.TOO_FAR:

@@ -33,7 +33,7 @@ def shown(value: Any, limit: int = NAME_LIMIT) -> str:
     try:
         text = repr(value)
     except ValueError:  # integers beyond Python's limit of digits have no text
-        text = f"a {type(value).__name__} too large to show"
+        text = f"{type(value).__name__} too large to show"
     return one_line(text, limit)
 
 

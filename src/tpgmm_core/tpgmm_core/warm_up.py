@@ -42,6 +42,7 @@ def warm_up(tell: Callable[[str], None] = lambda words: None) -> None:
     mixture = Adapter(model).adapt({"frame": Frame(np.eye(8), np.zeros(8))})
     Gaussian.product([mixture.component(0), mixture.component(1)])
     Adapter(model).condition([0.5])
+    mixture.condition([0], [0.5])
     RegressThenProduct(model)
     POSE.exp(pose[0], POSE.log(pose[0], pose[1]))
     tell("dynamical systems")

@@ -71,7 +71,7 @@ def test_what_does_not_describe_kinematic_frames_is_refused_with_what_was_expect
 @pytest.mark.parametrize(
     ("key", "line", "words"),
     [
-        ("joints", "  joints: [nose]", "unknown joints .'nose'."),
+        ("joints", "  joints: [nose]", "unknown joints nose"),
         ("bar", "    bar: {point: nose, relative_to: left}", "nose"),
         ("bar", "    bar: {point: right, relative_to: nose}", "either a frame of the task"),
     ],
