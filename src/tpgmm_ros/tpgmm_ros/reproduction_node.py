@@ -23,7 +23,7 @@ from tpgmm_core.retrieval.execution import ExecutionConfig
 from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.ways import WAYS, way_named
 from tpgmm_core.streams import Stamp
-from tpgmm_core.text import listed, one_line, shown
+from tpgmm_core.text import listed, shown
 from tpgmm_core.tracking import check_pose
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
