@@ -17,9 +17,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -200,3 +203,43 @@ def test_whatever_message_comes_the_node_goes_on_and_answers_good_ones_as_before
     assert "Traceback" not in output, output[output.index("Traceback") :][:4000]
     longest = max(map(len, output.splitlines()), default=0)
     assert longest < LONGEST_LINE, f"a line of {longest} characters: {output[:300]}"
+
+
+@pytest.mark.parametrize("name", ["frame_tracker", "impedance_controller", "endpoint_poses"])
+def test_names_of_a_megabyte_make_neither_the_log_nor_the_diagnostics_long(
+    ros_node: Node, start_process: StartProcess, name: str
+) -> None:
+    long = "x" * 1_000_000
+    bench = opened(ros_node, start_process, name)
+    told = Inbox(ros_node, DiagnosticArray, "/diagnostics", ALL)
+    spin_until(ros_node, bench.is_at_work, 60.0, f"{name} to be at work", (bench.process,))
+    for _ in range(3):
+        for publisher in bench.publishers.values():
+            foreign = bench.good(publisher.msg_type)
+            named = [foreign]
+            if hasattr(foreign, "header"):
+                foreign.header.frame_id = long
+            if isinstance(foreign, JointState):
+                joint = bench.good(JointState)
+                joint.name = [long, *joint.name[1:]]
+                named.append(joint)
+            for message in named:
+                publisher.publish(message)
+                ros_node.executor.spin_once(timeout_sec=0.05)  # type: ignore[union-attr]
+    wish = SetParameters.Request(parameters=[Parameter(long, value=long).to_parameter_msg()])
+    client = ros_node.create_client(SetParameters, f"/{name}/set_parameters")
+    assert client.wait_for_service(30.0)
+    answer = client.call_async(wish)
+    spin_until(ros_node, answer.done, 60.0, "the parameter to be refused", (bench.process,))
+    assert not answer.result().results[0].successful
+    told.clear()
+    bench.inboxes[OUTPUTS[name][1]].clear()
+    spin_until(ros_node, bench.is_at_work, 60.0, f"{name} to be at work again", (bench.process,))
+    spin_until(ros_node, lambda: len(told.messages) > 2, 60.0, "diagnostics", (bench.process,))
+    texts = [
+        text
+        for array in told.messages
+        for status in array.status
+        for text in (status.message, *(value.value for value in status.values))
+    ]
+    assert max(map(len, [*texts, *bench.process.output.splitlines()])) < LONGEST_LINE

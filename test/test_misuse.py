@@ -55,13 +55,14 @@ with open(sys.argv[1], "w") as file:
 """
 BAGS = ROOT / "bags" / "pick_place"
 AUTOSTART: dict[str, object] = {"autostart": True}
-BOTH_FILES: dict[str, object] = {"task_files": f"[{ROOT / 'config' / 'hold_cup.yaml'}]"}
+TASK_FILES: dict[str, object] = {"task_files": f"[{ROOT / 'config' / 'hold_cup.yaml'}]"}
 
 type Arguments = Callable[[str], list[str]]
 
 
-def node(parameter: str, in_list: bool = False, **others: object) -> Arguments:
-    return lambda path: ros_arguments(**{**others, parameter: f"[{path}]" if in_list else path})
+def node(parameter: str, **others: object) -> Arguments:
+    is_list = parameter.endswith("_files")
+    return lambda path: ros_arguments(**{**others, parameter: f"[{path}]" if is_list else path})
 
 
 def program(*arguments: str) -> Arguments:
@@ -79,8 +80,8 @@ FILES: dict[str, dict[str, Arguments]] = {
     "impedance_controller": {"robot_file": node("robot_file", **AUTOSTART)},
     "joint_reference": {
         "robot_file": node("robot_file"),
-        "task_files": node("task_files", True, robot_file=ROBOT_FILE, model_files="[none.tpgmm]"),
-        "model_files": node("model_files", True, robot_file=ROBOT_FILE, **BOTH_FILES),
+        "task_files": node("task_files", robot_file=ROBOT_FILE, model_files="[none.tpgmm]"),
+        "model_files": node("model_files", robot_file=ROBOT_FILE, **TASK_FILES),
     },
     "baxter_simulator": {"robot_file": node("robot_file")},
     "endpoint_poses": {"robot_file": node("robot_file")},

@@ -103,9 +103,11 @@ def wrench_to_array(message: WrenchStamped) -> Array:
     force, torque = message.wrench.force, message.wrench.torque
     wrench = np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z])
     if not np.isfinite(wrench).all():
-        raise MessageError(f"wrench on '{message.header.frame_id}' is not finite: {wrench.tolist()}")
+        raise MessageError(f"wrench on {shown(message.header.frame_id)} is not finite: {wrench.tolist()}")
     if np.abs(wrench).max() > MAX_WRENCH:
-        raise MessageError(f"a wrench is out of all proportion: {wrench.tolist()}; expected {MAX_WRENCH:g} at most")
+        raise MessageError(
+            f"a wrench is out of all proportion: {wrench.tolist()}; expected {MAX_WRENCH:g} N, N m at most"
+        )
     return wrench
 
 

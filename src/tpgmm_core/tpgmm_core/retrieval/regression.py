@@ -176,7 +176,7 @@ class RegressThenProduct(_Regression):
             name = self.frame_names[failed - len(self.frame_names)]
             raise ValueError(f"the covariances of frame {name!r} are singular: fit with a larger reg_covar")
         if failed < -1:
-            raise no_product(f"the time {times[-2 - failed]:.3g}", self._views_at(times[-2 - failed]))
+            raise no_product(f"the time {times[-2 - failed]:.3g} s", self._views_at(times[-2 - failed]))
         if failed >= 0:
             s.refuse(failed)
         return means, covariances, activations

@@ -239,8 +239,8 @@ class RobotModel:
                 )
             if not self.torque_rates[i] > 0.0:
                 raise RobotFileError(
-                    f"{description.path}: torque_rate of {joint!r} is {self.torque_rates[i]:g}; expected one above 0, "
-                    "N m/s, or none where the maker gives none"
+                    f"{description.path}: torque_rate of {joint!r} is {self.torque_rates[i]:g} N m/s; expected one "
+                    "above 0, or none where the maker gives none"
                 )
             if self.viscous_friction[i] < 0.0 or self.coulomb_friction[i] < 0.0:
                 raise RobotFileError(f"{description.path}: friction of {joint!r} must not be negative")
