@@ -101,8 +101,10 @@ class BaxterSimulatorNode(Node):
         except MessageError as error:
             self.get_logger().error(f"torques refused: {error}", throttle_duration_sec=1.0)
             return
-        # repeated ones count: a controller that hears nothing goes on by the stamp of the last state
         stamp_ns, now_ns = conversions.time_to_ns(message.header.stamp), round(SECOND * self.simulator.state.time)
+        if self.lockstep and stamp_ns != self._stamp_ns:
+            return  # time stands still until this state is answered: what answers another one must not stand for it
+        # repeated ones count: a controller that hears nothing goes on by the stamp of the last state
         kind = self._torque_watch.judge(
             stamp_ns, now_ns, self._stamp_ns, self.parameters["command_timeout"], MAX_FUTURE
         )

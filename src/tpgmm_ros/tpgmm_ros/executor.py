@@ -138,7 +138,7 @@ def _parser(make_node: Callable[[], Node]) -> argparse.ArgumentParser:
     text = [inspect.getdoc(module) or "", "", "parameters (--ros-args -p NAME:=VALUE):"]
     text += [f"  {item.name}: {item.help()}" for item in [*getattr(module, "PARAMETERS", ()), REALTIME]]
     return argparse.ArgumentParser(
-        prog=Path(inspect.getfile(make_node)).stem.removesuffix("_node"),
+        prog=make_node.__module__.rpartition(".")[2].removesuffix("_node"),
         usage="%(prog)s [-h] [--ros-args ...]",
         description="\n".join(text),
         formatter_class=argparse.RawDescriptionHelpFormatter,
