@@ -11,6 +11,7 @@ import matplotlib
 matplotlib.use("Agg")  # headless; must come before pyplot
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
@@ -76,9 +77,10 @@ def _path(recording: Recording, world: World, mixture: GaussianMixture) -> plt.F
         ax.plot(*reference[:, sides].T, "--", color="0.35", lw=1.2, label="reference (mean)")
         ax.plot(*hand[:, sides].T, color="#1f4e9c", lw=2, label="hand")
         ax.plot(*hand[0, list(sides)], "o", color="#1f4e9c", ms=6, label="start")
-        # What is shown faintly lies close to what is shown plainly: one name above, the other below.
-        _axes(ax, places[0], sides, "object at first", above=True, alpha=0.35)
-        _axes(ax, places[1], sides, "object, pushed", above=False)
+        # the two may overlap: the name of the upper one above it, that of the lower one below
+        is_pushed_up = places[1][sides[1]] > places[0][sides[1]]
+        _axes(ax, places[0], sides, "object at first", above=not is_pushed_up, alpha=0.35)
+        _axes(ax, places[1], sides, "object, pushed", above=is_pushed_up)
         _axes(ax, places[2], sides, "target", above=False)
         horizontal, vertical = sides
         ax.set(title=title, ylabel=_AXIS[vertical], aspect="equal")
@@ -157,7 +159,9 @@ def _frames(recording: Recording, world: World) -> plt.Figure:
         ax.plot(times, confidence, color="black", lw=1.2)
         _mark_disturbances(ax, world)
         ax.set(ylabel=name, ylim=(-0.03, 1.08), xlim=(0.0, float(times[-1])))
-    handles = [Patch(color=color, alpha=0.45, label=value.name) for value, color in _STATUS_COLORS.items()]
+    handles: list[Artist] = [
+        Patch(color=color, alpha=0.45, label=value.name) for value, color in _STATUS_COLORS.items()
+    ]
     handles += [Line2D([], [], color="black", lw=1.2, label="confidence")]
     handles += [Patch(color=color, alpha=0.25, label=label) for label, color in _DISTURBANCE_COLORS.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=9)
