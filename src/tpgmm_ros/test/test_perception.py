@@ -29,7 +29,7 @@ def test_it_sees_as_often_as_its_rate_says_and_hands_out_as_late_as_its_delay_sa
     stamps = np.array([sighting.stamp_ns for _, sighting in seen])
     assert len(seen) == pytest.approx(3000, abs=2)
     assert {time_ns - sighting.stamp_ns for time_ns, sighting in seen} == {30 * MS}
-    beats = 1000 * MS + np.arange(len(stamps)) * 1e9 / 30.0
+    beats = 970 * MS + np.arange(len(stamps)) * 1e9 / 30.0
     off = stamps - beats
     assert np.all(np.abs(off) <= 5 * MS) and np.std(off) > 1 * MS, "jitter about the beat, which is kept for ever"
 
@@ -73,12 +73,17 @@ def test_exact_perception_sees_at_every_third_tick_at_once_and_without_an_error(
 
 def test_what_was_out_of_sight_when_the_image_was_taken_is_not_in_it_and_what_was_in_sight_is() -> None:
     camera = Camera(CameraConfig(jitter=0.0), seed=1)
-    assert camera.look(1000 * MS, {"object": PLACE}) is None
-    sighting = camera.look(1030 * MS, {})  # it has gone since
-    assert sighting is not None and sighting.stamp_ns == 1000 * MS and set(sighting.poses) == {"object"}
-    assert camera.look(1040 * MS, {}) is None
-    late = camera.look(1080 * MS, {"object": PLACE})
-    assert late is not None and late.poses == {}
+    camera.look(1000 * MS, {"object": PLACE})
+    assert camera.look(1010 * MS, {"object": PLACE}) is None  # an image is taken
+    sighting = camera.look(1040 * MS, {})  # it has gone since
+    assert sighting is not None and sighting.stamp_ns == 1010 * MS and set(sighting.poses) == {"object"}
+    late = camera.look(1070 * MS, {"object": PLACE})
+    assert late is not None and late.stamp_ns == 1040 * MS and late.poses == {}
+
+
+def test_it_was_running_before_anybody_asked_so_that_what_lies_there_is_known_from_the_first_moment_on() -> None:
+    sighting = Camera(CameraConfig(), seed=1).look(1000 * MS, {"object": PLACE})
+    assert sighting is not None and sighting.stamp_ns == 970 * MS and set(sighting.poses) == {"object"}
 
 
 def test_after_a_long_silence_it_goes_on_with_one_image_and_its_beat() -> None:

@@ -62,6 +62,30 @@ def test_the_gripper_closes_only_when_the_hand_has_rested_at_the_object() -> Non
     assert grasp.holds
 
 
+@pytest.mark.parametrize("speed", [0.02, 0.05])
+def test_the_gripper_does_not_close_while_the_hand_moves_or_turns_past_the_object(speed: float) -> None:
+    """As in a run whose arm came with a motor at its limit: 8 to 14 mm off, and still moving. Speeds in m/s."""
+    grasp = Grasp(LIES)
+    for tick in range(200):
+        time = 0.01 * tick
+        off = -0.02 + speed * time
+        grasp.update(hand_at(LIES + [off, 0, 0, 0, 0, 0, 0]), time)
+        assert not grasp.holds
+    turning = Grasp(LIES)
+    for tick in range(100):
+        turn = quaternion.multiply(quaternion.exp([0.0, 0.0, 0.13 * np.sin(0.2 * tick)]), LIES[3:])
+        turning.update(hand_at(np.concatenate([LIES[:3], turn])), 0.01 * tick)
+    assert not turning.holds
+
+
+def test_a_hand_that_trembles_as_references_with_noise_do_rests() -> None:
+    grasp, random = Grasp(LIES), np.random.default_rng(2)
+    for tick in range(40):
+        off = np.clip(random.normal(0.0, 0.0005, 3), -0.001, 0.001)
+        grasp.update(hand_at(LIES + np.append(off, np.zeros(4))), 0.01 * tick)
+    assert grasp.holds
+
+
 def test_a_held_object_moves_and_turns_with_the_hand_and_cannot_be_pushed() -> None:
     grasp = Grasp(LIES)
     for time in (0.0, 1.0):

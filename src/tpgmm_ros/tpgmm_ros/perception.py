@@ -94,17 +94,26 @@ class Camera:
         A time before the last one begins anew.
         """
         if self._first_ns is None or time_ns < self._asked_ns:  # a simulation that was started again
-            self._first_ns = self._due_ns = time_ns
-            self._beats = 0
-            self._pending.clear()
+            self._begin(time_ns, places)
         self._asked_ns = time_ns
         if time_ns >= self._due_ns:
-            self._pending.append(Sighting(time_ns, {name: self._see(place) for name, place in places.items()}))
-            self._wait_for_the_next(time_ns)
+            self._take(time_ns, places)
         ready: Sighting | None = None
         while self._pending and time_ns - self._pending[0].stamp_ns >= round(self.config.delay * _SECOND):
             ready = self._pending.popleft()
         return ready
+
+    def _begin(self, time_ns: int, places: Mapping[str, Array]) -> None:
+        """It was running before anybody asked: the last image of what is there is known by now."""
+        self._beats = 0
+        self._pending.clear()
+        self._first_ns = self._due_ns = max(0, time_ns - round(self.config.delay * _SECOND))
+        if self._first_ns < time_ns:
+            self._take(self._first_ns, places)
+
+    def _take(self, time_ns: int, places: Mapping[str, Array]) -> None:
+        self._pending.append(Sighting(time_ns, {name: self._see(place) for name, place in places.items()}))
+        self._wait_for_the_next(time_ns)
 
     def _see(self, place: Array) -> Array:
         if not self._spread.any():

@@ -91,14 +91,16 @@ class Grasp:
     The object then moves with the hand, and cannot be seen any more: the hand covers it.
     """
 
-    #: How near (m, rad) and for how long (s) the hand must be there before the gripper closes.
+    #: How near (m, rad) and for how long (s) the hand must be there before the gripper closes, and how far (m, rad) it
+    #: may move meanwhile: a hand that passes by, or swings, does not rest.
     TOLERANCE = (0.015, 0.14)
     DWELL = 0.3
+    REST = (0.003, 0.03)
 
     def __init__(self, lies: Array) -> None:
         self.object = lies
         self._in_hand: Array | None = None
-        self._near_since: float | None = None
+        self._rests: tuple[float, Array] | None = None  # since when, and where
 
     @property
     def holds(self) -> bool:
@@ -114,10 +116,13 @@ class Grasp:
         if self._in_hand is not None:
             self.object = compose(hand, self._in_hand)
             return
-        position, angle = pose_error(hand, hand_at(self.object))
-        if position > self.TOLERANCE[0] or angle > self.TOLERANCE[1]:
-            self._near_since = None
-        elif self._near_since is None:
-            self._near_since = time
-        elif time - self._near_since >= self.DWELL:
+        if not _is_within(pose_error(hand, hand_at(self.object)), self.TOLERANCE):
+            self._rests = None
+        elif self._rests is None or not _is_within(pose_error(hand, self._rests[1]), self.REST):
+            self._rests = time, hand.copy()
+        elif time - self._rests[0] >= self.DWELL:
             self._in_hand = compose(invert(hand), self.object)
+
+
+def _is_within(error: tuple[float, float], bound: tuple[float, float]) -> bool:
+    return error[0] <= bound[0] and error[1] <= bound[1]
