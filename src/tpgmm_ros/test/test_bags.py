@@ -295,7 +295,7 @@ def test_poses_that_are_none_are_refused(
 def test_poses_in_another_frame_are_refused(frame_id: str, tmp_path: Path) -> None:
     topics = reach(0)
     topics["/object/pose"].frame_id = frame_id
-    refused(write_bag(tmp_path / "demo", topics), f"/object/pose has poses in the frame '{frame_id}'.*'base'")
+    refused(write_bag(tmp_path / "demo", topics), f"/object/pose has poses in the frame '?{frame_id}'?, .*base")
 
 
 def test_too_few_samples_are_refused(tmp_path: Path) -> None:
