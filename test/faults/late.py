@@ -52,7 +52,7 @@ def enter_late(late_ms: int, varies_ms: int, quick: bool) -> None:
         return observed
 
 
-for _late, _varies, _quick in ((20, 0, True), (30, 0, False), (20, 10, False)):
+for _late, _varies, _quick in ((20, 0, False), (30, 0, False), (20, 10, False)):  # they want an idle machine
     enter_late(_late, _varies, _quick)
 
 
