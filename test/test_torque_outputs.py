@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import sys
 from pathlib import Path
 
@@ -37,14 +38,16 @@ STAMP_NS = 12_345_678_901
 RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 
-def controller_at_home(shift: tuple[float, float, float]) -> tuple[Controller, object]:
+def controller_at_home(
+    shift: tuple[float, float, float], period: float = math.inf, closed_elsewhere: bool = False
+) -> tuple[Controller, object]:
     """A controller, and a target that lies aside of the hand (m)."""
     law, data = ImpedanceLaw(PANDA, "hand"), PANDA.create_data()
     data.update(PANDA.home)
     pose = data.pose("hand") + np.array([*shift, 0, 0, 0, 0])
-    return Controller(PANDA, law, TorqueLimits(max_time_step=0.05)), law.pose_target(
-        PoseReference(pose, np.diag([1e-5] * 3 + [1e-3] * 3))
-    )
+    target = law.pose_target(PoseReference(pose, np.diag([1e-5] * 3 + [1e-3] * 3)))
+    limits = TorqueLimits(max_time_step=0.05)
+    return Controller(PANDA, law, limits, period, closed_elsewhere=closed_elsewhere), target
 
 
 @pytest.fixture(scope="module")
@@ -105,15 +108,18 @@ def test_the_safe_torque_has_no_linear_feedback() -> None:
     assert not np.array(torque_outputs.linear_feedback(leaving(safe))["feedback_gain"].data).any()
 
 
-def hand_under_a_push(period_ms: int, feedback: bool) -> np.ndarray:
-    """Path (T, 3) of a hand that is pushed, m; the controller speaks every so often, linear feedback in between."""
-    controller, target = controller_at_home((0.0, 0.0, 0.0))
+def hand_under_a_push(period_ms: int, feedback: bool, cycle: float = 0.001) -> np.ndarray:
+    """Path (T, 3) of a hand that is pushed, m; the controller speaks every so often, linear feedback in between.
+
+    The robot takes a torque every `cycle` s, and keeps to the rate limit of its makers.
+    """
+    controller, target = controller_at_home((0.0, 0.0, 0.0), cycle, closed_elsewhere=feedback)
     simulator, data = RobotSimulator(PANDA), PANDA.create_data()
-    path = []
+    command, path = None, []
     for ms in range(1200):
         state = simulator.state
         if ms % period_ms == 0:
-            command = controller.step(state.q, state.v, target, 1e-3 * period_ms)
+            last, command = command, controller.step(state.q, state.v, target, 1e-3 * period_ms)
             assert command is not None
             fields = torque_outputs.linear_feedback(leaving(command))
             forward = np.array(fields["feedforward"].data)
@@ -121,15 +127,20 @@ def hand_under_a_push(period_ms: int, feedback: bool) -> np.ndarray:
             known = fields["initial_state"]["joint_state"]
         away = np.concatenate([known.position, known.velocity]) - np.concatenate([state.q, state.v])
         pushed = {"panda_hand_tcp": [0.0, 30.0, 0.0, 0.0, 0.0, 0.0]} if 600 <= ms < 700 else {}
-        simulator.step(forward + K @ away if feedback else forward, pushed)
+        sent = forward + K @ away if feedback else forward
+        if feedback and ms % period_ms == 0 and last is not None:
+            # what acts when new torques come is what the last ones and their gains make of the state
+            assert (np.abs(sent - last.acting(state.q, state.v)) < PANDA.torque_rates * cycle).all()
+        simulator.step(sent, pushed)
         data.update(simulator.state.q)
         path.append(data.pose("hand")[:3])
     return np.array(path)
 
 
-def test_with_linear_feedback_a_slow_controller_acts_like_a_fast_one() -> None:
+@pytest.mark.parametrize("cycle", [0.001, math.inf])
+def test_with_linear_feedback_a_slow_controller_acts_like_a_fast_one(cycle: float) -> None:
     fast = hand_under_a_push(1, feedback=False)
-    errors = [np.abs(hand_under_a_push(20, feedback) - fast).max() for feedback in (True, False)]
+    errors = [np.abs(hand_under_a_push(20, feedback, cycle) - fast).max() for feedback in (True, False)]
     assert np.ptp(fast, axis=0).max() > 2e-3
     assert errors[0] < 5e-4
     assert errors[1] > 10.0 * errors[0]

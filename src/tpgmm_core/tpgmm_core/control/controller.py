@@ -50,15 +50,31 @@ class TorqueCommand:
             return {"safe": self.tau}
         return {**self.law.terms, "pipeline": self.tau - self.law.tau}
 
+    def acting(self, q: Array, v: Array) -> Array:
+        """Torques (nv,) that act at a later state (nv,) where the robot answers it with the law's gains."""
+        if self.law is None:
+            return self.tau
+        stiffness, damping = self.law.joint_gains()
+        return self.tau + stiffness @ (self.q - q) + damping @ (self.v - v)
+
 
 class Controller[TargetT]:
     """States and targets in, torques out that may leave, one for each step; time enters as dt alone."""
 
     def __init__(
-        self, robot: RobotModel, law: ControlLaw[TargetT], limits: TorqueLimits | None = None, period: float = 0.001
+        self,
+        robot: RobotModel,
+        law: ControlLaw[TargetT],
+        limits: TorqueLimits | None = None,
+        period: float = math.inf,
+        *,
+        closed_elsewhere: bool = False,
     ) -> None:
-        """period : of what drives the robot, s, from one torque that it takes to the next."""
-        self.robot, self.law = robot, law
+        """period : see `TorquePipeline`. closed_elsewhere : the robot itself answers its state with gains that it is sent.
+
+        Torques then change all the time, and the rate limit holds against what acts when the next ones come.
+        """
+        self.robot, self.law, self._closed_elsewhere = robot, law, closed_elsewhere
         self.pipeline = TorquePipeline(robot, limits, period)
         self._data = robot.create_data()
         self.reset()
@@ -69,6 +85,7 @@ class Controller[TargetT]:
         self.pipeline.reset()
         self._q: Array | None = None
         self._v: Array | None = None
+        self._sent: TorqueCommand | None = None
 
     def restart(self) -> None:
         """After an interruption: law and torques are blended in anew, from the state of the next step."""
@@ -97,9 +114,12 @@ class Controller[TargetT]:
         asked = None if brakes else self.law.step(moment, target, self.pipeline.time_step(dt))
         if asked is not None and asked.reason:
             return self.rest(0.0, dt, asked.reason, loop)
+        if self._closed_elsewhere and self._sent is not None:
+            self.pipeline.acts(self._sent.acting(q, v))
         tau, done = self.pipeline.step(None if asked is None else asked.tau, moment, dt)
         self._q, self._v = q.copy(), v.copy()
-        return TorqueCommand(tau, self._q, self._v, asked, actions(done), "")
+        self._sent = TorqueCommand(tau, self._q, self._v, asked, actions(done), "")
+        return self._sent
 
     def rest(self, age: float, dt: float, reason: str = "", loop: Loop = AT_ONCE) -> TorqueCommand | None:
         """Gravity compensation with damping, at the last good state, which is `age` s old; None if there was none.
@@ -113,7 +133,8 @@ class Controller[TargetT]:
         v = self._v * math.exp(-max(0.0, age) / REST_TIME)
         moment = RobotMoment.at(self._data, self._q, v, replace(loop, age=0.0))
         tau, done = self.pipeline.step(None, moment, dt)
-        return TorqueCommand(tau, moment.q, moment.v, None, actions(done), reason)
+        self._sent = TorqueCommand(tau, moment.q, moment.v, None, actions(done), reason)
+        return self._sent
 
     def at_rest(self, command: TorqueCommand) -> bool:
         """Whether a command of `rest` is the safe torque itself, which no rate limit holds back any more."""

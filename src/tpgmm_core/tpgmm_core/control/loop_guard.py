@@ -47,7 +47,7 @@ class LoopGuard:
     """
 
     def __init__(self, robot: RobotModel, timeouts: Timeouts, closed_elsewhere: bool = False) -> None:
-        """closed_elsewhere : the robot itself answers its state with gains that it is sent."""
+        """closed_elsewhere : see `Controller`: the delay of this loop is then none of the robot's."""
         self._robot, self.timeouts, self._closed_elsewhere = robot, timeouts, closed_elsewhere
         self.age = StateAge()
         self._swings, self._progress = SwingWatch(robot.velocity_limits), ProgressWatch(robot)

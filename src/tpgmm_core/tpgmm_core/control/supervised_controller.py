@@ -48,10 +48,10 @@ class SupervisedController[TargetT]:
         period: float = 0.001,
         closed_elsewhere: bool = False,
     ) -> None:
-        """period : of the robot's cycle, s. closed_elsewhere : see `LoopGuard`."""
+        """period : of the robot's cycle, s. closed_elsewhere : see `Controller`."""
         self.law, self.timeouts = law, timeouts or Timeouts()
         self._max_time_step = (limits or TorqueLimits()).max_time_step
-        self.controller = Controller(robot, law, limits, period)
+        self.controller = Controller(robot, law, limits, period, closed_elsewhere=closed_elsewhere)
         self.guard = LoopGuard(robot, self.timeouts, closed_elsewhere)
         self.start()
 

@@ -30,6 +30,7 @@ With dt = 0 nothing changes, whatever is asked for: the last torque is repeated.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -163,8 +164,8 @@ def limit_torques(
 class TorquePipeline:
     """Passes torques on, within limits; remembers the last ones."""
 
-    def __init__(self, robot: RobotModel, limits: TorqueLimits | None = None, period: float = 0.001) -> None:
-        """period : from one torque that the robot takes to the next, s."""
+    def __init__(self, robot: RobotModel, limits: TorqueLimits | None = None, period: float = math.inf) -> None:
+        """period : from one torque that the robot takes to the next, s; infinite: as long as from one step to the next."""
         self.robot, self._period = robot, period
         self.configure(limits or TorqueLimits())
         self.reset()
@@ -184,6 +185,10 @@ class TorquePipeline:
     def restart(self) -> None:
         """Begin to blend in again, from the safe torque."""
         self._blend = 0.0
+
+    def acts(self, tau: Array) -> None:
+        """Torques (nv,) that act on the robot now are not the last ones: the rate limit holds against these."""
+        self._previous = tau
 
     def step(self, wanted: Array | None, moment: RobotMoment, dt: float) -> tuple[Array, int]:
         """Torques (nv,) that may leave, and the bits of what was done to those wanted (see `ACTIONS`).
