@@ -115,7 +115,8 @@ def hand_under_a_push(period_ms: int, feedback: bool, cycle: float = 0.001) -> n
     """
     controller, target = controller_at_home((0.0, 0.0, 0.0), cycle, closed_elsewhere=feedback)
     simulator, data = RobotSimulator(PANDA), PANDA.create_data()
-    command, path = None, []
+    command: TorqueCommand | None = None
+    path = []
     for ms in range(1200):
         state = simulator.state
         if ms % period_ms == 0:

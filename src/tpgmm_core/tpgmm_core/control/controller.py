@@ -70,7 +70,7 @@ class Controller[TargetT]:
         *,
         closed_elsewhere: bool = False,
     ) -> None:
-        """period : see `TorquePipeline`. closed_elsewhere : the robot itself answers its state with gains that it is sent.
+        """period : see `TorquePipeline`. closed_elsewhere : the robot itself answers its state with gains that it gets.
 
         Torques then change all the time, and the rate limit holds against what acts when the next ones come.
         """

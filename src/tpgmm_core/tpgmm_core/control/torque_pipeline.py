@@ -165,7 +165,7 @@ class TorquePipeline:
     """Passes torques on, within limits; remembers the last ones."""
 
     def __init__(self, robot: RobotModel, limits: TorqueLimits | None = None, period: float = math.inf) -> None:
-        """period : from one torque that the robot takes to the next, s; infinite: as long as from one step to the next."""
+        """period : from one torque that the robot takes to the next, s; infinite: as long as between two steps."""
         self.robot, self._period = robot, period
         self.configure(limits or TorqueLimits())
         self.reset()
