@@ -223,7 +223,7 @@ def exp_in_place(values: Array, n: int, polynomial: Array, bits: Array, scale: A
     """
     for b in range(n):
         x = max(values[b], -700.0)
-        m = math.floor(x * 1.4426950408889634 + 0.5)
+        m = np.floor(x * 1.4426950408889634 + 0.5)  # of numpy: stays a float, which vectorises
         r = x - m * 0.6931471805599453
         p = 1.0 / 6227020800.0
         p = p * r + 1.0 / 479001600.0

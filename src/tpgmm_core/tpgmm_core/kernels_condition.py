@@ -18,7 +18,7 @@ from tpgmm_core.quaternion import Array
 
 LOG_NEGLIGIBLE = math.log(NEGLIGIBLE)
 SMALLEST = 2.2250738585072014e-308  # normal number: the logarithm of a prior is finite
-BLOCK = 128  # values side by side
+BLOCK = 256  # values side by side
 LANES = 16  # of these, what loops take at once
 
 NOT_FINITE = -2  # what `condition` returns for values that are not numbers
@@ -209,16 +209,21 @@ def activate(
         total[c] = 0.0
     bits = scale.view(np.int64)
     for k in range(K):
-        n_active = 0.0  # sums vectorise
         for c in range(size):
             h[k, c] -= top[c]
-            n_active += 1.0 if h[k, c] > LOG_NEGLIGIBLE else 0.0
-        if n_active == 0.0 and not wanted:
-            h[k] = 0.0
-            continue
-        exp_in_place(h[k], size, scratch, bits, scale)
-        for c in range(size):
-            total[c] += h[k, c]
+        begin, end = 0, size  # most components are active for a part of the values only
+        if not wanted:
+            while begin < end and h[k, begin] < LOG_NEGLIGIBLE:
+                begin += 1
+            while begin < end and h[k, end - 1] < LOG_NEGLIGIBLE:
+                end -= 1
+            h[k, :begin] = 0.0
+            h[k, end:] = 0.0
+        if begin < end:
+            h_k, total_k = h[k, begin:end], total[begin:end]
+            exp_in_place(h_k, end - begin, scratch, bits, scale)
+            for c in range(end - begin):
+                total_k[c] += h_k[c]
     for c in range(size):
         total[c] = 1.0 / total[c]
     for k in range(K):
