@@ -54,7 +54,7 @@ def test_every_executable_begins_where_signals_come_before_imports() -> None:
 
 
 #: How many for each executable, within as many seconds; TPGMM_MOMENTS=8 for more of them.
-MOMENTS = int(os.environ.get("TPGMM_MOMENTS", "3"))
+MOMENTS = int(os.environ.get("TPGMM_MOMENTS", "2"))
 
 
 def moments(name: str) -> list[float]:

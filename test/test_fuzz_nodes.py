@@ -37,7 +37,7 @@ from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import Reference, TaskParameters
 from tpgmm_ros import conversions
 
-MESSAGES = int(os.environ.get("TPGMM_FUZZ_EXAMPLES", "300"))
+MESSAGES = int(os.environ.get("TPGMM_FUZZ_EXAMPLES", "120"))
 #: Fits to all who subscribe.
 ANYONE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: A log of lines that are longer is for nobody.
