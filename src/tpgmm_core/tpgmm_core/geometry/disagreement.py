@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -13,14 +13,27 @@ from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold, Sphere
 
-if TYPE_CHECKING:
-    from tpgmm_core.geometry.gaussian import Gaussian
-
 FAR = 3.0
 """Standard deviations: orientations that are nearer do not contradict each other by themselves."""
 
 
-def disagreement(gaussians: Mapping[str, Gaussian]) -> str:
+class Located(Protocol):
+    """What is asked of a Gaussian here, so that `gaussian.py` can ask for the words."""
+
+    @property
+    def mean(self) -> Array:
+        """A point of the manifold, (D,)."""
+
+    @property
+    def covariance(self) -> Array:
+        """In the tangent space at the mean, (n, n)."""
+
+    @property
+    def manifold(self) -> Manifold:
+        """Where the mean lies."""
+
+
+def disagreement(gaussians: Mapping[str, Located]) -> str:
     """Which two of the Gaussians are farthest apart, in what, and how far that is beside what they know.
 
     What was learned of how place and turn go together is linear. Far from where it was learned it asks for more than a
@@ -40,7 +53,7 @@ def disagreement(gaussians: Mapping[str, Gaussian]) -> str:
     return f"they contradict each other: {found[1]}"
 
 
-def no_product(what: str, views: Mapping[str, Gaussian]) -> ValueError:
+def no_product(what: str, views: Mapping[str, Located]) -> ValueError:
     """The error of a product that did not converge.
 
     Parameters

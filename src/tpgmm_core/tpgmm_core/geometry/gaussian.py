@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self, overload
+from typing import Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,10 +13,8 @@ from numpy.typing import ArrayLike
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import kernels_product, quaternion
 from tpgmm_core.geometry.disagreement import disagreement
+from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
-
-if TYPE_CHECKING:
-    from tpgmm_core.geometry.frame import Frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)

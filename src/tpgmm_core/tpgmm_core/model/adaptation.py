@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,11 +16,9 @@ from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.model import kernels_adapt, kernels_regress
+from tpgmm_core.model.fitted import FittedModel
 from tpgmm_core.model.frame_buffer import FrameBuffer
 from tpgmm_core.model.learned import Learned
-
-if TYPE_CHECKING:
-    from tpgmm_core.learning.tpgmm import TPGMM
 
 UNCONSTRAINED_VARIANCE = 1e6
 """Variance, in squared units of the data, with which a direction that no frame constrains stays at the state.
@@ -41,7 +39,7 @@ class Adapter:
     compiled, so that no later step waits for the compiler.
     """
 
-    def __init__(self, model: TPGMM) -> None:
+    def __init__(self, model: FittedModel) -> None:
         self.learned = Learned(model)  # before anything is read from it
         self.frame_names = model.frame_names_
         self.priors = np.array(model.priors_, dtype=float)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,9 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
-
-if TYPE_CHECKING:
-    from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.fitted import FittedModel
 
 
 class FrameBuffer:
@@ -35,7 +32,7 @@ class FrameBuffer:
     weights: Array
     state: Array
 
-    def __init__(self, model: TPGMM) -> None:
+    def __init__(self, model: FittedModel) -> None:
         self.frame_names = model.frame_names_
         manifolds = model.frame_manifolds_
         self.sizes: NDArray[np.int64] = np.array(

@@ -3,10 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.fitted import FittedModel
 
 
 class Learned:
@@ -18,18 +15,18 @@ class Learned:
 
     __slots__ = ("frame_names", "manifold", "contents")
 
-    def __init__(self, model: TPGMM) -> None:
+    def __init__(self, model: FittedModel) -> None:
         self.frame_names, self.manifold = model.frame_names_, model.manifold_
         self.contents = _contents(model)
 
-    def is_of(self, model: TPGMM) -> bool:
+    def is_of(self, model: FittedModel) -> bool:
         """Whether the model holds the same numbers now, bit by bit."""
         if model.manifold_ is not self.manifold and model.manifold_ != self.manifold:
             return False
         return model.frame_names_ == self.frame_names and _contents(model) == self.contents
 
 
-def _contents(model: TPGMM) -> list[bytes]:
+def _contents(model: FittedModel) -> list[bytes]:
     """Priors, means and covariances. In a sound model their shapes follow from the number of priors and of bytes."""
     means, covariances = model.means_, model.covariances_
     contents = [model.priors_.tobytes()]
