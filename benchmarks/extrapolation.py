@@ -27,8 +27,9 @@ from tqdm import tqdm  # noqa: E402
 
 from benchmarks import planar  # noqa: E402
 from benchmarks.report import Row, write_report  # noqa: E402
-from tpgmm_core import TPGMM, Demonstration, Frame, quaternion  # noqa: E402
-from tpgmm_core.quaternion import Array  # noqa: E402
+from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
+from tpgmm_core.common.types import Array  # noqa: E402
+from tpgmm_core.geometry import quaternion  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_core.retrieval.trajectory import TrajectoryModel  # noqa: E402
 from tpgmm_core.retrieval.ways import DEFAULT, WAYS  # noqa: E402

@@ -27,8 +27,8 @@ from numpy.typing import ArrayLike  # noqa: E402
 from benchmarks import planar  # noqa: E402
 from benchmarks.report import Row, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
-from tpgmm_core.control.lqr import double_integrator_gains  # noqa: E402
-from tpgmm_core.quaternion import Array  # noqa: E402
+from tpgmm_core.common.types import Array  # noqa: E402
+from tpgmm_core.lqr.double_integrator import double_integrator_gains  # noqa: E402
 from tpgmm_core.retrieval.regression import RegressThenProduct  # noqa: E402
 
 DURATION = 2.0  # s

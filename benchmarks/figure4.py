@@ -24,8 +24,8 @@ from mpl_toolkits.mplot3d import Axes3D  # noqa: E402
 
 from benchmarks.report import Row, write_report  # noqa: E402
 from tpgmm_core import TPGMM  # noqa: E402
-from tpgmm_core.initialization import Labels  # noqa: E402
-from tpgmm_core.quaternion import Array  # noqa: E402
+from tpgmm_core.common.types import Array  # noqa: E402
+from tpgmm_core.learning.estimation.initialization import Labels  # noqa: E402
 
 COLOURS = ("#d95f02", "#1b9e77", "#7570b3")
 SPATIAL = {"diagonal": ("diag", 1), "factors d = 1": ("mfa", 1), "full": ("full", 1)}

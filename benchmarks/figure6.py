@@ -27,6 +27,7 @@ from numpy.typing import NDArray  # noqa: E402
 
 from benchmarks.report import Row, progress, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Frame  # noqa: E402
+from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.kinematics.aims import aim_at_origins  # noqa: E402
 from tpgmm_core.kinematics.chains import PlanarRobot, planar_bimanual  # noqa: E402
 from tpgmm_core.kinematics.frames import PreviousConfiguration  # noqa: E402
@@ -34,7 +35,6 @@ from tpgmm_core.kinematics.hierarchy import hierarchy_frames  # noqa: E402
 from tpgmm_core.kinematics.inverse import damped_pseudo_inverse, null_space  # noqa: E402
 from tpgmm_core.kinematics.moving import ConfigurationProduct, MovingFrames  # noqa: E402
 from tpgmm_core.kinematics.tasks import Task  # noqa: E402
-from tpgmm_core.quaternion import Array  # noqa: E402
 
 HANDS = ("left", "right")
 HIERARCHIES: dict[str, list[str | list[str]]] = {

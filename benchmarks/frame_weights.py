@@ -22,9 +22,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from benchmarks.report import Row, write_report  # noqa: E402
-from tpgmm_core.control.sub_objectives import SubObjectives, sub_objectives  # noqa: E402
-from tpgmm_core.quaternion import Array  # noqa: E402
+from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
+from tpgmm_core.retrieval.sub_objectives import SubObjectives, sub_objectives  # noqa: E402
 from tpgmm_ros.bags import find_bags, read_demonstrations  # noqa: E402
 from tpgmm_ros.task import DIMENSIONS, MANIFOLD, Task  # noqa: E402
 

@@ -24,7 +24,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from benchmarks.report import Row, progress, write_report  # noqa: E402
-from tpgmm_core import TPGMM, Frame, quaternion  # noqa: E402
+from tpgmm_core import TPGMM, Frame  # noqa: E402
+from tpgmm_core.common.types import Array  # noqa: E402
+from tpgmm_core.geometry import quaternion  # noqa: E402
 from tpgmm_core.kinematics.frames import (  # noqa: E402
     JointSpace,
     KinematicFrame,
@@ -37,7 +39,6 @@ from tpgmm_core.kinematics.moving import ConfigurationProduct, MovingFrames  # n
 from tpgmm_core.kinematics.relevance import directions_determined  # noqa: E402
 from tpgmm_core.kinematics.tasks import Moment, Task  # noqa: E402
 from tpgmm_core.kinematics.urdf import UrdfKinematics  # noqa: E402
-from tpgmm_core.quaternion import Array  # noqa: E402
 from tpgmm_core.robot.model import RobotModel  # noqa: E402
 
 HAND, AT_CUP = Task("hand"), Task("hand", "position", "cup")

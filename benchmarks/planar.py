@@ -15,7 +15,7 @@ from scipy.io import loadmat
 from scipy.linalg import polar
 
 from tpgmm_core import Demonstration, Frame
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
 
 #: Of components, in their order in time.
 COLOURS = ("#1b9e77", "#d95f02", "#7570b3", "#e7298a", "#66a61e")

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tpgmm_core.text import one_line
+from tpgmm_core.common.text import one_line
 from tpgmm_ros import train
 from tpgmm_ros.entry import INTERRUPTED
 from tpgmm_ros.perception import PERCEPTIONS

@@ -21,9 +21,9 @@ import numpy as np  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
 from tpgmm_core import TPGMM, Demonstration  # noqa: E402
+from tpgmm_core.learning.covariance.structure import STRUCTURES  # noqa: E402
 from tpgmm_core.learning.dirichlet import DirichletTPGMM  # noqa: E402
 from tpgmm_core.learning.selection import Candidate, Estimator, select_model, unfitted  # noqa: E402
-from tpgmm_core.learning.structure import STRUCTURES  # noqa: E402
 from tpgmm_ros.bags import Recording, align, find_bags, read_recordings  # noqa: E402
 from tpgmm_ros.reporting import format_table, write_report  # noqa: E402
 from tpgmm_ros.task import MANIFOLD, Task  # noqa: E402

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Frame, quaternion
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.quaternion import Array
+from tpgmm_core import TPGMM, Frame
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.retrieval.ways import make_retrieval
 
 SECOND = 1_000_000_000

@@ -12,8 +12,8 @@ from sensor_msgs.msg import JointState
 from ros_graph import ALL, ROBOT_FILE, SECOND
 from ros_testing import RunningProcess, spin_until
 from tpgmm_core import Gaussian
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.reference import Reference
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator
 from tpgmm_msgs.msg import Reference as ReferenceMessage

@@ -10,8 +10,8 @@ import pytest
 
 from ros_graph import ROOT
 from tpgmm_core import TPGMM, Demonstration, Frame
-from tpgmm_core.control.hand_tasks import HandTask
-from tpgmm_core.manifold import POSE
+from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.kinematics.hand_tasks import HandTask
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.figure5.graph import open_session, start_controller, start_joint_reference
 from tpgmm_ros.figure5.lessons import HANDS, LESSON_TIME, LESSONS, START, Poses

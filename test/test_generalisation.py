@@ -8,7 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks import extrapolation, retrieval_table
-from tpgmm_core import Demonstration, quaternion
+from tpgmm_core import Demonstration
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_ros.bags import find_bags, read_recordings

@@ -18,8 +18,9 @@ from sensor_msgs.msg import JointState
 from noisy_poses import Noise, Own, away, frames_of, lengths, rms, run, seen_at
 from ros_graph import ALL, ROOT, TASK_FILE, result_of, ros_arguments
 from ros_testing import STARTUP_TIMEOUT, StartProcess, spin_until
-from tpgmm_core import TPGMM, quaternion
-from tpgmm_core.quaternion import Array
+from tpgmm_core import TPGMM
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS, make_retrieval
 from tpgmm_msgs.action import Reproduce

@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 
 from ros_graph import ALL, ROBOT_FILE, ROOT, Inbox, result_of, ros_arguments
 from ros_testing import StartProcess, spin_until
-from tpgmm_core import quaternion
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import Reference

@@ -10,7 +10,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from synthetic_bags import REACH_TASK, Storage, Topic, reach, write_bag
-from tpgmm_core import Frame, quaternion
+from tpgmm_core import Frame
+from tpgmm_core.geometry import quaternion
 from tpgmm_ros.bags import (
     BagError,
     align,

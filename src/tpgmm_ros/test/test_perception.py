@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tpgmm_core.manifold import POSE
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_ros.perception import Camera, CameraConfig, Sighting, perception
 
 MS = 1_000_000

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tpgmm_core import quaternion
+from tpgmm_core.geometry import quaternion
 from tpgmm_ros.demo.world import Disturbances
 from tpgmm_ros.pick_place import (
     CLEARANCE,

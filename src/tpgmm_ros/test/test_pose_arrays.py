@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from synthetic_bags import REACH_TASK, reach, write_bag, write_pose_arrays
-from tpgmm_core import quaternion
+from tpgmm_core.geometry import quaternion
 from tpgmm_ros.bags import BagError, find_bags, read_demonstrations, read_recording
 from tpgmm_ros.task import PoseArraySpec, Task, TaskError
 from tpgmm_ros.train import main

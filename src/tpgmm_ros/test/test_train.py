@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from synthetic_bags import REACH_TASK, reach, write_bag
-from tpgmm_core import TPGMM, Frame, quaternion
+from tpgmm_core import TPGMM, Frame
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_ros.bags import Recording, read_recording
 from tpgmm_ros.reporting import format_table, write_report

@@ -16,8 +16,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
-from tpgmm_core import quaternion
-from tpgmm_core.text import listed, one_line
+from tpgmm_core.common.text import listed, one_line
+from tpgmm_core.geometry import quaternion
 
 Array = NDArray[np.float64]
 Nanoseconds = NDArray[np.int64]

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core import Demonstration, Frame, quaternion
+from tpgmm_core import Demonstration, Frame
+from tpgmm_core.geometry import quaternion
 from tpgmm_ros.bag_messages import Array, BagError, Nanoseconds
 from tpgmm_ros.joint_streams import JointStream, read_joint_stream
 from tpgmm_ros.pose_arrays import read_pose_array

@@ -15,8 +15,8 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from tpgmm_core import quaternion
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader

@@ -20,9 +20,9 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
+from tpgmm_core.observation.streams import SECOND, Stamp, StreamWatch
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator
-from tpgmm_core.streams import SECOND, Stamp, StreamWatch
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointReader, MessageError
 from tpgmm_ros.executor import StopFlag, run

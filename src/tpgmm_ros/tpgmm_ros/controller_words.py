@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from rclpy.node import Node
 
+from tpgmm_core.common.text import one_line
 from tpgmm_core.control.supervision import ControllerMode
-from tpgmm_core.text import one_line
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_ros.qos import LATCHED
 

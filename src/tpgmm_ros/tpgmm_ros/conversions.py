@@ -20,11 +20,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from tpgmm_core import Frame, Gaussian
-from tpgmm_core.joint_states import JointColumns, JointSample, JointStateAssembler, JointStateError
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.reference import Reference
-from tpgmm_core.text import listed, shown
-from tpgmm_core.tracking import FrameStatus, TrackedFrame
+from tpgmm_core.common.text import listed, shown
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.model.reference import Reference
+from tpgmm_core.observation.joint_states import JointColumns, JointSample, JointStateAssembler, JointStateError
+from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import ControllerState, TaskFrame, TaskParameters
 from tpgmm_msgs.msg import Gaussian as GaussianMessage
 from tpgmm_msgs.msg import Reference as ReferenceMessage

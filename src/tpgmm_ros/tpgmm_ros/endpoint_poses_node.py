@@ -10,8 +10,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
+from tpgmm_core.observation.streams import Stamp
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_core.streams import Stamp
 from tpgmm_ros import conversions
 from tpgmm_ros.executor import run
 from tpgmm_ros.joint_states import SPREAD, Heard, JointStateStream

@@ -22,7 +22,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from tpgmm_core.text import one_line
+from tpgmm_core.common.text import one_line
 from tpgmm_ros.parameters import Declared
 from tpgmm_ros.rclpy_workarounds import init_rclpy
 from tpgmm_ros.scheduling import request_realtime

@@ -12,8 +12,8 @@ from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 
-from tpgmm_core.text import shown
-from tpgmm_core.tracking import FrameStatus, FrameTracker, TrackedFrame, TrackingConfig
+from tpgmm_core.common.text import shown
+from tpgmm_core.observation.tracking import FrameStatus, FrameTracker, TrackedFrame, TrackingConfig
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros import conversions
 from tpgmm_ros.executor import run

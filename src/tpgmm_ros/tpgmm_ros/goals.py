@@ -9,8 +9,8 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
+from tpgmm_core.common.text import one_line
 from tpgmm_core.retrieval.execution import Outcome
-from tpgmm_core.text import one_line
 from tpgmm_msgs.action import Reproduce
 
 #: A result is kept for so long for clients whose link was down, s.

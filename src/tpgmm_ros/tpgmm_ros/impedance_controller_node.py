@@ -18,15 +18,15 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 
+from tpgmm_core.common.text import shown
 from tpgmm_core.control.controller import TorqueCommand
 from tpgmm_core.control.laws import CONFIGS, LAWS, LawSettings, LawTarget, ReferenceLaw
 from tpgmm_core.control.planning import at_once
 from tpgmm_core.control.supervised_controller import Answer, SupervisedController
 from tpgmm_core.control.supervision import ControllerMode, Timeouts, slow_states
 from tpgmm_core.control.torque_pipeline import TorqueLimits
-from tpgmm_core.joint_states import JointSample
+from tpgmm_core.observation.joint_states import JointSample
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_core.text import shown
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions

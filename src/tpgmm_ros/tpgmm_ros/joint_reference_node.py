@@ -18,11 +18,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 
 from tpgmm_core import TPGMM
-from tpgmm_core.control.hand_tasks import ActiveTasks, HandTask, HandTasks
-from tpgmm_core.reference import Reference
+from tpgmm_core.common.text import listed, shown
+from tpgmm_core.kinematics.hand_tasks import ActiveTasks, HandTask, HandTasks
+from tpgmm_core.model.reference import Reference
+from tpgmm_core.observation.streams import Stamp
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_core.streams import Stamp
-from tpgmm_core.text import listed, shown
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros import conversions
 from tpgmm_ros.executor import run

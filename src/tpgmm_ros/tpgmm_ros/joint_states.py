@@ -12,9 +12,9 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-from tpgmm_core.joint_states import MAX_SPREAD
-from tpgmm_core.quaternion import Array
-from tpgmm_core.streams import RESTARTED_AFTER, Leader, Stamp, StreamWatch, standing_still
+from tpgmm_core.common.types import Array
+from tpgmm_core.observation.joint_states import MAX_SPREAD
+from tpgmm_core.observation.streams import RESTARTED_AFTER, Leader, Stamp, StreamWatch, standing_still
 from tpgmm_ros import conversions
 from tpgmm_ros.conversions import JointStates, MessageError
 from tpgmm_ros.parameters import Declared

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tpgmm_core.joint_states import JointStateAssembler, JointStateError
-from tpgmm_core.streams import RESTARTED_AFTER, SECOND, Stamp, StreamWatch
+from tpgmm_core.observation.joint_states import JointStateAssembler, JointStateError
+from tpgmm_core.observation.streams import RESTARTED_AFTER, SECOND, Stamp, StreamWatch
 from tpgmm_ros.bag_messages import Array, BagError, Nanoseconds, read_messages
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -39,8 +39,8 @@ class JointStream:
 def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> JointStream:
     """Read positions of joints (n), in this order, from messages as the robot's drivers have published them.
 
-    They become states as they do while a robot runs (`tpgmm_core.joint_states`): a message may hold more joints, fewer,
-    or others, in any order. A state has the times of its last message where these are the recorder's.
+    They become states as they do while a robot runs (`tpgmm_core.observation.joint_states`): a message may hold more
+    joints, fewer, or others, in any order. A state has the times of its last message where these are the recorder's.
 
     Raises:
         BagError: the bag is damaged or incomplete, the topic is absent, empty or of another type, some joint never

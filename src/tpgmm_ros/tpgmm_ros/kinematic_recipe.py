@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from tpgmm_core import TPGMM, Frame
-from tpgmm_core.estimation import Progress
+from tpgmm_core.common.text import shown
 from tpgmm_core.kinematics.aims import aim_at_origins
 from tpgmm_core.kinematics.movement import KinematicMovement
+from tpgmm_core.learning.estimation.compiled_em import Progress
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.retrieval.ways import KEY
-from tpgmm_core.text import shown
 from tpgmm_ros.bags import Recording
 from tpgmm_ros.kinematic_task import KinematicSpec
 

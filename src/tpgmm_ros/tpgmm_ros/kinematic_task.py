@@ -28,6 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tpgmm_core.common.text import listed, shown
 from tpgmm_core.kinematics.frames import JointSpace, KinematicFrame, NullSpace, PreviousConfiguration
 from tpgmm_core.kinematics.hierarchy import Level, hierarchy_frames, level_names
 from tpgmm_core.kinematics.inverse import THRESHOLD
@@ -35,7 +36,6 @@ from tpgmm_core.kinematics.moving import MovingFrames
 from tpgmm_core.kinematics.tasks import Task
 from tpgmm_core.kinematics.urdf import UrdfKinematics
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_core.text import listed, shown
 from tpgmm_ros.yaml_sections import Section, a_choice, a_name, a_number, a_topic
 
 PREVIOUS = "previous"

@@ -12,7 +12,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 
-from tpgmm_core.text import one_line
+from tpgmm_core.common.text import one_line
 
 
 class ManagedNode(LifecycleNode):

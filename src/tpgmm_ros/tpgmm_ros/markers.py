@@ -16,8 +16,9 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from tpgmm_core import Frame, GaussianMixture, quaternion
-from tpgmm_core.quaternion import Array
+from tpgmm_core import Frame, GaussianMixture
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
 from tpgmm_ros import conversions
 
 #: Markers that are not shown again for this long vanish; they come ten times per second. s

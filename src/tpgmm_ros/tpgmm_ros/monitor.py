@@ -14,8 +14,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from tpgmm_core.streams import RateMeter
-from tpgmm_core.text import one_line
+from tpgmm_core.common.text import one_line
+from tpgmm_core.observation.streams import RateMeter
 from tpgmm_ros.peers import complaints
 from tpgmm_ros.qos import EVENTS
 from tpgmm_ros.timing import clock_trouble

@@ -17,11 +17,11 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from tpgmm_core import TPGMM, Frame
-from tpgmm_core.quaternion import Array
-from tpgmm_core.reference import Reference
+from tpgmm_core.common.text import listed, one_line
+from tpgmm_core.common.types import Array
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.execution import Execution, ExecutionConfig, Outcome, Stage
 from tpgmm_core.retrieval.interface import Retrieval
-from tpgmm_core.text import listed, one_line
 from tpgmm_msgs.srv import LoadModel
 from tpgmm_ros.background import Background, create_patient_service
 from tpgmm_ros.controller_words import ControllerWords

@@ -11,8 +11,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from tpgmm_core.settings import setting_of
-from tpgmm_core.text import one_line
+from tpgmm_core.common.settings import setting_of
+from tpgmm_core.common.text import one_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Declared:
 
 
 def declared_of(config: type) -> list[Declared]:
-    """One parameter for each setting of a dataclass (see ``tpgmm_core.settings``)."""
+    """One parameter for each setting of a dataclass (see ``tpgmm_core.common.settings``)."""
     return [
         Declared(item.name, known.default, known.description, known.lower, known.upper)
         for item, known in ((item, setting_of(item)) for item in fields(config))

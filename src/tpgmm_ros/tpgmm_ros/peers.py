@@ -9,7 +9,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from tpgmm_core.text import one_line
+from tpgmm_core.common.text import one_line
 
 #: Topics that every node writes to, or anyone may; joints may have several drivers.
 SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/external_wrench", "/joint_states")

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tpgmm_core.manifold import POSE
-from tpgmm_core.quaternion import Array
-from tpgmm_core.settings import check_settings, setting
+from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import POSE
 
 _SECOND = 1_000_000_000
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core import quaternion
-from tpgmm_core.manifold import POSE
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.manifold import POSE
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tpgmm_core.safe_yaml import YamlError, load_yaml
+from tpgmm_core.common.safe_yaml import YamlError, load_yaml
 from tpgmm_ros.bag_messages import Array, BagError, checked_poses, read_messages
 from tpgmm_ros.task import PoseArraySpec
 from tpgmm_ros.yaml_sections import Section, a_quaternion, numbers

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from tpgmm_core.atomic_file import write_atomically
-from tpgmm_core.text import one_line
+from tpgmm_core.common.atomic_file import write_atomically
+from tpgmm_core.common.text import one_line
 from tpgmm_ros.entry import INTERRUPTED
 
 

@@ -18,13 +18,13 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from visualization_msgs.msg import MarkerArray
 
-from tpgmm_core.reference import Reference
+from tpgmm_core.common.text import listed, shown
+from tpgmm_core.model.reference import Reference
+from tpgmm_core.observation.streams import Stamp
+from tpgmm_core.observation.tracking import check_pose
 from tpgmm_core.retrieval.execution import ExecutionConfig
 from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.ways import WAYS, way_named
-from tpgmm_core.streams import Stamp
-from tpgmm_core.text import listed, shown
-from tpgmm_core.tracking import check_pose
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros import conversions

@@ -22,14 +22,14 @@ from pathlib import Path
 from typing import Any
 
 from tpgmm_core import TPGMM
-from tpgmm_core.learning.structure import STRUCTURES
+from tpgmm_core.common.safe_yaml import YamlError, load_yaml, parse_yaml
+from tpgmm_core.common.settings import configured
+from tpgmm_core.common.text import shown
+from tpgmm_core.learning.covariance.structure import STRUCTURES
+from tpgmm_core.observation.tracking import TrackingConfig
 from tpgmm_core.retrieval.encodings import ENCODINGS
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS
-from tpgmm_core.safe_yaml import YamlError, load_yaml, parse_yaml
-from tpgmm_core.settings import configured
-from tpgmm_core.text import shown
-from tpgmm_core.tracking import TrackingConfig
 from tpgmm_ros.kinematic_task import KinematicSpec
 from tpgmm_ros.yaml_sections import (
     Section,

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from tpgmm_core import TPGMM, Frame
-from tpgmm_core.manifold import POSE, Manifold
+from tpgmm_core.common.text import listed, one_line, shown
+from tpgmm_core.geometry.manifold import POSE, Manifold
 from tpgmm_core.retrieval import ways
 from tpgmm_core.retrieval.encodings import encoding_of
 from tpgmm_core.retrieval.interface import Retrieval
-from tpgmm_core.text import listed, one_line, shown
 from tpgmm_ros import kinematic_recipe
 from tpgmm_ros.conversions import TaskFrameState
 from tpgmm_ros.task import DIMENSIONS, MANIFOLD, Task

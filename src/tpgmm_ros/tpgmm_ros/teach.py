@@ -28,8 +28,8 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from tqdm import tqdm
 
+from tpgmm_core.common.text import one_line
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_core.text import one_line
 from tpgmm_ros import bar_lesson, conversions
 from tpgmm_ros.bag_recorder import BagRecorder
 from tpgmm_ros.bar_lesson import BarLesson

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from tpgmm_core.manifold import POSE
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_ros.pick_place import CLEARANCE, Array, Situation, hand_at
 
 

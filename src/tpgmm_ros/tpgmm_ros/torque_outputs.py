@@ -24,9 +24,9 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
+from tpgmm_core.common.text import listed, shown
 from tpgmm_core.control.controller import TorqueCommand
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_core.text import listed, shown
 from tpgmm_ros import conversions
 from tpgmm_ros.qos import COMMANDS, STREAM
 

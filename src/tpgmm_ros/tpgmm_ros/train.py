@@ -13,9 +13,9 @@ import numpy as np
 from tqdm import tqdm
 
 from tpgmm_core import TPGMM
+from tpgmm_core.common.text import one_line
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS
-from tpgmm_core.text import one_line
 from tpgmm_ros.bags import Recording, align, find_bags, read_recordings
 from tpgmm_ros.entry import INTERRUPTED
 from tpgmm_ros.kinematic_recipe import WAY, KinematicRecipe

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Demonstration, Frame, quaternion
+from tpgmm_core import TPGMM, Demonstration, Frame
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.ways import make_retrieval, way_named, way_of
 from tpgmm_ros.bag_messages import Array
 from tpgmm_ros.bags import Recording, align

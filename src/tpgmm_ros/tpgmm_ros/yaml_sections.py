@@ -10,8 +10,8 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from tpgmm_core.safe_yaml import YamlError
-from tpgmm_core.text import one_line, shown
+from tpgmm_core.common.safe_yaml import YamlError
+from tpgmm_core.common.text import one_line, shown
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _TOPIC = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")

@@ -16,8 +16,9 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 
-from tpgmm_core import GaussianMixture, quaternion
-from tpgmm_core.tracking import FrameStatus
+from tpgmm_core import GaussianMixture
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.observation.tracking import FrameStatus
 from tpgmm_ros.demo.recording import Recording
 from tpgmm_ros.demo.world import World
 from tpgmm_ros.pick_place import Array, hand_at

@@ -9,7 +9,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
-from tpgmm_core.manifold import POSE
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_ros import conversions
 from tpgmm_ros.lockstep import nothing_seen
 from tpgmm_ros.perception import Camera

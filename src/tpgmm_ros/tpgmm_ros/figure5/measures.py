@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import quaternion
 from tpgmm_core.control.control_law import RobotMoment
-from tpgmm_core.control.hand_tasks import HandTask, HandTasks
 from tpgmm_core.control.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
-from tpgmm_core.reference import Reference
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.kinematics.hand_tasks import HandTask, HandTasks
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.figure5.lessons import CUP_AXIS, HANDS, SUGAR_PLACE, Array
 from tpgmm_ros.figure5.session import Segment

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from mpl_toolkits.mplot3d import Axes3D
 
-from tpgmm_core import quaternion
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.figure5.lessons import CUP_AXIS, HANDS, Array
 from tpgmm_ros.figure5.measures import measure

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tpgmm_core import TPGMM
-from tpgmm_core.control.hand_tasks import HandTask
+from tpgmm_core.kinematics.hand_tasks import HandTask
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.figure5.lessons import Array
 from tpgmm_ros.figure5.measures import Measures, energy, measure

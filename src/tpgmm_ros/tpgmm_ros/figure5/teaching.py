@@ -10,7 +10,7 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 
 from tpgmm_core import TPGMM, Demonstration, Frame
-from tpgmm_core.manifold import POSE
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_ros.bag_recorder import BagRecorder
 from tpgmm_ros.bags import read_recording
 from tpgmm_ros.figure5.lessons import HANDS, LESSON_TIME, LESSONS

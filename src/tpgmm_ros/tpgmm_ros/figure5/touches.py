@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tpgmm_core.manifold import POSE
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_ros.figure5.lessons import ELBOWS, FADE, HANDS, START, Array, Lesson, Poses
 from tpgmm_ros.figure5.session import Session, Wrench
 from tpgmm_ros.teacher import Teacher, TeacherConfig
