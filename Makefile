@@ -82,19 +82,19 @@ results: setup ## the numbers of docs/results.md: leave-one-out on real demonstr
 	PYTHONPATH=. $(PYTHON) benchmarks/retrieval_table.py --data $(DATA)
 
 figures: setup ## figures 1, 3 and 4 of the paper, extrapolation, weights of frames, in out/ (DATA=directory of the data sets)
-	PYTHONPATH=. $(PYTHON) benchmarks/figure1.py --data $(DATA)/pbdlib
-	PYTHONPATH=. $(PYTHON) benchmarks/figure3.py --data $(DATA)/pbdlib
-	PYTHONPATH=. $(PYTHON) benchmarks/extrapolation.py --data $(DATA)/pbdlib
-	PYTHONPATH=. $(PYTHON) benchmarks/figure4.py
-	PYTHONPATH=. $(PYTHON) benchmarks/figure1d.py
-	PYTHONPATH=. $(PYTHON) benchmarks/frame_weights.py
+	PYTHONPATH=. $(PYTHON) examples/figure1.py --data $(DATA)/pbdlib
+	PYTHONPATH=. $(PYTHON) examples/figure3.py --data $(DATA)/pbdlib
+	PYTHONPATH=. $(PYTHON) examples/extrapolation.py --data $(DATA)/pbdlib
+	PYTHONPATH=. $(PYTHON) examples/figure4.py
+	PYTHONPATH=. $(PYTHON) examples/figure1d.py
+	PYTHONPATH=. $(PYTHON) examples/frame_weights.py
 
 figure5: setup ## figure 5 of the paper: cup and sugar held by two hands that are pushed, in out/figure5/ (20 minutes; SEED=7 for other pushes)
 	$(PROGRAMS)/figure5 --seed $(SEED)
 
 figure6: setup ## figure 6 of the paper: priorities learned by a planar robot with two hands, in out/figure6/ and out/kinematic_relevance/
-	PYTHONPATH=. $(PYTHON) benchmarks/figure6.py
-	PYTHONPATH=. $(PYTHON) benchmarks/kinematic_relevance.py
+	PYTHONPATH=. $(PYTHON) examples/figure6.py
+	PYTHONPATH=. $(PYTHON) examples/kinematic_relevance.py
 
 BENCHMARKS := em reproduction_step retrieval_step lqr control simulator loop latency kinematic_frames
 bench: setup ## benchmarks: tables, and JSON in out/bench/ (wants two idle cores)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tpgmm_ros.processes import end_with_parent
+from tpgmm_ros.runtime.processes import end_with_parent
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -155,7 +155,7 @@ def node_on(domain: int) -> Iterator[Node]:
     from rclpy.experimental import EventsExecutor
     from rclpy.node import Node
 
-    from tpgmm_ros.rclpy_workarounds import init_rclpy
+    from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
 
     context = Context()
     init_rclpy(context=context, domain_id=domain)

@@ -17,7 +17,7 @@ from rclpy.node import Node
 
 from ros_graph import ROBOT_FILE, TASK_FILE, ros_arguments
 from ros_testing import STARTUP_TIMEOUT, StartProcess, executable, spin_until
-from tpgmm_ros import entry
+from tpgmm_ros.runtime import entry
 
 NODES: dict[str, dict[str, object]] = {
     "frame_tracker": {"task_file": TASK_FILE},
@@ -42,10 +42,10 @@ def test_every_executable_begins_where_signals_come_before_imports() -> None:
     points = importlib.metadata.distribution("tpgmm_ros").entry_points.select(group="console_scripts")
     if all("entry" not in point.value for point in points):
         pytest.fail("the installed executables are older than setup.py: run `make setup`")
-    assert {point.name: point.value for point in points} == {name: f"tpgmm_ros.entry:{name}" for name in EXECUTABLES}
-    slow = (
-        "import sys, tpgmm_ros.entry\nsys.exit(bool({'numpy', 'rclpy', 'tpgmm_core', 'argparse'} & set(sys.modules)))"
-    )
+    assert {point.name: point.value for point in points} == {
+        name: f"tpgmm_ros.runtime.entry:{name}" for name in EXECUTABLES
+    }
+    slow = "import sys, tpgmm_ros.runtime.entry\nsys.exit(bool({'numpy', 'rclpy', 'tpgmm_core', 'argparse'} & set(sys.modules)))"
     subprocess.run([sys.executable, "-c", slow], check=True, timeout=60)
     assert all(callable(getattr(entry, name)) for name in EXECUTABLES)
 

@@ -21,7 +21,7 @@ from ros_graph import ROBOT_FILE, ROOT, TASK_FILE, ros_arguments
 RUN = """
 import importlib, json, os, signal, sys, tempfile, traceback
 cases = json.loads(sys.stdin.read())
-from tpgmm_ros import entry
+from tpgmm_ros.runtime import entry
 for name in {name for name, _ in cases}:
     module = name if name in ("check_robot", "teach", "train", "demo", "figure5") else name + "_node"
     importlib.import_module("tpgmm_ros." + module)

@@ -20,8 +20,9 @@ from ros_graph import ROOT, Inbox, result_of, ros_arguments
 from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.action import Reproduce
-from tpgmm_ros import check_robot, conversions
-from tpgmm_ros.qos import STREAM
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.programs import check_robot
 
 PAGE = (ROOT / "docs" / "your-robot.md").read_text()
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)

@@ -16,7 +16,7 @@ from rclpy.node import Node
 
 from ros_graph import ROBOT_FILE, ROOT, TASK_FILE, ros_arguments
 from ros_testing import StartProcess, spin_until
-from tpgmm_ros.task import Task
+from tpgmm_ros.task.task_file import Task
 
 POLICIES = ROOT / "config" / "security" / "policies.xml"
 THIS_MACHINE = ROOT / "config" / "security" / "this_machine.xml"

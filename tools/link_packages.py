@@ -40,8 +40,8 @@ def hook(directory: Path) -> None:
     """Lines that every Python process of the environment runs at its start, before any other: they take no time."""
     # What a process finds of the workspace: `get_package_share_directory` looks in AMENT_PREFIX_PATH
     found = 'import os, sys; os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)'
-    # Python answers Ctrl-C with a traceback, whenever it comes. Until `tpgmm_ros.entry` knows better, it just ends our
-    # executables. All other programs, such as pytest and the own scripts of users, have it as it was
+    # Python answers Ctrl-C with a traceback, whenever it comes. Until `tpgmm_ros.runtime.entry` knows better, it just ends
+    # our executables. All other programs, such as pytest and the own scripts of users, have it as it was
     quiet = (
         'import os, sys; folder = os.path.dirname(os.path.realpath(getattr(sys, "argv", [""])[0])); '
         'ours = folder == os.path.realpath(os.path.join(sys.prefix, "lib", "tpgmm_ros")); '

@@ -25,17 +25,17 @@ setup(
     extras_require={"test": ["hypothesis", "pytest"]},  # `colcon test` asks for pytest here
     entry_points={
         "console_scripts": [
-            "frame_tracker = tpgmm_ros.entry:frame_tracker",
-            "reproduction = tpgmm_ros.entry:reproduction",
-            "impedance_controller = tpgmm_ros.entry:impedance_controller",
-            "joint_reference = tpgmm_ros.entry:joint_reference",
-            "baxter_simulator = tpgmm_ros.entry:baxter_simulator",
-            "endpoint_poses = tpgmm_ros.entry:endpoint_poses",
-            "check_robot = tpgmm_ros.entry:check_robot",
-            "teach = tpgmm_ros.entry:teach",
-            "train = tpgmm_ros.entry:train",
-            "demo = tpgmm_ros.entry:demo",
-            "figure5 = tpgmm_ros.entry:figure5",
+            "frame_tracker = tpgmm_ros.runtime.entry:frame_tracker",
+            "reproduction = tpgmm_ros.runtime.entry:reproduction",
+            "impedance_controller = tpgmm_ros.runtime.entry:impedance_controller",
+            "joint_reference = tpgmm_ros.runtime.entry:joint_reference",
+            "baxter_simulator = tpgmm_ros.runtime.entry:baxter_simulator",
+            "endpoint_poses = tpgmm_ros.runtime.entry:endpoint_poses",
+            "check_robot = tpgmm_ros.runtime.entry:check_robot",
+            "teach = tpgmm_ros.runtime.entry:teach",
+            "train = tpgmm_ros.runtime.entry:train",
+            "demo = tpgmm_ros.runtime.entry:demo",
+            "figure5 = tpgmm_ros.runtime.entry:figure5",
         ]
     },
     zip_safe=True,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tpgmm_ros.parameters import Declared
+from tpgmm_ros.runtime.parameters import Declared
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "interfaces.md"
@@ -35,7 +35,7 @@ def row_of(item: Declared) -> str:
 
 @pytest.mark.parametrize("node", NODES)
 def test_each_parameter_of_a_node_stands_in_its_table_as_the_node_declares_it(node: str) -> None:
-    declared: list[Declared] = importlib.import_module(f"tpgmm_ros.{node}_node").PARAMETERS
+    declared: list[Declared] = importlib.import_module(f"tpgmm_ros.nodes.{node}").PARAMETERS
     section = PAGE.read_text().split("## Parameters", 1)[-1].split(f"### {node}\n", 1)[1].split("\n##", 1)[0]
     rows = [line for line in section.splitlines() if re.match(r"\| `", line)]
     assert rows == [row_of(item) for item in declared]

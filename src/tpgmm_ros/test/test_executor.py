@@ -11,7 +11,7 @@ from domain_coordinator import domain_id
 PROBE = """
 from rclpy.node import Node
 from std_msgs.msg import Empty
-from tpgmm_ros.executor import run
+from tpgmm_ros.runtime.executor import run
 
 class Probe(Node):
     def __init__(self):

@@ -9,7 +9,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from tpgmm_core import Frame, GaussianMixture, quaternion
 from tpgmm_core.manifold import Manifold
-from tpgmm_ros.markers import LIFETIME, Scene
+from tpgmm_ros.messages.markers import LIFETIME, Scene
 
 TURN = quaternion.exp(np.array([0.0, 0.0, np.pi / 2]))
 
