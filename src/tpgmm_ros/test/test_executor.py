@@ -41,5 +41,6 @@ def test_no_status_event_of_the_middleware_is_asked_for() -> None:
 
 
 def test_no_program_starts_rclpy_in_another_way() -> None:
-    modules = (Path(__file__).parents[1] / "tpgmm_ros").rglob("*.py")
+    packages = (Path(__file__).parents[2] / package / package for package in ("tpgmm_ros", "tpgmm_demos"))
+    modules = (path for package in packages for path in package.rglob("*.py"))
     assert [path.name for path in modules if "rclpy.init(" in path.read_text()] == ["rclpy_workarounds.py"]

@@ -10,14 +10,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 
+from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import JointState
+
+from tpgmm_ros.task.task_file import Task
 
 #: Nothing that comes while the disk is busy is to be lost, whatever the publisher promises.
 RECORD = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def topics_of(task: Task) -> dict[str, type]:
+    """The topics that a recording of a task holds."""
+    return {task.movement: PoseStamped, **dict.fromkeys(task.topics.values(), PoseStamped), "joint_states": JointState}
 
 
 class BagRecorder:

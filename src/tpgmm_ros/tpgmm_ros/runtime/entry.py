@@ -13,13 +13,14 @@ import signal
 import sys
 from collections.abc import Callable
 from importlib import import_module
+from importlib.util import find_spec
 from types import FrameType
 
 INTERRUPTED = 130
 """Exit status of programs that were interrupted: 128 and the number of SIGINT."""
 
 
-def _program(module: str) -> Callable[[], int]:
+def program(module: str) -> Callable[[], int]:
     """What runs `main` of a module; there, Ctrl-C is a KeyboardInterrupt."""
 
     def start() -> int:
@@ -42,7 +43,7 @@ def _program(module: str) -> Callable[[], int]:
     return start
 
 
-def _node(module: str) -> Callable[[], int]:
+def node(module: str) -> Callable[[], int]:
     """The same of a module that runs a node, whose `executor.StopFlag` takes the signals over."""
 
     def start() -> int:
@@ -62,14 +63,11 @@ def _end_with(status: int, *signals: signal.Signals) -> None:
         signal.signal(number, end)
 
 
-frame_tracker = _node("tpgmm_ros.nodes.frame_tracker")
-reproduction = _node("tpgmm_ros.nodes.reproduction")
-impedance_controller = _node("tpgmm_ros.nodes.impedance_controller")
-joint_reference = _node("tpgmm_ros.nodes.joint_reference")
-baxter_simulator = _node("tpgmm_ros.nodes.baxter_simulator")
-endpoint_poses = _node("tpgmm_ros.nodes.endpoint_poses")
-check_robot = _program("tpgmm_ros.programs.check_robot")
-teach = _program("tpgmm_ros.programs.teach")
-train = _program("tpgmm_ros.programs.train")
-demo = _program("tpgmm_demos.demo")
-figure5 = _program("tpgmm_demos.figure5")
+def missing(package: str, what: str) -> str:
+    """Why something of another package cannot run, in words; empty where that package is installed."""
+    if find_spec(package) is not None:
+        return ""
+    return (
+        f"{what} is part of the package {package}, which is not installed: `make setup` installs it, on a full ROS "
+        f"installation `colcon build --packages-up-to {package}` in the workspace"
+    )
