@@ -22,6 +22,7 @@ from tpgmm_msgs.msg import Reference, TaskParameters
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointReader
 from tpgmm_ros.recordings.bag_recorder import RECORD
+from tpgmm_ros.runtime.rclpy_workarounds import waiting
 from tpgmm_ros.task.task_file import Task
 
 MessageT = TypeVar("MessageT")
@@ -73,9 +74,7 @@ class Recording:
     def poll(self) -> None:
         """Take what has come; call it at least every second, the queues are finite."""
         for subscription, rows in self._subscriptions:
-            with subscription.handle:
-                while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
-                    rows.append(taken[0])
+            rows.extend(waiting(subscription, raw=True))
 
     def _messages(self, kind: type[MessageT]) -> Iterator[MessageT]:
         return (deserialize_message(data, kind) for data in self._raw[kind])

@@ -35,12 +35,13 @@ from tpgmm_ros.messages.lockstep import Barrier, is_no_reference
 from tpgmm_ros.messages.qos import LATCHED, STATES, STREAM
 from tpgmm_ros.messages.torque_outputs import OUTPUTS, TorqueOutputs
 from tpgmm_ros.nodes.controller_status import limited, loop_values
-from tpgmm_ros.nodes.joint_states import SPREAD, waiting
+from tpgmm_ros.nodes.joint_states import SPREAD
 from tpgmm_ros.runtime.background import Background
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.lifecycle import ManagedNode
 from tpgmm_ros.runtime.monitor import Monitor, Samples
 from tpgmm_ros.runtime.parameters import Declared, Parameters, declared_of, fill
+from tpgmm_ros.runtime.rclpy_workarounds import waiting
 from tpgmm_ros.runtime.timing import clock_trouble, loop_clock
 
 PARAMETERS = [

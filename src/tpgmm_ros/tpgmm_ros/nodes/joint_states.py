@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from tpgmm_core.joint_states import MAX_SPREAD
@@ -19,6 +18,7 @@ from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointStates, MessageError
 from tpgmm_ros.messages.qos import STATES
 from tpgmm_ros.runtime.parameters import Declared
+from tpgmm_ros.runtime.rclpy_workarounds import waiting
 from tpgmm_ros.runtime.timing import clock_trouble
 
 SPREAD = Declared(
@@ -42,13 +42,6 @@ class Heard:
     kind: Stamp
     stamp_ns: int
     values: tuple[Array, ...]
-
-
-def waiting(subscription: Subscription) -> Iterator[JointState]:
-    """The messages that have come since the executor has taken one."""
-    with subscription.handle:
-        while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
-            yield taken[0]
 
 
 class JointStateStream:

@@ -26,8 +26,9 @@ from tpgmm_msgs.srv import LoadModel
 from tpgmm_ros.models.task_model import load_model, make_retrieval
 from tpgmm_ros.nodes.controller_words import ControllerWords
 from tpgmm_ros.nodes.goals import Goals, finish
-from tpgmm_ros.runtime.background import Background, create_patient_service
+from tpgmm_ros.runtime.background import Background
 from tpgmm_ros.runtime.parameters import Parameters
+from tpgmm_ros.runtime.rclpy_workarounds import create_patient_service
 from tpgmm_ros.runtime.timing import clock_trouble
 from tpgmm_ros.task.task_file import Task
 

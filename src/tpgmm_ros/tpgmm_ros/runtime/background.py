@@ -6,7 +6,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
 
 from rclpy.node import Node
 
@@ -51,13 +50,3 @@ class Background:
         """Wait for what is being done, and forget it and all the rest."""
         self._open = False
         self._pool.shutdown(cancel_futures=True)
-
-
-def create_patient_service(node: Node, kind: type, name: str, callback: Callable[[Any], Future[Any]]) -> None:
-    """A service whose response may come after its callback has returned: as soon as the future that the callback
-    returns has it, set in the executor's thread. Meanwhile the node goes on.
-    """
-    service: Any = node.create_service(kind, name, lambda request, _: callback(request))
-    send = service.send_response
-    # rclpy sends what the callback returns as soon as it does.
-    service.send_response = lambda answer, header: answer.add_done_callback(lambda done: send(done.result(), header))

@@ -7,50 +7,26 @@ import traceback
 from collections.abc import Callable
 from typing import Any
 
-from lifecycle_msgs.srv import ChangeState
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 
 from tpgmm_core.text import one_line
+from tpgmm_ros.runtime.rclpy_workarounds import guard_transitions
 
 
 class ManagedNode(LifecycleNode):
-    """A lifecycle node that refuses a transition which its state does not have.
-
-    rclpy's own lets the exception through: to activate an active controller would end its process.
-    """
+    """A lifecycle node that refuses a transition which its state does not have, and ends what it began."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self._follow = self._service_change_state.callback
-        self._service_change_state.callback = self._change_state
         self._own: set[int] = set()
         self._refusal = "see above for the reason"
-        self._callbacks = {state: self._telling(callback) for state, callback in self._callbacks.items()}
+        guard_transitions(self, self._tell)
 
-    def _telling(self, callback: Callable[[LifecycleState], TransitionCallbackReturn]) -> Callable[..., Any]:
-        """The callback of a transition, whose exceptions are in the log: rclpy keeps them to itself."""
-
-        def call(state: LifecycleState) -> TransitionCallbackReturn:
-            try:
-                return callback(state)
-            except Exception as error:
-                self._refusal = one_line(error)
-                self.get_logger().error(traceback.format_exc())
-                raise
-
-        return call
-
-    def _change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
-        try:
-            return self._follow(request, response)
-        except rclpy_implementation.RCLError:
-            _, state = self._state_machine.current_state
-            asked = request.transition.label or request.transition.id
-            self.get_logger().error(f"transition {asked} refused: the state '{state}' does not have it")
-            response.success = False
-            return response
+    def _tell(self, error: Exception) -> None:
+        """What a transition's callback raised is in the log, with where."""
+        self._refusal = one_line(error)
+        self.get_logger().error("".join(traceback.format_exception(error)))
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """To be called first: what is created from here on is what ``on_cleanup`` takes away."""
