@@ -21,9 +21,9 @@ class ManagedNode(LifecycleNode):
         super().__init__(name)
         self._own: set[int] = set()
         self._refusal = "see above for the reason"
-        guard_transitions(self, self._tell)
+        guard_transitions(self, self._tell_error)
 
-    def _tell(self, error: Exception) -> None:
+    def _tell_error(self, error: Exception) -> None:
         """What a transition's callback raised is in the log, with where."""
         self._refusal = one_line(error)
         self.get_logger().error("".join(traceback.format_exception(error)))
