@@ -14,7 +14,7 @@ from tpgmm_core import Gaussian
 from tpgmm_core.control.laws import LAWS
 from tpgmm_core.model.reference import Reference
 from tpgmm_msgs.msg import ControllerState
-from tpgmm_ros import conversions
+from tpgmm_ros.messages import conversions
 
 NODE = "impedance_controller"
 

@@ -35,7 +35,7 @@ from simulated_hand import NAMES, ROBOT, pose_reference
 from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import Reference, TaskParameters
-from tpgmm_ros import conversions
+from tpgmm_ros.messages import conversions
 
 MESSAGES = int(os.environ.get("TPGMM_FUZZ_EXAMPLES", "120"))
 #: Fits to all who subscribe.

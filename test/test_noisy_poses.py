@@ -25,10 +25,10 @@ from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS, make_retrieval
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import Reference
-from tpgmm_ros import conversions
-from tpgmm_ros.bags import align, find_bags, read_recordings
-from tpgmm_ros.qos import STREAM
-from tpgmm_ros.task import DIMENSIONS, MANIFOLD, Task
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.recordings.bags import align, find_bags, read_recordings
+from tpgmm_ros.task.task_file import DIMENSIONS, MANIFOLD, Task
 
 STEP = 0.005
 RATE = 30.0

@@ -39,8 +39,9 @@ from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import ControllerState, Reference, TaskParameters
 from tpgmm_msgs.srv import LoadModel
-from tpgmm_ros import conversions, train
-from tpgmm_ros.qos import LATCHED, STREAM
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import LATCHED, STREAM
+from tpgmm_ros.programs import train
 
 NODE = "reproduction"
 TICK_NS = 5_000_000
