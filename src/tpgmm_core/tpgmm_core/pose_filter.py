@@ -11,7 +11,7 @@ the newest N > j observations of a fixed place differ by a Gaussian of covarianc
 - At rest the window grows up to the memory, and the error falls with the square root of their number.
 - An object that moves leaves its former place behind as soon as that differs by more than noise would: at a steady
   speed of u per observation about (4 sqrt(AGREES v) / u)^(2/3) observations are left, and the estimate lags by half of
-  these. That is at most 3.3 standard deviations of the noise, however fast it is.
+  these. That is 3.3 standard deviations at most, however fast it is; 4.5 since v is learned, and errs to the larger.
 - A leap, and a single outlier, is passed on at once and unchanged.
 
 V is learned, separately for positions and turns, from differences of neighbours, which drift hardly changes. A window
@@ -45,7 +45,7 @@ INDEPENDENT = 0.6
 #: Of the squared differences: mean square by squared mean. Noise in one direction has 3, one outlier of many more.
 EVEN = 4.0
 #: By how much the variance may differ in a shorter window, before it is another noise.
-SIMILAR = 4.0
+SIMILAR = 9.0
 #: Standard deviations, m and rad, that are rounding and not noise.
 ROUNDING = 1e-9
 
@@ -163,10 +163,10 @@ def learn(seen: Array, windows: NDArray[np.int64], known: Array) -> None:
             spread += value * value
             for j in range(3):
                 products[i, j] += step * (seen[n - 1, j] - seen[n - 2, j])
-        differ += square > 0.0
+        differ += square > ROUNDING**2
         squares += square
         fourths += square * square
-        if n == FEWEST and squares == 0.0:
+        if n == FEWEST and differ == 0:
             known[:] = 0.0  # it repeats itself
             return
         while k < len(windows) and windows[k] < n:
@@ -210,7 +210,7 @@ def agreeing(seen: Array, windows: NDArray[np.int64], bound: float, mean: Array)
 
 @compiled
 def turns(seen: Array) -> Array:
-    """Rotation vectors (N, 3) from the first of the unit quaternions (N, 4) to each, the shorter way; the first is 0."""
+    """Rotation vectors (N, 3) from the first of the unit quaternions (N, 4) to each; the first is 0."""
     out = np.zeros((len(seen), 3))
     x, y, z, w = seen[0]
     for k in range(1, len(seen)):
