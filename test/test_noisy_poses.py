@@ -39,7 +39,7 @@ PLACES = {
     "robot": np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
 }
 DYNAMICS = pytest.mark.xfail(
-    reason="it knows no time: noise decides when it leaves from rest; off by 0.12 to 2.9 times"
+    reason="it knows no time: a little noise decides when components take over; 0.12 to 5.3 times"
 )
 BY_WAY = [pytest.param(way, marks=DYNAMICS if way == "dynamics" else []) for way in WAYS]
 

@@ -30,7 +30,7 @@ PARAMETERS = [
     Declared(
         "filter_time",
         -1.0,
-        "Trembling poses are averaged over this time while the frame is at rest, s; 0: never, -1: as the task file says",
+        "Trembling poses are averaged over this time while the frame is at rest, s; 0: never, -1: as in the task file",
         -1.0,
         60.0,
         fixed=True,

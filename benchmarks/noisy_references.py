@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tracker's filter makes of references to trembling poses: PYTHONPATH=test python tools/noisy_references.py SEED ...
+"""What the tracker's filter makes of references to poses that tremble.
 
-For each way of retrieval, over the whole pick-and-place: standard deviations of references, of any axis, as multiples of
-those to exact poses; for how much of the time they differ by more than 10 %; and how far off the mean is.
+`PYTHONPATH=.:test .venv/bin/python benchmarks/noisy_references.py SEED ...` prints for each way of retrieval, over the
+whole pick-and-place: standard deviations of references, of any axis, as multiples of those to exact poses; for how much
+of the time they differ by more than 10 %; and by how much the mean is off.
 """
 
 from __future__ import annotations
