@@ -3,7 +3,7 @@
 
 A frame that is not seen for a moment keeps its last pose. Its confidence, which scales its precision in the product
 of Gaussians (Eqs. 5, 6), falls to zero slowly and rises slowly, so that a frame that disappears or comes back never
-makes the movement jump.
+makes the movement jump. The pose of a frame that trembles is averaged while it is at rest (`pose_filter`).
 
 Two clocks enter, as arguments: the *stamp* of an observation (ROS time, when the camera saw it) and the *steady* time
 of its arrival. The status follows the steady clock, which no clock step can stall; stamps are checked when they come.
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.observation.pose_filter import PoseFilter
 
 _SECOND = 1_000_000_000
 #: Of a pose: positions in m farther than the size of the Earth, quaternions of no length that means anything.
@@ -48,6 +49,9 @@ class TrackingConfig:
     fade_time: float = setting(0.5, 0.01, 60.0, "Then it loses it, and when seen again gains it, over this time, s")
     max_future: float = setting(0.05, 0.0, 60.0, "Stamps further ahead of ROS time are refused, s")
     max_age: float = setting(1.0, 0.001, 3600.0, "Stamps further behind ROS time are refused, s")
+    filter_time: float = setting(
+        1.0, 0.0, 60.0, "Poses that tremble are averaged over this time while the frame is at rest, s; 0: never"
+    )
 
     def __post_init__(self) -> None:
         """Raises ValueError for a value out of its range."""
@@ -58,7 +62,7 @@ class TrackingConfig:
 class TrackedFrame:
     """One frame as it is known at one moment.
 
-    pose: ``[x, y, z, qx, qy, qz, qw]`` in the base frame, m; None as long as it was never seen.
+    pose: ``[x, y, z, qx, qy, qz, qw]`` in the base frame, m, filtered; None as long as it was never seen.
     confidence: 0..1, 0 where MISSING.
     stamp_ns: ROS time of the observation that the pose comes from, ns.
     """
@@ -73,6 +77,7 @@ class TrackedFrame:
 @dataclass(slots=True)
 class _Track:
     fixed: bool
+    filter: PoseFilter
     pose: NDArray[np.float64] | None = None
     stamp_ns: int = 0
     seen_ns: int = 0  # steady
@@ -99,12 +104,13 @@ class FrameTracker:
         config: TrackingConfig | None = None,
     ) -> None:
         self.config = config or TrackingConfig()
-        self._tracks = {name: _Track(fixed=False) for name in frames}
+        memory = self.config.filter_time
+        self._tracks = {name: _Track(fixed=False, filter=PoseFilter(memory)) for name in frames}
         for name, pose in (fixed or {}).items():
             checked, reason = check_pose(pose)
             if checked is None:
                 raise ValueError(f"frame '{name}': {reason}")
-            self._tracks[name] = _Track(fixed=True, pose=checked, confidence=1.0)
+            self._tracks[name] = _Track(fixed=True, filter=PoseFilter(0.0), pose=checked, confidence=1.0)
         if not self._tracks:
             raise ValueError("no frames to track: name at least one")
         self._updated_ns: int | None = None
@@ -135,11 +141,11 @@ class FrameTracker:
         """
         track = self._tracks[name]
         checked, reason = check_pose(pose)
-        if checked is not None:
-            reason = self._check_stamp(track, stamp_ns, now_ns)
-        if reason:
+        if checked is None:
             return self.refuse(name, reason)
-        track.pose, track.stamp_ns, track.seen_ns = checked, stamp_ns, steady_ns
+        if reason := self._check_stamp(track, stamp_ns, now_ns):
+            return self.refuse(name, reason)
+        track.pose, track.stamp_ns, track.seen_ns = track.filter.observe(checked, stamp_ns), stamp_ns, steady_ns
         return None
 
     def refuse(self, name: str, reason: str) -> str:
@@ -172,6 +178,7 @@ class FrameTracker:
         for track in self._tracks.values():
             if not track.fixed:
                 track.pose, track.stamp_ns, track.seen_ns, track.confidence = None, 0, 0, 0.0
+                track.filter.forget()
         self._updated_ns = None
 
     def update(self, steady_ns: int) -> list[TrackedFrame]:

@@ -28,6 +28,14 @@ PARAMETERS = [
     Declared("task_file", "", "Task file (YAML): frames, their topics, time-outs", fixed=True),
     Declared("rate", 100.0, "Task parameters are published this often, Hz", 1.0, 1000.0, fixed=True),
     Declared(
+        "filter_time",
+        -1.0,
+        "Trembling poses are averaged over this time while the frame is at rest, s; 0: never, -1: as in the task file",
+        -1.0,
+        60.0,
+        fixed=True,
+    ),
+    Declared(
         "lockstep", False, "Answer each pose of the movement when perception has answered it for all frames", fixed=True
     ),
 ]
@@ -42,10 +50,11 @@ class FrameTrackerNode(Node):
         super().__init__("frame_tracker")
         parameters = Parameters(self, PARAMETERS)
         self.task = Task.load(parameters.file("task_file"))
+        given = {} if parameters["filter_time"] < 0.0 else {"filter_time": parameters["filter_time"]}
         self.tracker = FrameTracker(
             self.task.topics,
             fixed={name: spec.pose for name, spec in self.task.frames.items() if spec.pose is not None},
-            config=TrackingConfig(**self.task.tracking),
+            config=TrackingConfig(**(self.task.tracking | given)),
         )
         self._loop_clock = loop_clock(self)
         self._known: list[TrackedFrame] = []
