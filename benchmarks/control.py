@@ -17,9 +17,9 @@ import numpy as np  # noqa: E402
 
 from benchmarks.report import Row, write_report  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
-from tpgmm_core.control.control_law import RobotMoment  # noqa: E402
+from tpgmm_core.control.control_law import DynamicState  # noqa: E402
 from tpgmm_core.control.laws import LAWS, ReferenceLaw  # noqa: E402
-from tpgmm_core.control.predictive import JointLimits, JointReference, Plan, PredictiveController  # noqa: E402
+from tpgmm_core.control.predictive import JointLimits, JointReference, PredictiveController, PredictivePlan  # noqa: E402
 from tpgmm_core.geometry.gaussian import Gaussian  # noqa: E402
 from tpgmm_core.geometry.manifold import POSE  # noqa: E402
 from tpgmm_core.kinematics.joint_space import to_joint_space  # noqa: E402
@@ -37,7 +37,7 @@ TO_REACH_MS = 10.0  # predictive control of one arm at 100 Hz
 TICKS = 500
 
 
-class Situation:
+class HandsAndGoals:
     """Both hands of Baxter, or one, and where they are to be: goals leap every 50 ticks of 10 ms."""
 
     def __init__(self, hands: Sequence[str]) -> None:
@@ -75,14 +75,14 @@ class Situation:
             [*precisions, np.eye(n)], [*jacobians, np.eye(n)], [*errors, self.robot.home[self.joints] - q], q
         )
 
-    def follow(self, plan: Plan, dt: float = 0.01) -> None:
+    def follow(self, plan: PredictivePlan, dt: float = 0.01) -> None:
         """Go on as planned, by the first acceleration."""
         a = plan.accelerations[0]
         self.q[self.joints] += dt * self.v[self.joints] + 0.5 * dt**2 * a
         self.v[self.joints] += dt * a
 
 
-def laws(situation: Situation) -> dict[str, Callable[[], object]]:
+def laws(situation: HandsAndGoals) -> dict[str, Callable[[], object]]:
     """What is timed, each with a step from an objective to gains."""
     precision, reference = situation.objective()
     n = len(reference)
@@ -118,7 +118,7 @@ class Stopwatch:
         return result
 
 
-def predictive(situation: Situation) -> tuple[Stopwatch, dict[str, int]]:
+def predictive(situation: HandsAndGoals) -> tuple[Stopwatch, dict[str, int]]:
     """Times of the solutions in a loop whose goals leap; how often each status came."""
     controller = PredictiveController(np.full(STEPS, TIME_STEP), situation.limits(), control_cost=CONTROL_COST)
     stopwatch, statuses, i = Stopwatch(), Counter[str](), situation.joints
@@ -150,7 +150,7 @@ def reference_of(robot: RobotModel, joints: tuple[str, ...]) -> Reference:
 def node_step(name: str, robot: RobotModel, joints: tuple[str, ...]) -> Stopwatch:
     """Times of the law's part of a control step, from reference and state to torques; plans are made within it."""
     law, stopwatch, reference = ReferenceLaw(name, robot), Stopwatch(), reference_of(robot, joints)
-    moment = RobotMoment.at(robot.create_data(), robot.home, np.zeros(robot.nv))
+    moment = DynamicState.at(robot.create_data(), robot.home, np.zeros(robot.nv))
     law.step(moment, law.target(reference, True), 0.001)
     for _ in range(TICKS):
         stopwatch.time(lambda: law.step(moment, law.target(reference, True), 0.001))
@@ -176,7 +176,7 @@ def main() -> None:
     """Measure and report."""
     rows: list[Row] = []
     for hands in (HANDS[:1], HANDS):
-        situation = Situation(hands)
+        situation = HandsAndGoals(hands)
         joints = len(situation.joints)
         for name, step in laws(situation).items():
             stopwatch = Stopwatch()
@@ -184,7 +184,7 @@ def main() -> None:
             for _ in range(TICKS):
                 stopwatch.time(step)
             rows.append(row(name, joints, stopwatch))
-        solved, statuses = predictive(Situation(hands))
+        solved, statuses = predictive(HandsAndGoals(hands))
         kinds = ", ".join(f"{count} {status}" for status, count in sorted(statuses.items()))
         rows.append(
             row(f"predictive, {STEPS} steps ({kinds})", joints, solved, TO_REACH_MS if len(hands) == 1 else None)

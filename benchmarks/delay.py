@@ -16,7 +16,7 @@ from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from benchmarks.delayed_loop import Course, DelayedLoop, pose_reference  # noqa: E402
+from benchmarks.delayed_loop import DelayedLoop, LoopRecord, pose_reference  # noqa: E402
 from benchmarks.report import Row, write_report  # noqa: E402
 from tpgmm_core.control.supervision import ControllerMode  # noqa: E402
 from tpgmm_core.robot.model import RobotModel  # noqa: E402
@@ -32,17 +32,17 @@ TICKS = 2000
 SETTLED = 0.03
 
 
-def step_of_the_hand(robot: RobotModel, endpoint: str, deviation: float, late: float, tells: bool) -> Course:
+def step_of_the_hand(robot: RobotModel, endpoint: str, deviation: float, late: float, tells: bool) -> LoopRecord:
     """The hand is sent 7 cm away."""
     loop = DelayedLoop(robot, endpoint, lambda _: late, tells=tells)
     loop.run(50)
     return loop.run(TICKS, pose_reference(loop.pose() + AWAY, deviation))
 
 
-def settles(robot: RobotModel, course: Course) -> bool:
+def settles(robot: RobotModel, record: LoopRecord) -> bool:
     """Whether the arm came to rest, and nothing swung on the way."""
-    swung = any("swings" in reason for reason in course.reasons)
-    return not swung and course.fastest(slice(TICKS - 1000, None), robot.velocity_limits) < SETTLED
+    swung = any("swings" in reason for reason in record.reasons)
+    return not swung and record.fastest(slice(TICKS - 1000, None), robot.velocity_limits) < SETTLED
 
 
 def first(values: list[int]) -> int | None:
@@ -64,8 +64,8 @@ def main() -> None:
                 if not settles(robot, step_of_the_hand(robot, ROBOTS[name], deviation, 1e-3 * ms, False))
             ]
             aware = {ms: step_of_the_hand(robot, ROBOTS[name], deviation, 1e-3 * ms, True) for ms in DELAYS_MS}
-            damped = [ms for ms, course in aware.items() if course.modes[-1] == ControllerMode.DAMPING]
-            softer = [ms for ms, course in aware.items() if course.shares[-1] < 0.95]
+            damped = [ms for ms, record in aware.items() if record.modes[-1] == ControllerMode.DAMPING]
+            softer = [ms for ms, record in aware.items() if record.shares[-1] < 0.95]
             rows.append(
                 {
                     "robot": name,
@@ -74,7 +74,7 @@ def main() -> None:
                     "softer_from_ms": first(softer),
                     "damping_from_ms": first(damped),
                     "largest_speed_share": max(c.fastest(slice(None), robot.velocity_limits) for c in aware.values()),
-                    "passed": all(settles(robot, course) for course in aware.values()),
+                    "passed": all(settles(robot, record) for record in aware.values()),
                 }
             )
     write_report("delay", rows)

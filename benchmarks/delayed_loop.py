@@ -28,7 +28,7 @@ PATIENT = {"joint_state_timeout": 1.0, "silence_after": 1.0}
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class LoopRecord:
     """What happened, one row for each ms: q, v, tau (T, nv); modes (T,); shares of the gains (T,); reasons."""
 
     q: Array
@@ -93,7 +93,7 @@ class DelayedLoop:
         ticks: int,
         reference: Callable[[float], Reference] | Reference | None = None,
         wrenches: Callable[[float], dict[str, Sequence[float]]] = lambda _: {},
-    ) -> Course:
+    ) -> LoopRecord:
         """So many ms, with a reference by the time (s since the start of this run) or one that stays."""
         rows: list[tuple[Array, Array, Array, int, float]] = []
         reasons: list[str] = []
@@ -120,7 +120,7 @@ class DelayedLoop:
                 reasons.append(decision.reason)
             rows.append((state.q, state.v, tau, int(decision.mode), guarded.guard.share))
         q, v, tau, modes, shares = map(np.array, zip(*rows, strict=True))
-        return Course(q, v, tau, modes, shares, tuple(reasons))
+        return LoopRecord(q, v, tau, modes, shares, tuple(reasons))
 
 
 def pose_reference(pose: Array, deviation: float, turning: float = 10.0) -> Reference:

@@ -19,7 +19,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 
-from tpgmm_demos.scene.pick_place import random_situation
+from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
@@ -38,7 +38,7 @@ class Scene:
 
     def __init__(self, node: Node, graph: Graph, task: Task) -> None:
         self.node, self.graph = node, graph
-        situation = random_situation(np.random.default_rng(0))
+        situation = random_placement(np.random.default_rng(0))
         self.places = {"object": situation.object, "target": situation.target}
         self._base_frame = task.base_frame
         self._publishers = {

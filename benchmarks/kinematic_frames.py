@@ -27,18 +27,18 @@ from tpgmm_core.kinematics.frames import (  # noqa: E402
     TaskSpace,
 )
 from tpgmm_core.kinematics.moving import ConfigurationProduct, MovingFrames  # noqa: E402
-from tpgmm_core.kinematics.tasks import Task  # noqa: E402
+from tpgmm_core.kinematics.tasks import KinematicTask  # noqa: E402
 from tpgmm_core.kinematics.urdf import UrdfKinematics  # noqa: E402
 from tpgmm_core.robot.model import RobotModel  # noqa: E402
 
-LEFT, RIGHT = Task("left", "pose", "cup"), Task("right", "pose", "table")
+LEFT, RIGHT = KinematicTask("left", "pose", "cup"), KinematicTask("right", "pose", "table")
 CANDIDATES: dict[str, KinematicFrame] = {
     "joints": JointSpace(),
     "left": TaskSpace((LEFT,)),
     "right": TaskSpace((RIGHT,)),
     "free of left": NullSpace((LEFT,)),
-    "right below left": SecondaryTaskSpace((Task("right"),), (LEFT,)),
-    "left below right": SecondaryTaskSpace((Task("left", "position", "cup"),), (RIGHT,), least_error=True),
+    "right below left": SecondaryTaskSpace((KinematicTask("right"),), (LEFT,)),
+    "left below right": SecondaryTaskSpace((KinematicTask("left", "position", "cup"),), (RIGHT,), least_error=True),
 }
 OBJECTS = {
     "cup": Frame.from_pose([0.6, 0.3, 0.2], [0.0, 1.0, 0.0, 0.0]),

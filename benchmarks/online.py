@@ -42,10 +42,10 @@ WORK: dict[str, tuple[Callable[[int], list[Demonstration]], dict[str, Any]]] = {
     ),
 }
 
-Course = dict[str, np.ndarray]
+Curves = dict[str, np.ndarray]
 
 
-def compare(work: str, seed: int, cell_size: int) -> tuple[Row, Course]:
+def compare(work: str, seed: int, cell_size: int) -> tuple[Row, Curves]:
     """One row of the table, and the log-likelihoods over the demonstrations."""
     make, params = WORK[work]
     demos = make(seed)
@@ -82,7 +82,7 @@ def compare(work: str, seed: int, cell_size: int) -> tuple[Row, Course]:
     return row, {name: np.array(values) for name, values in course.items()}
 
 
-def draw(courses: dict[tuple[str, int], Course], path: Path) -> None:
+def draw(courses: dict[tuple[str, int], Curves], path: Path) -> None:
     """Log-likelihoods over the demonstrations taken in, a panel for each work."""
     figure = Figure(figsize=(5.0 * len(WORK), 4.0), layout="constrained")
     FigureCanvasAgg(figure)
@@ -115,7 +115,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, default=Path("out/online"), help="directory (out/online)")
     options = parser.parse_args(arguments)
     rows: list[Row] = []
-    courses: dict[tuple[str, int], Course] = {}
+    courses: dict[tuple[str, int], Curves] = {}
     for work in WORK:
         for seed in range(options.seeds):
             for cell_size in CELL_SIZES:

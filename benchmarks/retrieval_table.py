@@ -27,7 +27,7 @@ from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
 from tpgmm_core.geometry.manifold import Manifold  # noqa: E402
-from tpgmm_core.learning.selection import Estimator, select_model  # noqa: E402
+from tpgmm_core.learning.selection import SelectableEstimator, select_model  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_core.retrieval.ways import DEFAULT, WAYS  # noqa: E402
 from tpgmm_ros.models.validation import path_errors, replay_nearest, reproduce, without_frames  # noqa: E402
@@ -124,7 +124,7 @@ def learned(
     recipes = {name: Recipe.of(values, way) for name, values in settings.items()}
     manifold = Manifold.parse(space)
     encoding = next(iter(recipes.values())).encoding
-    estimators: dict[str, Estimator] = {
+    estimators: dict[str, SelectableEstimator] = {
         name: recipe.way.estimator(**recipe.arguments, manifold=encoding.manifold(manifold))
         for name, recipe in recipes.items()
     }

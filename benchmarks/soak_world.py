@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_demos.scene.perception import Camera, CameraConfig
-from tpgmm_demos.scene.pick_place import Array, random_situation
+from tpgmm_demos.scene.pick_place import Array, random_placement
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.lockstep import nothing_seen
 from tpgmm_ros.messages.qos import STREAM
@@ -58,7 +58,7 @@ class SoakWorld:
 
     def rearrange(self) -> None:
         """Everything lies somewhere else from now on."""
-        situation = random_situation(self._random)
+        situation = random_placement(self._random)
         self._places = {"object": situation.object, "target": situation.target}
 
     def _answer(self, message: PoseStamped) -> None:

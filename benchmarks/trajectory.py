@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A smooth trajectory found anew, since a frame has moved: positions (d = 3), poses (d = 6), two hands (d = 12).
 
-One `TrajectoryCourse.situate`: six components of two or three frames adapted, and one Gauss-Newton solution. Share of
+One `SmoothTrajectory.situate`: six components of two or three frames adapted, and one Gauss-Newton solution. Share of
 adapting is what Eqs. (5, 6) take of it.
 """
 
@@ -19,7 +19,7 @@ from benchmarks.workloads import W1, demonstrations, pose_demonstrations  # noqa
 from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
 from tpgmm_core.retrieval.dynamic_features import manifold_with_derivatives, with_derivatives  # noqa: E402
-from tpgmm_core.retrieval.trajectory import TrajectoryCourse, TrajectoryModel  # noqa: E402
+from tpgmm_core.retrieval.trajectory import SmoothTrajectory, TrajectoryModel  # noqa: E402
 
 SITUATIONS = 200
 POSES = "R1 x R3 x S3"
@@ -55,7 +55,7 @@ def measure(text: str, demos: list[Demonstration], hands: int, steps: int) -> Ro
     manifold = manifold_with_derivatives(text)
     model = TPGMM(6, reg_covar=1e-5, manifold=manifold).fit([with_derivatives(d, text) for d in demos])
     model.metadata_ = {"duration_s": float(np.mean([d.times[-1] for d in demos]))}
-    course, whole = TrajectoryCourse(model, steps=steps), TrajectoryModel(model)
+    course, whole = SmoothTrajectory(model, steps=steps), TrajectoryModel(model)
     situations = [shaken(dict(demos[0].frames), hands, rng) for _ in range(SITUATIONS)]
     following, adapted = (itertools.cycle(situations) for _ in range(2))
     solved = 1e3 * durations(lambda: course.situate(next(following)), SITUATIONS)

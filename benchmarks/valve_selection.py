@@ -23,8 +23,8 @@ from tqdm import tqdm  # noqa: E402
 from tpgmm_core import TPGMM, Demonstration  # noqa: E402
 from tpgmm_core.learning.covariance.structure import STRUCTURES  # noqa: E402  # noqa: E402
 from tpgmm_core.learning.dirichlet import DirichletTPGMM  # noqa: E402
-from tpgmm_core.learning.selection import Candidate, Estimator, select_model, unfitted  # noqa: E402
-from tpgmm_ros.models.validation import leave_one_out, mean_errors  # noqa: E402
+from tpgmm_core.learning.selection import Candidate, SelectableEstimator, select_model, unfitted  # noqa: E402
+from tpgmm_ros.models.validation import cross_validate, mean_errors  # noqa: E402
 from tpgmm_ros.programs.reporting import format_table, write_report  # noqa: E402
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings  # noqa: E402
 from tpgmm_ros.task.task_file import MANIFOLD, Task  # noqa: E402
@@ -65,10 +65,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _candidates(task: Task, options: argparse.Namespace) -> dict[str, Estimator]:
+def _candidates(task: Task, options: argparse.Namespace) -> dict[str, SelectableEstimator]:
     """Every structure with every K, other settings from the task file; and a Dirichlet process with its own K."""
     settings = {**task.model, "manifold": MANIFOLD, "n_factors": options.factors}
-    candidates: dict[str, Estimator] = {}
+    candidates: dict[str, SelectableEstimator] = {}
     for structure in options.structures:
         for K in options.components:
             candidates[f"{structure}, K = {K}"] = TPGMM(**{**settings, "n_components": K, "covariance": structure})
@@ -79,7 +79,7 @@ def _candidates(task: Task, options: argparse.Namespace) -> dict[str, Estimator]
     return candidates
 
 
-def _reproduction(row: Candidate, estimator: Estimator, recordings: list[Recording]) -> dict[str, Any]:
+def _reproduction(row: Candidate, estimator: SelectableEstimator, recordings: list[Recording]) -> dict[str, Any]:
     """Mean errors of reproducing each recording by a model of the others."""
     if row.error is not None:
         return {"position_rmse_m": None, "orientation_mean_deg": None}
@@ -89,7 +89,7 @@ def _reproduction(row: Candidate, estimator: Estimator, recordings: list[Recordi
         assert isinstance(model, TPGMM)
         return model.fit(demonstrations)
 
-    folds = leave_one_out(recordings, learn, next(iter(recordings[0].frames)))
+    folds = cross_validate(recordings, learn, next(iter(recordings[0].frames)))
     errors = mean_errors([fold.model for fold in folds])
     return {"position_rmse_m": errors.position_rmse_m, "orientation_mean_deg": errors.orientation_mean_deg}
 

@@ -34,7 +34,7 @@ from tpgmm_core.kinematics.frames import PreviousConfiguration  # noqa: E402
 from tpgmm_core.kinematics.hierarchy import hierarchy_frames  # noqa: E402
 from tpgmm_core.kinematics.inverse import damped_pseudo_inverse, null_space  # noqa: E402
 from tpgmm_core.kinematics.moving import ConfigurationProduct, MovingFrames  # noqa: E402
-from tpgmm_core.kinematics.tasks import Task  # noqa: E402
+from tpgmm_core.kinematics.tasks import KinematicTask  # noqa: E402
 
 HANDS = ("left", "right")
 HIERARCHIES: dict[str, list[str | list[str]]] = {
@@ -248,7 +248,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1, help="of demonstrations and paths (default: %(default)s)")
     options = parser.parse_args(arguments)
     robot = planar_bimanual()
-    tasks = {hand: Task(hand, relative_to=f"{hand} object") for hand in HANDS}
+    tasks = {hand: KinematicTask(hand, relative_to=f"{hand} object") for hand in HANDS}
     candidates = {**hierarchy_frames(tasks, HIERARCHIES), "previous": PreviousConfiguration()}
     frames = MovingFrames(robot, candidates, THRESHOLD)
     rng = np.random.default_rng(options.seed)

@@ -37,12 +37,12 @@ from tpgmm_core.kinematics.frames import (  # noqa: E402
 from tpgmm_core.kinematics.inverse import THRESHOLD, damped_pseudo_inverse, null_space  # noqa: E402
 from tpgmm_core.kinematics.moving import ConfigurationProduct, MovingFrames  # noqa: E402
 from tpgmm_core.kinematics.relevance import directions_determined  # noqa: E402
-from tpgmm_core.kinematics.tasks import Moment, Task  # noqa: E402
+from tpgmm_core.kinematics.tasks import KinematicState, KinematicTask  # noqa: E402
 from tpgmm_core.kinematics.urdf import UrdfKinematics  # noqa: E402
 from tpgmm_core.robot.model import RobotModel  # noqa: E402
 
-HAND, AT_CUP = Task("hand"), Task("hand", "position", "cup")
-TO_LAMP, ELBOW = Task("hand", "orientation", "lamp"), Task("elbow")
+HAND, AT_CUP = KinematicTask("hand"), KinematicTask("hand", "position", "cup")
+TO_LAMP, ELBOW = KinematicTask("hand", "orientation", "lamp"), KinematicTask("elbow")
 CANDIDATES: dict[str, KinematicFrame] = {
     "(7) joints": JointSpace(),
     "(8) hand in the world": TaskSpace((HAND,)),
@@ -76,7 +76,7 @@ def demonstration(robot: UrdfKinematics, rest: Array, objects: Mapping[str, Fram
     wander = np.zeros(7)
     for t in range(int(len(PHASES) * PHASE * RATE)):
         wander += 0.2 * (0.03 * rng.normal(size=7) - 0.1 * wander)
-        moment = Moment(robot, q, objects)
+        moment = KinematicState(robot, q, objects)
         goals = {
             "(7)": (np.eye(7), rest - q),
             "(8)": (moment.view((HAND,)).J, moment.view((HAND,)).offset + place),

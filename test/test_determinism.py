@@ -16,10 +16,10 @@ from rclpy.node import Node
 from ros_graph import ROBOT_FILE, ROOT, TASK_FILE, result_of, ros_arguments
 from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_demos.demo.recording import Recording
+from tpgmm_demos.demo.recording import RunRecord
 from tpgmm_demos.demo.world import Disturbances, World
 from tpgmm_demos.scene.perception import Camera, CameraConfig
-from tpgmm_demos.scene.pick_place import random_situation
+from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.programs import train
 from tpgmm_ros.task.task_file import Task
@@ -41,13 +41,13 @@ def movement(node: Node, start: StartProcess, model: Path) -> tuple[str, np.ndar
     """Digest of one movement on a graph of its own, its torques' stamps (T,), ns, and the way of the hand (T, 3)."""
     task = Task.load(TASK_FILE)
     random = np.random.default_rng(5)
-    situation, disturbances = random_situation(random), Disturbances.random(random, DURATION)
+    situation, disturbances = random_placement(random), Disturbances.random(random, DURATION)
     around = Node("world", context=node.context)
     assert node.executor is not None
     node.executor.add_node(around)
     world = World(around, task, situation, disturbances, Camera(CameraConfig(), seed=5), lockstep=True)
     recorder = Node("recorder", context=node.context)
-    recording = Recording(recorder, task, list(RobotModel.from_file(ROBOT_FILE).joint_names))
+    recording = RunRecord(recorder, task, list(RobotModel.from_file(ROBOT_FILE).joint_names))
     waits = {"start_timeout": TIMEOUT, "settle_time": 0.05}
     both = {"use_sim_time": True, "autostart": True}
     processes: tuple[RunningProcess, ...] = (

@@ -92,10 +92,10 @@ def test_a_pushed_left_hand_keeps_the_cup_level_and_the_right_one_follows(
         session.start_simulator(BAXTER)
         with pytest.raises(GraphError, match="no tasks .'tea'."):
             choose(("tea",))
-        course = run_sequence(
+        result = run_sequence(
             session, quick, [Push("hand", "left", np.array([0.05, 0.14, 0.04]))], {}, choose, lambda: None
         )
-    (pushed,) = course.pushes
+    (pushed,) = result.pushes
     segment = pushed.segment
     assert segment.time[-1] == pytest.approx(MOVE + HELD + AFTER, abs=0.03)
     measured = measure(robot, segment, pushed.link)
@@ -104,6 +104,6 @@ def test_a_pushed_left_hand_keeps_the_cup_level_and_the_right_one_follows(
     assert measured.offset.max() < 0.04 and measured.offset[-20:].mean() < 0.02
     assert 0.0 < segment.torque_share <= 1.0
     hands: dict[str, HandTask] = {name: hand_task(task, models[name], list(HANDS)) for name, task in TASKS.items()}
-    stored = energy(robot, hands, segment, course.rest)
+    stored = energy(robot, hands, segment, result.rest)
     let_go = int(np.searchsorted(segment.time, MOVE + HELD)) + 2
     assert stored[-1] < 0.1 * stored[let_go] and np.diff(stored[let_go:]).max() < 0.02 * stored[let_go]

@@ -21,7 +21,7 @@ from ros_graph import ALL, ALL_LATCHED, ROBOT_FILE, ROOT, TASK_FILE, Diagnostics
 from ros_testing import STARTUP_TIMEOUT, RunningProcess, StartProcess, spin_until
 from simulated_hand import ROBOT
 from tpgmm_core.control.supervision import ControllerMode
-from tpgmm_demos.scene.pick_place import Situation, random_situation
+from tpgmm_demos.scene.pick_place import Placement, random_placement
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import ControllerState, Reference, TaskFrame, TaskParameters
 from tpgmm_ros.messages import conversions
@@ -69,7 +69,7 @@ class GraphBench:
         }  # fmt: skip
         for name, values in self.parameters.items():
             values.update(self.more.get(name, {}))
-        self.situation: Situation = random_situation(np.random.default_rng(3))
+        self.situation: Placement = random_placement(np.random.default_rng(3))
         self.places: dict[str, np.ndarray] = {}
         self.distort: Callable[[str, PoseStamped], object] = lambda name, message: None
         self.torques = Inbox(node, JointState, "joint_torques", ALL)

@@ -20,7 +20,7 @@ pytest.importorskip("pinocchio")
 
 from robots import BAXTER, write_arm
 from tpgmm_core import Gaussian
-from tpgmm_core.control.control_law import RobotMoment
+from tpgmm_core.control.control_law import DynamicState
 from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw
 from tpgmm_core.control.pose_target import PoseTarget
 from tpgmm_core.control.supervised_controller import Answer, SupervisedController
@@ -225,7 +225,7 @@ def test_power_is_within_its_limit_or_falls_as_fast_as_the_rate_permits(arm: Jud
     def single(first: np.ndarray, wanted: np.ndarray, v: np.ndarray, power: float, dt: float, rate: float) -> None:
         limits = TorqueLimits(max_power=power, torque_rate=rate, repulsion_margin=0.0)
         pipeline = TorquePipeline(robot, limits)
-        moment = RobotMoment.at(data, robot.home, 0.1 * v)
+        moment = DynamicState.at(data, robot.home, 0.1 * v)
         if known:
             pipeline.step(first, moment, 0.02)
             before, _ = pipeline.step(first, moment, 0.02)

@@ -8,7 +8,7 @@ import pytest
 
 from robots import BAXTER
 from tpgmm_core import Gaussian
-from tpgmm_core.control.control_law import RobotMoment
+from tpgmm_core.control.control_law import DynamicState
 from tpgmm_core.control.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
 from tpgmm_core.control.kernels_joint import joint_torques
 from tpgmm_core.model.reference import Reference
@@ -41,7 +41,7 @@ def some_precision(n: int) -> np.ndarray:
 def test_stiffness_and_damping_are_symmetric_and_solve_the_lqr_with_the_inertia_as_control_cost(
     robot: RobotModel, law: JointImpedanceLaw
 ) -> None:
-    moment = RobotMoment.at(robot.create_data(), robot.home, np.zeros(robot.nv))
+    moment = DynamicState.at(robot.create_data(), robot.home, np.zeros(robot.nv))
     joints = np.concatenate([robot.indices(group) for group in ARMS])
     Q, r = some_precision(14), law.config.joint_control_cost
     law.reset()
@@ -60,7 +60,7 @@ def test_stiffness_and_damping_are_symmetric_and_solve_the_lqr_with_the_inertia_
 def test_a_motor_that_is_too_weak_gives_what_it_can_and_the_others_do_not_let_go(
     robot: RobotModel, law: JointImpedanceLaw
 ) -> None:
-    moment = RobotMoment.at(robot.create_data(), robot.home, np.zeros(robot.nv))
+    moment = DynamicState.at(robot.create_data(), robot.home, np.zeros(robot.nv))
     joints = np.concatenate([robot.indices(group) for group in ARMS])
     mean = robot.home[joints].copy()
     mean[3], mean[10] = mean[3] + 5.0, mean[10] + 0.05  # out of all reach on the left, near on the right

@@ -23,7 +23,7 @@ from tpgmm_core.kinematics.frames import (
     TaskSpace,
 )
 from tpgmm_core.kinematics.inverse import THRESHOLD, damped_pseudo_inverse, null_space
-from tpgmm_core.kinematics.tasks import Moment, Task
+from tpgmm_core.kinematics.tasks import KinematicState, KinematicTask
 from tpgmm_core.kinematics.urdf import UrdfKinematics
 from tpgmm_core.robot.model import RobotModel
 
@@ -83,7 +83,7 @@ def test_jacobians_are_the_derivatives_of_places(name: str) -> None:
             np.testing.assert_allclose(robot.jacobian(point)[3:], expected, atol=1e-8)
 
 
-def seen(robot: Kinematics, q: Array, task: Task, target: Frame | None) -> Array:
+def seen(robot: Kinematics, q: Array, task: KinematicTask, target: Frame | None) -> Array:
     """What Eqs. (8), (9) mean by x: the place of the point, from the world or from the object."""
     robot.update(q)
     place = robot.place(task.point)
@@ -100,24 +100,24 @@ def seen(robot: Kinematics, q: Array, task: Task, target: Frame | None) -> Array
 
 
 CASES = [
-    ("planar", Task("hand"), None),
-    ("planar", Task("hand", relative_to="disc"), DISC),
-    ("bimanual", Task("left", relative_to="disc"), DISC),
-    ("baxter", Task("left"), None),
-    ("baxter", Task("left", "position", "cup"), CUP),
-    ("baxter", Task("left", "orientation", "cup"), CUP),
-    ("baxter", Task("left", "pose", "cup"), CUP),
-    ("baxter", Task("left", "orientation"), None),
-    ("baxter", Task("left", "pose"), None),
+    ("planar", KinematicTask("hand"), None),
+    ("planar", KinematicTask("hand", relative_to="disc"), DISC),
+    ("bimanual", KinematicTask("left", relative_to="disc"), DISC),
+    ("baxter", KinematicTask("left"), None),
+    ("baxter", KinematicTask("left", "position", "cup"), CUP),
+    ("baxter", KinematicTask("left", "orientation", "cup"), CUP),
+    ("baxter", KinematicTask("left", "pose", "cup"), CUP),
+    ("baxter", KinematicTask("left", "orientation"), None),
+    ("baxter", KinematicTask("left", "pose"), None),
 ]
 
 
 @pytest.mark.parametrize(("name", "task", "target"), CASES)
 def test_equations_8_and_9_are_the_inverse_kinematics_of_what_is_seen(
-    name: str, task: Task, target: Frame | None
+    name: str, task: KinematicTask, target: Frame | None
 ) -> None:
     robot, q = ROBOTS[name][0](), ROBOTS[name][1]
-    frame = TaskSpace((task,)).at(Moment(robot, q, {"disc": DISC, "cup": CUP}, threshold=1e-3))
+    frame = TaskSpace((task,)).at(KinematicState(robot, q, {"disc": DISC, "cup": CUP}, threshold=1e-3))
     x = seen(robot, q, task, target)
     # the step before is seen where it is
     np.testing.assert_allclose(frame.project(q), x, atol=1e-9)
@@ -134,17 +134,17 @@ def test_equations_8_and_9_are_the_inverse_kinematics_of_what_is_seen(
 
 def test_equation_7_is_the_configuration() -> None:
     robot, q = planar_bimanual(), np.arange(5.0)
-    frame = JointSpace().at(Moment(robot, q))
+    frame = JointSpace().at(KinematicState(robot, q))
     np.testing.assert_array_equal(frame.A, np.eye(5))
     np.testing.assert_array_equal(frame.b, np.zeros(5))
-    np.testing.assert_allclose(PreviousConfiguration().at(Moment(robot, q)).project(q + 0.1), 0.1, atol=1e-15)
+    np.testing.assert_allclose(PreviousConfiguration().at(KinematicState(robot, q)).project(q + 0.1), 0.1, atol=1e-15)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_equation_10_moves_nothing_that_is_above(name: str) -> None:
     robot, q = ROBOTS[name][0](), ROBOTS[name][1]
-    task = Task("left" if name != "planar" else "hand")
-    frame = NullSpace((task,)).at(Moment(robot, q))
+    task = KinematicTask("left" if name != "planar" else "hand")
+    frame = NullSpace((task,)).at(KinematicState(robot, q))
     robot.update(q)
     J = robot.jacobian(task.point)[: 2 if name != "baxter" else 3]
     np.testing.assert_allclose(J @ frame.A, 0.0, atol=1e-12)
@@ -161,15 +161,17 @@ def test_equation_10_moves_nothing_that_is_above(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "above", "below"),
     [
-        ("planar", Task("joint1"), Task("hand")),
-        ("bimanual", Task("left"), Task("right", relative_to="disc")),
-        ("baxter", Task("left"), Task("left", "orientation", "cup")),
-        ("baxter", Task("left", "orientation"), Task("left")),
+        ("planar", KinematicTask("joint1"), KinematicTask("hand")),
+        ("bimanual", KinematicTask("left"), KinematicTask("right", relative_to="disc")),
+        ("baxter", KinematicTask("left"), KinematicTask("left", "orientation", "cup")),
+        ("baxter", KinematicTask("left", "orientation"), KinematicTask("left")),
     ],
 )
-def test_equations_11_and_12_move_below_what_is_above(name: str, above: Task, below: Task, least_error: bool) -> None:
+def test_equations_11_and_12_move_below_what_is_above(
+    name: str, above: KinematicTask, below: KinematicTask, least_error: bool
+) -> None:
     robot, q = ROBOTS[name][0](), ROBOTS[name][1]
-    moment = Moment(robot, q, {"disc": DISC, "cup": CUP}, threshold=1e-3)
+    moment = KinematicState(robot, q, {"disc": DISC, "cup": CUP}, threshold=1e-3)
     frame = SecondaryTaskSpace((below,), (above,), least_error).at(moment)
     J_above, J, A_object = moment.view((above,)).J, moment.view((below,)).J, moment.view((below,)).A
     N = np.eye(len(q)) - np.linalg.pinv(J_above) @ J_above
@@ -196,9 +198,9 @@ def test_equations_11_and_12_move_below_what_is_above(name: str, above: Task, be
 def test_lower_levels_leave_all_levels_above_alone() -> None:
     robot = both_arms()
     q = np.r_[BASE_Q, -BASE_Q[0], BASE_Q[1], -BASE_Q[2], BASE_Q[3], -BASE_Q[4], BASE_Q[5], -BASE_Q[6]]
-    first, second, third = Task("left"), Task("left", "orientation"), Task("right", "pose")
-    moment = Moment(robot, q)
-    fourth = SecondaryTaskSpace((Task("right"),), (first, second)).at(moment)
+    first, second, third = KinematicTask("left"), KinematicTask("left", "orientation"), KinematicTask("right", "pose")
+    moment = KinematicState(robot, q)
+    fourth = SecondaryTaskSpace((KinematicTask("right"),), (first, second)).at(moment)
     lowest = NullSpace((first, second, third)).at(moment)
     for task in (first, second):
         np.testing.assert_allclose(moment.view((task,)).J @ fourth.A, 0.0, atol=1e-11)
@@ -221,11 +223,11 @@ def test_damping_is_the_stated_law(m: int) -> None:
 
 
 CANDIDATES: dict[str, KinematicFrame] = {
-    "8": TaskSpace((Task("left"),)),
-    "9": TaskSpace((Task("left", relative_to="disc"), Task("right", relative_to="disc"))),
-    "10": NullSpace((Task("left"),)),
-    "11": SecondaryTaskSpace((Task("right"),), (Task("left"),)),
-    "12": SecondaryTaskSpace((Task("right", relative_to="disc"),), (Task("left"),), least_error=True),
+    "8": TaskSpace((KinematicTask("left"),)),
+    "9": TaskSpace((KinematicTask("left", relative_to="disc"), KinematicTask("right", relative_to="disc"))),
+    "10": NullSpace((KinematicTask("left"),)),
+    "11": SecondaryTaskSpace((KinematicTask("right"),), (KinematicTask("left"),)),
+    "12": SecondaryTaskSpace((KinematicTask("right", relative_to="disc"),), (KinematicTask("left"),), least_error=True),
 }
 
 
@@ -239,7 +241,7 @@ def path_through_singularities() -> tuple[PlanarRobot, Array]:
 @pytest.mark.parametrize("name", CANDIDATES)
 def test_frames_are_finite_and_continuous_through_singularities(name: str) -> None:
     robot, path = path_through_singularities()
-    frames = [CANDIDATES[name].at(Moment(robot, q, {"disc": DISC})) for q in path]
+    frames = [CANDIDATES[name].at(KinematicState(robot, q, {"disc": DISC})) for q in path]
     precision = np.diag(np.arange(1.0, frames[0].A.shape[1] + 1.0))
     for values in (
         [f.A for f in frames],
@@ -258,7 +260,7 @@ def test_a_frame_says_nothing_of_what_the_robot_cannot_do() -> None:
     """A straight arm, pulled along itself: no step, no deviation, no precision; across itself as ever."""
     robot, q = planar_arm([1.0, 1.0]), np.zeros(2)
     outside = Frame(np.eye(2), np.array([3.0, 0.0]))
-    frame = TaskSpace((Task("hand", relative_to="ball"),)).at(Moment(robot, q, {"ball": outside}))
+    frame = TaskSpace((KinematicTask("hand", relative_to="ball"),)).at(KinematicState(robot, q, {"ball": outside}))
     np.testing.assert_allclose(frame.A @ np.zeros(2) + frame.b, q, atol=1e-12)
     np.testing.assert_allclose(frame.project(q), 0.0, atol=1e-12)
     assert frame.inverse is not None
@@ -269,17 +271,17 @@ def test_a_frame_says_nothing_of_what_the_robot_cannot_do() -> None:
 def test_bad_tasks_are_refused_with_the_reason() -> None:
     robot = planar_bimanual()
     with pytest.raises(ValueError, match="unknown point 'nose'"):
-        TaskSpace((Task("nose"),)).at(Moment(robot, np.zeros(5)))
+        TaskSpace((KinematicTask("nose"),)).at(KinematicState(robot, np.zeros(5)))
     with pytest.raises(ValueError, match="object 'disc' is not there"):
-        TaskSpace((Task("left", relative_to="disc"),)).at(Moment(robot, np.zeros(5)))
+        TaskSpace((KinematicTask("left", relative_to="disc"),)).at(KinematicState(robot, np.zeros(5)))
     with pytest.raises(ValueError, match="has a position only"):
-        TaskSpace((Task("left", "pose"),)).at(Moment(robot, np.zeros(5)))
+        TaskSpace((KinematicTask("left", "pose"),)).at(KinematicState(robot, np.zeros(5)))
     with pytest.raises(ValueError, match="got A of shape"):
-        TaskSpace((Task("left", relative_to="cup"),)).at(Moment(robot, np.zeros(5), {"cup": CUP}))
+        TaskSpace((KinematicTask("left", relative_to="cup"),)).at(KinematicState(robot, np.zeros(5), {"cup": CUP}))
     with pytest.raises(ValueError, match="at least one Task"):
         TaskSpace(())
     with pytest.raises(ValueError, match="the part of a task"):
-        Task("left", "smell")  # type: ignore[arg-type]
+        KinematicTask("left", "smell")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="positive length"):
         planar_arm([1.0, -1.0])
     with pytest.raises(ValueError, match="joints 0 to 1"):

@@ -16,9 +16,9 @@ from tpgmm_core.kinematics.frames import JointSpace, NullSpace, PreviousConfigur
 from tpgmm_core.kinematics.hierarchy import hierarchy_frames, level_names
 from tpgmm_core.kinematics.moving import STEP, ConfigurationProduct, MovingFrames
 from tpgmm_core.kinematics.relevance import directions_determined
-from tpgmm_core.kinematics.tasks import Task
+from tpgmm_core.kinematics.tasks import KinematicTask
 
-TASKS = {hand: Task(hand, relative_to=f"{hand} object") for hand in ("left", "right")}
+TASKS = {hand: KinematicTask(hand, relative_to=f"{hand} object") for hand in ("left", "right")}
 HIERARCHIES: dict[str, Any] = {
     "left before right": ["left", "right"],
     "right before left": ["right", "left"],
@@ -37,7 +37,7 @@ def objects_at(left: Array, right: Array) -> dict[str, Frame]:
 
 
 def test_hierarchies_are_data_and_share_levels() -> None:
-    tasks = {**TASKS, "elbow": Task("left")}
+    tasks = {**TASKS, "elbow": KinematicTask("left")}
     frames = hierarchy_frames(tasks, {**HIERARCHIES, "three levels": ["left", "right", "elbow"]})
     assert list(frames) == [
         "left",
@@ -155,7 +155,7 @@ def test_the_product_is_the_weighted_least_squares_step() -> None:
 def test_what_no_frame_constrains_stays() -> None:
     """A redundant arm: the hand goes where it is to be, by the least motion; nothing moves in the null space."""
     robot, q = planar_arm([1.0, 0.8, 0.6, 0.4]), np.array([0.3, 0.7, -0.9, 0.5])
-    task = Task("hand", relative_to="ball")
+    task = KinematicTask("hand", relative_to="ball")
     frames = MovingFrames(robot, {"hand": TaskSpace((task,)), "free": NullSpace((task,))})
     model = model_of({"hand": (np.zeros(2), 1e-4 * np.eye(2))})
     robot.update(q)
@@ -240,7 +240,9 @@ def test_models_that_do_not_fit_are_refused_with_the_reason() -> None:
 def test_models_over_time_change_what_counts() -> None:
     """First a posture, then a place of the hand: each determines its directions in its time."""
     robot, rng = planar_arm([1.0, 0.8, 0.6]), np.random.default_rng(3)
-    frames = MovingFrames(robot, {"joints": JointSpace(), "hand": TaskSpace((Task("hand", relative_to="ball"),))})
+    frames = MovingFrames(
+        robot, {"joints": JointSpace(), "hand": TaskSpace((KinematicTask("hand", relative_to="ball"),))}
+    )
     posture, times, demonstrations = np.array([0.3, 0.9, -0.8]), np.linspace(0.0, 2.0, 100), []
     for _ in range(6):
         ball = rng.uniform([0.9, 0.9], [1.5, 1.5])

@@ -16,7 +16,7 @@ from tpgmm_core.kinematics.frames import JointSpace, NullSpace, PreviousConfigur
 from tpgmm_core.kinematics.hierarchy import hierarchy_frames
 from tpgmm_core.kinematics.movement import KinematicMovement
 from tpgmm_core.kinematics.moving import MovingFrames
-from tpgmm_core.kinematics.tasks import Task
+from tpgmm_core.kinematics.tasks import KinematicTask
 from tpgmm_core.kinematics.urdf import UrdfKinematics
 from tpgmm_core.robot.model import RobotModel
 
@@ -44,7 +44,7 @@ def test_a_hand_sees_the_other_one_as_finite_differences_say(baxter: UrdfKinemat
     rng = np.random.default_rng(3)
     home = np.array([-0.08, -1.0, -1.19, 1.94, 0.67, 1.03, -0.5, 0.08, -1.0, 1.19, 1.94, -0.67, 1.03, 0.5])
     q = home + 0.2 * rng.normal(size=14)
-    frame = TaskSpace((Task("right", part, relative_to="left"),))  # type: ignore[arg-type]
+    frame = TaskSpace((KinematicTask("right", part, relative_to="left"),))  # type: ignore[arg-type]
     frames = MovingFrames(baxter, {"between": frame}, threshold=1e-4)
     assert frames.objects == frozenset()  # a point of the robot is always there
     between = frames.at(q)["between"]
@@ -58,7 +58,9 @@ def test_a_hand_sees_the_other_one_as_finite_differences_say(baxter: UrdfKinemat
 
 def test_hands_of_a_planar_robot_see_each_other_too() -> None:
     robot, q = planar_bimanual(), np.array([0.1, 1.2, -1.6, -1.2, 1.5])
-    between = MovingFrames(robot, {"between": TaskSpace((Task("right", relative_to="left"),))}).at(q)["between"]
+    between = MovingFrames(robot, {"between": TaskSpace((KinematicTask("right", relative_to="left"),))}).at(q)[
+        "between"
+    ]
     moved = q + 1e-6 * np.array([1.0, -2.0, 0.5, 1.0, 2.0])
     places = []
     for configuration in (q, moved):
@@ -93,9 +95,9 @@ def spread_at(model: TPGMM, time: float) -> Array:
 
 HOME = np.array([-0.08, -1.0, -1.19, 1.94, 0.67, 1.03, -0.5, 0.08, -1.0, 1.19, 1.94, -0.67, 1.03, 0.5])
 TASKS = {
-    "bar": Task("right", relative_to="left"),
-    "left": Task("left", relative_to="left_target"),
-    "right": Task("right", relative_to="right_target"),
+    "bar": KinematicTask("right", relative_to="left"),
+    "left": KinematicTask("left", relative_to="left_target"),
+    "right": KinematicTask("right", relative_to="right_target"),
 }
 
 

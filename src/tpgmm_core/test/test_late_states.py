@@ -15,7 +15,7 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from benchmarks.delayed_loop import Course, DelayedLoop, joint_reference, pose_reference
+from benchmarks.delayed_loop import DelayedLoop, LoopRecord, joint_reference, pose_reference
 from robots import CONFIG
 from tpgmm_core.control.supervision import ControllerMode
 from tpgmm_core.robot.model import RobotModel
@@ -30,13 +30,13 @@ def robots() -> dict[str, RobotModel]:
     return {name: RobotModel.from_file(CONFIG / f"{name}.yaml") for name in ROBOTS}
 
 
-def assert_calm(robot: RobotModel, course: Course) -> None:
+def assert_calm(robot: RobotModel, record: LoopRecord) -> None:
     """Nothing swings, and in the end nothing moves much."""
-    assert not any("swings" in reason for reason in course.reasons), course.reasons
-    assert np.isfinite(course.tau).all() and (np.abs(course.tau) <= robot.effort_limits).all()
-    quarter = len(course.v) // 4
-    before = course.fastest(slice(None, -quarter), robot.velocity_limits)
-    last = course.fastest(slice(-quarter, None), robot.velocity_limits)
+    assert not any("swings" in reason for reason in record.reasons), record.reasons
+    assert np.isfinite(record.tau).all() and (np.abs(record.tau) <= robot.effort_limits).all()
+    quarter = len(record.v) // 4
+    before = record.fastest(slice(None, -quarter), robot.velocity_limits)
+    last = record.fastest(slice(-quarter, None), robot.velocity_limits)
     assert last < max(0.1, 0.8 * before), f"joints at {last:.2f} of their speed limits in the end, {before:.2f} before"
 
 
@@ -86,15 +86,15 @@ def test_a_firm_reference_is_followed_as_long_as_that_can_be_borne_and_it_says_s
     loop = DelayedLoop(robot, ROBOTS[name], lambda _: 1e-3 * late_ms)
     loop.run(100)
     goal = loop.pose() + AWAY
-    course = loop.run(2500, pose_reference(goal, 0.002))
-    assert_calm(robot, course)
+    record = loop.run(2500, pose_reference(goal, 0.002))
+    assert_calm(robot, record)
     away = np.linalg.norm(loop.pose()[:3] - goal[:3])
-    reason = course.reasons[-1]
+    reason = record.reasons[-1]
     if late_ms == 60:
-        assert course.modes[-1] == ControllerMode.DAMPING
+        assert record.modes[-1] == ControllerMode.DAMPING
         assert age_in(reason) == pytest.approx(late_ms, rel=0.1) and "bear 7 ms" in reason
         return
-    assert course.modes[-1] == ControllerMode.ACTIVE and away < 0.02
+    assert record.modes[-1] == ControllerMode.ACTIVE and away < 0.02
     assert (reason == "following the reference") == (late_ms == 0)
     assert late_ms == 0 or age_in(reason) == pytest.approx(late_ms, rel=0.1)
 
@@ -104,9 +104,9 @@ def test_states_that_become_late_in_the_middle_of_a_movement_are_answered_before
 ) -> None:
     loop = DelayedLoop(robots["panda"], "hand", lambda t: 0.04 if t > 0.5 else 0.001)
     loop.run(100)
-    course = loop.run(2500, pose_reference(loop.pose() + AWAY, 0.005))
-    assert_calm(robots["panda"], course)
-    assert course.shares[390] > 0.95 and course.shares[-1] < 0.4
+    record = loop.run(2500, pose_reference(loop.pose() + AWAY, 0.005))
+    assert_calm(robots["panda"], record)
+    assert record.shares[390] > 0.95 and record.shares[-1] < 0.4
 
 
 def test_it_follows_again_when_states_come_in_time_again(robots: dict[str, RobotModel]) -> None:
@@ -114,9 +114,9 @@ def test_it_follows_again_when_states_come_in_time_again(robots: dict[str, Robot
     loop.run(100)
     reference = pose_reference(loop.pose() + AWAY, 0.002)
     assert loop.run(800, reference).modes[-1] == ControllerMode.DAMPING
-    course = loop.run(6000, reference)
-    assert_calm(robots["ur5"], course)
-    assert course.modes[-1] == ControllerMode.ACTIVE and course.reasons[-1] == "following the reference"
+    record = loop.run(6000, reference)
+    assert_calm(robots["ur5"], record)
+    assert record.modes[-1] == ControllerMode.ACTIVE and record.reasons[-1] == "following the reference"
 
 
 @pytest.mark.parametrize("late_ms", [30, 60])
@@ -127,9 +127,9 @@ def test_a_delay_that_no_stamp_tells_of_is_found_by_the_swings_and_borne_afterwa
     loop = DelayedLoop(robot, "hand", lambda _: 1e-3 * late_ms, tells=False)
     loop.run(100)
     reference = pose_reference(loop.pose() + AWAY, 0.01)
-    course = loop.run(1500, reference)
-    assert any("swings and does not settle" in reason for reason in course.reasons)
-    assert course.modes[-1] == ControllerMode.DAMPING
+    record = loop.run(1500, reference)
+    assert any("swings and does not settle" in reason for reason in record.reasons)
+    assert record.modes[-1] == ControllerMode.DAMPING
     again = loop.run(6000, reference)
     alarms = [reason for reason in again.reasons if "swings" in reason]
     assert len(set(alarms)) <= 1  # the one that goes on

@@ -11,7 +11,7 @@ from robots import BAXTER
 
 pytest.importorskip("daqp")
 
-from tpgmm_core.control.predictive import JointLimits, JointReference, Plan, PredictiveController
+from tpgmm_core.control.predictive import JointLimits, JointReference, PredictiveController, PredictivePlan
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.kinematics.joint_space import to_joint_space
 from tpgmm_core.lqr.batch import batch_gains
@@ -41,7 +41,7 @@ INERTIA, BIAS = np.array([[1.2, 0.3], [0.3, 0.5]]), np.array([2.0, -1.0])
 PRECISION = np.array([[40.0, 10.0], [10.0, 20.0]])
 
 
-def solve(mpc: PredictiveController, q: Array, v: Array, goal: Array) -> Plan:
+def solve(mpc: PredictiveController, q: Array, v: Array, goal: Array) -> PredictivePlan:
     return mpc.solve(q, v, reference(goal, PRECISION), INERTIA, BIAS)
 
 

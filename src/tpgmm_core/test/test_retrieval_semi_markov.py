@@ -18,7 +18,7 @@ from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval import kernels_semi_markov
 from tpgmm_core.retrieval.dynamic_features import with_derivatives
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
-from tpgmm_core.retrieval.state_filter import Course, StateFilter
+from tpgmm_core.retrieval.state_filter import NominalSchedule, StateFilter
 from worlds import DURATION, assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world
 
 TICK = 5_000_000
@@ -166,7 +166,7 @@ def test_the_likeliest_course_is_the_best_of_all() -> None:
 
 
 def test_a_course_goes_through_all_states_in_their_durations() -> None:
-    course = Course(planar_model().chain_)
+    course = NominalSchedule(planar_model().chain_)
     places = [course.onwards(0, 0.0, float(i)) for i in range(round(course.total) + 1)]
     left = [course.remaining(*p) for p in places]
     np.testing.assert_allclose(left, course.total - np.arange(len(left)), atol=1e-9)
@@ -470,7 +470,7 @@ def test_a_step_after_a_long_gap_is_the_end() -> None:
 
 def test_a_filter_is_sure_of_what_it_was_told() -> None:
     chain = planar_model().chain_
-    course = Course(chain)
+    course = NominalSchedule(chain)
     estimate = StateFilter(chain, course)
     estimate.reset(2, 5.0)
     assert estimate.place == (2, 5.0)

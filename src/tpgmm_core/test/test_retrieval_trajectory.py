@@ -20,7 +20,7 @@ from tpgmm_core.retrieval.dynamic_features import (
     with_derivatives,
 )
 from tpgmm_core.retrieval.smoothing import smoothest
-from tpgmm_core.retrieval.trajectory import Trajectory, TrajectoryCourse, TrajectoryModel
+from tpgmm_core.retrieval.trajectory import SmoothTrajectory, Trajectory, TrajectoryModel
 from worlds import DURATION, assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world
 
 TIMES = np.linspace(0.0, DURATION, 60)
@@ -338,11 +338,11 @@ def test_on_poses_a_stationary_point_is_found_or_the_failure_is_told(spread: flo
     assert solved >= (10 if spread <= 1.0 else 5)
 
 
-def course(K: int = 6, steps: int = 60) -> tuple[TrajectoryCourse, Trajectory]:
+def course(K: int = 6, steps: int = 60) -> tuple[SmoothTrajectory, Trajectory]:
     """In the planar situation, and the trajectory that it interpolates."""
     planar = model(K)
     planar.metadata_ = {"duration_s": DURATION}
-    result = TrajectoryCourse(planar, steps=steps)
+    result = SmoothTrajectory(planar, steps=steps)
     result.situate(planar_situation())
     return result, TrajectoryModel(planar).retrieve(planar_situation(), np.linspace(0.0, DURATION, steps))
 
@@ -359,7 +359,7 @@ def test_a_course_is_the_trajectory_at_its_steps_and_smooth_between_them() -> No
 
 
 def test_between_steps_a_course_over_poses_has_continuous_velocities() -> None:
-    poses = TrajectoryCourse(pose_model(), steps=80)
+    poses = SmoothTrajectory(pose_model(), steps=80)
     poses.situate(pose_situation())
     grid = np.linspace(0.0, POSE_DURATION, 80)
     trajectory = TrajectoryModel(pose_model()).retrieve(pose_situation(), grid)
@@ -376,10 +376,10 @@ def test_between_steps_a_course_over_poses_has_continuous_velocities() -> None:
 
 
 def test_a_course_ends_where_its_grid_ends_and_forgets_former_situations() -> None:
-    poses = TrajectoryCourse(pose_model(), steps=40)
+    poses = SmoothTrajectory(pose_model(), steps=40)
     poses.situate(frames_at(start=place(-0.5, 0.4, 2.0), object=place(1.0, 1.0, -2.0)))
     poses.situate(pose_situation())
-    fresh = TrajectoryCourse(pose_model(), steps=40)
+    fresh = SmoothTrajectory(pose_model(), steps=40)
     fresh.situate(pose_situation())
     times = np.array([-1.0, 0.0, 0.7, POSE_DURATION, 10.0])
     for found, expected in zip(poses.at(times), fresh.at(times), strict=True):
@@ -389,7 +389,7 @@ def test_a_course_ends_where_its_grid_ends_and_forgets_former_situations() -> No
 
 
 def test_a_course_that_begins_at_its_former_solution_finds_what_one_from_the_beginning_does() -> None:
-    poses, fresh = TrajectoryCourse(pose_model(), steps=40), TrajectoryCourse(pose_model(), steps=40)
+    poses, fresh = SmoothTrajectory(pose_model(), steps=40), SmoothTrajectory(pose_model(), steps=40)
     times = np.linspace(0.0, POSE_DURATION, 90)
     for shift in np.linspace(0.0, 0.1, 6):
         situation = pose_situation() | frames_at(object=place(0.55 + 3.0 * shift, 0.08, -0.4 + shift))
@@ -419,11 +419,11 @@ def test_what_no_frame_constrains_stays_where_the_robot_is() -> None:
 
 
 def test_a_course_says_what_it_lacks() -> None:
-    fresh = TrajectoryCourse(pose_model())
+    fresh = SmoothTrajectory(pose_model())
     with pytest.raises(ValueError, match="situate"):
         fresh.at(np.zeros(1))
     with pytest.raises(ValueError, match="three"):
-        TrajectoryCourse(pose_model(), steps=2)
+        SmoothTrajectory(pose_model(), steps=2)
     timeless = TPGMM(2).fit([with_derivatives(d) for d in planar_demonstrations()])
     with pytest.raises(ValueError, match="duration_s"):
-        TrajectoryCourse(timeless)
+        SmoothTrajectory(timeless)

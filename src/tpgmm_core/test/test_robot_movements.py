@@ -13,7 +13,7 @@ pytest.importorskip("pinocchio")
 
 from reaching import DURATION, displaced, frames_at, reaching_near
 from robots import CONFIG, KINOVA
-from tpgmm_core.control.control_law import LawTorques, RobotMoment
+from tpgmm_core.control.control_law import DynamicState, LawTorques
 from tpgmm_core.control.controller import Controller
 from tpgmm_core.control.impedance import ImpedanceLaw
 from tpgmm_core.control.pose_target import PoseReference
@@ -101,8 +101,8 @@ def test_joint_gains_are_how_torques_answer_a_displacement() -> None:
     def feedback(changes: dict[str, np.ndarray]) -> LawTorques:
         law.reset()
         for _ in range(1000):  # until the reference has full hold
-            torques = law.step(RobotMoment.at(data, **still_at), still, 0.001)
-        torques = law.step(RobotMoment.at(data, **{**still_at, **changes}), still, 0.0)
+            torques = law.step(DynamicState.at(data, **still_at), still, 0.001)
+        torques = law.step(DynamicState.at(data, **{**still_at, **changes}), still, 0.0)
         return torques
 
     stiffness, damping = feedback({}).joint_gains()

@@ -17,7 +17,7 @@ from tpgmm_demos.scene.pick_place import (
     hand_at,
     invert,
     pose_error,
-    random_situation,
+    random_placement,
 )
 
 RANDOM = np.random.default_rng(0)
@@ -40,12 +40,12 @@ def test_the_hand_is_above_the_object_and_looks_down() -> None:
 
 def test_situations_lie_in_their_regions_and_follow_from_the_seed() -> None:
     for seed in range(50):
-        situation = random_situation(np.random.default_rng(seed))
+        situation = random_placement(np.random.default_rng(seed))
         for pose, region in ((situation.object, OBJECT_REGION), (situation.target, TARGET_REGION)):
             assert (pose[:3] >= region.lower).all() and (pose[:3] <= region.upper).all()
             up = quaternion.rotation_matrix(pose[3:])[2, 2]
             assert np.arccos(np.clip(up, -1.0, 1.0)) <= region.tilt + 1e-6
-    again = random_situation(np.random.default_rng(49))
+    again = random_placement(np.random.default_rng(49))
     np.testing.assert_array_equal(again.object, situation.object)
 
 

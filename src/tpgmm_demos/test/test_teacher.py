@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tpgmm_demos.scene.pick_place import POSE, hand_at, pose_error, random_situation
+from tpgmm_demos.scene.pick_place import POSE, hand_at, pose_error, random_placement
 from tpgmm_demos.teaching.teacher import Intention, Teacher, TeacherConfig
 
 HOME = np.array([0.58, 0.18, 0.11, 0.0, 1.0, 0.0, 0.0])
-SITUATION = random_situation(np.random.default_rng(0))
+SITUATION = random_placement(np.random.default_rng(0))
 
 
 def intention(seed: int = 0) -> Intention:

@@ -12,7 +12,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from tpgmm_core import TPGMM
-from tpgmm_ros.models.task_model import load_model, make_retrieval
+from tpgmm_ros.models.task_model import load_task_model, make_task_retrieval
 from tpgmm_ros.programs import train
 from tpgmm_ros.recordings.bags import BagError, read_recording
 from tpgmm_ros.task.task_file import Task, TaskError
@@ -159,18 +159,18 @@ def test_a_model_fits_the_task_that_it_was_learned_for_and_no_other(tmp_path: Pa
     arguments = ["--task", str(TASK_FILE), "--output", str(path), str(tmp_path / "bags")]
     assert train.main([*arguments, "--retrieval", "decay"]) == 1
     assert train.main([*arguments, "--every", "3"]) == 0
-    model = load_model(path, task)
+    model = load_task_model(path, task)
     assert model.dimensions_ == task.kinematic.joint_names()  # type: ignore[union-attr]
     np.testing.assert_array_equal(model.means_["left below bar"], 0.0)
     assert np.abs(model.means_["bar"]).max() > 0.1
-    movement = make_retrieval(model, task)
+    movement = make_task_retrieval(model, task)
     assert movement.frame_names == ("left_target", "right_target") and movement.manifold.dim == 14
     for settings in ({"way": "decay"}, {"phase": "state"}):
         with pytest.raises(ValueError, match="in one way, by the clock"):
-            make_retrieval(model, task, **settings)  # type: ignore[arg-type]
+            make_task_retrieval(model, task, **settings)  # type: ignore[arg-type]
     other = Task.from_text(text(together="    together: [[left, right]]"))
     with pytest.raises(ValueError, match="others than the model was learned from"):
-        load_model(path, other)
+        load_task_model(path, other)
     TPGMM(1).fit_projected({"a": np.random.default_rng(0).normal(size=(20, 2))}).save(path)
     with pytest.raises(ValueError, match="none of kinematic frames"):
-        load_model(path, task)
+        load_task_model(path, task)

@@ -14,7 +14,7 @@ from synthetic_bags import REACH_TASK, reach, write_bag
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.ways import WAYS
-from tpgmm_ros.models.task_model import load_model
+from tpgmm_ros.models.task_model import load_task_model
 from tpgmm_ros.models.validation import path_errors, replay_nearest, reproduce
 from tpgmm_ros.programs.reporting import format_table, write_report
 from tpgmm_ros.programs.train import main
@@ -105,7 +105,7 @@ def test_every_way_of_retrieval_is_trained_and_reproduces_what_was_left_out(
     assert train(bags, *arguments, *few) == 0
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["retrieval"] == way and len(report["leave_one_out"]["folds"]) == len(few)
-    model = load_model(output, Task.load(bags / "task.yaml"))
+    model = load_task_model(output, Task.load(bags / "task.yaml"))
     assert isinstance(model, WAYS[way].estimator) and model.metadata_["retrieval"] == way
     recording = read_recording(bags / "demo_7", Task.load(bags / "task.yaml"))
     path = reproduce(model, recording.to_demonstration(5.0))

@@ -41,7 +41,7 @@ AT_ONCE = Loop()
 
 
 @dataclass(frozen=True, slots=True)
-class RobotMoment:
+class DynamicState:
     """A state of the robot with its dynamics; the arrays are overwritten when the next moment is made.
 
     q, v : (nv,), rad and rad/s (m and m/s for prismatic joints), finite
@@ -61,7 +61,7 @@ class RobotMoment:
     loop: Loop = AT_ONCE
 
     @classmethod
-    def at(cls, data: RobotData, q: Array, v: Array, loop: Loop = AT_ONCE) -> RobotMoment:
+    def at(cls, data: RobotData, q: Array, v: Array, loop: Loop = AT_ONCE) -> DynamicState:
         """Kinematics and dynamics at q and v (nv,), in the scratch memory `data`."""
         data.update(q, v)
         # Pinocchio's matrices are column-major; of a symmetric one the transpose is the same, row-major
@@ -172,7 +172,7 @@ class ControlLaw[TargetT](Protocol):
         Raises ValueError for a reference that this law cannot follow; the text says why.
         """
 
-    def step(self, moment: RobotMoment, target: TargetT | None, dt: float) -> LawTorques:
+    def step(self, moment: DynamicState, target: TargetT | None, dt: float) -> LawTorques:
         """Torques dt seconds (>= 0) after the last step. None: let go of the last target without a jump.
 
         Does not raise: what goes wrong is the `reason` of the answer.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.control.control_law import AT_ONCE, ControlLaw, LawTorques, Loop, RobotMoment
+from tpgmm_core.control.control_law import AT_ONCE, ControlLaw, DynamicState, LawTorques, Loop
 from tpgmm_core.control.torque_limits import finite
 from tpgmm_core.control.torque_pipeline import TorqueLimits, TorquePipeline, actions
 from tpgmm_core.robot.model import RobotModel
@@ -106,7 +106,7 @@ class Controller[TargetT]:
         if not (finite(q) and finite(v)):
             return self.rest(0.0, dt, "the joint state is not finite", loop)
         q = self.robot.unwound(q, self.robot.home if self._q is None else self._q)
-        moment = RobotMoment.at(self._data, q, v, loop)
+        moment = DynamicState.at(self._data, q, v, loop)
         if brakes:
             self.law.reset()
         asked = None if brakes else self.law.step(moment, target, self.pipeline.time_step(dt))
@@ -129,7 +129,7 @@ class Controller[TargetT]:
         if self._q is None or self._v is None:
             return None
         v = self._v * math.exp(-max(0.0, age) / REST_TIME)
-        moment = RobotMoment.at(self._data, self._q, v, replace(loop, age=0.0))
+        moment = DynamicState.at(self._data, self._q, v, replace(loop, age=0.0))
         tau, done = self.pipeline.step(None, moment, dt)
         self._sent = TorqueCommand(tau, moment.q, moment.v, None, actions(done), reason)
         return self._sent

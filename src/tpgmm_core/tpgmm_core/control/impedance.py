@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from tpgmm_core.common.settings import setting
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
-from tpgmm_core.control.control_law import Lag, LawConfig, LawTorques, RobotMoment
+from tpgmm_core.control.control_law import DynamicState, Lag, LawConfig, LawTorques
 from tpgmm_core.control.delay_margin import borne_share, delay_margin, fastest_rate
 from tpgmm_core.control.kernels_impedance import (
     STOP_FREQUENCY,
@@ -104,7 +104,7 @@ class ImpedanceLaw:
 
     def _compile(self) -> None:
         """A step towards another pose, so that no later one waits for the compiler."""
-        moment = RobotMoment.at(self.robot.create_data(), self.robot.home, np.zeros(self.robot.nv))
+        moment = DynamicState.at(self.robot.create_data(), self.robot.home, np.zeros(self.robot.nv))
         for _ in range(2):
             self.step(moment, self.pose_target(PoseReference(moment.data.pose(self.endpoint), np.eye(6))), 0.001)
         self.reset()
@@ -159,7 +159,7 @@ class ImpedanceLaw:
         rate = fastest_rate(gains.damping, self.config.characteristic_length)
         return PoseTarget(replace(reference, pose=pose), gains.damping, rate=rate)
 
-    def step(self, moment: RobotMoment, target: PoseTarget | None, dt: float) -> LawTorques:
+    def step(self, moment: DynamicState, target: PoseTarget | None, dt: float) -> LawTorques:
         """Torques dt seconds after the last step.
 
         Without a target the last one is let go over `blend_time`; what remains is gravity compensation with

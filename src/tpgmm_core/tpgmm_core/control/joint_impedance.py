@@ -22,7 +22,7 @@ import numpy as np
 
 from tpgmm_core.common.settings import setting
 from tpgmm_core.common.types import Array
-from tpgmm_core.control.control_law import Lag, LawConfig, LawTorques, RobotMoment
+from tpgmm_core.control.control_law import DynamicState, Lag, LawConfig, LawTorques
 from tpgmm_core.control.delay_margin import borne_share, delay_margin
 from tpgmm_core.control.kernels_impedance import standing_torques
 from tpgmm_core.control.kernels_joint import inertia_factor, joint_torques, precision_damping
@@ -126,7 +126,7 @@ class JointImpedanceLaw:
         """A step, so that no later one waits for the compiler."""
         n = len(self._joints)
         target = JointTarget(self.robot.home[self._joints], np.zeros(n), np.eye(n))
-        moment = RobotMoment.at(self.robot.create_data(), self.robot.home, np.zeros(self.robot.nv))
+        moment = DynamicState.at(self.robot.create_data(), self.robot.home, np.zeros(self.robot.nv))
         self.step(moment, target, 0.001)
         self.reset()
 
@@ -161,7 +161,7 @@ class JointImpedanceLaw:
             raise ValueError(f"the reference cannot be followed: {error}") from error
         return JointTarget(np.array(gaussian.mean), velocities, precision)
 
-    def step(self, moment: RobotMoment, target: JointTarget | None, dt: float) -> LawTorques:
+    def step(self, moment: DynamicState, target: JointTarget | None, dt: float) -> LawTorques:
         """Torques dt seconds after the last step.
 
         Without a target the last one is let go over `blend_time`; what remains is gravity compensation with
@@ -262,7 +262,7 @@ class JointImpedanceLaw:
                 self._leash = np.inf
         return behind if self._leash == np.inf else np.clip(behind, -self._leash, self._leash)
 
-    def _carried(self, moment: RobotMoment) -> Array:
+    def _carried(self, moment: DynamicState) -> Array:
         """Torques (nv,) that are given whatever the error is."""
         carried = moment.nonlinear.copy()
         carried[self._joints] = moment.data.gravity(moment.q)[self._joints]

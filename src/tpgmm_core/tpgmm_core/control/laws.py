@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from tpgmm_core.common.text import listed, shown
-from tpgmm_core.control.control_law import ControlLaw, LawTorques, RobotMoment
+from tpgmm_core.control.control_law import ControlLaw, DynamicState, LawTorques
 from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw
 from tpgmm_core.control.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
 from tpgmm_core.control.moving_impedance import MovingImpedanceLaw
@@ -117,7 +117,7 @@ class ReferenceLaw:
         law = self._law_of(self._joints_of(reference))
         return LawTarget(law, law.target(reference, moving))
 
-    def step(self, moment: RobotMoment, target: LawTarget | None, dt: float) -> LawTorques:
+    def step(self, moment: DynamicState, target: LawTarget | None, dt: float) -> LawTorques:
         """As `ControlLaw.step`; gains and error are those of the law that takes over, while one does."""
         if target is not None and target.law is not self._current:
             if target.law is self._former:

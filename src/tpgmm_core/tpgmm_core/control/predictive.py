@@ -80,7 +80,7 @@ class JointReference:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class PredictivePlan:
     """What to do now, and what is expected to come of it.
 
     torque : (n,), N m, within its limits: feedforward of the first step
@@ -155,7 +155,9 @@ class PredictiveController:
         """(N,), s from now: the ends of the steps, for which references are given."""
         return np.cumsum(self.time_steps)
 
-    def solve(self, q: ArrayLike, v: ArrayLike, reference: JointReference, inertia: ArrayLike, bias: ArrayLike) -> Plan:
+    def solve(
+        self, q: ArrayLike, v: ArrayLike, reference: JointReference, inertia: ArrayLike, bias: ArrayLike
+    ) -> PredictivePlan:
         """The best plan from positions q and velocities v (n,).
 
         reference : at `times`
@@ -186,7 +188,7 @@ class PredictiveController:
         beyond = np.stack(
             [np.abs(velocities) - velocity, positions - self.limits.upper, self.limits.lower - positions]
         ).max()
-        return Plan(
+        return PredictivePlan(
             torque=np.clip(M[0] @ accelerations[0] + h[0], -torque, torque),
             accelerations=accelerations,
             positions=positions,

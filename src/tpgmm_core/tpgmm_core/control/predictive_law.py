@@ -22,7 +22,7 @@ import numpy as np
 
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
-from tpgmm_core.control.control_law import Lag, LawTorques, RobotMoment
+from tpgmm_core.control.control_law import DynamicState, Lag, LawTorques
 from tpgmm_core.control.impedance import ANGULAR_LEASH
 from tpgmm_core.control.impedance import LEASH as HAND_LEASH
 from tpgmm_core.control.joint_impedance import LEASH, JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
@@ -30,7 +30,7 @@ from tpgmm_core.control.moving_impedance import check_horizon
 from tpgmm_core.control.moving_joint_impedance import moving_joint_gains
 from tpgmm_core.control.operational_space import bound_twist
 from tpgmm_core.control.planning import PlanConfig, Schedule, Submit, at_once
-from tpgmm_core.control.predictive import JointLimits, JointReference, Plan, PredictiveController
+from tpgmm_core.control.predictive import JointLimits, JointReference, PredictiveController, PredictivePlan
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.kinematics.joint_space import to_joint_space
 from tpgmm_core.model.reference import Reference
@@ -73,7 +73,7 @@ class _Planned:
 
     q: Array
     v: Array
-    plan: Plan
+    plan: PredictivePlan
     gains: JointGains
 
 
@@ -102,7 +102,7 @@ class PredictiveLaw(JointImpedanceLaw):
         super().__init__(robot, joints, config)
 
     def _compile(self) -> None:
-        home = RobotMoment.at(self.robot.create_data(), self.robot.home, np.zeros(self.robot.nv))
+        home = DynamicState.at(self.robot.create_data(), self.robot.home, np.zeros(self.robot.nv))
         n = len(self._joints)
         mean, size = (self.robot.home[self._joints], n) if self.endpoint is None else (home.data.pose(self.endpoint), 6)
         target = PredictiveTarget(np.tile(mean, (2, 1)), np.tile(np.eye(size), (2, 1, 1)), 0.1)
@@ -163,7 +163,7 @@ class PredictiveLaw(JointImpedanceLaw):
             raise ValueError(f"the reference cannot be followed: {error}") from error
         return PredictiveTarget(means, precisions, reference.horizon_time_step)
 
-    def step(self, moment: RobotMoment, target: PredictiveTarget | None, dt: float) -> LawTorques:  # type: ignore[override]
+    def step(self, moment: DynamicState, target: PredictiveTarget | None, dt: float) -> LawTorques:  # type: ignore[override]
         """As `JointImpedanceLaw.step`; before the first plan is there as without a target."""
         self._time += dt
         if target is None:
@@ -189,7 +189,7 @@ class PredictiveLaw(JointImpedanceLaw):
         self._share = asked.share
         return asked if planned is None else replace(asked, lag=self._lag(moment, reference))
 
-    def _leashed_target(self, moment: RobotMoment, target: PredictiveTarget) -> PredictiveTarget:
+    def _leashed_target(self, moment: DynamicState, target: PredictiveTarget) -> PredictiveTarget:
         """Where the target is now, brought near to the robot."""
         if self.endpoint is None:
             here = moment.q[self._joints]
@@ -201,7 +201,7 @@ class PredictiveLaw(JointImpedanceLaw):
             mean = POSE.exp(here, way)
         return PredictiveTarget(mean[None], target.precisions[:1], target.time_step)
 
-    def _lag(self, moment: RobotMoment, target: PredictiveTarget) -> Lag:
+    def _lag(self, moment: DynamicState, target: PredictiveTarget) -> Lag:
         """From the robot to the reference, which plans begin far from."""
         if self.endpoint is None:
             return Lag.of_joints(target.means[0] - moment.q[self._joints], self.joint_names)
@@ -212,13 +212,13 @@ class PredictiveLaw(JointImpedanceLaw):
             return self._gains  # letting go
         return None if self._failed else self._planned.gains
 
-    def _carried(self, moment: RobotMoment) -> Array:
+    def _carried(self, moment: DynamicState) -> Array:
         return moment.nonlinear  # the plan is one of accelerations: nothing may be left to the robot
 
     def _rest(self) -> Array:
         return self.robot.home[self._joints]
 
-    def _problem(self, moment: RobotMoment, target: PredictiveTarget) -> _Problem:
+    def _problem(self, moment: DynamicState, target: PredictiveTarget) -> _Problem:
         """Copies: the next step overwrites what a moment holds."""
         i = self._joints
         pose = jacobian = None

@@ -37,7 +37,7 @@ import numpy as np
 
 from tpgmm_core.common.settings import check_settings, setting
 from tpgmm_core.common.types import Array
-from tpgmm_core.control.control_law import RobotMoment
+from tpgmm_core.control.control_law import DynamicState
 from tpgmm_core.control.delay_margin import OF_CRITICAL, borne_share, joint_damping
 from tpgmm_core.control.torque_limits import (
     blend,
@@ -167,7 +167,7 @@ class TorquePipeline:
         self.robot, self._period = robot, period
         self.configure(limits or TorqueLimits())
         self.reset()
-        moment = RobotMoment.at(robot.create_data(), robot.home, np.zeros(robot.nv))
+        moment = DynamicState.at(robot.create_data(), robot.home, np.zeros(robot.nv))
         self.step(moment.nonlinear, moment, 0.0)  # compiles
         self.reset()
 
@@ -188,7 +188,7 @@ class TorquePipeline:
         """Torques (nv,) that act on the robot now are not the last ones: the rate limit holds against these."""
         self._previous = tau
 
-    def step(self, wanted: Array | None, moment: RobotMoment, dt: float) -> tuple[Array, int]:
+    def step(self, wanted: Array | None, moment: DynamicState, dt: float) -> tuple[Array, int]:
         """Torques (nv,) that may leave, and the bits of what was done to those wanted (see `ACTIONS`).
 
         wanted : (nv,), what the law asks for; None: the safe torque, into which all is blended at once

@@ -24,7 +24,7 @@ import numpy as np
 
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.kinematics.inverse import damped_gram_inverse, damped_pseudo_inverse
-from tpgmm_core.kinematics.tasks import Moment, Task, Tasks, View
+from tpgmm_core.kinematics.tasks import KinematicState, KinematicTask, KinematicTasks, View
 
 
 class KinematicFrame(Protocol):
@@ -36,7 +36,7 @@ class KinematicFrame(Protocol):
     @property
     def objects(self) -> frozenset[str]: ...
 
-    def at(self, moment: Moment) -> Frame:
+    def at(self, moment: KinematicState) -> Frame:
         """The map at one step, A (n, m), b (n,), inverse (m, n). Raises ValueError for objects that are not there."""
 
 
@@ -46,14 +46,14 @@ class JointSpace:
 
     objects = frozenset[str]()
 
-    def at(self, moment: Moment) -> Frame:
+    def at(self, moment: KinematicState) -> Frame:
         identity = np.eye(len(moment.q))
         return Frame(identity, np.zeros(len(moment.q)), identity)
 
 
 @dataclass(frozen=True, slots=True)
 class PreviousConfiguration:
-    """How far joints go in a step: A = h I, b = q_{t-1}, Eq. (7) about the step before, with h of `Moment.stride`.
+    """How far joints go in a step: A = h I, b = q_{t-1}, Eq. (7) about the step before; h is `KinematicState.stride`.
 
     Learned from the demonstrations' own steps, it keeps the product from leaping where other frames say little: their
     product with it is the damped least-squares step of Levenberg and Marquardt.
@@ -61,7 +61,7 @@ class PreviousConfiguration:
 
     objects = frozenset[str]()
 
-    def at(self, moment: Moment) -> Frame:
+    def at(self, moment: KinematicState) -> Frame:
         identity, h = np.eye(len(moment.q)), moment.stride
         return Frame(h * identity, moment.q, identity / h)
 
@@ -71,10 +71,10 @@ class TaskSpace:
     """Eqs. (8) and (9), where points of the robot are, in the world or relative to objects.
 
     A = J^+ A^O, b = q_{t-1} + J^+ (b^O - x_{t-1}); A^O = I and b^O = 0 in the world. It sees x by M = A^O^-1 J.
-    Several tasks are stacked: they count as one, on the same level. Orientations: see `Task`.
+    Several tasks are stacked: they count as one, on the same level. Orientations: see `KinematicTask`.
     """
 
-    tasks: Tasks
+    tasks: KinematicTasks
 
     def __post_init__(self) -> None:
         _check_tasks(self.tasks)
@@ -83,7 +83,7 @@ class TaskSpace:
     def objects(self) -> frozenset[str]:
         return _objects(self.tasks)
 
-    def at(self, moment: Moment) -> Frame:
+    def at(self, moment: KinematicState) -> Frame:
         view = moment.view(self.tasks)
         J_inverse = damped_pseudo_inverse(view.J, moment.threshold)
         return Frame(J_inverse @ view.A, moment.q + J_inverse @ view.offset, _seen_from_objects(view.J, view))
@@ -93,7 +93,7 @@ class TaskSpace:
 class NullSpace:
     """Eq. (10), the configuration as far as the tasks leave it free: A = N, b = J^+ J q_{t-1}, N = I - J^+ J."""
 
-    above: Tasks
+    above: KinematicTasks
 
     def __post_init__(self) -> None:
         _check_tasks(self.above)
@@ -102,7 +102,7 @@ class NullSpace:
     def objects(self) -> frozenset[str]:
         return frozenset()  # null spaces do not depend on where objects are
 
-    def at(self, moment: Moment) -> Frame:
+    def at(self, moment: KinematicState) -> Frame:
         N = moment.null_space(self.above)
         return Frame(N, moment.q - N @ moment.q, N)
 
@@ -118,8 +118,8 @@ class SecondaryTaskSpace:
         they cannot, this one leads to the least error e, where N J^T e = 0; N J^+ leads to N J^T (J J^T)^-1 e = 0.
     """
 
-    tasks: Tasks
-    above: Tasks
+    tasks: KinematicTasks
+    above: KinematicTasks
     least_error: bool = False
 
     def __post_init__(self) -> None:
@@ -130,7 +130,7 @@ class SecondaryTaskSpace:
     def objects(self) -> frozenset[str]:
         return _objects(self.tasks)
 
-    def at(self, moment: Moment) -> Frame:
+    def at(self, moment: KinematicState) -> Frame:
         view, N = moment.view(self.tasks), moment.null_space(self.above)
         free = view.J @ N
         if self.least_error:
@@ -147,10 +147,10 @@ def _seen_from_objects(M: np.ndarray, view: View) -> np.ndarray:
     return np.linalg.solve(view.A, M)
 
 
-def _objects(tasks: Tasks) -> frozenset[str]:
+def _objects(tasks: KinematicTasks) -> frozenset[str]:
     return frozenset(task.relative_to for task in tasks if task.relative_to is not None)
 
 
-def _check_tasks(tasks: Sequence[Task]) -> None:
-    if not isinstance(tasks, tuple) or not tasks or not all(isinstance(task, Task) for task in tasks):
+def _check_tasks(tasks: Sequence[KinematicTask]) -> None:
+    if not isinstance(tasks, tuple) or not tasks or not all(isinstance(task, KinematicTask) for task in tasks):
         raise ValueError(f"tasks are a tuple of at least one Task, got {tasks!r}")

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from tpgmm_core.kinematics.frames import KinematicFrame, SecondaryTaskSpace, TaskSpace
-from tpgmm_core.kinematics.tasks import Task
+from tpgmm_core.kinematics.tasks import KinematicTask
 
 Level = str | Sequence[str]
 
@@ -32,7 +32,7 @@ def level_names(hierarchy: Sequence[Level]) -> list[str]:
 
 
 def hierarchy_frames(
-    tasks: Mapping[str, Task], hierarchies: Mapping[str, Sequence[Level]], *, least_error: bool = True
+    tasks: Mapping[str, KinematicTask], hierarchies: Mapping[str, Sequence[Level]], *, least_error: bool = True
 ) -> dict[str, KinematicFrame]:
     """The frames of all levels of all candidates, by `level_names`.
 
@@ -52,7 +52,7 @@ def hierarchy_frames(
                 f"hierarchy {name!r} has at least one level, each with tasks of {sorted(tasks)}, and each task once; "
                 f"got {[list(level) for level in levels]}"
             )
-        above: tuple[Task, ...] = ()
+        above: tuple[KinematicTask, ...] = ()
         for label, level in zip(level_names(hierarchy), levels, strict=True):
             here = tuple(tasks[task] for task in level)
             frames[label] = SecondaryTaskSpace(here, above, least_error) if above else TaskSpace(here)

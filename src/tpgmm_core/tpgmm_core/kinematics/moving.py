@@ -16,7 +16,7 @@ from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.kinematics.chains import Kinematics
 from tpgmm_core.kinematics.frames import KinematicFrame, PreviousConfiguration
 from tpgmm_core.kinematics.inverse import THRESHOLD
-from tpgmm_core.kinematics.tasks import Moment, compile_kernels
+from tpgmm_core.kinematics.tasks import KinematicState, compile_kernels
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.adaptation import Adapter
 from tpgmm_core.model.demonstration import Demonstration
@@ -74,7 +74,7 @@ class MovingFrames:
         if q.shape != (self.kinematics.n_joints,) or not np.all(np.isfinite(q)):
             raise ValueError(f"a configuration has shape ({self.kinematics.n_joints},) and is finite, got {q}")
         objects = objects or {}
-        moment = Moment(self.kinematics, q, objects, self.threshold, stride)
+        moment = KinematicState(self.kinematics, q, objects, self.threshold, stride)
         there = objects.keys() | set(self.kinematics.points)
         frames = {name: f.at(moment) for name, f in self.candidates.items() if f.objects <= there}
         if not frames:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Task`: what of which point matters, seen from where; `Moment`: where robot and objects are at one step."""
+"""`KinematicTask`: what of which point matters, seen from where; `KinematicState`: robot and objects at one step."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PARTS = ("position", "orientation", "pose")
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class KinematicTask:
     """What of a point of the robot matters.
 
     point : name of the point
@@ -41,7 +41,7 @@ class Task:
             raise ValueError(f"the part of a task is one of {_PARTS}, got {self.part!r}")
 
 
-Tasks = tuple[Task, ...]
+KinematicTasks = tuple[KinematicTask, ...]
 
 
 class View(NamedTuple):
@@ -57,7 +57,7 @@ class View(NamedTuple):
     offset: Array
 
 
-class Moment:
+class KinematicState:
     """Where the robot and the objects are at one step; works out once what several frames of this step share.
 
     kinematics : the robot; is brought to q
@@ -81,10 +81,10 @@ class Moment:
         self.stride = stride
         self._kinematics = kinematics
         self._objects = objects or {}
-        self._single: dict[Task, View] = {}
-        self._null_spaces: dict[Tasks, Array] = {}
+        self._single: dict[KinematicTask, View] = {}
+        self._null_spaces: dict[KinematicTasks, Array] = {}
 
-    def view(self, tasks: Tasks) -> View:
+    def view(self, tasks: KinematicTasks) -> View:
         """The tasks as they are now. Raises ValueError for unknown points, and objects that are not there."""
         views = [self._view(task) for task in tasks]
         if len(views) == 1:
@@ -98,7 +98,7 @@ class Moment:
             row = end
         return View(J, A, offset)
 
-    def null_space(self, tasks: Tasks) -> Array:
+    def null_space(self, tasks: KinematicTasks) -> Array:
         """N (n, n): the motions that the tasks do not see, wherever their objects are."""
         N = self._null_spaces.get(tasks)
         if N is None:
@@ -106,7 +106,7 @@ class Moment:
             N = self._null_spaces[tasks] = inverse.null_space(J, self.threshold)
         return N
 
-    def _jacobian(self, task: Task) -> Array:
+    def _jacobian(self, task: KinematicTask) -> Array:
         """(m, n): velocity, angular velocity, or both, about the world's axes."""
         J: Array = self._kinematics.jacobian(task.point)
         if task.relative_to is not None and task.relative_to in self._kinematics.points:
@@ -125,13 +125,13 @@ class Moment:
             J[:3] -= np.cross(lever, J[3:], axisb=0, axisc=0)  # v + w x lever
         return J
 
-    def _view(self, task: Task) -> View:
+    def _view(self, task: KinematicTask) -> View:
         view = self._single.get(task)
         if view is None:
             view = self._single[task] = self._worked_out(task)
         return view
 
-    def _worked_out(self, task: Task) -> View:
+    def _worked_out(self, task: KinematicTask) -> View:
         J, place = self._jacobian(task), self._kinematics.place(task.point)
         m = len(place) if len(place) < 7 else 3
         A, b, target = self._object(task, m, len(place))
@@ -147,7 +147,7 @@ class Moment:
         both[:3, :3] = both[3:, 3:] = A
         return View(J, both, np.concatenate([b - place[:3], -turned]))
 
-    def _object(self, task: Task, m: int, dim: int) -> tuple[Array, Array, Array]:
+    def _object(self, task: KinematicTask, m: int, dim: int) -> tuple[Array, Array, Array]:
         """Axes (m, m), position (m,) and quaternion (4,) of what the task is relative to."""
         if task.relative_to is None:
             return np.eye(m), np.zeros(m), np.array([0.0, 0.0, 0.0, 1.0])

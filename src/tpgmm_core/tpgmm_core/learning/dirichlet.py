@@ -18,7 +18,7 @@ from scipy.special import betaln, digamma, gammaln
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation import initialization
-from tpgmm_core.learning.estimation.compiled_em import MIN_ITERATIONS, Estimate, Parameters, Progress, Workspace
+from tpgmm_core.learning.estimation.compiled_em import MIN_ITERATIONS, Estimate, MixtureParameters, Progress, Workspace
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.samples import Samples
 
@@ -94,7 +94,7 @@ class DirichletTPGMM(TPGMM):
         kept = posterior.workspace.counts[-1] >= 1.0
         weights = posterior.weights()
         estimate = posterior.workspace.parameters()
-        parameters = Parameters(
+        parameters = MixtureParameters(
             weights[kept] / weights[kept].sum(),
             {name: means[kept] for name, means in estimate.means.items()},
             {name: covariances[kept] for name, covariances in estimate.covariances.items()},
@@ -178,7 +178,7 @@ class _Posterior:
             means[name], covariances[name] = initialization.moments(manifold, x, seen, labels, T, 0.0)
             counts.append(np.bincount(labels[seen & (labels >= 0)], minlength=T))
         total = np.bincount(labels[labels >= 0], minlength=T)
-        self.workspace = work = Workspace(samples, Parameters(total / total.sum(), means, covariances))
+        self.workspace = work = Workspace(samples, MixtureParameters(total / total.sum(), means, covariances))
         work.counts[:] = [*counts, total]
         for j, (name, manifold) in enumerate(samples.manifolds.items()):
             n = manifold.tangent_dim

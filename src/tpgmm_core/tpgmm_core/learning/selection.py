@@ -25,7 +25,7 @@ from tpgmm_core.model.demonstration import Demonstration
 CRITERIA = ("leave-one-out", "bic", "aic")
 
 
-class Estimator(Protocol):
+class SelectableEstimator(Protocol):
     """What is asked of a candidate; `TPGMM` and all that is fitted like it."""
 
     priors_: Array
@@ -44,7 +44,7 @@ class Estimator(Protocol):
         """Free parameters."""
 
 
-Progress = Callable[[int, int], None]
+FoldProgress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +69,7 @@ class HeldOut:
 
 
 def leave_one_out(
-    estimator: Estimator, demonstrations: Sequence[Demonstration], progress: Progress | None = None
+    estimator: SelectableEstimator, demonstrations: Sequence[Demonstration], progress: FoldProgress | None = None
 ) -> HeldOut:
     """Log-likelihood of each demonstration under a model of all others.
 
@@ -92,7 +92,7 @@ def leave_one_out(
     return HeldOut(np.array(scores), np.array([len(demonstration.times) for demonstration in demonstrations]))
 
 
-def unfitted(estimator: Estimator) -> Estimator:
+def unfitted(estimator: SelectableEstimator) -> SelectableEstimator:
     """An estimator with the same constructor arguments, that has not learned anything."""
     return type(estimator)(**deepcopy(estimator.get_params()))
 
@@ -121,7 +121,7 @@ class Candidate:
     aic: float = np.nan
     fit_time_s: float = np.nan
     error: str | None = None
-    model: Estimator | None = field(default=None, repr=False)
+    model: SelectableEstimator | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and texts, None for what is not known."""
@@ -218,10 +218,10 @@ class SelectionTable:
 
 
 def select_model(
-    candidates: Sequence[Estimator] | Mapping[str, Estimator],
+    candidates: Sequence[SelectableEstimator] | Mapping[str, SelectableEstimator],
     demonstrations: Sequence[Demonstration],
     criterion: str = "leave-one-out",
-    progress: Progress | None = None,
+    progress: FoldProgress | None = None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> SelectionTable:
     """Fit all candidates and compare them.
@@ -256,10 +256,10 @@ def select_model(
 
 def _row(
     name: str,
-    estimator: Estimator,
+    estimator: SelectableEstimator,
     demonstrations: Sequence[Demonstration],
     hold_out: bool,
-    folds_done: Progress,
+    folds_done: FoldProgress,
     clock: Callable[[], float],
 ) -> Candidate:
     structure, K = _structure(estimator), int(estimator.get_params().get("n_components", 0))
@@ -290,7 +290,7 @@ def _row(
     )
 
 
-def _structure(estimator: Estimator) -> str:
+def _structure(estimator: SelectableEstimator) -> str:
     """Such as "full", "mfa 2", "TPHMM full"."""
     params = estimator.get_params()
     structure = str(params.get("covariance", "full"))
@@ -300,7 +300,9 @@ def _structure(estimator: Estimator) -> str:
     return structure if kind == "TPGMM" else f"{kind} {structure}"
 
 
-def _named(candidates: Sequence[Estimator] | Mapping[str, Estimator]) -> dict[str, Estimator]:
+def _named(
+    candidates: Sequence[SelectableEstimator] | Mapping[str, SelectableEstimator],
+) -> dict[str, SelectableEstimator]:
     if isinstance(candidates, Mapping):
         named = dict(candidates)
     else:

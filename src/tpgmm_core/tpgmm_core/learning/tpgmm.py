@@ -21,7 +21,7 @@ from tpgmm_core.learning.covariance.structure import Structure
 from tpgmm_core.learning.estimation import initialization
 from tpgmm_core.learning.estimation.compiled_em import (
     Estimate,
-    Parameters,
+    MixtureParameters,
     Progress,
     Workspace,
     expectation_maximisation,
@@ -154,7 +154,7 @@ class TPGMM(Estimator):
         return self
 
     def _estimate(
-        self, samples: Samples, start: Parameters, progress: Progress | None
+        self, samples: Samples, start: MixtureParameters, progress: Progress | None
     ) -> tuple[Estimate, Emissions | None]:
         """EM from one start; with the components where their structure is not full."""
         rules: dict[str, Any] = {"tol": self.tol, "max_iter": self.max_iter, "progress": progress}
@@ -228,7 +228,7 @@ class TPGMM(Estimator):
         if isinstance(self.init, str) and self.init not in ("time", "bins", "kmeans"):
             raise ValueError(f'init is "time", "bins", "kmeans", labels or a fitted TPGMM, got {self.init!r}')
 
-    def _starts(self, samples: Samples) -> Iterator[Parameters]:
+    def _starts(self, samples: Samples) -> Iterator[MixtureParameters]:
         """The start that `init` asks for; then those of single runs of k-means, each from centres of its own."""
         rng = np.random.default_rng(self.random_state)
         if isinstance(self.init, TPGMM):
@@ -240,7 +240,7 @@ class TPGMM(Estimator):
                 samples, initialization.assignments(samples, "kmeans", self.n_components, rng, n_starts=1)
             )
 
-    def _start(self, samples: Samples, labels: initialization.Labels) -> Parameters:
+    def _start(self, samples: Samples, labels: initialization.Labels) -> MixtureParameters:
         K = self.n_components
         counts = np.bincount(labels[labels >= 0], minlength=K)
         means, covariances = {}, {}
@@ -248,15 +248,15 @@ class TPGMM(Estimator):
             means[name], covariances[name] = initialization.moments(
                 samples.manifolds[name], x, mask, labels, K, self.reg_covar
             )
-        return Parameters(counts / counts.sum(), means, covariances)
+        return MixtureParameters(counts / counts.sum(), means, covariances)
 
-    def _start_from(self, other: TPGMM, samples: Samples) -> Parameters:
+    def _start_from(self, other: TPGMM, samples: Samples) -> MixtureParameters:
         other._check_fitted()
         shapes = {name: (self.n_components, x.shape[1]) for name, x in samples.X.items()}
         others = {name: mean.shape for name, mean in other.means_.items()}
         if shapes != others:
             raise ValueError(f"the model given as init has means of shapes {others}, the data asks for {shapes}")
-        return Parameters(other.priors_, other.means_, other.covariances_)
+        return MixtureParameters(other.priors_, other.means_, other.covariances_)
 
     def _check_fitted(self) -> None:
         if not hasattr(self, "priors_"):
@@ -296,7 +296,7 @@ class TPGMM(Estimator):
         samples = self._samples(demonstrations)
         if self.emissions_.structure.name != "full":
             return expectation(self.priors_, self.emissions_, samples)[1] / samples.n_samples
-        workspace = Workspace(samples, Parameters(self.priors_, self.means_, self.covariances_))
+        workspace = Workspace(samples, MixtureParameters(self.priors_, self.means_, self.covariances_))
         workspace.factorise()
         return workspace.expectation() / samples.n_samples
 
@@ -339,7 +339,7 @@ class TPGMM(Estimator):
         """
         contents = model_file.read(path)
         known = {k: v for k, v in contents.settings.items() if k in cls._parameter_names()}
-        parameters = Parameters(contents.priors, contents.means, contents.covariances)
+        parameters = MixtureParameters(contents.priors, contents.means, contents.covariances)
         model = cls(**known)  # type: ignore[arg-type]
         emissions = None
         if contents.frames is not None:

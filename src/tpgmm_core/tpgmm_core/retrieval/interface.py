@@ -2,8 +2,8 @@
 """What all ways of retrieving a movement have in common, as a loop uses them.
 
 `Retrieval` is the interface of the loop: a reference for each step. Ways that know the whole movement as a function of
-time in a situation are a `Course`; `retrieval.reproduction.Reproduction` steps through any of them, on any phase, and
-keeps what it hands on free of jumps. Ways that have a state of their own are a `Retrieval` themselves.
+time in a situation are `TimeParametrized`; `retrieval.reproduction.Reproduction` steps through any of them, on any
+phase, and keeps what it hands on free of jumps. Ways that have a state of their own are a `Retrieval` themselves.
 
 Frames are over [time, data] (`Frame.with_time`) for all ways, so that one situation serves all; a state is (D,), a
 point of the data's manifold, without time.
@@ -88,7 +88,7 @@ class Retrieval(Protocol):
         """
 
 
-class Course(Protocol):
+class TimeParametrized(Protocol):
     """A movement as a function of the model's time, in one situation.
 
     manifold : of the data, without time

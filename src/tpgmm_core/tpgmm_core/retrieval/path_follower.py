@@ -13,8 +13,8 @@ from scipy.stats import chi2
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
-from tpgmm_core.retrieval.state_filter import Course
-from tpgmm_core.retrieval.tracking_plan import Plan, Planner
+from tpgmm_core.retrieval.state_filter import NominalSchedule
+from tpgmm_core.retrieval.tracking_plan import Planner, TrackingPlan
 
 USUAL = 0.95
 """Share of the positions in a state that count as fully fitting. Within it, only durations tell neighbours apart."""
@@ -84,11 +84,11 @@ class PathFollower:
 
     place: tuple[int, float]
     states: AdaptedStates
-    plan: Plan
+    plan: TrackingPlan
 
-    def __init__(self, course: Course, manifold: Manifold, smoothing: float) -> None:
-        self.course = course
-        self._time_constant = smoothing * float(np.mean(course.nominal))
+    def __init__(self, schedule: NominalSchedule, manifold: Manifold, smoothing: float) -> None:
+        self.schedule = schedule
+        self._time_constant = smoothing * float(np.mean(schedule.nominal))
         self._stride = max(1, round(self._time_constant / 4.0))
         self._planner = Planner(manifold, float(self._stride), PLAN_STEPS)
 
@@ -140,13 +140,13 @@ class PathFollower:
 
     def _targets(self, since: float) -> tuple[Array, list[int]]:
         """What the states expect (PLAN_STEPS + 1, D) from so many samples after the place on, and which states."""
-        course, states = self.course, self.states
+        schedule, states = self.schedule, self.states
         state, age = self.place
-        if age >= course.longest[state]:
-            ahead = [course.onwards(state, age, 0.0)] * (PLAN_STEPS + 1)
+        if age >= schedule.longest[state]:
+            ahead = [schedule.onwards(state, age, 0.0)] * (PLAN_STEPS + 1)
         else:
-            ahead = [course.onwards(state, age, since + i * self._stride) for i in range(PLAN_STEPS + 1)]
+            ahead = [schedule.onwards(state, age, since + i * self._stride) for i in range(PLAN_STEPS + 1)]
         which = [state for state, _ in ahead]
-        lasts = course.nominal[which] - 1.0  # ages of a state's samples are 0 to this
+        lasts = schedule.nominal[which] - 1.0  # ages of a state's samples are 0 to this
         offsets = np.minimum([age for _, age in ahead], lasts) - 0.5 * lasts
         return states.manifold.exp(states.means[which], offsets[:, None] * states.rates[which]), which

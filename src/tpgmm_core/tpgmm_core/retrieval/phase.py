@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from tpgmm_core.common.settings import check_settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.gaussian import Gaussian
-from tpgmm_core.retrieval.interface import Course
+from tpgmm_core.retrieval.interface import TimeParametrized
 from tpgmm_core.retrieval.pace import Pace
 
 _SECOND = 1_000_000_000
@@ -36,7 +36,7 @@ class ClockPhase:
         self._pace = Pace(1.0, SPEED_TIME_CONSTANT)
         self.start(0)
 
-    def bind(self, course: Course, duration: float) -> None:
+    def bind(self, course: TimeParametrized, duration: float) -> None:
         """Serve this course from now on; duration : of the movement at speed 1, s."""
         self._course, self._duration = course, duration
         self._model_duration = course.duration
@@ -138,7 +138,7 @@ class ArcLengthPhase(ClockPhase):
         self._path: PchipInterpolator | None = None
         super().__init__()
 
-    def bind(self, course: Course, duration: float) -> None:
+    def bind(self, course: TimeParametrized, duration: float) -> None:
         super().bind(course, duration)
         self._path = None
         self._metric = np.ones(course.manifold.tangent_dim)

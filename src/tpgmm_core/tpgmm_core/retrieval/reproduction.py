@@ -23,7 +23,7 @@ from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.continuity import Continuity
-from tpgmm_core.retrieval.interface import Course
+from tpgmm_core.retrieval.interface import TimeParametrized
 from tpgmm_core.retrieval.phase import ClockPhase
 from tpgmm_core.retrieval.regression import AdaptThenRegress
 
@@ -31,7 +31,7 @@ _SECOND = 1_000_000_000
 
 
 class Reproduction:
-    """A `Retrieval` that goes along a `Course`.
+    """A `Retrieval` that goes along a `TimeParametrized`.
 
     course : the movement as a function of the model's time; of a fitted model with time as its first dimension it is
         `AdaptThenRegress`
@@ -45,7 +45,7 @@ class Reproduction:
 
     def __init__(
         self,
-        course: Course | TPGMM,
+        course: TimeParametrized | TPGMM,
         *,
         phase: ClockPhase | None = None,
         duration: float | None = None,
@@ -53,7 +53,7 @@ class Reproduction:
         horizon_time_step: float = 0.005,
         blend_time: float = 0.15,
     ) -> None:
-        self.course: Course = AdaptThenRegress(course) if isinstance(course, TPGMM) else course
+        self.course: TimeParametrized = AdaptThenRegress(course) if isinstance(course, TPGMM) else course
         duration = self.course.duration if duration is None else duration
         for name, value in (
             ("duration", duration),

@@ -29,7 +29,7 @@ from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.dynamic_features import point_manifold, standing_frames
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.path_follower import AdaptedStates, PathFollower
-from tpgmm_core.retrieval.state_filter import Course, StateFilter
+from tpgmm_core.retrieval.state_filter import NominalSchedule, StateFilter
 
 _SECOND = 1e-9
 
@@ -92,10 +92,10 @@ class SemiMarkovMovement:
         self._derivatives = derivatives
         self._tolerance = np.full(self._manifold.tangent_dim, orientation_tolerance)
         self._tolerance[self._manifold.flat_tangent] = position_tolerance
-        self._course = Course(chain)
-        self._filter = StateFilter(chain, self._course)
-        self._follower = PathFollower(self._course, self._manifold, smoothing)
-        self._sample_time = model_duration / self._course.total
+        self._schedule = NominalSchedule(chain)
+        self._filter = StateFilter(chain, self._schedule)
+        self._follower = PathFollower(self._schedule, self._manifold, smoothing)
+        self._sample_time = model_duration / self._schedule.total
         self._ahead = horizon_time_step * np.arange(1, 1 + horizon_steps)
         self._horizon_time_step = horizon_time_step if horizon_steps else 0.0
         self._adapter = Adapter(model)
@@ -139,11 +139,11 @@ class SemiMarkovMovement:
             raise ValueError(f"the phase is 0 to 1, got {phase!r}")
         self._started, self._last_ns = True, time_ns
         self._begin_state = None if state is None else self._checked(state)
-        self._begin_place = self._course.onwards(self._course.first, 0.0, phase * self._course.total)
+        self._begin_place = self._schedule.onwards(self._schedule.first, 0.0, phase * self._schedule.total)
         self._filter.reset(*self._begin_place)
         self._situation: Situation | None = None
         self._rate = self._speed
-        self._remaining = self._course.remaining(*self._begin_place)
+        self._remaining = self._schedule.remaining(*self._begin_place)
         self._is_seen = False
 
     def step(
@@ -162,7 +162,7 @@ class SemiMarkovMovement:
         if self._situation is not None:
             # what the robot could follow is what it was given, not what it is about to be given
             given = self._follower.at()
-            samples = min(self._samples(since), self._course.total)  # after a gap as long as that, it is over anyway
+            samples = min(self._samples(since), self._schedule.total)  # after a gap as long as that, it is over anyway
             self._rate = self._rate_after(since)
             self._advance(samples, state, given)
         situation = Situation(frames, weights, state)
@@ -176,8 +176,8 @@ class SemiMarkovMovement:
         if self._is_seen:
             activations = self._filter.probabilities
         else:
-            activations = np.eye(len(self._course.nominal))[follower.place[0]]
-        done = 1.0 - self._remaining / self._course.total
+            activations = np.eye(len(self._schedule.nominal))[follower.place[0]]
+        done = 1.0 - self._remaining / self._schedule.total
         return Reference(
             phase=1.0 if self._remaining < 0.5 else max(done, 0.0),  # less than half a sample is nothing
             gaussian=gaussian,
@@ -235,8 +235,8 @@ class SemiMarkovMovement:
             self._is_seen = state is not None
             self._filter.update(None if state is None else follower.states.fit(state, given))
             if state is None:
-                place = self._course.onwards(*follower.place, 1.0)
-                self._remaining = self._course.remaining(*place)
+                place = self._schedule.onwards(*follower.place, 1.0)
+                self._remaining = self._schedule.remaining(*place)
             else:
                 place = self._filter.place
                 self._remaining = self._filter.remaining
@@ -248,12 +248,12 @@ class SemiMarkovMovement:
             part = min(samples, 1.0 - follower.fraction)
             samples -= part
             if follower.advance(part):
-                follower.arrive(self._course.onwards(*follower.place, 1.0))
+                follower.arrive(self._schedule.onwards(*follower.place, 1.0))
 
     def _samples(self, seconds: float) -> float:
         """How many samples the movement goes on within a time, while the rate approaches the speed."""
         lag = self._blend_time * (1.0 - math.exp(-seconds / self._blend_time))
-        return (self._speed * seconds + (self._rate - self._speed) * lag) * self._course.total / self._duration
+        return (self._speed * seconds + (self._rate - self._speed) * lag) * self._schedule.total / self._duration
 
     def _rate_after(self, seconds: float) -> float:
         return self._speed + (self._rate - self._speed) * math.exp(-seconds / self._blend_time)
@@ -276,6 +276,6 @@ class SemiMarkovMovement:
         frame = Frame(np.eye(D, size), np.zeros(D))
         self.start(0)
         for i in range(2):
-            time_ns = round(2 * i * self._duration / self._course.total / _SECOND)
+            time_ns = round(2 * i * self._duration / self._schedule.total / _SECOND)
             self.step(time_ns, {name: frame}, manifold_origin(self._manifold))
         self._started = False

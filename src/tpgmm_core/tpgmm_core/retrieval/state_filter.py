@@ -25,7 +25,7 @@ LEAD = 0.5
 """How far into the next state a reference leads a robot that stays in one for too long, in durations of that state."""
 
 
-class Course:
+class NominalSchedule:
     """How a movement goes on from any place, when nothing disturbs it.
 
     chain : no state comes back once it has been left, as in "left-right"
@@ -85,7 +85,7 @@ class StateFilter:
     when it is pushed to where no state is.
     """
 
-    def __init__(self, chain: SemiMarkovChain, course: Course) -> None:
+    def __init__(self, chain: SemiMarkovChain, schedule: NominalSchedule) -> None:
         K, L = len(chain.start), chain.durations.max_duration
         self._onwards = np.ascontiguousarray(chain.transitions)
         self._hazards = np.full((K, L + 1), LONGEST_HAZARD)
@@ -95,13 +95,13 @@ class StateFilter:
         for _ in range(K):
             reached = reached | (reached @ linked)
         self._carried = CARRIED * reached / np.maximum(reached.sum(axis=1, keepdims=True), 1)
-        self._middle = np.minimum(0.5 * course.nominal, L).astype(np.int64)
-        self._remaining = np.maximum(course.nominal[:, None] - np.arange(L + 1.0), 0.0) + course.after[:, None]
+        self._middle = np.minimum(0.5 * schedule.nominal, L).astype(np.int64)
+        self._remaining = np.maximum(schedule.nominal[:, None] - np.arange(L + 1.0), 0.0) + schedule.after[:, None]
         self._forward, self._ahead = np.zeros((K, L + 1)), np.zeros((K, L + 1))
         self._anything = np.ones(K)
-        self.reset(course.first, 0.0)
+        self.reset(schedule.first, 0.0)
         self.update(None)  # compiled, or loaded from the cache
-        self.reset(course.first, 0.0)
+        self.reset(schedule.first, 0.0)
 
     def reset(self, state: int, age: float) -> None:
         """Be sure of a place."""

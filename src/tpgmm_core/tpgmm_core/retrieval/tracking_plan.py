@@ -15,7 +15,7 @@ from tpgmm_core.lqr.finite_horizon import finite_horizon_gains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class TrackingPlan:
     """A path of H steps of constant acceleration, in the tangent space at where it begins.
 
     begin : (D,), a point of the manifold; states : (H + 1, 2 n), [x, x']; accelerations : (H, n)
@@ -58,7 +58,9 @@ class Planner:
         # compiled, or loaded from the cache
         self.plan(targets[0], np.zeros(n), targets, np.tile(np.eye(n), (n_steps + 1, 1, 1)), np.eye(n)).at(0.0)
 
-    def plan(self, begin: Array, velocity: Array, targets: Array, precisions: Array, control_cost: Array) -> Plan:
+    def plan(
+        self, begin: Array, velocity: Array, targets: Array, precisions: Array, control_cost: Array
+    ) -> TrackingPlan:
         """The path from begin (D,) with velocity (n,) along targets (n_steps + 1, D).
 
         precisions : (n_steps + 1, n, n), of the targets, moved to the tangent space at begin
@@ -71,7 +73,7 @@ class Planner:
         states, accelerations = np.zeros((self._n_steps + 1, 2 * n)), np.empty((self._n_steps, n))
         states[0, n:] = velocity
         _roll_out(self._A, self._B, gains.gains, gains.feedforward, states, accelerations)
-        return Plan(self._manifold, self._time_step, begin, states, accelerations)
+        return TrackingPlan(self._manifold, self._time_step, begin, states, accelerations)
 
 
 def _origin(manifold: Manifold) -> Array:

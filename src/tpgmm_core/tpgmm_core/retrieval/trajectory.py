@@ -156,7 +156,7 @@ class TrajectoryModel:
         return self._adapter.adapt(standing_frames(frames, points), state, weights)
 
 
-class TrajectoryCourse:
+class SmoothTrajectory:
     """A trajectory model as a `Course`: solved once for each situation, and interpolated between its steps.
 
     model : as for `TrajectoryModel`, with duration_s in its metadata

@@ -23,12 +23,12 @@ from tpgmm_core.retrieval.encodings import (
     VelocityEncoding,
     encoding_of,
 )
-from tpgmm_core.retrieval.interface import Course, Retrieval
+from tpgmm_core.retrieval.interface import Retrieval, TimeParametrized
 from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 from tpgmm_core.retrieval.reproduction import Reproduction
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
-from tpgmm_core.retrieval.trajectory import TrajectoryCourse
+from tpgmm_core.retrieval.trajectory import SmoothTrajectory
 
 KEY = "retrieval"
 """Of the way, in metadata and settings."""
@@ -58,7 +58,7 @@ class Way:
     encoding: type[Encoding]
     options: Mapping[str, float] = field(default_factory=dict)
     estimator: type[TPGMM] = TPGMM
-    course: Callable[[TPGMM], Course] | None = None
+    course: Callable[[TPGMM], TimeParametrized] | None = None
     movement: Callable[..., Retrieval] | None = None
 
     def check(self, model: TPGMM) -> None:
@@ -88,7 +88,7 @@ WAYS: dict[str, Way] = {
     for way in (
         Way(name="adapt_regress", encoding=TimeEncoding, course=AdaptThenRegress),
         Way(name="regress_product", encoding=TimeEncoding, course=RegressThenProduct),
-        Way(name="trajectory", encoding=DerivativesEncoding, course=TrajectoryCourse),
+        Way(name="trajectory", encoding=DerivativesEncoding, course=SmoothTrajectory),
         Way(name="dynamics", encoding=VelocityEncoding, estimator=GoalTPGMM, movement=StableDynamics),
         Way(name="decay", encoding=DecayEncoding, estimator=GoalTPGMM, movement=_decay),
         Way(

@@ -27,11 +27,11 @@ from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_demos.demo.causes import cause_of_waiting_in_vain
 from tpgmm_demos.demo.pictures import draw
-from tpgmm_demos.demo.recording import Recording
+from tpgmm_demos.demo.recording import RunRecord
 from tpgmm_demos.demo.report import evaluate, table
 from tpgmm_demos.demo.world import EXACT_RATE, Disturbances, World
 from tpgmm_demos.scene.perception import PERCEPTIONS, Camera, perception
-from tpgmm_demos.scene.pick_place import random_situation
+from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.programs import train
 from tpgmm_ros.programs.reporting import run_with_report, write_report
@@ -80,7 +80,7 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
     model = TPGMM.load(model_file)
     # The seeds of the demonstrations are drawn otherwise: no situation here was in one of them.
     random = np.random.default_rng([arguments.seed, 0xDE, 0x40])
-    situation = random_situation(random)
+    situation = random_placement(random)
     disturbances = Disturbances.random(random, demonstrated_duration(model))
     with _domain(arguments.domain):
         init([])
@@ -88,7 +88,7 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
         executor = EventsExecutor()
         executor.add_node(node)
         recorder = Node("demo_recorder")
-        recording = Recording(recorder, task, list(robot.joint_names))
+        recording = RunRecord(recorder, task, list(robot.joint_names))
         # numbers of its own: the situation is the same whatever perception is like
         camera = Camera(perception(arguments.perception, EXACT_RATE), [arguments.seed, 0xDE, 0xCA])
         world = World(node, task, situation, disturbances, camera, arguments.lockstep)
@@ -167,7 +167,7 @@ def _priority(arguments: argparse.Namespace) -> int:
     return 0 if arguments.lockstep else REALTIME_PRIORITY
 
 
-def _ask(graph: Graph, recording: Recording, timeout: float) -> Future:
+def _ask(graph: Graph, recording: RunRecord, timeout: float) -> Future:
     """Ask for the movement; returns its result to come once the movement waits for nothing but the robot."""
     client = ActionClient(graph.node, Reproduce, "reproduce")
     graph.wait_for(client.server_is_ready, timeout, "the action 'reproduce'")
@@ -179,7 +179,7 @@ def _ask(graph: Graph, recording: Recording, timeout: float) -> Future:
     return result
 
 
-def _outcome(graph: Graph, recording: Recording, world: World, result: Future, timeout: float) -> tuple[bool, str]:
+def _outcome(graph: Graph, recording: RunRecord, world: World, result: Future, timeout: float) -> tuple[bool, str]:
     """Whether the movement succeeded, and what the action said."""
 
     def ended() -> bool:

@@ -19,7 +19,7 @@ from matplotlib.patches import Ellipse, Patch
 from tpgmm_core import GaussianMixture
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.observation.tracking import FrameStatus
-from tpgmm_demos.demo.recording import Recording
+from tpgmm_demos.demo.recording import RunRecord
 from tpgmm_demos.demo.world import World
 from tpgmm_demos.scene.pick_place import Array, hand_at
 
@@ -33,7 +33,7 @@ _DISTURBANCE_COLORS = {"object pushed": "#ffd166", "target hidden": "#888888"}
 _STATUS_COLORS = {FrameStatus.VISIBLE: "#4daf4a", FrameStatus.HELD: "#ff9f1c", FrameStatus.MISSING: "#d62828"}
 
 
-def draw(recording: Recording, world: World, mixture: GaussianMixture, limits: Array, directory: Path) -> list[Path]:
+def draw(recording: RunRecord, world: World, mixture: GaussianMixture, limits: Array, directory: Path) -> list[Path]:
     """Draw ``path.png``, ``torques.png`` and ``frames.png`` into a directory.
 
     Args:
@@ -54,7 +54,7 @@ def draw(recording: Recording, world: World, mixture: GaussianMixture, limits: A
     return paths
 
 
-def _path(recording: Recording, world: World, mixture: GaussianMixture) -> plt.Figure:
+def _path(recording: RunRecord, world: World, mixture: GaussianMixture) -> plt.Figure:
     assert world.started_ns is not None
     hand = recording.hand().since(world.started_ns).values
     reference = recording.reference().since(world.started_ns).values
@@ -130,7 +130,7 @@ def _axes(ax: Axes, place: Array, sides: tuple[int, int], name: str, above: bool
     ax.annotate(name, at, xytext=(0, 5 if above else -5), **style)
 
 
-def _torques(recording: Recording, world: World, limits: Array) -> plt.Figure:
+def _torques(recording: RunRecord, world: World, limits: Array) -> plt.Figure:
     assert world.started_ns is not None
     torque = recording.torque().since(world.started_ns)
     times = torque.times(world.started_ns)
@@ -148,7 +148,7 @@ def _torques(recording: Recording, world: World, limits: Array) -> plt.Figure:
     return figure
 
 
-def _frames(recording: Recording, world: World) -> plt.Figure:
+def _frames(recording: RunRecord, world: World) -> plt.Figure:
     assert world.started_ns is not None
     frames = recording.frames()
     figure, axes = plt.subplots(len(frames), 1, figsize=(10, 1.6 * len(frames) + 1), sharex=True, layout="constrained")

@@ -44,7 +44,7 @@ class Series:
         return np.asarray(1e-9 * (self.stamps_ns - origin_ns))
 
 
-class Recording:
+class RunRecord:
     """Records torques, references, hand poses, frames and diagnostics of the running graph.
 
     What comes waits in the subscriptions' queues until ``poll`` takes it, and is kept as bytes until it is asked for:

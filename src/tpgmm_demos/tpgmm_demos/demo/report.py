@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tpgmm_demos.demo.causes import cause_of_failure
-from tpgmm_demos.demo.recording import Recording, Series
+from tpgmm_demos.demo.recording import RunRecord, Series
 from tpgmm_demos.demo.world import World
 from tpgmm_demos.scene.pick_place import pose_error
 from tpgmm_ros.programs.reporting import format_table
@@ -33,7 +33,7 @@ TICK = 0.001
 
 
 def evaluate(
-    recording: Recording, world: World, effort_limits: np.ndarray, outcome: tuple[bool, str], lockstep: bool
+    recording: RunRecord, world: World, effort_limits: np.ndarray, outcome: tuple[bool, str], lockstep: bool
 ) -> dict[str, Any]:
     """The report of one run.
 
@@ -92,7 +92,7 @@ def evaluate(
     return report | {"cause": cause_of_failure(report)}
 
 
-def _perception(recording: Recording, world: World) -> dict[str, Any]:
+def _perception(recording: RunRecord, world: World) -> dict[str, Any]:
     """What of the camera's images came through to the task parameters, per second in which the object was in sight."""
     assert world.started_ns is not None
     counts = recording.observations(world.started_ns)
@@ -120,7 +120,7 @@ def _largest_step(torque: Series, origin_ns: int, start: float, end: float) -> f
     return float((change / ticks).max())
 
 
-def _path_deviation(recording: Recording, origin_ns: int) -> float:
+def _path_deviation(recording: RunRecord, origin_ns: int) -> float:
     """Root mean square distance between the hand and the reference's mean at the same stamp, m."""
     reference = recording.reference().since(origin_ns)
     hand = recording.hand().since(origin_ns)

@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_demos.scene.perception import Camera
-from tpgmm_demos.scene.pick_place import Array, Grasp, Situation, hand_at, pose_error
+from tpgmm_demos.scene.pick_place import Array, Grasp, Placement, hand_at, pose_error
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.lockstep import nothing_seen
 from tpgmm_ros.messages.qos import STREAM
@@ -84,7 +84,7 @@ class World:
         self,
         node: Node,
         task: Task,
-        situation: Situation,
+        situation: Placement,
         disturbances: Disturbances,
         camera: Camera,
         lockstep: bool = False,

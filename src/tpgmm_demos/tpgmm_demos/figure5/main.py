@@ -16,7 +16,7 @@ from tpgmm_core.robot.model import RobotModel
 from tpgmm_demos.figure5.graph import open_session, start_controller, start_joint_reference
 from tpgmm_demos.figure5.pictures import draw
 from tpgmm_demos.figure5.report import evaluate, table
-from tpgmm_demos.figure5.sequences import CUP, SEQUENCES, SUGAR, Course, random_pushes, run_sequence
+from tpgmm_demos.figure5.sequences import CUP, SEQUENCES, SUGAR, SequenceResult, random_pushes, run_sequence
 from tpgmm_demos.figure5.teaching import learn, record_lesson
 from tpgmm_ros.programs.reporting import run_with_report, write_report
 from tpgmm_ros.runtime.processes import GraphError
@@ -61,7 +61,7 @@ def _run(arguments: argparse.Namespace) -> bool:
     return bool(report["passed"])
 
 
-def _sequences(arguments: argparse.Namespace, robot: RobotModel) -> list[Course]:
+def _sequences(arguments: argparse.Namespace, robot: RobotModel) -> list[SequenceResult]:
     pushes = random_pushes(arguments.pushes, np.random.default_rng([arguments.seed, 5]))
     kinds = sum(len(sequence.kinds) + len(sequence.repeats) for sequence in SEQUENCES)
     log = arguments.output / "log" / "sequences"
@@ -72,7 +72,7 @@ def _sequences(arguments: argparse.Namespace, robot: RobotModel) -> list[Course]
         start_controller(session, arguments.robot)
         choose = start_joint_reference(session, arguments.robot, TASKS, arguments.output)
         session.start_simulator(arguments.robot)
-        courses: dict[str, Course] = {}
+        courses: dict[str, SequenceResult] = {}
         for sequence in SEQUENCES:
             courses[sequence.name] = run_sequence(session, sequence, pushes, courses, choose, progress.update)
         return list(courses.values())

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core.control.control_law import RobotMoment
+from tpgmm_core.control.control_law import DynamicState
 from tpgmm_core.control.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.kinematics.hand_tasks import HandTask, HandTasks
@@ -72,7 +72,7 @@ def energy(robot: RobotModel, tasks: Mapping[str, HandTask], segment: Segment, r
     result = []
     for q, v in zip(segment.q, segment.v, strict=True):
         reference = Reference(0.0, product.at(q, rest), 0.0, (), np.ones(1), ())
-        moment = RobotMoment.at(data, q, v)
+        moment = DynamicState.at(data, q, v)
         law.reset()
         answer = law.step(moment, law.target(reference, False), AT_ONCE)
         kinetic = v[joints] @ moment.inertia[np.ix_(joints, joints)] @ v[joints]

@@ -17,7 +17,7 @@ from tpgmm_core.geometry import quaternion
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_demos.figure5.lessons import CUP_AXIS, HANDS, Array
 from tpgmm_demos.figure5.measures import measure
-from tpgmm_demos.figure5.sequences import AFTER, CUP, HELD, MOVE, SUGAR, Course
+from tpgmm_demos.figure5.sequences import AFTER, CUP, HELD, MOVE, SUGAR, SequenceResult
 
 #: Links that are drawn, from the shoulder to between the finger tips.
 LINKS = ("upper_shoulder", "lower_shoulder", "upper_elbow", "lower_elbow", "upper_forearm", "wrist", "gripper")
@@ -29,20 +29,20 @@ CUP_HEIGHT, CUP_RADIUS = 0.08, 0.035  # m
 SHOWN = 6
 
 
-def draw(robot: RobotModel, courses: Sequence[Course], directory: Path) -> list[Path]:
+def draw(robot: RobotModel, courses: Sequence[SequenceResult], directory: Path) -> list[Path]:
     """Draw ``<sequence>_strip.png`` and ``<sequence>_errors.png`` for each sequence."""
     directory.mkdir(parents=True, exist_ok=True)
     paths = []
-    for course in courses:
-        for name, figure in (("strip", _strip(robot, course)), ("errors", _errors(robot, course))):
-            paths.append(directory / f"{course.sequence.name}_{name}.png")
+    for result in courses:
+        for name, figure in (("strip", _strip(robot, result)), ("errors", _errors(robot, result))):
+            paths.append(directory / f"{result.sequence.name}_{name}.png")
             figure.savefig(paths[-1], dpi=100)
             plt.close(figure)
     return paths
 
 
-def _strip(robot: RobotModel, course: Course) -> plt.Figure:
-    pushed = course.pushes[0]
+def _strip(robot: RobotModel, result: SequenceResult) -> plt.Figure:
+    pushed = result.pushes[0]
     time, q = pushed.segment.time, pushed.segment.q
     figure = plt.figure(figsize=(3.1 * len(MOMENTS), 3.4), layout="constrained")
     data, link = robot.create_data(), robot.frame_id(pushed.link)
@@ -64,7 +64,7 @@ def _strip(robot: RobotModel, course: Course) -> plt.Figure:
         ax.set_box_aspect((0.9, 1.0, 0.75), zoom=1.5)
         ax.view_init(elev=18, azim=-25)
         ax.set_xticks([]), ax.set_yticks([]), ax.set_zticks([])
-    figure.suptitle(f"{course.sequence.title} (green: how far the pushed link is; red: the sugar)", fontsize=11)
+    figure.suptitle(f"{result.sequence.title} (green: how far the pushed link is; red: the sugar)", fontsize=11)
     return figure
 
 
@@ -78,8 +78,8 @@ def _cup(ax: Axes3D, pose: Array) -> None:
         ax.plot(*(pose[:3] + (circle + height * CUP_AXIS) @ R.T).T, color="black", lw=1.5)
 
 
-def _errors(robot: RobotModel, course: Course) -> plt.Figure:
-    shown = course.pushes[:: max(1, len(course.pushes) // SHOWN)][:SHOWN]
+def _errors(robot: RobotModel, result: SequenceResult) -> plt.Figure:
+    shown = result.pushes[:: max(1, len(result.pushes) // SHOWN)][:SHOWN]
     arms = [robot.indices(robot.endpoints[hand].joints) for hand in HANDS]
     figure, axes = plt.subplots(5, 1, figsize=(11, 11), sharex=True, layout="constrained")
     start = 0.0
@@ -95,12 +95,12 @@ def _errors(robot: RobotModel, course: Course) -> plt.Figure:
             ax.axvspan(start, start + MOVE + HELD, color="#ffd166", alpha=0.3, lw=0)
         start = float(time[-1])
     axes[0].set_ylabel("pushed link, cm")
-    axes[1].set_ylabel("tilt of the cup, deg" + ("" if CUP in course.sequence.tasks else "\n(no task)"))
-    axes[2].set_ylabel("sugar from its place, cm" + ("" if SUGAR in course.sequence.tasks else "\n(no task)"))
+    axes[1].set_ylabel("tilt of the cup, deg" + ("" if CUP in result.sequence.tasks else "\n(no task)"))
+    axes[2].set_ylabel("sugar from its place, cm" + ("" if SUGAR in result.sequence.tasks else "\n(no task)"))
     for ax, hand in zip(axes[3:], HANDS, strict=True):
         ax.set(ylabel=f"{hand} arm:\nshare of the torque limits", ylim=(-1.05, 1.05))
     for ax in axes:
         ax.grid(alpha=0.25)
     axes[-1].set_xlabel("time in s (yellow: someone pushes)")
-    figure.suptitle(course.sequence.title)
+    figure.suptitle(result.sequence.title)
     return figure

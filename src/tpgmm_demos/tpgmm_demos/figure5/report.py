@@ -13,7 +13,7 @@ from tpgmm_core.kinematics.hand_tasks import HandTask
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_demos.figure5.lessons import Array
 from tpgmm_demos.figure5.measures import Measures, energy, measure
-from tpgmm_demos.figure5.sequences import CUP, HELD, MOVE, SUGAR, Course, Pushed
+from tpgmm_demos.figure5.sequences import CUP, HELD, MOVE, SUGAR, Pushed, SequenceResult
 from tpgmm_demos.figure5.session import SAMPLE_RATE
 from tpgmm_ros.nodes.joint_reference import hand_task
 from tpgmm_ros.programs.reporting import format_table
@@ -41,7 +41,7 @@ WAY = 0.05
 
 
 def evaluate(
-    robot: RobotModel, tasks: Mapping[str, Task], models: Mapping[str, TPGMM], courses: Sequence[Course]
+    robot: RobotModel, tasks: Mapping[str, Task], models: Mapping[str, TPGMM], courses: Sequence[SequenceResult]
 ) -> dict[str, Any]:
     """The report of one run: figures, and which of them are as they are to be."""
     hands = {name: hand_task(task, models[name], list(robot.endpoints)) for name, task in tasks.items()}
@@ -121,7 +121,7 @@ def judged_frames(task: str, model: TPGMM) -> dict[str, Any]:
     }
 
 
-def _course(robot: RobotModel, hands: Mapping[str, HandTask], course: Course) -> dict[str, Any]:
+def _course(robot: RobotModel, hands: Mapping[str, HandTask], course: SequenceResult) -> dict[str, Any]:
     """Figures of one sequence: of the pushes of each kind, and of all."""
     holding = {name: hands[name] for name in course.sequence.tasks}
     result: dict[str, Any] = {"title": course.sequence.title, "tasks": list(course.sequence.tasks)}
@@ -173,7 +173,7 @@ def _spread(values: Sequence[float]) -> dict[str, float]:
     return {"least": float(min(values)), "median": float(np.median(values)), "worst": float(max(values))}
 
 
-def _softness(robot: RobotModel, course: Course) -> dict[str, Any]:
+def _softness(robot: RobotModel, course: SequenceResult) -> dict[str, Any]:
     """Forces for 5 cm, N: free directions beside constrained ones. In proportion to what small forces did at rest: 5 cm
     in a constrained direction are beyond the motors."""
     forces: dict[str, float] = {}

@@ -95,7 +95,7 @@ SEQUENCES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class SequenceResult:
     """What happened in one sequence.
 
     rest : (nv,), the posture in which its tasks took hold
@@ -131,10 +131,10 @@ def run_sequence(
     session: Session,
     sequence: Sequence,
     pushes: list[Push],
-    earlier: Mapping[str, Course],
+    earlier: Mapping[str, SequenceResult],
     choose: Callable[[tuple[str, ...]], None],
     progress: Callable[[], None],
-) -> Course:
+) -> SequenceResult:
     """Lead the hands to the start, let the tasks take hold, push; `choose` says which tasks hold.
 
     earlier : by name, the sequences whose forces are repeated
@@ -158,7 +158,7 @@ def run_sequence(
             repeated[name] = (*repeated.get(name, ()), again)
             progress()
     probes = _probe(session) if sequence.probed else ()
-    return Course(sequence, rest, settled, tuple(done), repeated, probes)
+    return SequenceResult(sequence, rest, settled, tuple(done), repeated, probes)
 
 
 def _planned(session: Session, planned: Push, gripped: bool) -> tuple[str, Wrench]:

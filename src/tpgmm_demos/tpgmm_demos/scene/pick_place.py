@@ -49,16 +49,16 @@ TARGET_REGION = Region((0.55, 0.00, -0.02), (0.75, 0.18, 0.08), yaw=0.7, tilt=0.
 
 
 @dataclass(frozen=True, slots=True)
-class Situation:
+class Placement:
     """One placing of the task's objects."""
 
     object: Array
     target: Array
 
 
-def random_situation(random: np.random.Generator) -> Situation:
+def random_placement(random: np.random.Generator) -> Placement:
     """Object and target somewhere in their regions."""
-    return Situation(object=OBJECT_REGION.sample(random), target=TARGET_REGION.sample(random))
+    return Placement(object=OBJECT_REGION.sample(random), target=TARGET_REGION.sample(random))
 
 
 def compose(pose: Array, relative: Array) -> Array:

@@ -8,7 +8,7 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 
 from tpgmm_demos.scene.perception import Camera
-from tpgmm_demos.scene.pick_place import Array, Grasp, Situation
+from tpgmm_demos.scene.pick_place import Array, Grasp, Placement
 from tpgmm_demos.teaching.teacher import Intention, Teacher, TeacherConfig
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
@@ -25,7 +25,7 @@ class ScriptedLesson:
     """
 
     def __init__(
-        self, node: Node, task: Task, link: str, situation: Situation, camera: Camera, random: np.random.Generator
+        self, node: Node, task: Task, link: str, situation: Placement, camera: Camera, random: np.random.Generator
     ) -> None:
         self.done = False
         self._node = node

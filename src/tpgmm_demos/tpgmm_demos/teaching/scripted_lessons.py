@@ -27,7 +27,7 @@ from tqdm import tqdm
 from tpgmm_core.common.text import one_line
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_demos.scene.perception import PERCEPTIONS, Camera, perception
-from tpgmm_demos.scene.pick_place import random_situation
+from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_demos.teaching import bar_lesson
 from tpgmm_demos.teaching.bar_lesson import BarLesson
 from tpgmm_demos.teaching.pick_place_lesson import ScriptedLesson
@@ -66,7 +66,7 @@ def _pick_place(
     node: Node, task: Task, robot_file: Path, camera: Camera, random: np.random.Generator
 ) -> ScriptedLesson:
     link = RobotModel.from_file(robot_file).endpoints[task.endpoint].frame
-    return ScriptedLesson(node, task, link, random_situation(random), camera, random)
+    return ScriptedLesson(node, task, link, random_placement(random), camera, random)
 
 
 def _bar(first: str) -> LessonKind:

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from tpgmm_core.geometry.manifold import POSE
-from tpgmm_demos.scene.pick_place import CLEARANCE, Array, Situation, hand_at
+from tpgmm_demos.scene.pick_place import CLEARANCE, Array, Placement, hand_at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +61,7 @@ class Intention:
         random: where the variation comes from.
     """
 
-    def __init__(self, home: Array, situation: Situation, config: TeacherConfig, random: np.random.Generator) -> None:
+    def __init__(self, home: Array, situation: Placement, config: TeacherConfig, random: np.random.Generator) -> None:
         via = config.via_noise, config.via_turn_noise
         aim = config.aim_noise, config.aim_turn_noise
         pick, place = situation.object, situation.target

@@ -18,7 +18,7 @@ from tpgmm_ros.models import kinematic_recipe
 from tpgmm_ros.task.task_file import DIMENSIONS, MANIFOLD, Task
 
 
-def load_model(path: str | Path, task: Task) -> TPGMM:
+def load_task_model(path: str | Path, task: Task) -> TPGMM:
     """A model that fits a task, whatever it encodes of the task's movements.
 
     Raises:
@@ -48,7 +48,7 @@ def load_model(path: str | Path, task: Task) -> TPGMM:
     return model
 
 
-def make_retrieval(model: TPGMM, task: Task, way: str | None = None, **settings: Any) -> Retrieval:
+def make_task_retrieval(model: TPGMM, task: Task, way: str | None = None, **settings: Any) -> Retrieval:
     """A movement of a model that fits the task; settings as for `tpgmm_core.retrieval.ways.make_retrieval`.
 
     Raises:

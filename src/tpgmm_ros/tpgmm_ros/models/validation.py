@@ -52,7 +52,7 @@ class Fold:
     iterations: int
 
 
-def leave_one_out(
+def cross_validate(
     recordings: Sequence[Recording], learn: Callable[[list[Demonstration]], TPGMM], anchor: str
 ) -> Iterator[Fold]:
     """Train on all recordings but one, reproduce in the situation of that one; each in turn.

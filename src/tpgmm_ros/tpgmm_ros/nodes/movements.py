@@ -23,7 +23,7 @@ from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.execution import Execution, ExecutionConfig, Outcome, Stage
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_msgs.srv import LoadModel
-from tpgmm_ros.models.task_model import load_model, make_retrieval
+from tpgmm_ros.models.task_model import load_task_model, make_task_retrieval
 from tpgmm_ros.nodes.controller_words import ControllerWords
 from tpgmm_ros.nodes.goals import Goals, finish
 from tpgmm_ros.runtime.background import Background
@@ -149,10 +149,10 @@ class Movements:
         way = settings.pop("retrieval") or None
 
         def work() -> Prepared:
-            chosen = load_model(path, task) if path else model
+            chosen = load_task_model(path, task) if path else model
             if chosen is None:
                 raise ValueError("no model is loaded: name a model file in the goal, or set the parameter model_file")
-            retrieval = make_retrieval(chosen, task, way, duration=duration or None, **settings)
+            retrieval = make_task_retrieval(chosen, task, way, duration=duration or None, **settings)
             frames, weights = those_of(retrieval, known)
             knows_robot = state is not None or task.kinematic is None
             if (

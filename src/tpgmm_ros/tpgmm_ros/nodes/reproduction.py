@@ -31,7 +31,7 @@ from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.lockstep import Barrier, no_reference
 from tpgmm_ros.messages.markers import Scene
 from tpgmm_ros.messages.qos import LATCHED, STREAM
-from tpgmm_ros.models.task_model import known_frames, load_model, state_dimensions
+from tpgmm_ros.models.task_model import known_frames, load_task_model, state_dimensions
 from tpgmm_ros.nodes.controller_words import ControllerWords
 from tpgmm_ros.nodes.joint_states import MAX_FUTURE, SPREAD, Heard, JointStateStream
 from tpgmm_ros.nodes.movements import Movements
@@ -109,7 +109,7 @@ class ReproductionNode(ManagedNode):
         try:
             self.task = Task.load(self.parameters.file("task_file"))
             model_file = self.parameters["model_file"]
-            model = load_model(model_file, self.task) if model_file else None
+            model = load_task_model(model_file, self.task) if model_file else None
             self._dimensions = state_dimensions(self.task)
         except (ValueError, OSError) as error:
             return self.refuse(error)

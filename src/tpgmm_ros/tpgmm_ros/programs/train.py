@@ -17,7 +17,7 @@ from tpgmm_core.common.text import one_line
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_ros.models.kinematic_recipe import WAY, KinematicRecipe
-from tpgmm_ros.models.validation import Fold, PathErrors, leave_one_out, mean_errors
+from tpgmm_ros.models.validation import Fold, PathErrors, cross_validate, mean_errors
 from tpgmm_ros.programs.reporting import format_table, write_report
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings
 from tpgmm_ros.runtime.entry import INTERRUPTED
@@ -204,7 +204,7 @@ def _validate(task: Task, recipe: Recipe, recordings: list[Recording]) -> dict[s
     anchor = list(task.topics or task.frames)[-1]
     folds: list[Fold] = []
     with _bar(total=len(recordings), desc="leave one out", unit="demonstration") as bar:
-        for fold in leave_one_out(recordings, lambda demonstrations: recipe.learn(demonstrations, MANIFOLD), anchor):
+        for fold in cross_validate(recordings, lambda demonstrations: recipe.learn(demonstrations, MANIFOLD), anchor):
             folds.append(fold)
             bar.update()
     mean = mean_errors([fold.model for fold in folds])

@@ -33,7 +33,7 @@ from tpgmm_core.kinematics.frames import JointSpace, KinematicFrame, NullSpace, 
 from tpgmm_core.kinematics.hierarchy import Level, hierarchy_frames, level_names
 from tpgmm_core.kinematics.inverse import THRESHOLD
 from tpgmm_core.kinematics.moving import MovingFrames
-from tpgmm_core.kinematics.tasks import Task
+from tpgmm_core.kinematics.tasks import KinematicTask
 from tpgmm_core.kinematics.urdf import UrdfKinematics
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.task.yaml_sections import Section, a_choice, a_name, a_number, a_topic
@@ -62,7 +62,7 @@ class KinematicSpec:
     joints: tuple[str, ...]
     joint_states: str
     objects: frozenset[str]
-    tasks: dict[str, Task]
+    tasks: dict[str, KinematicTask]
     aims: frozenset[str]
     hierarchies: dict[str, tuple[Level, ...]]
     postures: tuple[tuple[str, ...], ...] = ()
@@ -152,7 +152,7 @@ def _robot(path: Path) -> RobotModel:
     return RobotModel.from_file(path)
 
 
-def _tasks(section: Section, objects: Collection[str]) -> tuple[dict[str, Task], frozenset[str]]:
+def _tasks(section: Section, objects: Collection[str]) -> tuple[dict[str, KinematicTask], frozenset[str]]:
     if not section.values:
         raise section.error("is empty: name at least one task, such as 'left: {point: left, relative_to: object}'")
     tasks, aims = {}, set()
@@ -179,7 +179,7 @@ def _tasks(section: Section, objects: Collection[str]) -> tuple[dict[str, Task],
                     + ", ".join(objects)
                 )
             aims.add(name)
-        tasks[name] = Task(point, part, relative_to)
+        tasks[name] = KinematicTask(point, part, relative_to)
     return tasks, frozenset(aims)
 
 

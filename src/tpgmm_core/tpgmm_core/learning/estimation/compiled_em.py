@@ -12,7 +12,15 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.learning.estimation import kernels_em
 from tpgmm_core.model.samples import Samples
 
-__all__ = ["MIN_ITERATIONS", "Estimate", "Parameters", "Progress", "Samples", "Workspace", "expectation_maximisation"]
+__all__ = [
+    "MIN_ITERATIONS",
+    "Estimate",
+    "MixtureParameters",
+    "Progress",
+    "Samples",
+    "Workspace",
+    "expectation_maximisation",
+]
 
 MIN_ITERATIONS = 5  # the gain of the first iterations may be small on a plateau
 
@@ -20,7 +28,7 @@ Progress = Callable[[int, float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Parameters:
+class MixtureParameters:
     """Parameters of a TP-GMM: priors (K,), and name → means (K, D_j), covariances (K, n_j, n_j)."""
 
     priors: Array
@@ -32,7 +40,7 @@ class Parameters:
 class Estimate:
     """Result of EM, with the course of the log-likelihood and of the objective, per sample, over the iterations."""
 
-    parameters: Parameters
+    parameters: MixtureParameters
     log_likelihoods: Array
     objectives: Array
     converged: bool
@@ -40,7 +48,7 @@ class Estimate:
 
 def expectation_maximisation(
     samples: Samples,
-    start: Parameters,
+    start: MixtureParameters,
     *,
     reg_covar: float,
     regularization: str,
@@ -83,7 +91,7 @@ def expectation_maximisation(
 class Workspace:
     """Samples and parameters in the arrangement of `kernels_em`, for whatever iterates over them."""
 
-    def __init__(self, samples: Samples, start: Parameters) -> None:
+    def __init__(self, samples: Samples, start: MixtureParameters) -> None:
         self.names = list(samples.X)
         self.manifolds = [samples.manifolds[name] for name in self.names]
         P, K, N = len(self.names), len(start.priors), samples.n_samples
@@ -140,11 +148,11 @@ class Workspace:
                 "its samples lie in a subspace; give a larger reg_covar, or take fewer components"
             )
 
-    def parameters(self) -> Parameters:
+    def parameters(self) -> MixtureParameters:
         priors = np.exp(self.log_priors)
         means, covariances = {}, {}
         for j, (name, manifold) in enumerate(zip(self.names, self.manifolds, strict=True)):
             row, n = self.layout[j]
             means[name] = self.means[:, row : row + manifold.dim].copy()
             covariances[name] = self.covariances[j, :, :n, :n].copy()
-        return Parameters(priors / priors.sum(), means, covariances)
+        return MixtureParameters(priors / priors.sum(), means, covariances)

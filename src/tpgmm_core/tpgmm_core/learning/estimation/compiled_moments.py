@@ -11,7 +11,7 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.estimation import kernels_em
-from tpgmm_core.learning.estimation.compiled_em import Parameters, Samples, Workspace
+from tpgmm_core.learning.estimation.compiled_em import MixtureParameters, Samples, Workspace
 from tpgmm_core.learning.estimation.emissions import Emissions, Moments
 from tpgmm_core.learning.estimation.kernels_em import EMPTY
 
@@ -23,7 +23,7 @@ class CompiledMoments:
     """Holds the samples in the arrangement of `kernels_em`, for one mixture after the other."""
 
     def __init__(self, samples: Samples, priors: Array, emissions: Emissions) -> None:
-        self._workspace = Workspace(samples, Parameters(priors, emissions.means, emissions.covariances))
+        self._workspace = Workspace(samples, MixtureParameters(priors, emissions.means, emissions.covariances))
 
     @staticmethod
     def suits(emissions: Emissions) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.learning.estimation.compiled_em import MIN_ITERATIONS, Estimate, Parameters, Progress, Samples
+from tpgmm_core.learning.estimation.compiled_em import MIN_ITERATIONS, Estimate, MixtureParameters, Progress, Samples
 from tpgmm_core.learning.estimation.compiled_moments import CompiledMoments
 from tpgmm_core.learning.estimation.emissions import Emissions, Moments
 
@@ -25,7 +25,7 @@ class MixtureEstimate:
 
     def with_dense_covariances(self) -> Estimate:
         """The same as what EM of full covariances returns."""
-        parameters = Parameters(self.priors, self.emissions.means, self.emissions.covariances)
+        parameters = MixtureParameters(self.priors, self.emissions.means, self.emissions.covariances)
         return Estimate(parameters, self.log_likelihoods, self.objectives, self.converged)
 
 

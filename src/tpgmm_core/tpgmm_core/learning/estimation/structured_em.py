@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tpgmm_core.learning.covariance.structure import Structure
-from tpgmm_core.learning.estimation.compiled_em import Parameters, Progress, Samples
+from tpgmm_core.learning.estimation.compiled_em import MixtureParameters, Progress, Samples
 from tpgmm_core.learning.estimation.deep_em import fit_deep_mixture
 from tpgmm_core.learning.estimation.em import MixtureEstimate, fit_mixture
 from tpgmm_core.learning.estimation.emissions import Emissions
@@ -17,7 +17,7 @@ from tpgmm_core.learning.estimation.emissions import Emissions
 def fit_structure(
     samples: Samples,
     structure: Structure,
-    start: Parameters,
+    start: MixtureParameters,
     begun: Emissions | None,
     random_state: int | np.random.Generator | None,
     *,
@@ -42,7 +42,9 @@ def fit_structure(
     return fit_mixture(samples, start.priors, emissions, tol=tol, max_iter=max_iter, progress=progress)
 
 
-def start_emissions(samples: Samples, structure: Structure, start: Parameters, begun: Emissions | None) -> Emissions:
+def start_emissions(
+    samples: Samples, structure: Structure, start: MixtureParameters, begun: Emissions | None
+) -> Emissions:
     """The components that EM starts from: see `fit_structure`."""
     counts = samples.n_samples * start.priors
     emissions = Emissions.from_gaussians(structure, samples, counts, start.means, start.covariances)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.estimation.compiled_em import MIN_ITERATIONS, Estimate, Parameters, Progress
+from tpgmm_core.learning.estimation.compiled_em import MIN_ITERATIONS, Estimate, MixtureParameters, Progress
 from tpgmm_core.learning.estimation.em import expectation
 from tpgmm_core.learning.estimation.emissions import Emissions
 from tpgmm_core.learning.estimation.structured_em import start_emissions
@@ -64,7 +64,7 @@ def fit_chain(
         if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < tol:
             converged = True
             break
-    parameters = Parameters(priors / priors.sum(), emissions.means, emissions.covariances)
+    parameters = MixtureParameters(priors / priors.sum(), emissions.means, emissions.covariances)
     return ChainEstimate(
         parameters, np.array(log_likelihoods), np.array(objectives), converged, chain=chain, emissions=emissions
     )
@@ -162,13 +162,13 @@ class TPHMM(TPGMM):
         return self.chain_.state_probabilities(n_steps)
 
     def _estimate(
-        self, samples: Samples, start: Parameters, progress: Progress | None
+        self, samples: Samples, start: MixtureParameters, progress: Progress | None
     ) -> tuple[Estimate, Emissions | None]:
         chain, emissions = self._start_of_chain(samples, start)
         estimate = fit_chain(samples, chain, emissions, tol=self.tol, max_iter=self.max_iter, progress=progress)
         return estimate, estimate.emissions
 
-    def _start_of_chain(self, samples: Samples, start: Parameters) -> tuple[Chain, Emissions]:
+    def _start_of_chain(self, samples: Samples, start: MixtureParameters) -> tuple[Chain, Emissions]:
         if isinstance(self.init, type(self)) and start.priors is self.init.priors_:
             return self.init.chain_, start_emissions(samples, self._structure(), start, self.init.emissions_)
         emissions = start_emissions(samples, self._structure(), start, None)
@@ -178,7 +178,7 @@ class TPHMM(TPGMM):
             phase = np.concatenate([np.linspace(0.0, 1.0, length) for length in samples.lengths])
             order = np.argsort(phase @ responsibilities / np.maximum(responsibilities.sum(axis=0), 1e-300))
             responsibilities = responsibilities[:, order]
-            start = Parameters(
+            start = MixtureParameters(
                 start.priors[order],
                 {name: mean[order] for name, mean in start.means.items()},
                 {name: covariance[order] for name, covariance in start.covariances.items()},
