@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One step of every way of retrieval: time, frames and the robot's pose in; a reference, two Gaussians ahead, out.
+"""One step of every retrieval method: time, frames and the robot's pose in; a reference, two Gaussians ahead, out.
 
 Models of the pick-and-place recordings, with the settings of their task file; the steps go through a whole movement, as
 a loop would. Frames stand still, or move before each step.
@@ -25,8 +25,8 @@ from benchmarks.reproduction_step import percentiles  # noqa: E402
 from tpgmm_core import Frame  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.geometry.quaternion import exp, multiply  # noqa: E402
+from tpgmm_core.retrieval.methods import METHODS, make_retrieval  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
-from tpgmm_core.retrieval.ways import WAYS, make_retrieval  # noqa: E402
 from tpgmm_ros.recordings.bags import align, find_bags, read_recordings  # noqa: E402
 from tpgmm_ros.task.task_file import MANIFOLD, Task  # noqa: E402
 
@@ -50,12 +50,12 @@ def situations(poses: Mapping[str, Array], moving: bool) -> list[dict[str, Frame
     return result
 
 
-def measure(way: str, recipe: Recipe, demonstrations: Sequence, poses: Mapping[str, Array]) -> list[Row]:
+def measure(method: str, recipe: Recipe, demonstrations: Sequence, poses: Mapping[str, Array]) -> list[Row]:
     """Two rows of the table: frames that stand still, frames that move."""
     model = recipe.learn(demonstrations, MANIFOLD)
     rows: list[Row] = []
     for moving in (False, True):
-        retrieval = make_retrieval(model, way)
+        retrieval = make_retrieval(model, method)
         frames = situations(poses, moving)
         pose = demonstrations[0].data[0, 1:]
         taken = np.empty(STEPS)
@@ -68,7 +68,7 @@ def measure(way: str, recipe: Recipe, demonstrations: Sequence, poses: Mapping[s
                 reference = retrieval.step(time_ns, frames[i], robot)
                 taken[i] = time.perf_counter() - start
                 robot = reference.gaussian.mean
-        rows.append({"way": way, "frames": "moving" if moving else "standing", **percentiles(taken[1:]),
+        rows.append({"method": method, "frames": "moving" if moving else "standing", **percentiles(taken[1:]),
                      "first_us": 1e6 * float(taken[0])})  # fmt: skip
     return rows
 
@@ -79,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--task", type=Path, default=Path("config/pick_place.yaml"))
     parser.add_argument("--bags", type=Path, default=Path("bags/pick_place"))
     parser.add_argument("--every", type=int, default=4, metavar="N", help="learn from every N-th sample")
-    parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS))
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     options = parser.parse_args(arguments)
     task = Task.load(options.task)
     recordings, bad = read_recordings(find_bags([options.bags]), task, options.every)
@@ -88,7 +88,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     demonstrations, duration = align(recordings)
     poses = {name: frame[0] for name, frame in recordings[0].frames.items()}
     gc.freeze()
-    rows = [row for way in options.ways for row in measure(way, Recipe.of(task.model, way), demonstrations, poses)]
+    rows = [
+        row
+        for method in options.methods
+        for row in measure(method, Recipe.of(task.model, method), demonstrations, poses)
+    ]
     print(f"{len(recordings)} demonstrations of {duration:.1f} s, K = {task.model['n_components']}, {STEPS} steps")
     write_report("retrieval_step", rows)
     return 0

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every way of retrieval on recordings of real robots, by leave-one-out; beside it, no frames, and a replay.
+"""Every retrieval method on recordings of real robots, by leave-one-out; beside it, no frames, and a replay.
 
 Each demonstration in turn is reproduced in its situation by models of the others. Covariance structure and number of
-components are chosen anew each time, by leave-one-out among those others (held-out log-likelihood), for all ways
+components are chosen anew each time, by leave-one-out among those others (held-out log-likelihood), for all methods
 alike. A movement with a state of its own starts where the demonstration did; it may take twice the time to its end.
 """
 
@@ -28,8 +28,8 @@ from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
 from tpgmm_core.geometry.manifold import Manifold  # noqa: E402
 from tpgmm_core.learning.selection import SelectableEstimator, select_model  # noqa: E402
+from tpgmm_core.retrieval.methods import DEFAULT, METHODS  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
-from tpgmm_core.retrieval.ways import DEFAULT, WAYS  # noqa: E402
 from tpgmm_ros.models.validation import path_errors, replay_nearest, reproduce, without_frames  # noqa: E402
 from tpgmm_ros.programs.reporting import format_table, write_report  # noqa: E402
 from tpgmm_ros.recordings.bags import Recording, find_bags, read_recordings  # noqa: E402
@@ -90,13 +90,13 @@ def candidates(task: Task) -> dict[str, dict[str, Any]]:
 
 
 def measure(data: DataSet) -> Iterator[dict[str, Any]]:
-    """A row for each demonstration left out, each way, and each of the candidates that could be learned.
+    """A row for each demonstration left out, each method, and each of the candidates that could be learned.
 
     `chosen` marks the candidate that leave-one-out among the others takes.
     """
     settings = candidates(data.task)
     learners: dict[Any, list[str]] = {}
-    for name, learner in WAYS.items():
+    for name, learner in METHODS.items():
         learners.setdefault((learner.encoding, learner.estimator), []).append(name)
     for left_out in tqdm(data.recordings, desc="left out", disable=None, file=sys.stderr):
         others = [recording for recording in data.recordings if recording is not left_out]
@@ -104,28 +104,28 @@ def measure(data: DataSet) -> Iterator[dict[str, Any]]:
         training = [data.demonstration(recording, duration) for recording in others]
         situation = data.demonstration(left_out, duration)
         row = {"left_out": left_out.path.name}
-        for ways in learners.values():
-            for candidate, chosen, model in learned(settings, ways[0], training, data.space):
-                for way in ways:
-                    path = reproduce(model, situation, way, settle=1.0)
-                    yield {**row, "way": way, "candidate": candidate, "chosen": chosen, **errors(path, left_out)}
+        for methods in learners.values():
+            for candidate, chosen, model in learned(settings, methods[0], training, data.space):
+                for method in methods:
+                    path = reproduce(model, situation, method, settle=1.0)
+                    yield {**row, "method": method, "candidate": candidate, "chosen": chosen, **errors(path, left_out)}
         plain = [without_frames(demonstration) for demonstration in training]
         for candidate, chosen, model in learned(settings, DEFAULT, plain, data.space):
             path = reproduce(model, without_frames(situation))
-            yield {**row, "way": WITHOUT_FRAMES, "candidate": candidate, "chosen": chosen, **errors(path, left_out)}
+            yield {**row, "method": WITHOUT_FRAMES, "candidate": candidate, "chosen": chosen, **errors(path, left_out)}
         replay = replay_nearest(others, left_out, data.anchor)
-        yield {**row, "way": REPLAY, "candidate": "", "chosen": True, **errors(replay, left_out)}
+        yield {**row, "method": REPLAY, "candidate": "", "chosen": True, **errors(replay, left_out)}
 
 
 def learned(
-    settings: Mapping[str, Mapping[str, Any]], way: str, training: Sequence[Demonstration], space: str
+    settings: Mapping[str, Mapping[str, Any]], method: str, training: Sequence[Demonstration], space: str
 ) -> Iterator[tuple[str, bool, TPGMM]]:
     """Name of the candidate, whether leave-one-out takes it, and its model of all that it was given."""
-    recipes = {name: Recipe.of(values, way) for name, values in settings.items()}
+    recipes = {name: Recipe.of(values, method) for name, values in settings.items()}
     manifold = Manifold.parse(space)
     encoding = next(iter(recipes.values())).encoding
     estimators: dict[str, SelectableEstimator] = {
-        name: recipe.way.estimator(**recipe.arguments, manifold=encoding.manifold(manifold))
+        name: recipe.method.estimator(**recipe.arguments, manifold=encoding.manifold(manifold))
         for name, recipe in recipes.items()
     }
     table = select_model(estimators, [encoding.encode(demonstration, manifold) for demonstration in training])
@@ -136,7 +136,7 @@ def learned(
 
 def errors(path: Array, recording: Recording) -> dict[str, float]:
     """Errors of a path (T or more, 3 or 7) against the one that was shown: at the same times, and at the same shares of
-    the way; at the end of both. Of orientations as well where the path has them."""
+    the method; at the end of both. Of orientations as well where the path has them."""
     shown = recording.movement
     if path.shape[1] == 3:
         path = np.hstack([path, np.tile(quaternion.IDENTITY, (len(path), 1))])
@@ -164,11 +164,11 @@ def at_shares(path: Array) -> Array:
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Means over the demonstrations, for each way: of what was chosen, and the least of one candidate for all."""
+    """Means over the demonstrations, for each method: of what was chosen, and the least of one candidate for all."""
     keys = [key for key, value in rows[0].items() if isinstance(value, float)]
     result = []
-    for way in dict.fromkeys(row["way"] for row in rows):
-        mine = [row for row in rows if row["way"] == way]
+    for method in dict.fromkeys(row["method"] for row in rows):
+        mine = [row for row in rows if row["method"] == method]
         chosen = [row for row in mine if row["chosen"]]
         n_folds = len(chosen)
         means = {}
@@ -179,7 +179,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         best = min(means, key=means.__getitem__)
         result.append(
             {
-                "way": way,
+                "method": method,
                 **{key: float(np.mean([row[key] for row in chosen])) for key in keys},
                 "position_rmse_by_share_median_m": float(np.median([r["position_rmse_by_share_m"] for r in chosen])),
                 "chosen": ", ".join(
@@ -205,12 +205,12 @@ def show(name: str, data: DataSet, means: Sequence[Mapping[str, Any]]) -> None:
     if not data.with_orientation:
         columns = {key: value for key, value in columns.items() if not key.endswith("_deg")}
     print(f"\n{name}: means over {len(data.recordings)} demonstrations, each reproduced by models of the others")
-    header = ["way", *(title for title, _ in columns.values()), "best", "chosen"]
+    header = ["method", *(title for title, _ in columns.values()), "best", "chosen"]
     print(
         format_table(
             header,
             [
-                [row["way"], *(f"{row[key]:.{digits}f}" for key, (_, digits) in columns.items())]
+                [row["method"], *(f"{row[key]:.{digits}f}" for key, (_, digits) in columns.items())]
                 + [row["best_candidate"], row["chosen"]]
                 for row in means
             ],

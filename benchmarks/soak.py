@@ -209,10 +209,10 @@ class Soak:
 def _models(directory: Path) -> list[Path]:
     """Two models of the task, to exchange one for the other."""
     models = []
-    for way in ("adapt_regress", "regress_product"):
-        task = directory / f"{way}.yaml"
-        task.write_text(TASK_FILE.read_text().replace("model: {", f"model: {{retrieval: {way}, "))
-        models.append(directory / f"{way}.tpgmm")
+    for method in ("adapt_regress", "regress_product"):
+        task = directory / f"{method}.yaml"
+        task.write_text(TASK_FILE.read_text().replace("model: {", f"model: {{retrieval: {method}, "))
+        models.append(directory / f"{method}.tpgmm")
         if train.main(["--task", str(task), "--output", str(models[-1]), str(BAGS)]) != 0:
             raise GraphError(f"no model from {BAGS}: see above for the reason")
     return models

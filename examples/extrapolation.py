@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""End-point error of every way of retrieval where frames are moved and turned beyond what was demonstrated.
+"""End-point error of every retrieval method where frames are moved and turned beyond what was demonstrated.
 
 Two tasks: pbdlib's planar data, whose second frame goes on along its way and turns on; and the pick-and-place
 recordings, whose object and target are moved and turned from their mean by up to 4 times what they were in
@@ -30,9 +30,9 @@ from examples import planar  # noqa: E402
 from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
+from tpgmm_core.retrieval.methods import DEFAULT, METHODS  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_core.retrieval.trajectory import TrajectoryModel  # noqa: E402
-from tpgmm_core.retrieval.ways import DEFAULT, WAYS  # noqa: E402
 from tpgmm_ros.models.validation import reproduce, without_frames  # noqa: E402
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings  # noqa: E402
 from tpgmm_ros.task.task_file import MANIFOLD, Task  # noqa: E402
@@ -119,14 +119,14 @@ def measure(
     task: str, learn: Callable[[str, Sequence[Demonstration]], TPGMM], demonstrations: Sequence[Demonstration],
     situations: Sequence[New],
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """A row for each way and situation: end-point errors, in the units of the data and degrees."""
+    """A row for each method and situation: end-point errors, in the units of the data and degrees."""
     rows = []
-    for way in tqdm([*WAYS, WITHOUT_FRAMES], desc=task, disable=None, file=sys.stderr):
-        plain = way == WITHOUT_FRAMES
-        model = learn(DEFAULT, [without_frames(d) for d in demonstrations]) if plain else learn(way, demonstrations)
+    for method in tqdm([*METHODS, WITHOUT_FRAMES], desc=task, disable=None, file=sys.stderr):
+        plain = method == WITHOUT_FRAMES
+        model = learn(DEFAULT, [without_frames(d) for d in demonstrations]) if plain else learn(method, demonstrations)
         for new in situations:
             end = reproduce(model, without_frames(new.situation) if plain else new.situation, settle=1.0)[-1]
-            row = {"task": task, "way": way, "factor": new.factor, "distance": new.distance}
+            row = {"task": task, "method": method, "factor": new.factor, "distance": new.distance}
             row["end_error"] = float(np.linalg.norm(end[:3] - new.end[:3]))
             if len(end) == 7:
                 row["end_error_deg"] = float(np.degrees(quaternion.angle_between(end[3:], new.end[3:])))
@@ -173,35 +173,37 @@ def speeds(demonstrations: Sequence[Demonstration], situations: Sequence[New]) -
     for new in situations:
         means, times = model.adapt(new.situation.frames).means, new.situation.times
         parts = [times[model.states(times) == k] for k in range(3)]
-        way, duration = means[2, 1:3] - means[0, 1:3], float(parts[2].mean() - parts[0].mean())
-        length = float(np.linalg.norm(way))
+        displacement, duration = means[2, 1:3] - means[0, 1:3], float(parts[2].mean() - parts[0].mean())
+        length = float(np.linalg.norm(displacement))
         counted = np.array([0.5, 1.0, 0.5]) * [
             np.ptp(part) for part in parts
         ]  # from the middle of a state to that of another
-        said = float(counted @ means[:, 3:5] @ way / length / counted.sum())
-        rows.append({"factor": new.factor, "way": length, "speed_needed": length / duration, "speed_said": said})
+        said = float(counted @ means[:, 3:5] @ displacement / length / counted.sum())
+        rows.append(
+            {"factor": new.factor, "displacement": length, "speed_needed": length / duration, "speed_said": said}
+        )
     return rows
 
 
 def medians(rows: Sequence[Mapping[str, Any]], key: str) -> dict[str, tuple[Array, Array]]:
-    """For each way: mean distances, and medians of an error, by factor."""
+    """For each method: mean distances, and medians of an error, by factor."""
     result = {}
-    for way in dict.fromkeys(row["way"] for row in rows):
-        several = [[row for row in rows if row["way"] == way and row["factor"] == factor] for factor in FACTORS]
+    for method in dict.fromkeys(row["method"] for row in rows):
+        several = [[row for row in rows if row["method"] == method and row["factor"] == factor] for factor in FACTORS]
         distances = np.array([np.mean([row["distance"] for row in some]) for some in several])
-        result[way] = distances, np.array([np.median([row[key] for row in some]) for some in several])
+        result[method] = distances, np.array([np.median([row[key] for row in some]) for some in several])
     return result
 
 
 def draw(axes: Axes, rows: Sequence[Mapping[str, Any]], key: str, title: str, labels: tuple[str, str]) -> None:
     """Errors against distance; dotted: 1, 2 and 4 times the demonstrated range."""
-    for i, (way, (distances, values)) in enumerate(medians(rows, key).items()):
+    for i, (method, (distances, values)) in enumerate(medians(rows, key).items()):
         # wider below narrower, so that lines which fall together are seen
         width = 5.0 - 0.6 * i
         style: dict[str, Any] = (
-            {"color": "black", "ls": "--"} if way == WITHOUT_FRAMES else {"color": f"C{i}", "marker": "o"}
+            {"color": "black", "ls": "--"} if method == WITHOUT_FRAMES else {"color": f"C{i}", "marker": "o"}
         )
-        axes.plot(distances, values, markersize=1.5 * width, lw=width, label=way, **style)
+        axes.plot(distances, values, markersize=1.5 * width, lw=width, label=method, **style)
     for factor in (1.0, 2.0, 4.0):
         at = float(distances[FACTORS.index(factor)])
         axes.axvline(at, color="0.7", ls=":", lw=1.0, zorder=0)
@@ -214,13 +216,13 @@ def draw(axes: Axes, rows: Sequence[Mapping[str, Any]], key: str, title: str, la
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
-    """Medians for 1, 2 and 4 times the demonstrated range, a row for each way."""
+    """Medians for 1, 2 and 4 times the demonstrated range, a row for each method."""
     result: dict[str, dict[str, Any]] = {}
     for key, unit in (("end_error", ""), ("end_error_deg", "_deg")):
         if key not in rows[0]:
             continue
-        for way, (_, values) in medians(rows, key).items():
-            line = result.setdefault(way, {"task": rows[0]["task"], "way": way})
+        for method, (_, values) in medians(rows, key).items():
+            line = result.setdefault(method, {"task": rows[0]["task"], "method": method})
             line |= {f"end_error_{f:g}x{unit}": float(values[FACTORS.index(f)]) for f in (1.0, 2.0, 4.0)}
     return list(result.values())
 
@@ -241,7 +243,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     measured = {
         "pick_place": measure(
             "pick_place",
-            lambda way, several: Recipe.of(task.model, way).learn(several, MANIFOLD),
+            lambda method, several: Recipe.of(task.model, method).learn(several, MANIFOLD),
             demonstrations,
             pose_task(recordings, duration, "target", options.situations),
         )
@@ -250,7 +252,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         in_plane = planar.demonstrations(options.data)
         measured["pbdlib"] = measure(
             "pbdlib",
-            lambda way, several: Recipe.of({"n_components": 3, "reg_covar": 1e-4}, way).learn(several, "R1 x R2"),
+            lambda method, several: Recipe.of({"n_components": 3, "reg_covar": 1e-4}, method).learn(several, "R1 x R2"),
             in_plane,
             planar_task(in_plane),
         )

@@ -14,7 +14,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.observation.tracking import FrameTracker, TrackingConfig
-from tpgmm_core.retrieval.ways import make_retrieval
+from tpgmm_core.retrieval.methods import make_retrieval
 
 SECOND = 1_000_000_000
 WINDOW = 0.02  # s
@@ -105,10 +105,10 @@ class Run:
 
 
 def run(
-    model: TPGMM, way: str, frames_at: Callable[[float], Frames], start: Array, step: float, settle: float = 0.5
+    model: TPGMM, method: str, frames_at: Callable[[float], Frames], start: Array, step: float, settle: float = 0.5
 ) -> Run:
     """A movement from its start; step, settle : s."""
-    retrieval = make_retrieval(model, way)
+    retrieval = make_retrieval(model, method)
     retrieval.start(0, start)
     means, covariances, phases, taken, robot = [], [], [], [], start
     for i in range(1, round((retrieval.duration + settle) / step)):
@@ -133,12 +133,12 @@ class Own:
 
     @classmethod
     def of(
-        cls, model: TPGMM, way: str, poses: Mapping[str, Array], noise: Noise, start: Array, step: float, count: int
+        cls, model: TPGMM, method: str, poses: Mapping[str, Array], noise: Noise, start: Array, step: float, count: int
     ) -> Own:
         random = np.random.default_rng(count)
         still = [frames_of(noise.on(poses, random)) for _ in range(count)]
-        exact = run(model, way, lambda _: frames_of(poses), start, step)
-        return cls(exact, [run(model, way, _standing(frames), start, step) for frames in still])
+        exact = run(model, method, lambda _: frames_of(poses), start, step)
+        return cls(exact, [run(model, method, _standing(frames), start, step) for frames in still])
 
     def spread(self) -> Array:
         """Of the means (n,), as a root mean square over the movement."""

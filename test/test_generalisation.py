@@ -11,8 +11,8 @@ from benchmarks import retrieval_table
 from examples import extrapolation
 from tpgmm_core import Demonstration
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_core.retrieval.recipe import Recipe
-from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_ros.models.validation import reproduce, without_frames
 from tpgmm_ros.recordings.bags import find_bags, read_recordings
 from tpgmm_ros.task.task_file import Task
@@ -63,16 +63,16 @@ def test_the_demonstrated_range_once_is_what_was_demonstrated(pick_place: retrie
     assert far[4.0] == pytest.approx(4.0 * far[1.0])
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_every_way_ends_nearer_than_a_model_without_frames(way: str, pick_place: retrieval_table.DataSet) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_ends_nearer_than_a_model_without_frames(method: str, pick_place: retrieval_table.DataSet) -> None:
     """At twice the demonstrated range."""
     recordings, settings = pick_place.recordings, {"n_components": 8, "reg_covar": 1e-5}
     demonstrations = [pick_place.demonstration(recording, 11.0) for recording in recordings]
-    model = Recipe.of(settings, way).learn(demonstrations, pick_place.space)
+    model = Recipe.of(settings, method).learn(demonstrations, pick_place.space)
     plain = Recipe.of(settings).learn([without_frames(d) for d in demonstrations], pick_place.space)
     for new in extrapolation.pose_task(recordings, 11.0, "target", every=4):
         if new.factor == 2.0:
-            end = reproduce(model, new.situation, way, settle=1.0)[-1]
+            end = reproduce(model, new.situation, method, settle=1.0)[-1]
             other = reproduce(plain, without_frames(new.situation))[-1]
             assert np.linalg.norm(end[:3] - new.end[:3]) < 0.2 * np.linalg.norm(other[:3] - new.end[:3])
 

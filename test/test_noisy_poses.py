@@ -22,8 +22,8 @@ from tpgmm_core import TPGMM
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_core.retrieval.methods import METHODS, make_retrieval
 from tpgmm_core.retrieval.recipe import Recipe
-from tpgmm_core.retrieval.ways import WAYS, make_retrieval
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import Reference
 from tpgmm_ros.messages import conversions
@@ -42,50 +42,50 @@ PLACES = {
 DYNAMICS = pytest.mark.xfail(
     reason="it knows no time: a little noise decides when components take over; 0.12 to 5.3 times"
 )
-BY_WAY = [pytest.param(way, marks=DYNAMICS if way == "dynamics" else []) for way in WAYS]
+BY_METHOD = [pytest.param(method, marks=DYNAMICS if method == "dynamics" else []) for method in METHODS]
 
 
 @cache
-def learned(way: str) -> tuple[TPGMM, Array]:
+def learned(method: str) -> tuple[TPGMM, Array]:
     """The model, and where demonstrations began."""
     task = Task.load(TASK_FILE)
     recordings, bad = read_recordings(find_bags([ROOT / "bags" / "pick_place"])[:DEMONSTRATIONS], task, every=10)
     assert not bad
     demonstrations, _ = align(recordings)
-    model = Recipe.of(task.model, way).learn(demonstrations, MANIFOLD, DIMENSIONS)
+    model = Recipe.of(task.model, method).learn(demonstrations, MANIFOLD, DIMENSIONS)
     return model, demonstrations[0].data[0, 1:].copy()
 
 
-@pytest.mark.parametrize("way", BY_WAY)
-def test_references_to_trembling_poses_are_as_firm_as_to_exact_ones(way: str) -> None:
+@pytest.mark.parametrize("method", BY_METHOD)
+def test_references_to_trembling_poses_are_as_firm_as_to_exact_ones(method: str) -> None:
     """Noise of 0.5 and 2 mm and 0.5 deg, at 30 Hz, through the tracker's filter, over the whole movement."""
-    model, start = learned(way)
-    own = Own.of(model, way, PLACES, Noise(0.5), start, STEP, 2)
+    model, start = learned(method)
+    own = Own.of(model, method, PLACES, Noise(0.5), start, STEP, 2)
     low, high = Own(own.exact, [own.exact]).band(STEP)
     spread = lengths(own.exact.manifold, own.spread())
     for noise in (Noise(0.5), Noise(2.0)):
-        found = run(model, way, tracked_at(PLACES, noise, RATE, 5, TrackingConfig().filter_time), start, STEP)
+        found = run(model, method, tracked_at(PLACES, noise, RATE, 5, TrackingConfig().filter_time), start, STEP)
         ratio = found.deviations / own.exact.deviations
         jitter = lengths(found.manifold, rms(away(own.exact, found)))
-        print(f"{way}, {noise}: {ratio.min():.3f} to {ratio.max():.3f}, jitter {jitter}, spread {spread}")
+        print(f"{method}, {noise}: {ratio.min():.3f} to {ratio.max():.3f}, jitter {jitter}, spread {spread}")
         assert np.all(found.deviations >= low) and np.all(found.deviations <= high)
         assert jitter[0] <= 0.5 * spread[0] and jitter[1] <= 0.5 * spread[1]
         assert found.phases[-1] >= own.exact.phases[-1] - 1e-3
 
 
-@pytest.mark.parametrize("way", ["regress_product"])
+@pytest.mark.parametrize("method", ["regress_product"])
 def test_nodes_that_see_trembling_poses_give_references_as_firm_as_with_exact_ones(
-    way: str, start_process: StartProcess, ros_node: Node, tmp_path: Path
+    method: str, start_process: StartProcess, ros_node: Node, tmp_path: Path
 ) -> None:
     """PoseStamped with 0.5 mm, 0.5 deg, 30 Hz and jitter into frame_tracker; references of reproduction out."""
-    model, start = learned(way)
+    model, start = learned(method)
     model_file, duration = tmp_path / "model.tpgmm", 6.0
     model.save(model_file)
     processes = (
         start_process("frame_tracker", *ros_arguments(task_file=TASK_FILE)),
         start_process(
             "reproduction",
-            *ros_arguments(task_file=TASK_FILE, model_file=model_file, autostart=True, retrieval=way),
+            *ros_arguments(task_file=TASK_FILE, model_file=model_file, autostart=True, retrieval=method),
         ),
     )
     noise, random = Noise(0.5), np.random.default_rng(7)
@@ -130,7 +130,7 @@ def test_nodes_that_see_trembling_poses_give_references_as_firm_as_with_exact_on
     served(lambda: references[-1].phase >= 1.0 or result.done() or time.monotonic() > deadline, "the end")
     assert references[-1].phase >= 1.0
 
-    exact = make_retrieval(model, way, duration=duration)
+    exact = make_retrieval(model, method, duration=duration)
     exact.start(0, start)
     frames = frames_of(PLACES)
     ratios, seen = [], []
@@ -142,5 +142,5 @@ def test_nodes_that_see_trembling_poses_give_references_as_firm_as_with_exact_on
     assert len(references) > 100 and np.ptp([reference.phase for reference in references]) > 0.9
     changes = np.unique(np.round(seen, 9), axis=0)
     assert len(changes) > 0.5 * len(references)  # the noise does come through
-    print(f"{way}: {np.min(ratios):.4f} to {np.max(ratios):.4f} of exact poses, {len(references)} references")
+    print(f"{method}: {np.min(ratios):.4f} to {np.max(ratios):.4f} of exact poses, {len(references)} references")
     assert np.max(ratios) < 1.1 and np.min(ratios) > 1.0 / 1.1

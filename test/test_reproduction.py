@@ -34,8 +34,8 @@ from tpgmm_core import TPGMM, Frame
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
+from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_core.retrieval.phase import PHASES
-from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import ControllerState, Reference, TaskParameters
 from tpgmm_msgs.srv import LoadModel
@@ -65,10 +65,10 @@ def trained(path: Path, *options: str) -> Path:
 
 @pytest.fixture(scope="module")
 def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory with a model for each way of retrieval."""
+    """A directory with a model for each retrieval method."""
     directory = tmp_path_factory.mktemp("models")
-    for way in WAYS:
-        trained(directory / f"{way}.tpgmm", "--retrieval", way)
+    for method in METHODS:
+        trained(directory / f"{method}.tpgmm", "--retrieval", method)
     return directory
 
 
@@ -362,9 +362,11 @@ def test_viewers_are_shown_what_is_there_and_forget_it_when_the_node_is_deactiva
     assert change_state(player.node, NODE, ACTIVATE)
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_every_way_of_retrieval_moves_to_the_same_end(player: Player, models: Path, model_file: Path, way: str) -> None:
-    handle = player.start(str(models / f"{way}.tpgmm"))
+@pytest.mark.parametrize("method", METHODS)
+def test_every_retrieval_method_moves_to_the_same_end(
+    player: Player, models: Path, model_file: Path, method: str
+) -> None:
+    handle = player.start(str(models / f"{method}.tpgmm"))
     status, result = player.result(handle)
     assert status == GoalStatus.STATUS_SUCCEEDED and result.success, result.reason
     assert distance_from_the_end(player.references[-1]) < 0.03
@@ -389,22 +391,22 @@ def load(player: Player, path: Path | str) -> LoadModel.Response:
     return response
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("method", METHODS)
 def test_a_model_that_is_loaded_during_a_movement_takes_over_without_a_jump_and_reaches_the_goal(
-    player: Player, models: Path, model_file: Path, way: str
+    player: Player, models: Path, model_file: Path, method: str
 ) -> None:
     handle = player.start(str(model_file), duration=2.0)
     while player.references[-1].phase < 0.4:
         player.tick()
     before = len(player.references)
-    loaded = load(player, models / f"{way}.tpgmm")
+    loaded = load(player, models / f"{method}.tpgmm")
     assert loaded.success, loaded.reason
     for _ in range(60):
         player.tick()
     phases = [reference.phase for reference in player.references[before:]]
     assert min(phases) > 0.3, "the movement goes on where it was"
     backwards = set_parameters(player.node, NODE, speed=-1.0)
-    assert backwards.successful == (WAYS[way].course is not None) and (
+    assert backwards.successful == (METHODS[method].time_parametrized is not None) and (
         backwards.successful or "speed" in backwards.reason
     )
     assert set_parameters(player.node, NODE, speed=1.0).successful

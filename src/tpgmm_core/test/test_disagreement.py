@@ -15,7 +15,7 @@ from tpgmm_core.geometry.disagreement import disagreement
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 
-WAYS = [AdaptThenRegress, RegressThenProduct]
+METHODS = [AdaptThenRegress, RegressThenProduct]
 ROBOT = Frame.from_pose(np.zeros(3), [0.0, 0.0, 0.0, 1.0]).with_time()
 OBJECT = np.array([0.6, 0.0, 0.1])
 
@@ -46,7 +46,7 @@ def situation(place: np.ndarray, yaw: float = 0.3) -> dict[str, Frame]:
     return {"object": Frame.from_pose(place, turned(yaw)).with_time(), "robot": ROBOT}
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("start", "away", "tolerance"),
     [
@@ -56,22 +56,22 @@ def situation(place: np.ndarray, yaw: float = 0.3) -> dict[str, Frame]:
     ],
 )
 def test_large_times_and_coordinates_give_what_small_ones_give(
-    way: type, start: float, away: tuple[float, float, float], tolerance: float
+    method: type, start: float, away: tuple[float, float, float], tolerance: float
 ) -> None:
-    near = way(model()).retrieve(situation(OBJECT), [2.0, 4.0])
-    far = way(model(start, away)).retrieve(situation(OBJECT + away), [start + 2.0, start + 4.0])
+    near = method(model()).retrieve(situation(OBJECT), [2.0, 4.0])
+    far = method(model(start, away)).retrieve(situation(OBJECT + away), [start + 2.0, start + 4.0])
     for a, b in zip(near, far, strict=True):
         np.testing.assert_allclose(b.mean[:3] - away, a.mean[:3], atol=tolerance)
         assert quaternion.angle_between(a.mean[3:], b.mean[3:]) < tolerance
         np.testing.assert_allclose(b.covariance, a.covariance, rtol=1e-3, atol=1e-8)
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("distance", [10.0, 100.0])
-def test_an_object_far_away_is_refused_by_its_distance(way: type, distance: float) -> None:
+def test_an_object_far_away_is_refused_by_its_distance(method: type, distance: float) -> None:
     with pytest.raises(ValueError, match="place and turn go together") as error:
         for direction in np.vstack([np.eye(3), -np.eye(3)]):  # some of them may agree
-            way(model()).retrieve(situation(OBJECT + distance * direction), [2.0, 3.0, 4.0])
+            method(model()).retrieve(situation(OBJECT + distance * direction), [2.0, 3.0, 4.0])
     found = re.search(r"what 'object' and 'robot' expect lies ([\d.e+]+) m apart, ([\d.]+) standard", str(error.value))
     assert found is not None, error.value
     assert float(found[1]) == pytest.approx(distance, rel=0.1) and float(found[2]) > 10.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No way of retrieval knows where the origin of the world is, or which sign a quaternion has; with one hand and two."""
+"""No retrieval method knows where the origin of the world is, or which sign a quaternion has; with one hand and two."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from reaching import frames_at, place, reaching_demonstrations
 from tpgmm_core import TPGMM, Demonstration, Frame, Gaussian, Manifold
 from tpgmm_core.common.types import Array
 from tpgmm_core.lqr.double_integrator import double_integrator_gains
+from tpgmm_core.retrieval.methods import METHODS, make_retrieval
 from tpgmm_core.retrieval.recipe import Recipe
-from tpgmm_core.retrieval.ways import WAYS, make_retrieval
 from worlds import assert_moved, moved
 
 TOLERANCE = 1e-9
@@ -51,15 +51,15 @@ def demonstrations(hands: int) -> tuple[Demonstration, ...]:
     )
 
 
-def learned_from(way: str, hands: int, shown: tuple[Demonstration, ...]) -> TPGMM:
+def learned_from(method: str, hands: int, shown: tuple[Demonstration, ...]) -> TPGMM:
     names = ["time", *(f"{n}{hand}" for hand in range(hands) for n in ("x", "y", "z", "qx", "qy", "qz", "qw"))]
-    recipe = Recipe.of({"n_components": 3, "reg_covar": 1e-5, "retrieval": way})
+    recipe = Recipe.of({"n_components": 3, "reg_covar": 1e-5, "retrieval": method})
     return recipe.learn(shown, MANIFOLDS[hands], tuple(names))
 
 
 @cache
-def learned(way: str, hands: int) -> TPGMM:
-    return learned_from(way, hands, demonstrations(hands))
+def learned(method: str, hands: int) -> TPGMM:
+    return learned_from(method, hands, demonstrations(hands))
 
 
 def situations(hands: int) -> tuple[dict[str, Frame], dict[str, Frame], Array]:
@@ -87,10 +87,10 @@ def run(model: TPGMM, before: dict[str, Frame], after: dict[str, Frame], state: 
 
 
 @pytest.mark.parametrize("hands", [1, 2])
-@pytest.mark.parametrize("way", WAYS)
-def test_moving_the_world_moves_what_is_retrieved(way: str, hands: int) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_moving_the_world_moves_what_is_retrieved(method: str, hands: int) -> None:
     rng = np.random.default_rng(5)
-    model = learned(way, hands)
+    model = learned(method, hands)
     before, after, state = situations(hands)
     expected = run(model, before, after, state)
     for _ in range(2):
@@ -100,12 +100,12 @@ def test_moving_the_world_moves_what_is_retrieved(way: str, hands: int) -> None:
 
 
 @pytest.mark.parametrize("hands", [1, 2])
-@pytest.mark.parametrize("way", WAYS)
-def test_signs_of_quaternions_change_nothing(way: str, hands: int) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_signs_of_quaternions_change_nothing(method: str, hands: int) -> None:
     """Neither those of demonstrations, one by one, nor those of the frames, nor those of the robot's state."""
     rng = np.random.default_rng(6)
     before, after, state = situations(hands)
-    expected = run(learned(way, hands), before, after, state)
+    expected = run(learned(method, hands), before, after, state)
     flipped = []
     for d in demonstrations(hands):
         data = d.data * np.stack([signs(hands, *rng.choice([-1.0, 1.0], 2)) for _ in d.times])
@@ -113,16 +113,16 @@ def test_signs_of_quaternions_change_nothing(way: str, hands: int) -> None:
             Demonstration(d.times, data, {name: turned(frame, rng, hands) for name, frame in d.frames.items()})
         )
     before, after = ({name: turned(f, rng, hands) for name, f in frames.items()} for frames in (before, after))
-    found = run(learned_from(way, hands, tuple(flipped)), before, after, state * signs(hands, -1.0, -1.0)[1:])
+    found = run(learned_from(method, hands, tuple(flipped)), before, after, state * signs(hands, -1.0, -1.0)[1:])
     same = Frame(np.eye(7 * hands), np.zeros(7 * hands))
     assert_moved(same, expected, found, TOLERANCE)
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_the_second_hand_goes_where_it_belongs(way: str) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_the_second_hand_goes_where_it_belongs(method: str) -> None:
     """End to end on R1 x R3 x S3 x R3 x S3: both hands end as the object says, the second where the first holds it."""
     before, after, state = situations(2)
-    end = run(learned(way, 2), before, after, state)[-1]
+    end = run(learned(method, 2), before, after, state)[-1]
     goal = beside(place(0.5, 0.1, 0.2), 2)
     manifold = MANIFOLDS[2].subset(range(1, 15))
     assert end.manifold == manifold

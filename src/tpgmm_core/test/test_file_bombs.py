@@ -29,7 +29,7 @@ MEMORY = 600_000_000
 READ = f"""
 import json, resource, sys
 from tpgmm_core.learning.model_file import ModelFileError
-from tpgmm_core.retrieval.ways import load_model
+from tpgmm_core.retrieval.methods import load_model
 pages = int(open("/proc/self/statm").read().split()[0])
 limit = pages * resource.getpagesize() + {MEMORY}
 resource.setrlimit(resource.RLIMIT_AS, (limit, limit))

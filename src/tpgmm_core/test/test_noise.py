@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Perception trembles: references of every way of retrieval are as exact, and as firm, as with poses that do not."""
+"""Perception trembles: references of every retrieval method are as exact, and as firm, as with poses that do not."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.continuity import Continuity
 from tpgmm_core.retrieval.covariance_fade import CovarianceFade, lasting, multiply, relate
+from tpgmm_core.retrieval.methods import METHODS, make_retrieval
 from tpgmm_core.retrieval.recipe import Recipe
-from tpgmm_core.retrieval.ways import WAYS, make_retrieval
 from worlds import planar_demonstrations
 
 STEP = 0.01
@@ -31,24 +31,24 @@ STARTS = {"planar": np.array([-0.1, 0.3]), "poses": PLACES["poses"]["start"]}
 
 
 @cache
-def learned(way: str, what: str) -> TPGMM:
-    recipe = Recipe.of({"n_components": 4, "reg_covar": 1e-5, "retrieval": way})
+def learned(method: str, what: str) -> TPGMM:
+    recipe = Recipe.of({"n_components": 4, "reg_covar": 1e-5, "retrieval": method})
     if what == "planar":
         return recipe.learn(planar_demonstrations(), "R1 x R2")
     return recipe.learn(reaching_demonstrations(20), "R1 x R3 x S3")
 
 
 @cache
-def own(way: str, what: str, noise: Noise) -> Own:
-    return Own.of(learned(way, what), way, PLACES[what], noise, STARTS[what], STEP, 10)
+def own(method: str, what: str, noise: Noise) -> Own:
+    return Own.of(learned(method, what), method, PLACES[what], noise, STARTS[what], STEP, 10)
 
 
 @pytest.mark.parametrize("what", PLACES)
-@pytest.mark.parametrize("way", WAYS)
-def test_equal_situations_have_equal_references_whatever_objects_hold_them(way: str, what: str) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_equal_situations_have_equal_references_whatever_objects_hold_them(method: str, what: str) -> None:
     """Bit by bit: new frames with the same numbers at each step, and weights that say what is so anyway."""
     same = frames_of(PLACES[what])
-    retrievals = [make_retrieval(learned(way, what), horizon_steps=2) for _ in range(2)]
+    retrievals = [make_retrieval(learned(method, what), horizon_steps=2) for _ in range(2)]
     for retrieval in retrievals:
         retrieval.start(0, STARTS[what])
     robot = STARTS[what]
@@ -65,10 +65,10 @@ def test_equal_situations_have_equal_references_whatever_objects_hold_them(way: 
         robot = one.gaussian.mean
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_a_mapping_that_is_written_to_is_another_situation(way: str) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_a_mapping_that_is_written_to_is_another_situation(method: str) -> None:
     """The same object is not the same situation: what moved in place is followed."""
-    model, places = learned(way, "planar"), PLACES["planar"]
+    model, places = learned(method, "planar"), PLACES["planar"]
     moved = places | {"goal": places["goal"] + [0.1, 0.1, 0.0]}
     retrieval = make_retrieval(model)
     retrieval.start(0, STARTS["planar"])
@@ -77,7 +77,7 @@ def test_a_mapping_that_is_written_to_is_another_situation(way: str) -> None:
         if i == 100:
             frames.update(frames_of(moved))
         robot = retrieval.step(round(0.005 * i * SECOND), frames, robot).gaussian.mean
-    fresh = run(model, way, lambda _: frames_of(moved), STARTS["planar"], 0.005, settle=2.0)
+    fresh = run(model, method, lambda _: frames_of(moved), STARTS["planar"], 0.005, settle=2.0)
     assert np.linalg.norm(robot - fresh.means[-1]) < 0.01
 
 
@@ -89,9 +89,9 @@ FALLS_SHORT = {
 """Where the bounds do not hold, and why; `docs/retrieval.md` has the figures."""
 
 
-def each_way(*whats: str) -> list[Any]:
-    """All ways of retrieval with each of the models; those that are known to fall short are marked."""
-    cases = [(way, what) for way in WAYS for what in whats]
+def each_method(*whats: str) -> list[Any]:
+    """All retrieval methods with each of the models; those that are known to fall short are marked."""
+    cases = [(method, what) for method in METHODS for what in whats]
     return [
         pytest.param(*case, marks=pytest.mark.xfail(reason=FALLS_SHORT[case]) if case in FALLS_SHORT else [])
         for case in cases
@@ -99,26 +99,28 @@ def each_way(*whats: str) -> list[Any]:
 
 
 @pytest.mark.parametrize("noise", [Noise(0.1), Noise(0.5), Noise(2.0)], ids=["0.1mm", "0.5mm", "2mm"])
-@pytest.mark.parametrize(("way", "what"), each_way(*PLACES))
-def test_noise_of_poses_makes_references_neither_soft_nor_stiff_nor_restless(way: str, what: str, noise: Noise) -> None:
-    expected = own(way, what, noise)
+@pytest.mark.parametrize(("method", "what"), each_method(*PLACES))
+def test_noise_of_poses_makes_references_neither_soft_nor_stiff_nor_restless(
+    method: str, what: str, noise: Noise
+) -> None:
+    expected = own(method, what, noise)
     low, high = expected.band(STEP)
     spread = lengths(expected.exact.manifold, expected.spread())
     for rate in (30.0, 100.0):
-        found = run(learned(way, what), way, seen_at(PLACES[what], noise, rate, 5), STARTS[what], STEP)
+        found = run(learned(method, what), method, seen_at(PLACES[what], noise, rate, 5), STARTS[what], STEP)
         assert np.all(found.deviations > low) and np.all(found.deviations < high), rate
         jitter = lengths(expected.exact.manifold, rms(away(expected.exact, found)))
         assert jitter[0] <= spread[0] and jitter[1] <= spread[1], (rate, jitter, spread)
         assert found.phases[-1] == pytest.approx(expected.exact.phases[-1], abs=1e-3)
 
 
-@pytest.mark.parametrize(("way", "what"), each_way("planar"))
-def test_noise_that_is_new_in_each_step_is_smoothed(way: str, what: str) -> None:
+@pytest.mark.parametrize(("method", "what"), each_method("planar"))
+def test_noise_that_is_new_in_each_step_is_smoothed(method: str, what: str) -> None:
     """Poses and references at 1 kHz: a share of what one exact look would be off by."""
-    noise, model, places, step = Noise(2.0), learned(way, what), PLACES[what], 0.001
-    exact = run(model, way, lambda _: frames_of(places), STARTS["planar"], step)
-    found = run(model, way, seen_at(places, noise, 1000.0, 5), STARTS["planar"], step)
-    expected = own(way, "planar", noise)
+    noise, model, places, step = Noise(2.0), learned(method, what), PLACES[what], 0.001
+    exact = run(model, method, lambda _: frames_of(places), STARTS["planar"], step)
+    found = run(model, method, seen_at(places, noise, 1000.0, 5), STARTS["planar"], step)
+    expected = own(method, "planar", noise)
     jitter = lengths(exact.manifold, rms(away(exact, found)))[0]
     assert jitter <= lengths(exact.manifold, expected.spread())[0]
     ratio = found.deviations / exact.deviations
@@ -136,10 +138,10 @@ LAGS = {
 """s, of a movement of 2 s with a blend_time of 0.15 s: what the pages say."""
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_an_object_that_moves_steadily_is_followed_with_the_lag_that_is_stated(way: str) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_an_object_that_moves_steadily_is_followed_with_the_lag_that_is_stated(method: str) -> None:
     """5 cm/s, seen 100 times per second, after the movement's end."""
-    model, places = learned(way, "planar"), PLACES["planar"]
+    model, places = learned(method, "planar"), PLACES["planar"]
     retrieval = make_retrieval(model, blend_time=0.15)
     retrieval.start(0, STARTS["planar"])
     robot, path, standing = STARTS["planar"], [], frames_of(places)
@@ -153,7 +155,7 @@ def test_an_object_that_moves_steadily_is_followed_with_the_lag_that_is_stated(w
         robot = retrieval.step(10_000_000 * i, frames, robot).gaussian.mean
     lag = float(np.linalg.norm(robot - path[-1])) / speed
     assert speed == pytest.approx(0.05, rel=0.05)
-    assert lag == pytest.approx(LAGS[way], rel=0.1)
+    assert lag == pytest.approx(LAGS[method], rel=0.1)
 
 
 def test_equal_situations_are_equal_and_others_are_not() -> None:

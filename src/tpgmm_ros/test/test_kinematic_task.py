@@ -165,8 +165,8 @@ def test_a_model_fits_the_task_that_it_was_learned_for_and_no_other(tmp_path: Pa
     assert np.abs(model.means_["bar"]).max() > 0.1
     movement = make_task_retrieval(model, task)
     assert movement.frame_names == ("left_target", "right_target") and movement.manifold.dim == 14
-    for settings in ({"way": "decay"}, {"phase": "state"}):
-        with pytest.raises(ValueError, match="in one way, by the clock"):
+    for settings in ({"method": "decay"}, {"phase": "state"}):
+        with pytest.raises(ValueError, match="by one method, on the clock"):
             make_task_retrieval(model, task, **settings)  # type: ignore[arg-type]
     other = Task.from_text(text(together="    together: [[left, right]]"))
     with pytest.raises(ValueError, match="others than the model was learned from"):

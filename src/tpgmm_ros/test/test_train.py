@@ -13,7 +13,7 @@ import pytest
 from synthetic_bags import REACH_TASK, reach, write_bag
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.geometry import quaternion
-from tpgmm_core.retrieval.ways import WAYS
+from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_ros.models.task_model import load_task_model
 from tpgmm_ros.models.validation import path_errors, replay_nearest, reproduce
 from tpgmm_ros.programs.reporting import format_table, write_report
@@ -95,18 +95,18 @@ def test_options_go_before_the_task_file(bags: Path, tmp_path: Path) -> None:
     assert TPGMM.load(tmp_path / "model").n_components == 2
 
 
-@pytest.mark.parametrize("way", [way for way in WAYS if way != "adapt_regress"])
-def test_every_way_of_retrieval_is_trained_and_reproduces_what_was_left_out(
-    way: str, bags: Path, tmp_path: Path
+@pytest.mark.parametrize("method", [method for method in METHODS if method != "adapt_regress"])
+def test_every_retrieval_method_is_trained_and_reproduces_what_was_left_out(
+    method: str, bags: Path, tmp_path: Path
 ) -> None:
     few = [bags / f"demo_{i}" for i in range(4)]
     output = tmp_path / "model"
-    arguments = ("--retrieval", way, "--every", "2", "--leave-one-out", "--report", tmp_path, "--output", output)
+    arguments = ("--retrieval", method, "--every", "2", "--leave-one-out", "--report", tmp_path, "--output", output)
     assert train(bags, *arguments, *few) == 0
     report = json.loads((tmp_path / "report.json").read_text())
-    assert report["retrieval"] == way and len(report["leave_one_out"]["folds"]) == len(few)
+    assert report["retrieval"] == method and len(report["leave_one_out"]["folds"]) == len(few)
     model = load_task_model(output, Task.load(bags / "task.yaml"))
-    assert isinstance(model, WAYS[way].estimator) and model.metadata_["retrieval"] == way
+    assert isinstance(model, METHODS[method].estimator) and model.metadata_["retrieval"] == method
     recording = read_recording(bags / "demo_7", Task.load(bags / "task.yaml"))
     path = reproduce(model, recording.to_demonstration(5.0))
     assert path_errors(path, recording.movement).position_end_m < 0.05
@@ -115,9 +115,9 @@ def test_every_way_of_retrieval_is_trained_and_reproduces_what_was_left_out(
 def test_the_way_of_the_task_file_is_taken_unless_another_is_asked_for(bags: Path, tmp_path: Path) -> None:
     task = tmp_path / "task.yaml"
     task.write_text(REACH_TASK.replace("model: {", "model: {retrieval: decay, stiffness: 300, "))
-    for arguments, way in (([], "decay"), (["--retrieval", "trajectory"], None)):
+    for arguments, method in (([], "decay"), (["--retrieval", "trajectory"], None)):
         status = main(["--task", str(task), "--output", str(tmp_path / "model"), "--every", "3", *arguments, str(bags)])
-        assert (status == 0) == (way is not None), "the stiffness of a spring is nothing for trajectories"
+        assert (status == 0) == (method is not None), "the stiffness of a spring is nothing for trajectories"
     model = TPGMM.load(tmp_path / "model")
     assert model.metadata_["retrieval"] == "decay" and model.metadata_["encoding.stiffness"] == 300.0
 

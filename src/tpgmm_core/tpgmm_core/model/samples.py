@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Samples`: what all frames saw of all demonstrations, stacked and checked: what every way of learning starts from."""
+"""`Samples`: what all frames saw of all demonstrations, stacked and checked: what every estimator starts from."""
 
 from __future__ import annotations
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ways of retrieving a movement from a model (Section 3, end). Modules are imported by name."""
+"""Methods of retrieving a movement from a model (Section 3, end). Modules are imported by name."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a demonstration [time, data] a model learns, so that a way of retrieval can get the movement out of it again.
+"""What of a demonstration [time, data] a model learns, so that a retrieval method can get the movement out of it again.
 
 An encoding turns demonstrations over [time, data] into those that a model is fitted to. It is written into the model's
 metadata, texts and numbers, so that a model file says what it needs. Frames are over [time, data] outside, always.

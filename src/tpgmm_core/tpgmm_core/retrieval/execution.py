@@ -143,7 +143,7 @@ class Execution:
         """Go on with another retrieval, at the same share of the movement and without a jump of the reference.
 
         Args:
-            retrieval: a fresh one, of another model or another way.
+            retrieval: a fresh one, of another model or another method.
             pose: as for ``step``.
             blend_time: time constant with which the difference of the references dies out, s.
 

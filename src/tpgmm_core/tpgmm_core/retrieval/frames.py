@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The frames that all ways of retrieval take: those over [time, data], as `Frame.with_time` makes them."""
+"""The frames that all retrieval methods take: those over [time, data], as `Frame.with_time` makes them."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all ways of retrieving a movement have in common, as a loop uses them.
+"""What all methods of retrieving a movement have in common, as a loop uses them.
 
-`Retrieval` is the interface of the loop: a reference for each step. Ways that know the whole movement as a function of
-time in a situation are `TimeParametrized`; `retrieval.reproduction.Reproduction` steps through any of them, on any
-phase, and keeps what it hands on free of jumps. Ways that have a state of their own are a `Retrieval` themselves.
+`Retrieval` is the interface of the loop: a reference for each step. Methods that know the whole movement as a function
+of time in a situation are `TimeParametrized`; `retrieval.reproduction.Reproduction` steps through any of them, on any
+phase, and keeps what it hands on free of jumps. Methods that have a state of their own are a `Retrieval` themselves.
 
-Frames are over [time, data] (`Frame.with_time`) for all ways, so that one situation serves all; a state is (D,), a
+Frames are over [time, data] (`Frame.with_time`) for all methods, so that one situation serves all; a state is (D,), a
 point of the data's manifold, without time.
 """
 
@@ -31,7 +31,7 @@ class Retrieval(Protocol):
     frame_names : the frames that the model was learned from
     duration : of the whole movement at speed 1, s
     speed : 1 as learned, 0 pauses, less than 0 goes back; may be set at any time, and is taken over without a jump.
-        Setting raises ValueError for a speed that is not finite or that this way cannot go
+        Setting raises ValueError for a speed that is not finite or that this method cannot go
     """
 
     @property
@@ -52,9 +52,9 @@ class Retrieval(Protocol):
     def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
         """Begin at this time, ns, from where the robot is (D,); what was going on is forgotten.
 
-        phase : share of the movement that is done already, 0 to 1: where to go on when another way, or another model,
-            takes over while the robot moves. What is handed on then is kept without a jump by
-            `tpgmm_core.retrieval.continuity.Continued`, for all ways alike
+        phase : share of the movement that is done already, 0 to 1: where to go on when another method, or another
+            model, takes over while the robot moves. What is handed on then is kept without a jump by
+            `tpgmm_core.retrieval.continuity.Continued`, for all methods alike
         """
 
     def step(

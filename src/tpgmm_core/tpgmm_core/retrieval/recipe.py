@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Recipe`: how a model is learned from demonstrations, so that a way of retrieval can get the movement out of it."""
+"""`Recipe`: how a model is learned from demonstrations, so that a retrieval method can get the movement out of it."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ from tpgmm_core.learning.estimation.compiled_em import Progress
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.encodings import Encoding
-from tpgmm_core.retrieval.ways import DEFAULT, KEY, Way, way_named
+from tpgmm_core.retrieval.methods import DEFAULT, KEY, RetrievalMethod, method_named
 
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """A way of retrieval, what it encodes, and how the model is fitted to that.
+    """A retrieval method, what it encodes, and how the model is fitted to that.
 
-    way : what the model is for
+    method : what the model is for
     encoding : of the demonstrations
-    arguments : of the way's estimator, without the manifold
+    arguments : of the method's estimator, without the manifold
     """
 
-    way: Way
+    method: RetrievalMethod
     encoding: Encoding
     arguments: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, settings: Mapping[str, Any], way: str | None = None) -> Self:
+    def of(cls, settings: Mapping[str, Any], method: str | None = None) -> Self:
         """From settings by name: `retrieval`, options of the encoding, arguments of the estimator.
 
-        way : in place of `retrieval`
+        method : in place of `retrieval`
 
-        Raises ValueError for a way that is not known, and a setting that neither encoding nor estimator have.
+        Raises ValueError for a method that is not known, and a setting that neither encoding nor estimator have.
         """
         rest = dict(settings)
         named = rest.pop(KEY, DEFAULT)
-        chosen = way_named(named if way is None else way)
+        chosen = method_named(named if method is None else method)
         options = {item.name for item in fields(chosen.encoding)}
         arguments = [name for name in inspect.signature(chosen.estimator).parameters if name != "manifold"]
         unknown = [name for name in rest if name not in options and name not in arguments]
@@ -60,7 +60,7 @@ class Recipe:
     @property
     def max_iter(self) -> int:
         """At most this many iterations of EM."""
-        return int(self.way.estimator(**self.arguments).max_iter)
+        return int(self.method.estimator(**self.arguments).max_iter)
 
     def learn(
         self,
@@ -77,12 +77,12 @@ class Recipe:
         Raises ValueError for demonstrations that cannot be encoded or learned from.
         """
         space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold)
-        model = self.way.estimator(**self.arguments, manifold=self.encoding.manifold(space))
+        model = self.method.estimator(**self.arguments, manifold=self.encoding.manifold(space))
         model.fit([self.encoding.encode(demonstration, space) for demonstration in demonstrations], progress)
         if dimensions is not None:
             model.dimensions_ = self.encoding.dimensions(dimensions, space)
         model.metadata_ = {
-            KEY: self.way.name,
+            KEY: self.method.name,
             **self.encoding.metadata(),
             "duration_s": float(np.mean([d.times[-1] - d.times[0] for d in demonstrations])),
         }

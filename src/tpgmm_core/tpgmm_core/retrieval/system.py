@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`System`: what ways of retrieval that have a state of their own and go on from step to step have in common."""
+"""`System`: what retrieval methods that have a state of their own and go on from step to step have in common."""
 
 from __future__ import annotations
 
@@ -94,8 +94,8 @@ class System(ABC):
     def speed(self, speed: float) -> None:
         if not (isinstance(speed, int | float) and math.isfinite(speed) and speed >= 0.0):
             raise ValueError(
-                f"the speed is {speed!r}; a system cannot go back to where it came from: give 0 or more, or use a way "
-                "of retrieval over time"
+                f"the speed is {speed!r}; a system cannot go back to where it came from: give 0 or more, or choose "
+                "a retrieval method that is a function of time"
             )
         self._speed = float(speed)
         self._pace.target = self._target()

@@ -13,12 +13,12 @@ from tpgmm_core.kinematics.aims import aim_at_origins
 from tpgmm_core.kinematics.movement import KinematicMovement
 from tpgmm_core.learning.estimation.compiled_em import Progress
 from tpgmm_core.retrieval.interface import Retrieval
-from tpgmm_core.retrieval.ways import KEY
+from tpgmm_core.retrieval.methods import KEY
 from tpgmm_ros.recordings.bags import Recording
 from tpgmm_ros.task.kinematic_section import KinematicSpec
 
-WAY = "kinematic"
-"""What metadata say of these models: the name of the way that leads from them to movements."""
+METHOD = "kinematic"
+"""What metadata say of these models: the name of their retrieval method."""
 
 _SPEC_KEY = "kinematic"
 
@@ -73,13 +73,13 @@ class KinematicRecipe:
         model = TPGMM(**arguments).fit(demonstrations, progress)
         aim_at_origins(model, self.spec.aiming, over_time)
         model.dimensions_ = _dimensions(self.spec, over_time)
-        model.metadata_ = {KEY: WAY, _SPEC_KEY: self.spec.description, "duration_s": duration}
+        model.metadata_ = {KEY: METHOD, _SPEC_KEY: self.spec.description, "duration_s": duration}
         return model
 
 
 def check_model(model: TPGMM, spec: KinematicSpec) -> None:
     """Raises ValueError for a model that was not learned from these frames, and OSError without the robot file."""
-    if model.metadata_.get(KEY) != WAY:
+    if model.metadata_.get(KEY) != METHOD:
         raise ValueError(
             "the model is none of kinematic frames, which the task names: train it again, from joint states"
         )
@@ -94,7 +94,7 @@ def check_model(model: TPGMM, spec: KinematicSpec) -> None:
 def make_movement(
     model: TPGMM,
     spec: KinematicSpec,
-    way: str | None = None,
+    method: str | None = None,
     *,
     duration: float | None = None,
     phase: str = "clock",
@@ -104,12 +104,12 @@ def make_movement(
     """A movement of the model; parameters as for `make_retrieval`, of which it has no `others`.
 
     Raises:
-        ValueError: another way or phase than this kind of model has, or a model that does not fit.
+        ValueError: another method or phase than this kind of model has, or a model that does not fit.
         OSError: the robot file cannot be read.
     """
-    if way is not None or phase != "clock":
+    if method is not None or phase != "clock":
         raise ValueError(
-            f"a model of kinematic frames is reproduced in one way, by the clock; got {shown(way or WAY)} and "
+            f"a model of kinematic frames is reproduced by one method, on the clock; got {shown(method or METHOD)} and "
             f"{shown(phase)}: leave retrieval empty and the phase at 'clock'"
         )
     movement = KinematicMovement(model, spec.frames(), duration=duration)

@@ -10,7 +10,7 @@ from typing import Any
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.common.text import listed, one_line, shown
 from tpgmm_core.geometry.manifold import POSE, Manifold
-from tpgmm_core.retrieval import ways
+from tpgmm_core.retrieval import methods
 from tpgmm_core.retrieval.encodings import encoding_of
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_ros.messages.conversions import TaskFrameState
@@ -25,7 +25,7 @@ def load_task_model(path: str | Path, task: Task) -> TPGMM:
         ValueError: the file is no model, or the model is of something else than the task describes.
         OSError: the file cannot be read.
     """
-    model = ways.load_model(path)
+    model = methods.load_model(path)
     if task.kinematic is not None:
         try:
             kinematic_recipe.check_model(model, task.kinematic)
@@ -48,16 +48,16 @@ def load_task_model(path: str | Path, task: Task) -> TPGMM:
     return model
 
 
-def make_task_retrieval(model: TPGMM, task: Task, way: str | None = None, **settings: Any) -> Retrieval:
-    """A movement of a model that fits the task; settings as for `tpgmm_core.retrieval.ways.make_retrieval`.
+def make_task_retrieval(model: TPGMM, task: Task, method: str | None = None, **settings: Any) -> Retrieval:
+    """A movement of a model that fits the task; settings as for `tpgmm_core.retrieval.methods.make_retrieval`.
 
     Raises:
-        ValueError: a model that does not suit the way, or settings that it cannot have.
+        ValueError: a model that does not suit the method, or settings that it cannot have.
         OSError: the robot file of kinematic frames cannot be read.
     """
     if task.kinematic is not None:
-        return kinematic_recipe.make_movement(model, task.kinematic, way, **settings)
-    return ways.make_retrieval(model, way, **settings)
+        return kinematic_recipe.make_movement(model, task.kinematic, method, **settings)
+    return methods.make_retrieval(model, method, **settings)
 
 
 def state_dimensions(task: Task) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tpgmm_core import TPGMM, Demonstration, Frame
 from tpgmm_core.geometry import quaternion
-from tpgmm_core.retrieval.ways import make_retrieval, way_named, way_of
+from tpgmm_core.retrieval.methods import make_retrieval, method_named, method_of
 from tpgmm_ros.recordings.bag_messages import Array
 from tpgmm_ros.recordings.bags import Recording, align
 
@@ -82,33 +82,33 @@ def cross_validate(
         )
 
 
-def reproduce(model: TPGMM, situation: Demonstration, way: str | None = None, settle: float = 0.0) -> Array:
+def reproduce(model: TPGMM, situation: Demonstration, method: str | None = None, settle: float = 0.0) -> Array:
     """Points (T, D), such as poses, that a model gives at the times and with the frames of a demonstration.
 
-    A way that knows the movement as a function of time is asked for each time in the situation of that time. One that
+    A method that knows the movement as a function of time is asked for each time in the situation then. One that
     has a state of its own is stepped through the times by a robot that is at once where it is to be. As long as no
     frame is visible the movement stays where it starts.
 
     Args:
-        model: of [time, point] as any way encodes it.
+        model: of [time, point] as any method encodes it.
         situation: [time, point], in the space that the model was learned in.
-        way: in place of the model's own.
+        method: in place of the model's own.
         settle: a movement with a state of its own need not be at its end at the last time: it goes on in the last
             situation for this share of the whole time, and then there are more than T points.
     """
-    chosen = way_of(model) if way is None else way_named(way)
+    chosen = method_of(model) if method is None else method_named(method)
     chosen.check(model)
     poses = np.tile(situation.data[0, 1:], (len(situation.times), 1))
-    course = None if chosen.course is None else chosen.course(model)
-    movement = None if course is not None else make_retrieval(model, chosen.name, horizon_steps=0)
+    time_parametrized = None if chosen.time_parametrized is None else chosen.time_parametrized(model)
+    movement = None if time_parametrized is not None else make_retrieval(model, chosen.name, horizon_steps=0)
     pose, former = poses[0], None
     for i, (time, frames) in enumerate(zip(situation.times, _frames_over_time(situation), strict=True)):
         if not frames:
             continue
-        if course is not None:
+        if time_parametrized is not None:
             if frames is not former:
-                course.situate(frames, poses[0])
-            poses[i] = course.at(np.array([time]))[0][0]
+                time_parametrized.situate(frames, poses[0])
+            poses[i] = time_parametrized.at(np.array([time]))[0][0]
         elif movement is not None:
             time_ns = round(1e9 * time)
             if former is None:

@@ -100,7 +100,7 @@ class Movements:
         self.goals.destroy()
 
     def set_speed(self, speed: float) -> None:
-        """Of the movement that goes on, if one does. Raises ValueError for one that its way cannot go."""
+        """Of the movement that goes on, if one does. Raises ValueError for one that its method cannot go."""
         if self.execution is not None and self.execution.stage is not Stage.ENDED:
             self.execution.retrieval.speed = speed
 
@@ -146,13 +146,13 @@ class Movements:
         """Read the model in a file (the one in use where there is none) and make it ready."""
         task, model, known, state = self._task, self._model, self._known, self.state
         settings: dict[str, Any] = {name: self._parameters[name] for name in RETRIEVAL_SETTINGS}
-        way = settings.pop("retrieval") or None
+        method = settings.pop("retrieval") or None
 
         def work() -> Prepared:
             chosen = load_task_model(path, task) if path else model
             if chosen is None:
                 raise ValueError("no model is loaded: name a model file in the goal, or set the parameter model_file")
-            retrieval = make_task_retrieval(chosen, task, way, duration=duration or None, **settings)
+            retrieval = make_task_retrieval(chosen, task, method, duration=duration or None, **settings)
             frames, weights = those_of(retrieval, known)
             knows_robot = state is not None or task.kinematic is None
             if (

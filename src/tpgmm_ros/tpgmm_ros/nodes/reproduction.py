@@ -23,8 +23,8 @@ from tpgmm_core.model.reference import Reference
 from tpgmm_core.observation.streams import Stamp
 from tpgmm_core.observation.tracking import check_pose
 from tpgmm_core.retrieval.execution import ExecutionConfig
+from tpgmm_core.retrieval.methods import METHODS, method_named
 from tpgmm_core.retrieval.phase import PHASES
-from tpgmm_core.retrieval.ways import WAYS, way_named
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions
@@ -60,7 +60,7 @@ PARAMETERS = [
         fixed=True,
     ),
     Declared("rate", 0.0, "References on a timer, Hz; 0: one for each joint state", 0.0, 2000.0, fixed=True),
-    Declared("retrieval", "", f"Way of retrieval: {', '.join(WAYS)}; empty: what the model was learned for"),
+    Declared("retrieval", "", f"Retrieval method: {', '.join(METHODS)}; empty: what the model was learned for"),
     Declared("phase", "clock", f"What the model's time follows: {', '.join(PHASES)}"),
     Declared("speed", 1.0, "1: as learned; 0: pause; less than 0: back", -2.0, 2.0),
     Declared("horizon_steps", 1, "Gaussians ahead in each reference", 0, 50),
@@ -96,10 +96,10 @@ class ReproductionNode(ManagedNode):
 
     def _check(self, values: Mapping[str, Any]) -> None:
         if values["retrieval"]:
-            way_named(values["retrieval"])
+            method_named(values["retrieval"])
         if values["phase"] not in PHASES:
             raise ValueError(f"there is no phase {shown(values['phase'])}; known are {', '.join(PHASES)}")
-        if self.movements is not None:  # last, since it takes effect: only the way itself knows which speeds it can go
+        if self.movements is not None:  # last, since it takes effect: only the method knows which speeds it can go
             self.movements.set_speed(values["speed"])
 
     # -- lifecycle ----------------------------------------------------------------------------------------------------

@@ -14,9 +14,9 @@ from tqdm import tqdm
 
 from tpgmm_core import TPGMM
 from tpgmm_core.common.text import one_line
+from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_core.retrieval.recipe import Recipe
-from tpgmm_core.retrieval.ways import WAYS
-from tpgmm_ros.models.kinematic_recipe import WAY, KinematicRecipe
+from tpgmm_ros.models.kinematic_recipe import METHOD, KinematicRecipe
 from tpgmm_ros.models.validation import Fold, PathErrors, cross_validate, mean_errors
 from tpgmm_ros.programs.reporting import format_table, write_report
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings
@@ -45,7 +45,7 @@ class Training:
     """A fitted model, and what it was fitted to."""
 
     model: TPGMM
-    way: str
+    method: str
     recordings: list[Recording]
     duration_s: float
     time_s: float
@@ -149,9 +149,9 @@ def _train(task: Task, recipe: Recipe | KinematicRecipe, recordings: list[Record
             bar.update()
 
         if isinstance(recipe, KinematicRecipe):
-            model, way = recipe.learn(recordings, duration, progress), WAY
+            model, method = recipe.learn(recordings, duration, progress), METHOD
         else:
-            model, way = recipe.learn(demonstrations, MANIFOLD, DIMENSIONS, progress), recipe.way.name
+            model, method = recipe.learn(demonstrations, MANIFOLD, DIMENSIONS, progress), recipe.method.name
     elapsed = time.perf_counter() - start
     if not np.isfinite(model.log_likelihood_):
         raise TrainingError(
@@ -165,7 +165,7 @@ def _train(task: Task, recipe: Recipe | KinematicRecipe, recordings: list[Record
         "demonstrations": len(recordings),
         "samples": sum(len(recording.times) for recording in recordings),
     }
-    return Training(model, way, recordings, duration, elapsed)
+    return Training(model, method, recordings, duration, elapsed)
 
 
 def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
@@ -173,7 +173,7 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
     report |= {
         "task": task.name,
         "frames": list(task.frames),
-        "retrieval": training.way,
+        "retrieval": training.method,
         "demonstrations": len(durations),
         "samples": sum(len(recording.times) for recording in training.recordings),
         "duration_s": training.duration_s,
@@ -279,9 +279,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--retrieval",
-        choices=WAYS,
-        metavar="WAY",
-        help=f"what the model is for, instead of retrieval of the task file: {', '.join(WAYS)}",
+        choices=METHODS,
+        metavar="METHOD",
+        help=f"what the model is for, instead of retrieval of the task file: {', '.join(METHODS)}",
     )
     parser.add_argument("--seed", type=int, help="seed of random choices, instead of random_state of the task file")
     parser.add_argument(

@@ -9,7 +9,7 @@
       object: {topic: object/pose}           # observed
       robot: {pose: [0, 0, 0, 0, 0, 0, 1]}   # fixed: x y z (m), qx qy qz qw, in base_frame
     tracking: {visible_timeout: 0.25}        # optional, s
-    model: {n_components: 10, init: time}    # optional: the way of retrieval, arguments of its estimator
+    model: {n_components: 10, init: time}    # optional: the retrieval method, arguments of its estimator
     kinematic: {...}                         # optional: frames that move with the robot, see `kinematic_task`
 
 Reading a task file executes nothing and needs no ROS.
@@ -28,8 +28,8 @@ from tpgmm_core.common.text import shown
 from tpgmm_core.learning.covariance.structure import STRUCTURES
 from tpgmm_core.observation.tracking import TrackingConfig
 from tpgmm_core.retrieval.encodings import ENCODINGS
+from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_core.retrieval.recipe import Recipe
-from tpgmm_core.retrieval.ways import WAYS
 from tpgmm_ros.task.kinematic_section import KinematicSpec
 from tpgmm_ros.task.yaml_sections import (
     Section,
@@ -208,7 +208,7 @@ def _tracking(section: Section) -> dict[str, float]:
 
 def _model(section: Section, is_kinematic: bool) -> dict[str, Any]:
     readers: dict[str, Callable[[Any], Any]] = {
-        "retrieval": a_choice(*WAYS),
+        "retrieval": a_choice(*METHODS),
         "n_components": an_integer(1),
         "init": a_choice("time", "kmeans", "bins"),
         "reg_covar": a_number(0.0),
@@ -222,7 +222,7 @@ def _model(section: Section, is_kinematic: bool) -> dict[str, Any]:
         "max_duration": an_integer(1),
         **{item.name: a_number() for encoding in ENCODINGS.values() for item in fields(encoding)},
     }
-    if is_kinematic:  # one way leads from such models to movements, and it needs the covariances as they are
+    if is_kinematic:  # one method leads from such models to movements, and it needs the covariances as they are
         readers = {key: readers[key] for key in inspect.signature(TPGMM).parameters if key in readers}
         del readers["covariance"]
     section.refuse_others(*readers)

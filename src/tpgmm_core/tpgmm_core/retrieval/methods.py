@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ways of retrieval by name: what each learns of demonstrations, with which estimator, and how it is made."""
+"""The retrieval methods by name: what each learns of demonstrations, with which estimator, and how it is made."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 from tpgmm_core.retrieval.trajectory import SmoothTrajectory
 
 KEY = "retrieval"
-"""Of the way, in metadata and settings."""
+"""Of the method, in metadata and settings."""
 
 DEFAULT = "adapt_regress"
-"""The way of models whose metadata name none."""
+"""The method of models whose metadata name none."""
 
 
 SEMI_MARKOV_SAMPLES = 200
@@ -42,8 +42,8 @@ SEMI_MARKOV_SAMPLES = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Way:
-    """A way of retrieval.
+class RetrievalMethod:
+    """A retrieval method.
 
     name : in files and parameters
     encoding : what its models encode
@@ -58,17 +58,17 @@ class Way:
     encoding: type[Encoding]
     options: Mapping[str, float] = field(default_factory=dict)
     estimator: type[TPGMM] = TPGMM
-    course: Callable[[TPGMM], TimeParametrized] | None = None
+    time_parametrized: Callable[[TPGMM], TimeParametrized] | None = None
     movement: Callable[..., Retrieval] | None = None
 
     def check(self, model: TPGMM) -> None:
-        """Raises ValueError for a model that this way cannot retrieve from, with the reason and what to do."""
+        """Raises ValueError for a model that this method cannot retrieve from, with the reason and what to do."""
         found = encoding_of(model)
         if not isinstance(found, self.encoding):
             raise ValueError(
                 f"{self.name} retrieves from models of {self.encoding.description}, and this one encodes "
                 f"{found.description}: train one with 'retrieval: {self.name}', or choose "
-                f"{' or '.join(way.name for way in WAYS.values() if isinstance(found, way.encoding))}"
+                f"{' or '.join(method.name for method in METHODS.values() if isinstance(found, method.encoding))}"
             )
         if not isinstance(model, self.estimator):
             raise ValueError(
@@ -79,19 +79,19 @@ class Way:
 
 def _decay(model: TPGMM, **settings: Any) -> Retrieval:
     encoding = encoding_of(model)
-    assert isinstance(encoding, DecayEncoding) and isinstance(model, GoalTPGMM)  # checked by `Way.check`
+    assert isinstance(encoding, DecayEncoding) and isinstance(model, GoalTPGMM)  # checked by `RetrievalMethod.check`
     return DecayMovement(model, encoding.law, **settings)
 
 
-WAYS: dict[str, Way] = {
-    way.name: way
-    for way in (
-        Way(name="adapt_regress", encoding=TimeEncoding, course=AdaptThenRegress),
-        Way(name="regress_product", encoding=TimeEncoding, course=RegressThenProduct),
-        Way(name="trajectory", encoding=DerivativesEncoding, course=SmoothTrajectory),
-        Way(name="dynamics", encoding=VelocityEncoding, estimator=GoalTPGMM, movement=StableDynamics),
-        Way(name="decay", encoding=DecayEncoding, estimator=GoalTPGMM, movement=_decay),
-        Way(
+METHODS: dict[str, RetrievalMethod] = {
+    method.name: method
+    for method in (
+        RetrievalMethod(name="adapt_regress", encoding=TimeEncoding, time_parametrized=AdaptThenRegress),
+        RetrievalMethod(name="regress_product", encoding=TimeEncoding, time_parametrized=RegressThenProduct),
+        RetrievalMethod(name="trajectory", encoding=DerivativesEncoding, time_parametrized=SmoothTrajectory),
+        RetrievalMethod(name="dynamics", encoding=VelocityEncoding, estimator=GoalTPGMM, movement=StableDynamics),
+        RetrievalMethod(name="decay", encoding=DecayEncoding, estimator=GoalTPGMM, movement=_decay),
+        RetrievalMethod(
             name="semi_markov",
             encoding=TimeEncoding,
             options={"samples": SEMI_MARKOV_SAMPLES},
@@ -102,21 +102,21 @@ WAYS: dict[str, Way] = {
 }
 
 
-def way_named(name: str) -> Way:
-    """Raises ValueError for a name that is none of WAYS."""
-    if name not in WAYS:
-        raise ValueError(f"there is no way of retrieval {shown(name)}; known are {', '.join(WAYS)}")
-    return WAYS[name]
+def method_named(name: str) -> RetrievalMethod:
+    """Raises ValueError for a name that is none of METHODS."""
+    if name not in METHODS:
+        raise ValueError(f"there is no retrieval method {shown(name)}; known are {', '.join(METHODS)}")
+    return METHODS[name]
 
 
-def way_of(model: TPGMM) -> Way:
-    """The way that a model was learned for, as its metadata say. Raises ValueError for one that is not known."""
-    return way_named(str(model.metadata_.get(KEY, DEFAULT)))
+def method_of(model: TPGMM) -> RetrievalMethod:
+    """The method that a model was learned for, as its metadata say. Raises ValueError for one that is not known."""
+    return method_named(str(model.metadata_.get(KEY, DEFAULT)))
 
 
 def make_retrieval(
     model: TPGMM,
-    way: str | None = None,
+    method: str | None = None,
     *,
     duration: float | None = None,
     phase: str = "clock",
@@ -127,14 +127,14 @@ def make_retrieval(
 ) -> Retrieval:
     """A movement that a loop can step through.
 
-    way : one of WAYS; what the model was learned for where None
+    method : one of METHODS; what the model was learned for where None
     duration : of the movement, s; as demonstrated where None
-    phase : one of PHASES: what the model's time follows; for the ways that are a function of time
+    phase : one of PHASES: what the model's time follows; for the methods that are a function of time
     speed, horizon_steps, horizon_time_step (s), blend_time (s) : as for `Reproduction`
 
-    Raises ValueError for a model that does not suit the way, and for settings that it cannot have, with the reason.
+    Raises ValueError for a model that does not suit the method, and for settings that it cannot have, with the reason.
     """
-    chosen = way_of(model) if way is None else way_named(way)
+    chosen = method_of(model) if method is None else method_named(method)
     chosen.check(model)
     if phase not in PHASES:
         raise ValueError(f"there is no phase {shown(phase)}; known are {', '.join(PHASES)}")
@@ -145,13 +145,14 @@ def make_retrieval(
         "blend_time": blend_time,
     }
     retrieval: Retrieval
-    if chosen.course is not None:
-        retrieval = Reproduction(chosen.course(model), phase=PHASES[phase](), **settings)
+    if chosen.time_parametrized is not None:
+        retrieval = Reproduction(chosen.time_parametrized(model), phase=PHASES[phase](), **settings)
     else:
         assert chosen.movement is not None
         if phase != "clock":
+            functions_of_time = [other.name for other in METHODS.values() if other.time_parametrized]
             raise ValueError(
-                f"the phase {shown(phase)} is for {', '.join(w.name for w in WAYS.values() if w.course)}: "
+                f"the phase {shown(phase)} is for {', '.join(functions_of_time)}: "
                 f"{chosen.name} finds out by itself how far the movement is; leave the phase at 'clock'"
             )
         retrieval = chosen.movement(model, **settings)
@@ -160,9 +161,10 @@ def make_retrieval(
 
 
 def load_model(path: str | PathLike[str]) -> TPGMM:
-    """The model in a file, of the class that its way needs; `TPGMM.load` reads all as mixtures.
+    """The model in a file, of the class that its method needs; `TPGMM.load` reads all as mixtures.
 
     Raises ModelFileError for a file that is damaged or no model, OSError for one that cannot be read.
     """
     kind = model_file.read(path).kind
-    return next((way.estimator for way in WAYS.values() if way.estimator.__name__ == kind), TPGMM).load(path)
+    known = (method.estimator for method in METHODS.values() if method.estimator.__name__ == kind)
+    return next(known, TPGMM).load(path)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All ways of retrieval by name: learned, saved, loaded and reproduced alike; what does not fit is refused."""
+"""All retrieval methods by name: learned, saved, loaded and reproduced alike; what does not fit is refused."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from reaching import DURATION, frames_at, place, reaching_demonstrations, reachi
 from tpgmm_core import TPGMM, Demonstration, Frame
 from tpgmm_core.geometry.manifold import POSE, Manifold
 from tpgmm_core.retrieval.encodings import ENCODINGS, TimeEncoding, encoding_of
+from tpgmm_core.retrieval.methods import METHODS, load_model, make_retrieval, method_of
 from tpgmm_core.retrieval.recipe import Recipe
-from tpgmm_core.retrieval.ways import WAYS, load_model, make_retrieval, way_of
 
 MANIFOLD = Manifold.parse("R1 x R3 x S3")
 DIMENSIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -24,8 +24,8 @@ TICK_NS = 10_000_000
 
 
 @cache
-def learned(way: str) -> TPGMM:
-    recipe = Recipe.of({"n_components": 4, "reg_covar": 1e-5, "retrieval": way})
+def learned(method: str) -> TPGMM:
+    recipe = Recipe.of({"n_components": 4, "reg_covar": 1e-5, "retrieval": method})
     return recipe.learn(reaching_demonstrations(20), MANIFOLD, DIMENSIONS)
 
 
@@ -41,12 +41,12 @@ def run(model: TPGMM, seconds: float, **settings: object) -> tuple[np.ndarray, f
     return np.array(path), phase
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_every_way_is_learned_saved_loaded_and_reproduced_to_the_goal(way: str, tmp_path: Path) -> None:
-    learned(way).save(tmp_path / "model.tpgmm")
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_is_learned_saved_loaded_and_reproduced_to_the_goal(method: str, tmp_path: Path) -> None:
+    learned(method).save(tmp_path / "model.tpgmm")
     model = load_model(tmp_path / "model.tpgmm")
-    assert type(model) is WAYS[way].estimator and way_of(model).name == way
-    assert model.metadata_ == learned(way).metadata_ and model.metadata_["duration_s"] == pytest.approx(DURATION)
+    assert type(model) is METHODS[method].estimator and method_of(model).name == method
+    assert model.metadata_ == learned(method).metadata_ and model.metadata_["duration_s"] == pytest.approx(DURATION)
     path, phase = run(model, 1.5 * DURATION)
     assert phase == pytest.approx(1.0, abs=1e-6)
     difference = POSE.log(path[-1], GOAL)
@@ -54,19 +54,19 @@ def test_every_way_is_learned_saved_loaded_and_reproduced_to_the_goal(way: str, 
     assert np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1).max() < 0.03  # demonstrated: 0.0047 per tick
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_every_way_takes_the_duration_that_is_asked_for_and_pauses(way: str) -> None:
-    path, phase = run(learned(way), 1.5 * DURATION, duration=0.5 * DURATION)
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_takes_the_duration_that_is_asked_for_and_pauses(method: str) -> None:
+    path, phase = run(learned(method), 1.5 * DURATION, duration=0.5 * DURATION)
     assert phase == pytest.approx(1.0, abs=1e-6)
     assert np.linalg.norm(path[round(0.8e9 * DURATION) // TICK_NS, :3] - GOAL[:3]) < 0.03
-    paused, phase = run(learned(way), 0.5 * DURATION, speed=0.0)
+    paused, phase = run(learned(method), 0.5 * DURATION, speed=0.0)
     assert phase < 0.2 and np.linalg.norm(paused[-1, :3] - START[:3]) < 0.1
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("steps", [0, 3])
-def test_references_of_every_way_hold_as_many_gaussians_ahead_as_asked_for(way: str, steps: int) -> None:
-    retrieval = make_retrieval(learned(way), horizon_steps=steps, horizon_time_step=0.02)
+def test_references_of_every_method_hold_as_many_gaussians_ahead_as_asked_for(method: str, steps: int) -> None:
+    retrieval = make_retrieval(learned(method), horizon_steps=steps, horizon_time_step=0.02)
     retrieval.start(0, START)
     reference = retrieval.step(TICK_NS, SITUATION, START)
     assert len(reference.horizon) == steps and reference.horizon_time_step == (0.02 if steps else 0.0)
@@ -121,26 +121,26 @@ def test_states_and_durations_are_learned_of_so_many_samples() -> None:
 
 
 def test_a_model_that_says_nothing_is_one_over_time() -> None:
-    assert way_of(reaching_model()).name == "adapt_regress"
+    assert method_of(reaching_model()).name == "adapt_regress"
     assert make_retrieval(reaching_model(), "regress_product").duration == DURATION
 
 
 def test_a_way_named_in_settings_gives_way_to_one_that_is_asked_for() -> None:
-    assert Recipe.of({"retrieval": "decay"}, "trajectory").way.name == "trajectory"
+    assert Recipe.of({"retrieval": "decay"}, "trajectory").method.name == "trajectory"
 
 
 @pytest.mark.parametrize(
-    ("model", "way", "complaint"),
+    ("model", "method", "complaint"),
     [
         ("adapt_regress", "decay", r"decay retrieves from models of \[decay term, attractor\].*\[time, data\].*train"),
         ("decay", "adapt_regress", r"adapt_regress.*'retrieval: adapt_regress', or choose decay"),
         ("adapt_regress", "semi_markov", "semi_markov retrieves from a TPHSMM, and this model is a TPGMM"),
-        ("adapt_regress", "regression", "no way of retrieval 'regression'; known are adapt_regress"),
+        ("adapt_regress", "regression", "no retrieval method 'regression'; known are adapt_regress"),
     ],
 )
-def test_a_model_that_does_not_suit_is_refused_with_the_reason(model: str, way: str, complaint: str) -> None:
+def test_a_model_that_does_not_suit_is_refused_with_the_reason(model: str, method: str, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
-        make_retrieval(learned(model), way)
+        make_retrieval(learned(model), method)
 
 
 def test_a_phase_is_for_functions_of_time_only() -> None:
@@ -153,7 +153,7 @@ def test_a_phase_is_for_functions_of_time_only() -> None:
 @pytest.mark.parametrize(
     ("settings", "complaint"),
     [
-        ({"retrieval": "fortune"}, "no way of retrieval 'fortune'"),
+        ({"retrieval": "fortune"}, "no retrieval method 'fortune'"),
         ({"retrieval": "trajectory", "decay_rate": 3.0}, "decay_rate is no setting of trajectory"),
         ({"max_duration": 30}, "max_duration is no setting of adapt_regress, which has n_components"),
         ({"retrieval": "decay", "stiffness": 0.0}, "stiffness is 0.0, expected 10 to"),
