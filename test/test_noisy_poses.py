@@ -42,7 +42,7 @@ PLACES = {
 DYNAMICS = pytest.mark.xfail(
     reason="it knows no time: a little noise decides when components take over; 0.12 to 5.3 times"
 )
-BY_METHOD = [pytest.param(method, marks=DYNAMICS if method == "dynamics" else []) for method in METHODS]
+BY_METHOD = [pytest.param(method, marks=DYNAMICS if method == "dynamical_system" else []) for method in METHODS]
 
 
 @cache

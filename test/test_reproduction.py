@@ -427,9 +427,9 @@ def test_the_way_of_the_model_in_use_is_changed_during_a_movement(player: Player
     assert set_parameters(player.node, NODE, retrieval="regress_product", phase="arc_length").successful
     changed = load(player, "")
     assert changed.success, changed.reason
-    assert set_parameters(player.node, NODE, retrieval="dynamics").successful
+    assert set_parameters(player.node, NODE, retrieval="dynamical_system").successful
     refused = load(player, "")
-    assert not refused.success and "'retrieval: dynamics'" in refused.reason
+    assert not refused.success and "'retrieval: dynamical_system'" in refused.reason
     assert set_parameters(player.node, NODE, retrieval="", phase="clock").successful
     status, result = player.result(handle)
     assert status == GoalStatus.STATUS_SUCCEEDED and result.success
@@ -445,9 +445,9 @@ def test_a_bad_model_is_refused_and_the_movement_goes_on_with_the_old_one(
     for path in (foreign, tmp_path / "nowhere.tpgmm"):
         refused = load(player, path)
         assert not refused.success and path.name in refused.reason
-    assert set_parameters(player.node, NODE, retrieval="decay").successful
+    assert set_parameters(player.node, NODE, retrieval="dmp").successful
     refused = load(player, models / "trajectory.tpgmm")
-    assert not refused.success and "decay retrieves from" in refused.reason
+    assert not refused.success and "dmp retrieves from" in refused.reason
     assert set_parameters(player.node, NODE, retrieval="").successful
     status, result = player.result(handle)
     assert status == GoalStatus.STATUS_SUCCEEDED and result.success
@@ -455,7 +455,7 @@ def test_a_bad_model_is_refused_and_the_movement_goes_on_with_the_old_one(
 
 def test_a_way_that_the_model_does_not_suit_aborts_the_goal_with_the_reason(player: Player) -> None:
     for values, complaint in (
-        ({"retrieval": "dynamics"}, "train one with 'retrieval: dynamics'"),
+        ({"retrieval": "dynamical_system"}, "train one with 'retrieval: dynamical_system'"),
         ({"retrieval": "", "speed": -3.0}, None),
     ):
         result = set_parameters(player.node, NODE, **values)

@@ -82,8 +82,8 @@ def test_a_mapping_that_is_written_to_is_another_situation(method: str) -> None:
 
 
 FALLS_SHORT = {
-    ("dynamics", "planar"): "its covariance depends on where the robot is, which a goal that trembles moves",
-    ("dynamics", "poses"): "its covariance depends on where the robot is, which a goal that trembles moves",
+    ("dynamical_system", "planar"): "its covariance depends on where the robot is, which a goal that trembles moves",
+    ("dynamical_system", "poses"): "its covariance depends on where the robot is, which a goal that trembles moves",
     ("semi_markov", "planar"): "changed frames shift the path in time by about half a sample, 5.5 mm at this speed",
 }
 """Where the bounds do not hold, and why; `docs/retrieval.md` has the figures."""
@@ -131,8 +131,8 @@ LAGS = {
     "adapt_regress": 0.30,
     "regress_product": 0.30,
     "trajectory": 0.30,
-    "decay": 0.20,
-    "dynamics": 0.41,
+    "dmp": 0.20,
+    "dynamical_system": 0.41,
     "semi_markov": 0.15,
 }
 """s, of a movement of 2 s with a blend_time of 0.15 s: what the pages say."""

@@ -85,7 +85,7 @@ def test_an_encoding_names_all_dimensions_and_survives_the_metadata(encoding: ty
 
 
 def test_options_of_an_encoding_are_kept_with_the_model() -> None:
-    recipe = Recipe.of({"retrieval": "decay", "decay_rate": 2.0, "window": 5, "n_components": 3})
+    recipe = Recipe.of({"retrieval": "dmp", "decay_rate": 2.0, "window": 5, "n_components": 3})
     model = recipe.learn(reaching_demonstrations(), MANIFOLD)
     assert encoding_of(model) == recipe.encoding and model.metadata_["encoding.decay_rate"] == 2.0
     model.metadata_["encoding.decay_rate"] = -1.0
@@ -126,14 +126,14 @@ def test_a_model_that_says_nothing_is_one_over_time() -> None:
 
 
 def test_a_way_named_in_settings_gives_way_to_one_that_is_asked_for() -> None:
-    assert Recipe.of({"retrieval": "decay"}, "trajectory").method.name == "trajectory"
+    assert Recipe.of({"retrieval": "dmp"}, "trajectory").method.name == "trajectory"
 
 
 @pytest.mark.parametrize(
     ("model", "method", "complaint"),
     [
-        ("adapt_regress", "decay", r"decay retrieves from models of \[decay term, attractor\].*\[time, data\].*train"),
-        ("decay", "adapt_regress", r"adapt_regress.*'retrieval: adapt_regress', or choose decay"),
+        ("adapt_regress", "dmp", r"dmp retrieves from models of \[decay term, attractor\].*\[time, data\].*train"),
+        ("dmp", "adapt_regress", r"adapt_regress.*'retrieval: adapt_regress', or choose dmp"),
         ("adapt_regress", "semi_markov", "semi_markov retrieves from a TPHSMM, and this model is a TPGMM"),
         ("adapt_regress", "regression", "no retrieval method 'regression'; known are adapt_regress"),
     ],
@@ -144,8 +144,8 @@ def test_a_model_that_does_not_suit_is_refused_with_the_reason(model: str, metho
 
 
 def test_a_phase_is_for_functions_of_time_only() -> None:
-    with pytest.raises(ValueError, match="'arc_length' is for adapt_regress, regress_product, trajectory: decay"):
-        make_retrieval(learned("decay"), phase="arc_length")
+    with pytest.raises(ValueError, match="'arc_length' is for adapt_regress, regress_product, trajectory: dmp"):
+        make_retrieval(learned("dmp"), phase="arc_length")
     with pytest.raises(ValueError, match="no phase 'moon'; known are clock"):
         make_retrieval(learned("adapt_regress"), phase="moon")
 
@@ -156,7 +156,7 @@ def test_a_phase_is_for_functions_of_time_only() -> None:
         ({"retrieval": "fortune"}, "no retrieval method 'fortune'"),
         ({"retrieval": "trajectory", "decay_rate": 3.0}, "decay_rate is no setting of trajectory"),
         ({"max_duration": 30}, "max_duration is no setting of adapt_regress, which has n_components"),
-        ({"retrieval": "decay", "stiffness": 0.0}, "stiffness is 0.0, expected 10 to"),
+        ({"retrieval": "dmp", "stiffness": 0.0}, "stiffness is 0.0, expected 10 to"),
     ],
 )
 def test_a_recipe_says_what_does_not_fit(settings: dict[str, object], complaint: str) -> None:

@@ -17,7 +17,7 @@ from tpgmm_core.kinematics.tasks import compile_kernels
 from tpgmm_core.learning.ends import GoalTPGMM
 from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
-from tpgmm_core.retrieval.dynamics import StableDynamics
+from tpgmm_core.retrieval.dynamical_system import StableDynamics
 from tpgmm_core.retrieval.regression import RegressThenProduct
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 from tpgmm_core.retrieval.trajectory import TrajectoryModel

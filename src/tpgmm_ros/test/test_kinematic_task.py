@@ -57,7 +57,7 @@ def test_levels_and_postures_are_frames_and_say_what_they_aim_at() -> None:
         ("postures", "  postures: [bar]", "a list of lists of tasks"),
         ("joints", "  joints: []", "joints or groups of joints"),
         ("threshold", "  thresold: 0.1", "did you mean 'threshold'"),
-        ("model", "model: {retrieval: decay}", "unknown key 'retrieval'"),
+        ("model", "model: {retrieval: dmp}", "unknown key 'retrieval'"),
     ],
 )
 def test_what_does_not_describe_kinematic_frames_is_refused_with_what_was_expected(
@@ -157,7 +157,7 @@ def test_a_model_fits_the_task_that_it_was_learned_for_and_no_other(tmp_path: Pa
     for name in ("one", "other"):
         write_bag(tmp_path / "bags" / name, task)
     arguments = ["--task", str(TASK_FILE), "--output", str(path), str(tmp_path / "bags")]
-    assert train.main([*arguments, "--retrieval", "decay"]) == 1
+    assert train.main([*arguments, "--retrieval", "dmp"]) == 1
     assert train.main([*arguments, "--every", "3"]) == 0
     model = load_task_model(path, task)
     assert model.dimensions_ == task.kinematic.joint_names()  # type: ignore[union-attr]
@@ -165,7 +165,7 @@ def test_a_model_fits_the_task_that_it_was_learned_for_and_no_other(tmp_path: Pa
     assert np.abs(model.means_["bar"]).max() > 0.1
     movement = make_task_retrieval(model, task)
     assert movement.frame_names == ("left_target", "right_target") and movement.manifold.dim == 14
-    for settings in ({"method": "decay"}, {"phase": "state"}):
+    for settings in ({"method": "dmp"}, {"phase": "state"}):
         with pytest.raises(ValueError, match="by one method, on the clock"):
             make_task_retrieval(model, task, **settings)  # type: ignore[arg-type]
     other = Task.from_text(text(together="    together: [[left, right]]"))

@@ -8,7 +8,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tpgmm_core.common.old_names import RENAMED
 from tpgmm_core.common.safe_yaml import MAX_BYTES
+from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_ros.task.task_file import Task, TaskError, TaskFrameSpec
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
@@ -40,6 +42,12 @@ def test_a_task_file_is_read() -> None:
     assert task.topics == {"object": "object/pose"}
     assert task.tracking == {"visible_timeout": 0.25}
     assert task.model == {"n_components": 5, "reg_covar": 1e-6, "init": "time"}
+
+
+def test_names_of_earlier_versions_are_read_as_the_present_ones() -> None:
+    for old, new in RENAMED.items():
+        if new in METHODS:
+            assert Task.from_text(changed(model={"retrieval": old})).model == {"retrieval": new}
 
 
 def test_tracking_and_model_may_be_left_out() -> None:
@@ -111,7 +119,7 @@ def test_a_missing_key_is_named(key: str) -> None:
             changed(model={"decay_rate": 2.0}),
             "'model' does not fit together: decay_rate is no setting of adapt_regress",
         ),
-        (changed(model={"retrieval": "decay", "stiffness": 0}), "stiffness is 0.0, expected 10 to 10000"),
+        (changed(model={"retrieval": "dmp", "stiffness": 0}), "stiffness is 0.0, expected 10 to 10000"),
         ("on: 1", "quote them"),
         ("name: a\nname: b", "stands here twice"),
         ("a: &x 1\nb: *x", "aliases"),

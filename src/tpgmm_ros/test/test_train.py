@@ -114,12 +114,12 @@ def test_every_retrieval_method_is_trained_and_reproduces_what_was_left_out(
 
 def test_the_way_of_the_task_file_is_taken_unless_another_is_asked_for(bags: Path, tmp_path: Path) -> None:
     task = tmp_path / "task.yaml"
-    task.write_text(REACH_TASK.replace("model: {", "model: {retrieval: decay, stiffness: 300, "))
-    for arguments, method in (([], "decay"), (["--retrieval", "trajectory"], None)):
+    task.write_text(REACH_TASK.replace("model: {", "model: {retrieval: dmp, stiffness: 300, "))
+    for arguments, method in (([], "dmp"), (["--retrieval", "trajectory"], None)):
         status = main(["--task", str(task), "--output", str(tmp_path / "model"), "--every", "3", *arguments, str(bags)])
         assert (status == 0) == (method is not None), "the stiffness of a spring is nothing for trajectories"
     model = TPGMM.load(tmp_path / "model")
-    assert model.metadata_["retrieval"] == "decay" and model.metadata_["encoding.stiffness"] == 300.0
+    assert model.metadata_["retrieval"] == "dmp" and model.metadata_["encoding.stiffness"] == 300.0
 
 
 def test_leave_one_out_reports_every_demonstration(

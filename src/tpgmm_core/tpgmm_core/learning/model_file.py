@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from tpgmm_core.common.atomic_file import write_atomically
+from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.text import one_line, shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
@@ -229,7 +230,7 @@ def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
         dimensions=None if dimensions is None else tuple(dimensions),
         metadata=dict(header["metadata"]),
         frames=frames,
-        kind=str(header.get("kind", "TPGMM")),
+        kind=current_name(str(header.get("kind", "TPGMM"))),
         more={key.removeprefix("more_"): _numbers(arrays, key) for key in arrays if key.startswith("more_")},
     )
 

@@ -14,14 +14,15 @@ from typing import ClassVar
 
 import numpy as np
 
+from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.settings import check_settings, configured, setting
 from tpgmm_core.common.text import shown
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
-from tpgmm_core.retrieval.decay import DecayLaw
+from tpgmm_core.retrieval.dmp import DmpParameters
 from tpgmm_core.retrieval.dynamic_features import manifold_with_derivatives, with_derivatives
-from tpgmm_core.retrieval.dynamics import with_velocity
+from tpgmm_core.retrieval.dynamical_system import with_velocity
 
 _WINDOW = "Samples of the parabolas that derivatives are taken from; odd"
 _KEY = "encoding"
@@ -112,10 +113,10 @@ class DerivativesEncoding(Encoding):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DecayEncoding(Encoding):
-    """[s, attractor] of a spring-damper, by `DecayLaw.encode`."""
+class DmpEncoding(Encoding):
+    """[s, attractor] of a spring-damper, by `DmpParameters.encode`."""
 
-    name: ClassVar[str] = "decay"
+    name: ClassVar[str] = "dmp"
     init: ClassVar[str | None] = "bins"  # s is not even in time
     description: ClassVar[str] = "[decay term, attractor]"
     decay_rate: float = setting(3.0, 0.1, 20.0, "The decay term falls to exp(-decay_rate) within the duration")
@@ -123,12 +124,12 @@ class DecayEncoding(Encoding):
     window: float = setting(9, 3, 999, _WINDOW)
 
     @property
-    def law(self) -> DecayLaw:
+    def parameters(self) -> DmpParameters:
         """The numbers that encoding and reproduction have in common."""
-        return DecayLaw(decay_rate=self.decay_rate, stiffness=self.stiffness)
+        return DmpParameters(decay_rate=self.decay_rate, stiffness=self.stiffness)
 
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
-        return self.law.encode(demonstration, manifold, int(self.window))
+        return self.parameters.encode(demonstration, manifold, int(self.window))
 
     def manifold(self, manifold: Manifold) -> Manifold:
         return manifold
@@ -158,7 +159,7 @@ class VelocityEncoding(Encoding):
 
 
 ENCODINGS: dict[str, type[Encoding]] = {
-    encoding.name: encoding for encoding in (TimeEncoding, DerivativesEncoding, DecayEncoding, VelocityEncoding)
+    encoding.name: encoding for encoding in (TimeEncoding, DerivativesEncoding, DmpEncoding, VelocityEncoding)
 }
 
 
@@ -168,11 +169,11 @@ def encoding_of(model: TPGMM) -> Encoding:
     Raises ValueError for an encoding that is not known, or options that do not fit it.
     """
     metadata: Mapping[str, str | float] = model.metadata_
-    name = metadata.get(_KEY, TimeEncoding.name)
+    name = current_name(str(metadata.get(_KEY, TimeEncoding.name)))
     if name not in ENCODINGS:
         raise ValueError(f"the model encodes {shown(name)}, known are {', '.join(ENCODINGS)}: train it again")
     options = {key.removeprefix(f"{_KEY}."): value for key, value in metadata.items() if key.startswith(f"{_KEY}.")}
-    return configured(ENCODINGS[str(name)], options)
+    return configured(ENCODINGS[name], options)
 
 
 def _data(manifold: Manifold) -> Manifold:

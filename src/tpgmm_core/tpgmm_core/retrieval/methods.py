@@ -8,16 +8,17 @@ from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any
 
+from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.text import shown
 from tpgmm_core.learning import model_file
 from tpgmm_core.learning.ends import GoalTPGMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
 from tpgmm_core.learning.tpgmm import TPGMM
-from tpgmm_core.retrieval.decay import DecayMovement
-from tpgmm_core.retrieval.dynamics import StableDynamics
+from tpgmm_core.retrieval.dmp import DynamicMovementPrimitive
+from tpgmm_core.retrieval.dynamical_system import StableDynamics
 from tpgmm_core.retrieval.encodings import (
-    DecayEncoding,
     DerivativesEncoding,
+    DmpEncoding,
     Encoding,
     TimeEncoding,
     VelocityEncoding,
@@ -77,10 +78,10 @@ class RetrievalMethod:
             )
 
 
-def _decay(model: TPGMM, **settings: Any) -> Retrieval:
+def _dmp(model: TPGMM, **settings: Any) -> Retrieval:
     encoding = encoding_of(model)
-    assert isinstance(encoding, DecayEncoding) and isinstance(model, GoalTPGMM)  # checked by `RetrievalMethod.check`
-    return DecayMovement(model, encoding.law, **settings)
+    assert isinstance(encoding, DmpEncoding) and isinstance(model, GoalTPGMM)  # checked by `RetrievalMethod.check`
+    return DynamicMovementPrimitive(model, encoding.parameters, **settings)
 
 
 METHODS: dict[str, RetrievalMethod] = {
@@ -89,8 +90,10 @@ METHODS: dict[str, RetrievalMethod] = {
         RetrievalMethod(name="adapt_regress", encoding=TimeEncoding, time_parametrized=AdaptThenRegress),
         RetrievalMethod(name="regress_product", encoding=TimeEncoding, time_parametrized=RegressThenProduct),
         RetrievalMethod(name="trajectory", encoding=DerivativesEncoding, time_parametrized=SmoothTrajectory),
-        RetrievalMethod(name="dynamics", encoding=VelocityEncoding, estimator=GoalTPGMM, movement=StableDynamics),
-        RetrievalMethod(name="decay", encoding=DecayEncoding, estimator=GoalTPGMM, movement=_decay),
+        RetrievalMethod(
+            name="dynamical_system", encoding=VelocityEncoding, estimator=GoalTPGMM, movement=StableDynamics
+        ),
+        RetrievalMethod(name="dmp", encoding=DmpEncoding, estimator=GoalTPGMM, movement=_dmp),
         RetrievalMethod(
             name="semi_markov",
             encoding=TimeEncoding,
@@ -103,10 +106,11 @@ METHODS: dict[str, RetrievalMethod] = {
 
 
 def method_named(name: str) -> RetrievalMethod:
-    """Raises ValueError for a name that is none of METHODS."""
-    if name not in METHODS:
+    """Raises ValueError for a name that is none of METHODS, and was none in an earlier version (`old_names`)."""
+    current = current_name(name)
+    if current not in METHODS:
         raise ValueError(f"there is no retrieval method {shown(name)}; known are {', '.join(METHODS)}")
-    return METHODS[name]
+    return METHODS[current]
 
 
 def method_of(model: TPGMM) -> RetrievalMethod:

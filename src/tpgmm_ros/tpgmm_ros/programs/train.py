@@ -13,6 +13,7 @@ import numpy as np
 from tqdm import tqdm
 
 from tpgmm_core import TPGMM
+from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.text import one_line
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_core.retrieval.recipe import Recipe
@@ -28,7 +29,7 @@ examples:
   train --task config/pick_place.yaml --output pick_place.tpgmm bags/
   train --task config/pick_place.yaml --output pick_place.tpgmm --report out/train demo_1 demo_2 demo_3
   train --task config/pick_place.yaml --leave-one-out bags/          (only measures, saves no model)
-  train --task config/pick_place.yaml --output decay.tpgmm --retrieval decay bags/
+  train --task config/pick_place.yaml --output dmp.tpgmm --retrieval dmp bags/
   train --task config/pick_place.yaml --output few.tpgmm --components 4 --every 5 --skip-bad bags/
 
 exit status: 0 the model was trained and saved; 1 it was not, the reason is on stderr; 2 wrong arguments;
@@ -279,6 +280,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--retrieval",
+        type=current_name,
         choices=METHODS,
         metavar="METHOD",
         help=f"what the model is for, instead of retrieval of the task file: {', '.join(METHODS)}",

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from tpgmm_core import TPGMM
+from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.safe_yaml import YamlError, load_yaml, parse_yaml
 from tpgmm_core.common.settings import configured
 from tpgmm_core.common.text import shown
@@ -208,7 +209,7 @@ def _tracking(section: Section) -> dict[str, float]:
 
 def _model(section: Section, is_kinematic: bool) -> dict[str, Any]:
     readers: dict[str, Callable[[Any], Any]] = {
-        "retrieval": a_choice(*METHODS),
+        "retrieval": _retrieval_method,
         "n_components": an_integer(1),
         "init": a_choice("time", "kmeans", "bins"),
         "reg_covar": a_number(0.0),
@@ -232,6 +233,11 @@ def _model(section: Section, is_kinematic: bool) -> dict[str, Any]:
     except ValueError as error:
         raise section.error(f"does not fit together: {error}") from error
     return values
+
+
+def _retrieval_method(value: Any) -> str:
+    """The method's present name; files of earlier versions may have an older one."""
+    return str(a_choice(*METHODS)(current_name(value) if isinstance(value, str) else value))
 
 
 def _frame_id(value: Any) -> str:

@@ -15,10 +15,10 @@ from tpgmm_core.geometry import quaternion
 from tpgmm_core.learning.ends import GoalTPGMM
 from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.model.reference import Reference
-from tpgmm_core.retrieval.decay import DecayLaw, DecayMovement
+from tpgmm_core.retrieval.dmp import DmpParameters, DynamicMovementPrimitive
 from worlds import DURATION, assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world
 
-LAW = DecayLaw()
+LAW = DmpParameters()
 POSES = "R1 x R3 x S3"
 
 
@@ -53,7 +53,7 @@ def pose_demonstrations() -> tuple[Demonstration, ...]:
 
 
 def run(
-    system: DecayMovement,
+    system: DynamicMovementPrimitive,
     frames: dict[str, Frame],
     seconds: float,
     dt: float = 0.01,
@@ -64,15 +64,17 @@ def run(
     return [system.step(round(1e9 * dt * (begin + i + 1)), frames, robot) for i in range(round(seconds / dt))]
 
 
-def started(model: GoalTPGMM, duration: float, start: Array | list[float] | None, **settings: float) -> DecayMovement:
-    system = DecayMovement(model, LAW, duration=duration, **settings)
+def started(
+    model: GoalTPGMM, duration: float, start: Array | list[float] | None, **settings: float
+) -> DynamicMovementPrimitive:
+    system = DynamicMovementPrimitive(model, LAW, duration=duration, **settings)
     system.start(0, start)
     return system
 
 
 def begun(
     model: GoalTPGMM, duration: float, start: Array | list[float] | None, frames: dict[str, Frame]
-) -> DecayMovement:
+) -> DynamicMovementPrimitive:
     """With a step at time 0."""
     system = started(model, duration, start)
     system.step(0, frames)
@@ -239,7 +241,7 @@ def test_the_horizon_is_what_comes() -> None:
 
 
 def test_references_without_a_horizon() -> None:
-    system = DecayMovement(planar_model(), LAW, horizon_steps=0)
+    system = DynamicMovementPrimitive(planar_model(), LAW, horizon_steps=0)
     system.start(0)
     reference = system.step(0, planar_situation())
     assert reference.horizon == () and reference.horizon_time_step == 0.0
@@ -263,32 +265,32 @@ def test_any_time_step_is_stable() -> None:
 
 
 def test_model_files_know_the_goal(tmp_path: Path) -> None:
-    planar_model().save(tmp_path / "decay.tpgmm")
-    loaded = GoalTPGMM.load(tmp_path / "decay.tpgmm")
+    planar_model().save(tmp_path / "dmp.tpgmm")
+    loaded = GoalTPGMM.load(tmp_path / "dmp.tpgmm")
     frames = planar_situation()
     one, other = (begun(model, 2.0, None, frames).goal(frames) for model in (planar_model(), loaded))
     np.testing.assert_array_equal(one.mean, other.mean)
     np.testing.assert_array_equal(one.covariance, other.covariance)
     with pytest.raises(ValueError, match="holds a GoalTPGMM"):
-        TPHMM.load(tmp_path / "decay.tpgmm")
+        TPHMM.load(tmp_path / "dmp.tpgmm")
 
 
 def test_bad_input_is_refused_with_the_reason() -> None:
     for name in ("decay_rate", "stiffness"):
         for value in (0.0, -1.0, np.nan, np.inf):
             with pytest.raises(ValueError, match=name):
-                DecayLaw(**{name: value})
+                DmpParameters(**{name: value})
     for duration in (0.0, np.nan):
         with pytest.raises(ValueError, match="duration"):
-            DecayMovement(planar_model(), LAW, duration=duration)
+            DynamicMovementPrimitive(planar_model(), LAW, duration=duration)
     for name, wrong in (("wait_distance", 0.0), ("goal_from", 1.0), ("horizon_time_step", -1.0), ("blend_time", 0.0)):
         with pytest.raises(ValueError, match=name):
-            DecayMovement(planar_model(), LAW, **{name: wrong})
+            DynamicMovementPrimitive(planar_model(), LAW, **{name: wrong})
     with pytest.raises(ValueError, match="duration_s"):
-        DecayMovement(pose_model(), LAW)
+        DynamicMovementPrimitive(pose_model(), LAW)
     with pytest.raises(ValueError, match="GoalTPGMM"):
-        DecayMovement(reaching_model(), LAW)  # type: ignore[arg-type]
-    system = DecayMovement(planar_model(), LAW)
+        DynamicMovementPrimitive(reaching_model(), LAW)  # type: ignore[arg-type]
+    system = DynamicMovementPrimitive(planar_model(), LAW)
     with pytest.raises(ValueError, match="start"):
         system.step(0, planar_situation())
     with pytest.raises(ValueError, match="no step"):

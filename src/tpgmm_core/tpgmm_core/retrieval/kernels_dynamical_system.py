@@ -112,7 +112,7 @@ def distance(e: Array, metric: Array) -> float:
 
 @compiled
 def shrink_rate(d: float, law: Array) -> float:
-    """rho(d) / d, the least rate at which distances fall: see `dynamics`."""
+    """rho(d) / d, the least rate at which distances fall: see `dynamical_system`."""
     rate, goal_rate, reach, top_speed = law[0], law[1], law[2], law[3]
     return min(min(rate * (reach / d) ** (1.0 / 3.0), goal_rate), top_speed / d)
 
@@ -132,7 +132,7 @@ def stable_velocity(
 ) -> None:  # fmt: skip
     """The regressed velocity and the corrected one (n,) at x, in a ball of this radius about the goal.
 
-    law : rate, goal_rate, reach, top_speed, detour, goal_radius: see `dynamics`. e (n,) becomes log_goal(x).
+    law : rate, goal_rate, reach, top_speed, detour, goal_radius: see `dynamical_system`. e (n,) becomes log_goal(x).
     """
     goal_rate, top_speed, detour, goal_radius = law[1], law[3], law[4], law[5]
     n = len(v)

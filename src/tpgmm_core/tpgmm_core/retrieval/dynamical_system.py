@@ -27,7 +27,8 @@ add up (input-to-state stability), not even those of a goal that trembles.
 *Proof.* The laws in rho are solved exactly, each alone; what falls by their minimum is never below any of the three.
 A step of x that ends outside of the ball is brought to the ball's nearest point. The bound holds after each step by
 construction, no integration error enters. On S³, where opposite points are half a turn away, every way from there is
-down. Tests check the bound at every step, on random models, starts and time steps (`test_retrieval_dynamics.py`).
+down. Tests check the bound at every step, on random models, starts and time steps
+(`test_retrieval_dynamical_system.py`).
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ from tpgmm_core.learning.ends import BEGIN, END, GoalTPGMM
 from tpgmm_core.model.adaptation import Adapter
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.situation import Situation
-from tpgmm_core.retrieval import kernels_dynamics as kernels
+from tpgmm_core.retrieval import kernels_dynamical_system as kernels
 from tpgmm_core.retrieval.differences import derivatives
 from tpgmm_core.retrieval.frames import without_time
 from tpgmm_core.retrieval.interface import demonstrated_duration

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dynamical movement primitives in their probabilistic form (end of Section 3; Ijspeert et al. 2013).
+"""Dynamic movement primitives in their probabilistic form (end of Section 3; Ijspeert et al. 2013).
 
 A spring-damper is pulled to an attractor, whose path is learned over a decay term s instead of time:
 
@@ -41,7 +41,7 @@ MAX_STEPS = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DecayLaw:
+class DmpParameters:
     """The numbers that encoding and reproduction have in common.
 
     decay_rate : s falls to exp(-decay_rate) within the duration
@@ -83,10 +83,10 @@ class DecayLaw:
         return Demonstration(times, np.column_stack([decay, attractor]), demonstration.frames, demonstration.visible)
 
 
-class DecayMovement(System):
+class DynamicMovementPrimitive(System):
     """Reproduces a model of the attractor over the decay term.
 
-    model : fitted to what `law.encode` returns; init="bins" of `TPGMM` suits, since s is not even in time. Other
+    model : fitted to what `parameters.encode` returns; init="bins" of `TPGMM` suits, since s is not even in time. Other
         parameters as for `System`
     goal_from : phase from where on the attractor passes over to the goal, smoothly; at 1 the model has the last word
     wait_distance : m, or the unit of the data; an angle counts as its arc at metres_per_radian. With the robot that far
@@ -105,7 +105,7 @@ class DecayMovement(System):
     def __init__(
         self,
         model: GoalTPGMM,
-        law: DecayLaw,
+        parameters: DmpParameters,
         *,
         duration: float | None = None,
         horizon_steps: int = 2,
@@ -122,8 +122,8 @@ class DecayMovement(System):
         positive(wait_distance=wait_distance, metres_per_radian=metres_per_radian)
         if not 0.0 <= goal_from < 1.0:
             raise ValueError(f"goal_from is a phase from 0, below 1, got {goal_from!r}")
-        self.law, self.goal_from = law, goal_from
-        self._rate = math.sqrt(law.stiffness)
+        self.parameters, self.goal_from = parameters, goal_from
+        self._rate = math.sqrt(parameters.stiffness)
         self._scale = np.full(points.tangent_dim, 1.0 / wait_distance)
         for s in points.spheres:
             self._scale[s.tangent] = metres_per_radian / wait_distance
@@ -178,7 +178,9 @@ class DecayMovement(System):
 
     def _attractors(self, own: Array) -> tuple[list[Array], Array, Array]:
         """Means and covariances of the attractor at own times (H,), and the activations (K,) at the first."""
-        means, covariances, activations = self._adapter.condition(np.exp(-self.law.decay_rate * np.minimum(own, 1.0)))
+        means, covariances, activations = self._adapter.condition(
+            np.exp(-self.parameters.decay_rate * np.minimum(own, 1.0))
+        )
         shares = np.clip((own - self.goal_from) / (1.0 - self.goal_from), 0.0, 1.0)
         shares = shares * shares * (3.0 - 2.0 * shares)
         attractors = list(means)

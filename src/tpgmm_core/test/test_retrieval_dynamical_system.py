@@ -16,7 +16,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.learning.ends import END, GoalTPGMM
 from tpgmm_core.model.reference import Reference
-from tpgmm_core.retrieval.dynamics import Convergence, StableDynamics, with_velocity
+from tpgmm_core.retrieval.dynamical_system import Convergence, StableDynamics, with_velocity
 from worlds import DURATION, assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world
 
 SPACES = {"plane": "R2", "poses": "R3 x S3"}
@@ -394,10 +394,11 @@ def test_what_no_frame_sees_ends_is_learned_from_all_that_it_saw() -> None:
 
 
 def test_model_files_know_the_goal(tmp_path: Path) -> None:
-    pose_model().save(tmp_path / "dynamics.tpgmm")
+    pose_model().save(tmp_path / "dynamical_system.tpgmm")
     frames = dict(pose_demonstrations()[0].frames)
     one, other = (
-        StableDynamics(model).goal(frames) for model in (pose_model(), GoalTPGMM.load(tmp_path / "dynamics.tpgmm"))
+        StableDynamics(model).goal(frames)
+        for model in (pose_model(), GoalTPGMM.load(tmp_path / "dynamical_system.tpgmm"))
     )
     np.testing.assert_array_equal(one.mean, other.mean)
     np.testing.assert_array_equal(one.covariance, other.covariance)

@@ -1,0 +1,18 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names that task files and model files of earlier versions hold, and what they are called now.
+
+Whatever reads a name of a retrieval method, of an encoding or of a kind of model out of a file or a parameter takes it
+through `current_name`, so that old files go on working. New files hold the new names alone.
+"""
+
+from __future__ import annotations
+
+RENAMED = {
+    "decay": "dmp",  # retrieval method, and the encoding of its models
+    "dynamics": "dynamical_system",  # retrieval method
+}
+
+
+def current_name(name: str) -> str:
+    """The present name of what `name` called in an earlier version; the name itself where it has not changed."""
+    return RENAMED.get(name, name)
