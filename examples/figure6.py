@@ -28,12 +28,12 @@ from numpy.typing import NDArray  # noqa: E402
 from benchmarks.report import Row, progress, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Frame  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
-from tpgmm_core.kinematics.aims import aim_at_origins  # noqa: E402
 from tpgmm_core.kinematics.chains import PlanarRobot, planar_bimanual  # noqa: E402
 from tpgmm_core.kinematics.frames import PreviousConfiguration  # noqa: E402
 from tpgmm_core.kinematics.hierarchy import hierarchy_frames  # noqa: E402
 from tpgmm_core.kinematics.inverse import damped_pseudo_inverse, null_space  # noqa: E402
 from tpgmm_core.kinematics.moving import ConfigurationProduct, MovingFrames  # noqa: E402
+from tpgmm_core.kinematics.object_targets import target_object_origins  # noqa: E402
 from tpgmm_core.kinematics.tasks import KinematicTask  # noqa: E402
 
 HANDS = ("left", "right")
@@ -153,7 +153,7 @@ def learned(frames: MovingFrames, movements: Sequence[Movement]) -> TPGMM:
     """One Gaussian in each frame, about the objects."""
     times = np.linspace(0.0, DURATION, STEPS)
     model = TPGMM(1, reg_covar=1e-6).fit([frames.demonstration(times, m.q, as_frames(m.objects)) for m in movements])
-    aim_at_origins(model, model.frame_names_)
+    target_object_origins(model, model.frame_names_)
     return model
 
 

@@ -17,12 +17,12 @@ from sklearn.utils.validation import check_is_fitted
 from tpgmm_core import TPGMM
 from tpgmm_core.learning.dirichlet import DirichletTPGMM
 from tpgmm_core.learning.dp_means import DPMeans
-from tpgmm_core.learning.ends import GoalTPGMM
+from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
 from tpgmm_core.learning.incremental.online import OnlineTPGMM
 
-ESTIMATORS: list[Any] = [TPGMM, DirichletTPGMM, TPHMM, TPHSMM, GoalTPGMM, OnlineTPGMM, DPMeans]
+ESTIMATORS: list[Any] = [TPGMM, DirichletTPGMM, TPHMM, TPHSMM, EndpointTPGMM, OnlineTPGMM, DPMeans]
 
 # Of the estimators as they are: these checks do not call fit
 CHECKS: list[Callable[[str, Any], None]] = [

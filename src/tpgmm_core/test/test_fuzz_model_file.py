@@ -88,7 +88,7 @@ def _change_header(draw: st.DrawFn, header: dict[str, Any]) -> None:
     elif draw(st.integers(0, 4)) == 0:
         del header[key]
     else:
-        choices = ["R8", "R999999999", "S3 x S3", "TPHSMM", "GoalTPGMM", "OnlineTPGMM", "euclidean", ["object"]]
+        choices = ["R8", "R999999999", "S3 x S3", "TPHSMM", "EndpointTPGMM", "OnlineTPGMM", "euclidean", ["object"]]
         header[key] = draw(st.sampled_from(choices) | _JSON)
 
 

@@ -193,7 +193,7 @@ def test_a_model_file_brings_the_chain_back(kind: type[TPHMM], covariance: str, 
     mixture = TPGMM.load(tmp_path / "m.tpgmm")
     np.testing.assert_array_equal(mixture.priors_, model.priors_)
     other = TPHSMM if kind is TPHMM else TPHMM
-    with pytest.raises(ModelFileError, match=f"holds a {kind.__name__}, no {other.__name__}"):
+    with pytest.raises(ModelFileError, match=f"holds a model of the kind {kind.__name__}, no {other.__name__}"):
         other.load(tmp_path / "m.tpgmm")
 
 
@@ -201,7 +201,7 @@ def test_a_model_file_without_a_chain_or_with_a_wrong_one_is_refused(tmp_path: P
     path = tmp_path / "m.tpgmm"
     demos = demonstrations(SMALL)
     TPGMM(4).fit(demos).save(path)
-    with pytest.raises(ModelFileError, match="holds a TPGMM"):
+    with pytest.raises(ModelFileError, match="holds a model of the kind TPGMM"):
         TPHMM.load(path)
     model = TPHMM(4).fit(demos)
     for chain in (np.eye(3), 2.0 * np.eye(4)):

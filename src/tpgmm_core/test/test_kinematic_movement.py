@@ -10,12 +10,12 @@ from tpgmm_core import TPGMM, Frame
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.mixture import GaussianMixture
-from tpgmm_core.kinematics.aims import aim_at_origins
 from tpgmm_core.kinematics.chains import planar_bimanual
 from tpgmm_core.kinematics.frames import JointSpace, NullSpace, PreviousConfiguration, TaskSpace
 from tpgmm_core.kinematics.hierarchy import hierarchy_frames
 from tpgmm_core.kinematics.movement import KinematicMovement
 from tpgmm_core.kinematics.moving import MovingFrames
+from tpgmm_core.kinematics.object_targets import target_object_origins
 from tpgmm_core.kinematics.tasks import KinematicTask
 from tpgmm_core.kinematics.urdf import UrdfKinematics
 from tpgmm_core.robot.model import RobotModel
@@ -73,18 +73,18 @@ def test_what_is_seen_counts_as_deviation_from_the_object() -> None:
     rng = np.random.default_rng(0)
     data = rng.normal([0.4, -0.2], [0.1, 0.3], size=(200, 2))
     model = TPGMM(1, reg_covar=1e-9).fit_projected({"a": data, "b": data})
-    aim_at_origins(model, ["a"])
+    target_object_origins(model, ["a"])
     np.testing.assert_allclose(model.means_["a"][0], 0.0)
     np.testing.assert_allclose(model.covariances_["a"][0], data.T @ data / len(data), atol=1e-8)
     np.testing.assert_allclose(model.means_["b"][0], data.mean(axis=0))
     timed = TPGMM(1, reg_covar=1e-9, manifold="R3").fit_projected({"a": np.column_stack([np.arange(200.0), data])})
     time_mean = timed.means_["a"][0, 0]
-    aim_at_origins(timed, ["a"], over_time=True)
+    target_object_origins(timed, ["a"], over_time=True)
     seen = spread_at(timed, 20.0)
     assert timed.means_["a"][0, 0] == time_mean
     np.testing.assert_allclose(seen, data.T @ data / len(data), atol=1e-8)
     with pytest.raises(ValueError, match="no frames .'c'."):
-        aim_at_origins(model, ["c"])
+        target_object_origins(model, ["c"])
 
 
 def spread_at(model: TPGMM, time: float) -> Array:
@@ -128,7 +128,7 @@ def movement_of(baxter: UrdfKinematics, **settings: float) -> KinematicMovement:
         n = 3 if name in ("bar", "left below bar", "right below bar, left") else 14
         views[name] = centres.get(name, np.zeros(n)) + spread * rng.normal(size=(400, n))
     model = TPGMM(1, reg_covar=1e-8).fit_projected(views)
-    aim_at_origins(model, ["left below bar", "right below bar, left", "previous"])
+    target_object_origins(model, ["left below bar", "right below bar, left", "previous"])
     model.metadata_ = {"duration_s": 1.0}
     return KinematicMovement(model, frames, **settings)
 

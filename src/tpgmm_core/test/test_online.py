@@ -13,8 +13,8 @@ from benchmarks.workloads import W1, Workload, demonstrations, pose_demonstratio
 from tpgmm_core import TPGMM, Demonstration, Frame, ModelFileError
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.estimation.em import expectation, fit_mixture
-from tpgmm_core.learning.incremental.cells import Cells, fit_cells
 from tpgmm_core.learning.incremental.online import OnlineTPGMM
+from tpgmm_core.learning.incremental.sufficient_statistics import SufficientStatistics, fit_cells
 
 SMALL = Workload("small", n_demonstrations=8, n_samples=60, n_frames=2, D=3, K=4)
 
@@ -60,7 +60,7 @@ def test_from_the_same_start_cells_agree_with_batch_learning_to_a_twentieth_of_a
     demos = demonstrations(W1)
     start = TPGMM(W1.K, regularization="prior", max_iter=5).fit(demos)
     batch = TPGMM(W1.K, regularization="prior", init=start, max_iter=30).fit(demos)
-    cells = Cells.of(start._samples(demos)).coarser(5)
+    cells = SufficientStatistics.of(start._samples(demos)).coarser(5)
     emissions = replace(start.emissions_, prior_scatter=start.reg_covar * cells.n_samples / W1.K)
     online = fit_cells(cells, start.priors_, emissions, tol=0.0, max_iter=30)
     assert np.diff(online.objectives).min() > -1e-12
@@ -111,7 +111,7 @@ def test_cells_of_one_sample_are_the_samples(covariance: str) -> None:
     demos = demonstrations(SMALL)
     model = TPGMM(4, covariance=covariance, max_iter=3).fit(demos)
     samples = model._samples(demos)
-    cells = Cells.of(samples)
+    cells = SufficientStatistics.of(samples)
     assert cells.bound(model.priors_, model.emissions_) == pytest.approx(model.score(demos) * 480, rel=1e-10)
     a = fit_mixture(samples, model.priors_, model.emissions_, tol=0.0, max_iter=5)
     b = fit_cells(cells, model.priors_, model.emissions_, tol=0.0, max_iter=5)
@@ -125,7 +125,7 @@ def test_coarser_cells_keep_the_moments_of_their_samples() -> None:
     mask = rng.random(21) > 0.5
     demos[1] = Demonstration(demos[1].times, demos[1].data, demos[1].frames, {"b": mask})
     samples = OnlineTPGMM(1).fit(demos)._samples(demos)
-    cells = Cells.of(samples).coarser(2).coarser(3)
+    cells = SufficientStatistics.of(samples).coarser(2).coarser(3)
     assert len(cells.counts) == 15 + 4
     np.testing.assert_array_equal(cells.counts[-4:], [6, 6, 6, 3])
     np.testing.assert_array_equal(cells.demonstrations, np.repeat([0, 1], [15, 4]))
@@ -242,7 +242,7 @@ def test_learning_goes_on_from_a_model_file(covariance: str, tmp_path: Path) -> 
         each.partial_fit(demos[6:])
     assert_same_model(loaded, model, 1e-12)
     TPGMM(4).fit(demos).save(tmp_path / "other.tpgmm")
-    with pytest.raises(ModelFileError, match="holds a TPGMM"):
+    with pytest.raises(ModelFileError, match="holds a model of the kind TPGMM"):
         OnlineTPGMM.load(tmp_path / "other.tpgmm")
 
 

@@ -20,7 +20,7 @@ from random_problems import random_covariance, random_quaternion, random_rotatio
 from tpgmm_core import TPGMM, Adapter, Frame, Gaussian, GaussianMixture, Gaussians, Manifold
 from tpgmm_core.geometry import kernels_condition
 from tpgmm_core.learning.dirichlet import DirichletTPGMM
-from tpgmm_core.learning.ends import GoalTPGMM
+from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
 from tpgmm_core.learning.incremental.online import OnlineTPGMM
@@ -190,7 +190,7 @@ def test_a_mixture_shares_nothing_with_the_model_or_with_others() -> None:
 
 ESTIMATORS = [
     TPGMM(4), TPGMM(4, covariance="mfa", reg_covar=1e-3), DirichletTPGMM(4, max_iter=20), TPHMM(4), TPHSMM(4),
-    GoalTPGMM(4), OnlineTPGMM(4),
+    EndpointTPGMM(4), OnlineTPGMM(4),
 ]  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from reaching import reaching_model
 from tpgmm_core import Demonstration, Frame, Manifold
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
-from tpgmm_core.learning.ends import GoalTPGMM
+from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.dmp import DmpParameters, DynamicMovementPrimitive
@@ -23,16 +23,18 @@ POSES = "R1 x R3 x S3"
 
 
 @cache
-def planar_model(n_components: int = 5) -> GoalTPGMM:
-    model = GoalTPGMM(n_components, init="bins", reg_covar=1e-6).fit([LAW.encode(d) for d in planar_demonstrations()])
+def planar_model(n_components: int = 5) -> EndpointTPGMM:
+    model = EndpointTPGMM(n_components, init="bins", reg_covar=1e-6).fit(
+        [LAW.encode(d) for d in planar_demonstrations()]
+    )
     model.metadata_ = {"duration_s": DURATION}
     return model
 
 
 @cache
-def pose_model() -> GoalTPGMM:
+def pose_model() -> EndpointTPGMM:
     demonstrations = [LAW.encode(d, POSES) for d in pose_demonstrations()]
-    return GoalTPGMM(3, init="bins", reg_covar=1e-5, manifold=POSES).fit(demonstrations)
+    return EndpointTPGMM(3, init="bins", reg_covar=1e-5, manifold=POSES).fit(demonstrations)
 
 
 @cache
@@ -65,7 +67,7 @@ def run(
 
 
 def started(
-    model: GoalTPGMM, duration: float, start: Array | list[float] | None, **settings: float
+    model: EndpointTPGMM, duration: float, start: Array | list[float] | None, **settings: float
 ) -> DynamicMovementPrimitive:
     system = DynamicMovementPrimitive(model, LAW, duration=duration, **settings)
     system.start(0, start)
@@ -73,7 +75,7 @@ def started(
 
 
 def begun(
-    model: GoalTPGMM, duration: float, start: Array | list[float] | None, frames: dict[str, Frame]
+    model: EndpointTPGMM, duration: float, start: Array | list[float] | None, frames: dict[str, Frame]
 ) -> DynamicMovementPrimitive:
     """With a step at time 0."""
     system = started(model, duration, start)
@@ -266,12 +268,12 @@ def test_any_time_step_is_stable() -> None:
 
 def test_model_files_know_the_goal(tmp_path: Path) -> None:
     planar_model().save(tmp_path / "dmp.tpgmm")
-    loaded = GoalTPGMM.load(tmp_path / "dmp.tpgmm")
+    loaded = EndpointTPGMM.load(tmp_path / "dmp.tpgmm")
     frames = planar_situation()
     one, other = (begun(model, 2.0, None, frames).goal(frames) for model in (planar_model(), loaded))
     np.testing.assert_array_equal(one.mean, other.mean)
     np.testing.assert_array_equal(one.covariance, other.covariance)
-    with pytest.raises(ValueError, match="holds a GoalTPGMM"):
+    with pytest.raises(ValueError, match="holds a model of the kind EndpointTPGMM"):
         TPHMM.load(tmp_path / "dmp.tpgmm")
 
 
@@ -288,7 +290,7 @@ def test_bad_input_is_refused_with_the_reason() -> None:
             DynamicMovementPrimitive(planar_model(), LAW, **{name: wrong})
     with pytest.raises(ValueError, match="duration_s"):
         DynamicMovementPrimitive(pose_model(), LAW)
-    with pytest.raises(ValueError, match="GoalTPGMM"):
+    with pytest.raises(ValueError, match="EndpointTPGMM"):
         DynamicMovementPrimitive(reaching_model(), LAW)  # type: ignore[arg-type]
     system = DynamicMovementPrimitive(planar_model(), LAW)
     with pytest.raises(ValueError, match="start"):

@@ -14,7 +14,7 @@ from reaching import frames_at, place, reaching_model
 from tpgmm_core import Demonstration, Frame, Manifold
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
-from tpgmm_core.learning.ends import END, GoalTPGMM
+from tpgmm_core.learning.endpoints import END, EndpointTPGMM
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.dynamical_system import Convergence, StableDynamics, with_velocity
 from worlds import DURATION, assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world
@@ -23,8 +23,8 @@ SPACES = {"plane": "R2", "poses": "R3 x S3"}
 
 
 @cache
-def planar_model() -> GoalTPGMM:
-    model = GoalTPGMM(5, init="bins", reg_covar=1e-5).fit([with_velocity(d) for d in planar_demonstrations()])
+def planar_model() -> EndpointTPGMM:
+    model = EndpointTPGMM(5, init="bins", reg_covar=1e-5).fit([with_velocity(d) for d in planar_demonstrations()])
     model.metadata_ = {"duration_s": DURATION}
     return model
 
@@ -48,9 +48,9 @@ def pose_demonstrations() -> tuple[Demonstration, ...]:
 
 
 @cache
-def pose_model() -> GoalTPGMM:
+def pose_model() -> EndpointTPGMM:
     demonstrations = [with_velocity(d, "R1 x R3 x S3") for d in pose_demonstrations()]
-    model = GoalTPGMM(5, init="bins", reg_covar=1e-5, manifold="R3 x S3 x R6").fit(demonstrations)
+    model = EndpointTPGMM(5, init="bins", reg_covar=1e-5, manifold="R3 x S3 x R6").fit(demonstrations)
     model.metadata_ = {"duration_s": DURATION}
     return model
 
@@ -68,7 +68,7 @@ def run(
 
 
 def begun(
-    model: GoalTPGMM, start: Array | list[float] | None, frames: dict[str, Frame], **convergence: float
+    model: EndpointTPGMM, start: Array | list[float] | None, frames: dict[str, Frame], **convergence: float
 ) -> StableDynamics:
     """With a step at time 0."""
     system = StableDynamics(model, convergence=Convergence(**convergence))
@@ -86,11 +86,11 @@ def speeds(references: list[Reference], dt: float) -> Array:
     return np.linalg.norm(references[0].gaussian.manifold.log(path[:-1], path[1:]), axis=1) / dt
 
 
-def random_model(rng: np.random.Generator, space: str, speed: float = 1.0) -> GoalTPGMM:
+def random_model(rng: np.random.Generator, space: str, speed: float = 1.0) -> EndpointTPGMM:
     """Of two frames that agree roughly, and four components that have nothing to do with each other or with a goal."""
     points = Manifold.parse(SPACES[space])
     n = points.tangent_dim
-    model = GoalTPGMM(4)
+    model = EndpointTPGMM(4)
     model.manifold_ = Manifold((*points.factors, ("R", n)))
     model.frame_names_ = ("a", "b")
     model.priors_ = rng.dirichlet(np.ones(4))
@@ -106,7 +106,7 @@ def random_model(rng: np.random.Generator, space: str, speed: float = 1.0) -> Go
         return centres, spreads
 
     model.means_, model.covariances_ = parts(4)
-    model._learned_ends(*parts(2))
+    model._learned_endpoints(*parts(2))
     model.metadata_ = {"duration_s": 2.0}
     return model
 
@@ -197,7 +197,7 @@ def test_without_the_correction_it_would_not_get_there() -> None:
     spread[2:, 2:] = 0.2 * outwards @ outwards.T + 0.01 * np.eye(2)
     for name in model.frame_names_:
         model.means_[name], model.covariances_[name] = np.zeros((4, 4)), np.stack([spread] * 4)
-        model.ends_.means_[name][END] = 0.0
+        model.endpoints_.means_[name][END] = 0.0
     frames = {name: Frame(np.eye(2), np.zeros(2)).with_time() for name in ("a", "b")}
     system = begun(model, [0.5, 0.0], frames)
     np.testing.assert_allclose(system.regressed, [0.05, 0.5], atol=1e-9)
@@ -385,8 +385,10 @@ def test_what_no_frame_sees_ends_is_learned_from_all_that_it_saw() -> None:
     for d in planar_demonstrations():
         seen = np.arange(len(d.times)) < 40
         hidden.append(with_velocity(Demonstration(d.times, d.data, d.frames, {"start": seen})))
-    model = GoalTPGMM(5, init="bins", reg_covar=1e-5).fit(hidden)
-    assert np.trace(model.ends_.covariances_["start"][END]) > 10.0 * np.trace(model.ends_.covariances_["goal"][END])
+    model = EndpointTPGMM(5, init="bins", reg_covar=1e-5).fit(hidden)
+    assert np.trace(model.endpoints_.covariances_["start"][END]) > 10.0 * np.trace(
+        model.endpoints_.covariances_["goal"][END]
+    )
     model.metadata_ = {"duration_s": DURATION}
     frames = planar_situation()
     goal = StableDynamics(model).goal(frames)
@@ -398,7 +400,7 @@ def test_model_files_know_the_goal(tmp_path: Path) -> None:
     frames = dict(pose_demonstrations()[0].frames)
     one, other = (
         StableDynamics(model).goal(frames)
-        for model in (pose_model(), GoalTPGMM.load(tmp_path / "dynamical_system.tpgmm"))
+        for model in (pose_model(), EndpointTPGMM.load(tmp_path / "dynamical_system.tpgmm"))
     )
     np.testing.assert_array_equal(one.mean, other.mean)
     np.testing.assert_array_equal(one.covariance, other.covariance)
@@ -409,10 +411,10 @@ def test_bad_input_is_refused_with_the_reason() -> None:
         with pytest.raises(ValueError, match=name):
             Convergence(**{name: value})
     with pytest.raises(ValueError, match="with_velocity"):
-        StableDynamics(GoalTPGMM(3).fit(list(planar_demonstrations())))
-    with pytest.raises(ValueError, match="with_velocity|GoalTPGMM"):
+        StableDynamics(EndpointTPGMM(3).fit(list(planar_demonstrations())))
+    with pytest.raises(ValueError, match="with_velocity|EndpointTPGMM"):
         StableDynamics(reaching_model())  # type: ignore[arg-type]
-    model = GoalTPGMM(5, init="bins").fit([with_velocity(d) for d in planar_demonstrations()])
+    model = EndpointTPGMM(5, init="bins").fit([with_velocity(d) for d in planar_demonstrations()])
     with pytest.raises(ValueError, match="duration_s"):
         StableDynamics(model)
     with pytest.raises(ValueError, match="duration"):

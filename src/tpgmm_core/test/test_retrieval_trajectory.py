@@ -250,11 +250,13 @@ def test_a_frame_that_moves_sees_what_is_held_to_it_at_rest() -> None:
     np.testing.assert_allclose(seen[:, 8:14], 0.0, atol=2e-3)
     np.testing.assert_allclose(seen[1:-1, 14:], 0.0, atol=5e-3)
     # the affine map loses nothing
-    lifted = augmented.frames["object"]
-    np.testing.assert_allclose(np.einsum("tij,tj->ti", lifted.A, seen) + lifted.b, augmented.data, atol=1e-10)
+    augmented_frame = augmented.frames["object"]
+    np.testing.assert_allclose(
+        np.einsum("tij,tj->ti", augmented_frame.A, seen) + augmented_frame.b, augmented.data, atol=1e-10
+    )
 
 
-def test_an_inverse_of_its_own_is_lifted_with_its_frame() -> None:
+def test_an_inverse_of_its_own_goes_with_its_frame() -> None:
     """A damped map: what is seen is D (xi - b), with D other than A^+; its derivatives are seen with D too."""
     t = np.linspace(0.0, 1.0, 101)
     A = (1.0 + 0.5 * np.sin(t))[:, None, None] * np.array([[1.0, 0.2], [0.0, 1.0]])

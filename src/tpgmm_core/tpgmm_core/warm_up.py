@@ -14,7 +14,7 @@ import tpgmm_core.lqr.double_integrator  # noqa: F401  these two compile on impo
 from tpgmm_core import TPGMM, Adapter, Frame, Gaussian
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.kinematics.tasks import compile_kernels
-from tpgmm_core.learning.ends import GoalTPGMM
+from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
 from tpgmm_core.retrieval.dynamical_system import StableDynamics
@@ -46,7 +46,7 @@ def warm_up(tell: Callable[[str], None] = lambda words: None) -> None:
     POSE.exp(pose[0], POSE.log(pose[0], pose[1]))
     tell("dynamical systems")
     moving = np.concatenate([pose, rng.normal(size=(40, 6))], axis=1)
-    velocities = GoalTPGMM(n_components=2, manifold="R3 x S3 x R6", max_iter=1).fit_projected({"frame": moving})
+    velocities = EndpointTPGMM(n_components=2, manifold="R3 x S3 x R6", max_iter=1).fit_projected({"frame": moving})
     StableDynamics(velocities, duration=1.0)
     tell("trajectories")
     features = np.concatenate([X, rng.normal(size=(40, 12))], axis=1)

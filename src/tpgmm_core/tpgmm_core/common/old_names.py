@@ -10,6 +10,7 @@ from __future__ import annotations
 RENAMED = {
     "decay": "dmp",  # retrieval method, and the encoding of its models
     "dynamics": "dynamical_system",  # retrieval method
+    "GoalTPGMM": "EndpointTPGMM",  # kind of model
 }
 
 

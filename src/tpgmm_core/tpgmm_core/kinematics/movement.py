@@ -18,7 +18,7 @@ from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.interface import demonstrated_duration
-from tpgmm_core.retrieval.pace import Pace
+from tpgmm_core.retrieval.time_scaling import TimeScaling
 
 _SECOND = 1_000_000_000
 MAX_JOINT_SPEED = 1.0  # rad/s
@@ -63,7 +63,7 @@ class KinematicMovement:
         self._product = ConfigurationProduct(model, frames)
         self._max_joint_speed, self._leash = max_joint_speed, leash
         self._needs = {name: self._product.frames.objects_of(name) for name in model.frame_names_}
-        self._pace = Pace(1.0, SPEED_TIME_CONSTANT)
+        self._time_scaling = TimeScaling(1.0, SPEED_TIME_CONSTANT)
         self._last_ns: int | None = None
         self._last: Gaussian | None = None
         self._compile()
@@ -91,18 +91,18 @@ class KinematicMovement:
     @property
     def speed(self) -> float:
         """Of the model's time; see `Retrieval`. It is no speed of joints."""
-        return self._pace.target
+        return self._time_scaling.target
 
     @speed.setter
     def speed(self, speed: float) -> None:
         if not math.isfinite(speed):
             raise ValueError(f"the speed is {speed!r}; give a finite number")
-        self._pace.target = float(speed)
+        self._time_scaling.target = float(speed)
 
     def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
         self._last_ns = time_ns
         self._phase = min(max(phase, 0.0), 1.0)
-        self._pace.rate = self._pace.target
+        self._time_scaling.rate = self._time_scaling.target
         self._q = state
         self._mean = state
         self._last = None
@@ -126,7 +126,7 @@ class KinematicMovement:
         if self._situation is None or not situation.has_frames_of(self._situation):
             self._situation = situation
             self._poses = {name: _without_time(frame) for name, frame in frames.items()}
-        self._phase = min(max(self._phase + self._pace.advance(since) / self._duration, 0.0), 1.0)
+        self._phase = min(max(self._phase + self._time_scaling.advance(since) / self._duration, 0.0), 1.0)
         self._weights = self._weights_of_frames(weights)
         last = q if self._mean is None else _within(self._leash, self._mean, q)
         product = self._product.step(last, self._poses, self._time, self._weights, since)

@@ -357,7 +357,7 @@ class TPGMM(Estimator):
         model.metadata_ = dict(contents.metadata)
         if cls is not TPGMM:
             if contents.kind != cls.__name__:
-                raise model_file.ModelFileError(f"{path} holds a {contents.kind}, no {cls.__name__}")
+                raise model_file.ModelFileError(f"{path} holds a model of the kind {contents.kind}, no {cls.__name__}")
             try:
                 model._restore(contents.more)
             except (LookupError, ValueError, TypeError) as error:  # what arrays of any shape may lead to

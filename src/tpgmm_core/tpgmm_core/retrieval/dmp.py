@@ -8,7 +8,7 @@ A spring-damper is pulled to an attractor, whose path is learned over a decay te
     duration · x' = z
 
 The attractor is the mean of N(attractor | s), by regression on the adapted mixture (Eqs. 5, 6). Towards the end it
-passes over to the goal, where demonstrations ended as the frames saw it (`GoalTPGMM`), so that the movement ends
+passes over to the goal, where demonstrations ended as the frames saw it (`EndpointTPGMM`), so that the movement ends
 there however many components the mixture has. Frames may move and the duration change while the movement runs:
 position and velocity never jump. On S³ z is a turn about the fixed axes.
 """
@@ -26,14 +26,14 @@ from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
-from tpgmm_core.learning.ends import BEGIN, END, GoalTPGMM
+from tpgmm_core.learning.endpoints import BEGIN, END, EndpointTPGMM
 from tpgmm_core.model.adaptation import Adapter
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.situation import Situation
+from tpgmm_core.retrieval.attractor_system import AttractorSystem, positive
 from tpgmm_core.retrieval.differences import derivatives
 from tpgmm_core.retrieval.frames import require_time_kept, without_time
 from tpgmm_core.retrieval.spring import critically_damped
-from tpgmm_core.retrieval.system import System, positive
 
 LONGEST_STEP = 0.005
 """Of the attractor along its path, in durations; MAX_STEPS of them are made at once at most, else longer ones."""
@@ -83,11 +83,11 @@ class DmpParameters:
         return Demonstration(times, np.column_stack([decay, attractor]), demonstration.frames, demonstration.visible)
 
 
-class DynamicMovementPrimitive(System):
+class DynamicMovementPrimitive(AttractorSystem):
     """Reproduces a model of the attractor over the decay term.
 
     model : fitted to what `parameters.encode` returns; init="bins" of `TPGMM` suits, since s is not even in time. Other
-        parameters as for `System`
+        parameters as for `AttractorSystem`
     goal_from : phase from where on the attractor passes over to the goal, smoothly; at 1 the model has the last word
     wait_distance : m, or the unit of the data; an angle counts as its arc at metres_per_radian. With the robot that far
         from the reference the movement goes on at half of its pace, by 1 / (1 + (distance / wait_distance)²): a robot
@@ -104,7 +104,7 @@ class DynamicMovementPrimitive(System):
 
     def __init__(
         self,
-        model: GoalTPGMM,
+        model: EndpointTPGMM,
         parameters: DmpParameters,
         *,
         duration: float | None = None,
@@ -127,7 +127,7 @@ class DynamicMovementPrimitive(System):
         self._scale = np.full(points.tangent_dim, 1.0 / wait_distance)
         for s in points.spheres:
             self._scale[s.tangent] = metres_per_radian / wait_distance
-        self._adapter, self._ends = Adapter(model), Adapter(model.ends_)
+        self._adapter, self._endpoints = Adapter(model), Adapter(model.endpoints_)
         self._compile()
 
     def goal(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None = None) -> Gaussian:
@@ -137,16 +137,16 @@ class DynamicMovementPrimitive(System):
     def _end(
         self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, which: int
     ) -> Gaussian:
-        ends = self._ends.adapt(frames, None if state is None else np.concatenate([[0.0], state]), weights)
-        require_time_kept(self._ends.buffer)
-        return Gaussian(ends.means[which, 1:], ends.covariances[which, 1:, 1:], self.manifold)
+        endpoints = self._endpoints.adapt(frames, None if state is None else np.concatenate([[0.0], state]), weights)
+        require_time_kept(self._endpoints.buffer)
+        return Gaussian(endpoints.means[which, 1:], endpoints.covariances[which, 1:, 1:], self.manifold)
 
     def _begin(self, situation: Situation, state: Array | None, phase: float) -> None:
         if state is None:
             state = self._end(situation.frames, situation.weights, None, BEGIN).mean.copy()
         self._x = state
         self._z = np.zeros(self.manifold.tangent_dim)
-        self._own = phase
+        self._scaled_time = phase
         self._situate(situation)
 
     def _situate(self, situation: Situation) -> None:
@@ -157,18 +157,18 @@ class DynamicMovementPrimitive(System):
     def _advance(self, seconds: float, robot: Array | None) -> None:
         if robot is not None:
             away = self._scale * self.manifold.log(self._x, robot)
-            self._pace.target /= 1.0 + float(away @ away)
-        time = self._pace.advance(seconds)
-        self._x, self._z = self._go(self._x, self._z, self._own, time)
-        self._own += time
+            self._time_scaling.target /= 1.0 + float(away @ away)
+        time = self._time_scaling.advance(seconds)
+        self._x, self._z = self._go(self._x, self._z, self._scaled_time, time)
+        self._scaled_time += time
 
-    def _go(self, x: Array, z: Array, own: float, time: float) -> tuple[Array, Array]:
-        """Position and z after a time, in durations, from own on."""
+    def _go(self, x: Array, z: Array, scaled: float, time: float) -> tuple[Array, Array]:
+        """Position and z after a time, in durations, from a scaled time on."""
         if time <= 0.0:
             return x, z
         n_steps = int(min(max(math.ceil(time / LONGEST_STEP), 1), MAX_STEPS))
         step = time / n_steps
-        attractors, _, _ = self._attractors(own + step * (np.arange(n_steps, dtype=np.float64) + 0.5))
+        attractors, _, _ = self._attractors(scaled + step * (np.arange(n_steps, dtype=np.float64) + 0.5))
         for attractor in attractors:
             # On S³ both ends of a geodesic see it as the same turn about the fixed axes
             error = self.manifold.log(attractor, x)
@@ -176,12 +176,12 @@ class DynamicMovementPrimitive(System):
             x = self.manifold.exp(x, left - error)
         return x, z
 
-    def _attractors(self, own: Array) -> tuple[list[Array], Array, Array]:
-        """Means and covariances of the attractor at own times (H,), and the activations (K,) at the first."""
+    def _attractors(self, scaled: Array) -> tuple[list[Array], Array, Array]:
+        """Means and covariances of the attractor at scaled times (H,), and the activations (K,) at the first."""
         means, covariances, activations = self._adapter.condition(
-            np.exp(-self.parameters.decay_rate * np.minimum(own, 1.0))
+            np.exp(-self.parameters.decay_rate * np.minimum(scaled, 1.0))
         )
-        shares = np.clip((own - self.goal_from) / (1.0 - self.goal_from), 0.0, 1.0)
+        shares = np.clip((scaled - self.goal_from) / (1.0 - self.goal_from), 0.0, 1.0)
         shares = shares * shares * (3.0 - 2.0 * shares)
         attractors = list(means)
         for i in np.flatnonzero(shares):
@@ -191,21 +191,21 @@ class DynamicMovementPrimitive(System):
         return attractors, 0.5 * (covariances + np.swapaxes(covariances, 1, 2)), activations
 
     def _now(self) -> tuple[Array, Array, Array]:
-        _, covariances, activations = self._attractors(np.array([self._own], dtype=np.float64))
+        _, covariances, activations = self._attractors(np.array([self._scaled_time], dtype=np.float64))
         return self._x, covariances[0], activations
 
     def _ahead(self, seconds: Array) -> list[Gaussian]:
-        times = self._pace.ahead(seconds)
-        _, covariances, _ = self._attractors(times + self._own)
+        times = self._time_scaling.ahead(seconds)
+        _, covariances, _ = self._attractors(times + self._scaled_time)
         x, z, gone, gaussians = self._x, self._z, 0.0, []
         for time, covariance in zip(times, covariances, strict=True):
-            x, z = self._go(x, z, self._own + gone, time - gone)
+            x, z = self._go(x, z, self._scaled_time + gone, time - gone)
             gone = time
             gaussians.append(Gaussian(x, covariance, self.manifold))
         return gaussians
 
     def _phase(self) -> float:
-        return min(self._own, 1.0)
+        return min(self._scaled_time, 1.0)
 
     def _mixture(self) -> GaussianMixture:
         return self._adapter.mixture()

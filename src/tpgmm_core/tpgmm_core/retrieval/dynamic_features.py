@@ -21,8 +21,8 @@ from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.differences import derivatives, difference_weights
+from tpgmm_core.retrieval.frame_derivatives import frame_with_derivatives
 from tpgmm_core.retrieval.frames import without_time
-from tpgmm_core.retrieval.lifting import lifted
 
 
 def manifold_with_derivatives(manifold: str | Manifold) -> Manifold:
@@ -75,7 +75,7 @@ def with_derivatives(
             visible[name] = seen[around].all(axis=1)
             frames[name] = _with_motion(frame, points, times, window).with_time()
         else:
-            visible[name], frames[name] = seen, lifted(frame, points, orders=2).with_time()
+            visible[name], frames[name] = seen, frame_with_derivatives(frame, points, orders=2).with_time()
     return Demonstration(times, np.column_stack([data, velocities, accelerations]), frames, visible)
 
 
@@ -87,12 +87,15 @@ def standing_frames(frames: Mapping[str, Frame], points: Manifold) -> dict[str, 
     moving = [name for name, frame in frames.items() if frame.is_time_varying]
     if moving:
         raise ValueError(f"the frames {moving} vary with time: choose one time step, with frame.at(t_index)")
-    return {name: lifted(frame, points, orders=2).with_time() for name, frame in without_time(frames).items()}
+    return {
+        name: frame_with_derivatives(frame, points, orders=2).with_time()
+        for name, frame in without_time(frames).items()
+    }
 
 
 def _with_motion(frame: Frame, points: Manifold, times: Array, window: int) -> Frame:
     """The frame over [point, velocity, acceleration], moving as parabolas over windows of samples say; times (T,)."""
-    standing = lifted(frame, points, orders=2)
+    standing = frame_with_derivatives(frame, points, orders=2)
     A, b = standing.A.copy(), standing.b.copy()
     (D, D_j), n = frame.A.shape[-2:], points.tangent_dim
     rows, flat = points.flat_ambient, points.flat_tangent

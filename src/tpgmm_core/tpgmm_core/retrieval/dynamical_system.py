@@ -6,7 +6,7 @@ adapted to the situation by Eqs. (5), (6), on R^n and on poses. Their constraint
 product of Eq. (6). The guarantee is a control Lyapunov function (Khansari-Zadeh and Billard 2014) instead, which moves
 with the situation, and the smallest correction of the velocity that makes it fall.
 
-Let x* be the goal in the situation, where demonstrations ended as the frames saw it (`GoalTPGMM`), and d(x) the
+Let x* be the goal in the situation, where demonstrations ended as the frames saw it (`EndpointTPGMM`), and d(x) the
 distance to it, in m, with an angle counted as its arc at `Convergence.metres_per_radian`. Beside x the system keeps a
 radius r >= d(x), at first (1 + detour) d(x_0), and later never more than (1 + detour) d(x):
 
@@ -45,17 +45,17 @@ from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
-from tpgmm_core.learning.ends import BEGIN, END, GoalTPGMM
+from tpgmm_core.learning.endpoints import BEGIN, END, EndpointTPGMM
 from tpgmm_core.model.adaptation import Adapter
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval import kernels_dynamical_system as kernels
+from tpgmm_core.retrieval.attractor_system import AttractorSystem
 from tpgmm_core.retrieval.differences import derivatives
+from tpgmm_core.retrieval.frame_derivatives import frame_with_derivatives
 from tpgmm_core.retrieval.frames import without_time
 from tpgmm_core.retrieval.interface import demonstrated_duration
-from tpgmm_core.retrieval.lifting import lifted
 from tpgmm_core.retrieval.spring import critically_damped
-from tpgmm_core.retrieval.system import System
 
 MAX_TIME_STEP = 0.005
 """Of the integration, in durations; MAX_STEPS of them are made at once at most, longer ones after a long pause."""
@@ -68,20 +68,20 @@ GONE_AGAIN = 3.0
 def with_velocity(
     demonstration: Demonstration, manifold: str | Manifold = "euclidean", window: int = 9
 ) -> Demonstration:
-    """The demonstration as [x, v] in place of [time, x], for a `GoalTPGMM` that `StableDynamics` retrieves from.
+    """The demonstration as [x, v] in place of [time, x], for an `EndpointTPGMM` that `StableDynamics` retrieves from.
 
     demonstration : data (T, 1 + D): time, then positions or poses; manifold : space of all of data, time included
     window : samples of the parabolas that velocities are taken from; at most as many as there are
 
     Data become (T, D + n), on the manifold of x and R^n: "R1 x R3 x S3" gives "R3 x S3 x R6". Velocities are per s, on
-    S³ about the fixed axes; frames see them as vectors (`lifted`). Raises ValueError for less than three samples, and
-    frames that change time or do not fit the manifold.
+    S³ about the fixed axes; frames see them as vectors (`frame_with_derivatives`). Raises ValueError for less than
+    three samples, and frames that change time or do not fit the manifold.
     """
     space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold, demonstration.data.shape[1])
     points = space.subset(range(1, space.dim))
     times, x = demonstration.times, demonstration.data[:, 1:]
     velocity, _ = derivatives(times, x, points, min(window, (len(times) - 1) // 2 * 2 + 1))
-    frames = {name: lifted(frame, points) for name, frame in without_time(demonstration.frames).items()}
+    frames = {name: frame_with_derivatives(frame, points) for name, frame in without_time(demonstration.frames).items()}
     return Demonstration(times, np.column_stack([x, velocity]), frames, demonstration.visible)
 
 
@@ -103,10 +103,10 @@ class Convergence:
         check_settings(self)
 
 
-class StableDynamics(System):
+class StableDynamics(AttractorSystem):
     """Reproduces a model over [x, v], by a system that converges to `goal`, wherever it is: see the module.
 
-    model : fitted to what `with_velocity` returns; other parameters as for `System`
+    model : fitted to what `with_velocity` returns; other parameters as for `AttractorSystem`
     convergence : how it comes to its goal
 
     - The covariance of a reference is that of the positions in the active components: little matters along the
@@ -128,7 +128,7 @@ class StableDynamics(System):
 
     def __init__(
         self,
-        model: GoalTPGMM,
+        model: EndpointTPGMM,
         *,
         duration: float | None = None,
         horizon_steps: int = 2,
@@ -145,7 +145,7 @@ class StableDynamics(System):
         self._metric = np.ones(n)
         for s in points.spheres:
             self._metric[s.tangent] = self.convergence.metres_per_radian**2
-        self._adapter, self._ends = Adapter(model), Adapter(model.ends_)
+        self._adapter, self._endpoints = Adapter(model), Adapter(model.endpoints_)
         self._log_priors = np.log(np.maximum(model.priors_, np.finfo(float).tiny))
         self._whitening, self._offsets, self._gains = np.empty((K, n, n)), np.empty(K), np.empty((K, n, n))
         self._activations, self.velocity, self.regressed = np.empty(K), np.zeros(n), np.zeros(n)
@@ -154,24 +154,28 @@ class StableDynamics(System):
 
     def goal(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None = None) -> Gaussian:
         """Where the movement ends in a situation: the product of what the frames saw of the demonstrations' ends."""
-        return self._end(self._lifted(frames), weights, None, END)
+        return self._end(self._with_derivatives(frames), weights, None, END)
 
     def _end(
-        self, lifted_frames: Mapping[str, Frame], weights: Mapping[str, float] | None, state: Array | None, which: int
+        self,
+        frames_with_derivatives: Mapping[str, Frame],
+        weights: Mapping[str, float] | None,
+        state: Array | None,
+        which: int,
     ) -> Gaussian:
-        ends = self._ends.adapt(lifted_frames, self._with_rest(state), weights)
+        endpoints = self._endpoints.adapt(frames_with_derivatives, self._with_rest(state), weights)
         D, n = self.manifold.dim, self.manifold.tangent_dim
-        return Gaussian(ends.means[which, :D], ends.covariances[which, :n, :n], self.manifold)
+        return Gaussian(endpoints.means[which, :D], endpoints.covariances[which, :n, :n], self.manifold)
 
-    def _lifted(self, frames: Mapping[str, Frame]) -> dict[str, Frame]:
-        return {name: lifted(frame, self.manifold) for name, frame in without_time(frames).items()}
+    def _with_derivatives(self, frames: Mapping[str, Frame]) -> dict[str, Frame]:
+        return {name: frame_with_derivatives(frame, self.manifold) for name, frame in without_time(frames).items()}
 
     def _with_rest(self, state: Array | None) -> Array | None:
         return None if state is None else np.concatenate([state, np.zeros(self.manifold.tangent_dim)])
 
     def _begin(self, situation: Situation, state: Array | None, phase: float) -> None:
         if state is None:
-            state = self._end(self._lifted(situation.frames), situation.weights, None, BEGIN).mean.copy()
+            state = self._end(self._with_derivatives(situation.frames), situation.weights, None, BEGIN).mean.copy()
         self._x = state
         self._offset = np.zeros(self.manifold.tangent_dim)
         self._goal_offset, self._goal_rate = np.zeros_like(self._offset), np.zeros_like(self._offset)
@@ -192,9 +196,9 @@ class StableDynamics(System):
 
     def _take(self, situation: Situation) -> None:
         """The mixture and the goal in a situation, prepared for regression."""
-        lifted_frames, weights = self._lifted(situation.frames), situation.weights
-        self._adapted = self._adapter.adapt(lifted_frames, self._with_rest(self._x), weights)
-        self._goal = self._end(lifted_frames, weights, self._x, END)
+        frames_with_derivatives, weights = self._with_derivatives(situation.frames), situation.weights
+        self._adapted = self._adapter.adapt(frames_with_derivatives, self._with_rest(self._x), weights)
+        self._goal = self._end(frames_with_derivatives, weights, self._x, END)
         self._centres = np.ascontiguousarray(self._adapted.means)
         self._spreads = np.ascontiguousarray(self._adapted.covariances)
         prepared = self._whitening, self._offsets, self._gains
@@ -224,7 +228,7 @@ class StableDynamics(System):
         """
         former = self.velocity.copy()
         kernels.stable_velocity(self._x, max(self._radius, 1e-300), *self._system, self.velocity, np.empty(len(former)))
-        scale = self._pace.rate * self._model_duration
+        scale = self._time_scaling.rate * self._model_duration
         change = scale * (self.velocity - former)
         size, admitted = self._length(change), self._law[3] * scale * seconds / self.blend_time
         if size > admitted:
@@ -234,19 +238,19 @@ class StableDynamics(System):
     def _advance(self, seconds: float, robot: Array | None) -> None:
         if robot is not None:
             self._follow(robot, seconds)
-        own = self._pace.advance(seconds) * self._model_duration
+        scaled = self._time_scaling.advance(seconds) * self._model_duration
         before = self._x.copy()
-        self._radius = self._go(self._x, self._radius, own)
+        self._radius = self._go(self._x, self._radius, scaled)
         self._offset, self._offset_rate = self._offset_after(seconds)
         rate = 1.0 / self.blend_time
         self._goal_offset, self._goal_rate = critically_damped(self._goal_offset, self._goal_rate, rate, seconds)
         self._reach()
-        self._take_velocity(seconds, self.manifold.log(before, self._x) - own * self.velocity)
+        self._take_velocity(seconds, self.manifold.log(before, self._x) - scaled * self.velocity)
 
-    def _go(self, x: Array, radius: float, own: float) -> float:
-        """x goes on by an own time, s as demonstrated; the radius then."""
-        n_steps = int(min(max(math.ceil(own / (MAX_TIME_STEP * self._model_duration)), 1), MAX_STEPS))
-        return float(kernels.go(x, radius, own, n_steps, *self._system, np.empty(len(self.velocity))))
+    def _go(self, x: Array, radius: float, scaled: float) -> float:
+        """x goes on by a scaled time, s as demonstrated; the radius then."""
+        n_steps = int(min(max(math.ceil(scaled / (MAX_TIME_STEP * self._model_duration)), 1), MAX_STEPS))
+        return float(kernels.go(x, radius, scaled, n_steps, *self._system, np.empty(len(self.velocity))))
 
     def _follow(self, robot: Array, seconds: float) -> None:
         """Slow down for a robot that is farther away than the leash, and be pulled along by it.
@@ -257,7 +261,7 @@ class StableDynamics(System):
         length, leash = self._length(away), self.convergence.leash
         excess = length - leash
         if excess > 0.0:
-            self._pace.target *= max(1.0 - excess / leash, 0.0)
+            self._time_scaling.target *= max(1.0 - excess / leash, 0.0)
             pulled = min(-math.expm1(-seconds / self.blend_time) * excess, self.convergence.leash_speed * seconds)
             self._x = self.manifold.exp(self._x, away * (pulled / length))
             self._radius += pulled
@@ -278,8 +282,8 @@ class StableDynamics(System):
         x, radius = self._x.copy(), self._radius
         kept = self._activations.copy(), self.regressed.copy()
         gaussians, gone = [], 0.0
-        for time, own in zip(seconds, self._pace.ahead(seconds) * self._model_duration, strict=True):
-            radius, gone = self._go(x, radius, own - gone), own
+        for time, scaled in zip(seconds, self._time_scaling.ahead(seconds) * self._model_duration, strict=True):
+            radius, gone = self._go(x, radius, scaled - gone), scaled
             mean = self.manifold.exp(x, self._offset_after(float(time))[0])
             gaussians.append(Gaussian(mean, self._covariance_at(x, self._activations), self.manifold))
         self._activations[:], self.regressed[:] = kept

@@ -11,7 +11,7 @@ from typing import Any
 from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.text import shown
 from tpgmm_core.learning import model_file
-from tpgmm_core.learning.ends import GoalTPGMM
+from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.retrieval.dmp import DynamicMovementPrimitive
@@ -80,7 +80,7 @@ class RetrievalMethod:
 
 def _dmp(model: TPGMM, **settings: Any) -> Retrieval:
     encoding = encoding_of(model)
-    assert isinstance(encoding, DmpEncoding) and isinstance(model, GoalTPGMM)  # checked by `RetrievalMethod.check`
+    assert isinstance(encoding, DmpEncoding) and isinstance(model, EndpointTPGMM)  # checked by `RetrievalMethod.check`
     return DynamicMovementPrimitive(model, encoding.parameters, **settings)
 
 
@@ -91,9 +91,9 @@ METHODS: dict[str, RetrievalMethod] = {
         RetrievalMethod(name="regress_product", encoding=TimeEncoding, time_parametrized=RegressThenProduct),
         RetrievalMethod(name="trajectory", encoding=DerivativesEncoding, time_parametrized=SmoothTrajectory),
         RetrievalMethod(
-            name="dynamical_system", encoding=VelocityEncoding, estimator=GoalTPGMM, movement=StableDynamics
+            name="dynamical_system", encoding=VelocityEncoding, estimator=EndpointTPGMM, movement=StableDynamics
         ),
-        RetrievalMethod(name="dmp", encoding=DmpEncoding, estimator=GoalTPGMM, movement=_dmp),
+        RetrievalMethod(name="dmp", encoding=DmpEncoding, estimator=EndpointTPGMM, movement=_dmp),
         RetrievalMethod(
             name="semi_markov",
             encoding=TimeEncoding,

@@ -18,7 +18,7 @@ from tpgmm_core.common.settings import check_settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.retrieval.interface import TimeParametrized
-from tpgmm_core.retrieval.pace import Pace
+from tpgmm_core.retrieval.time_scaling import TimeScaling
 
 _SECOND = 1_000_000_000
 SPEED_TIME_CONSTANT = 0.1  # s, with which a new speed is taken over
@@ -33,7 +33,7 @@ class ClockPhase:
     """The model's time is that of the clock, scaled to the duration that is asked for."""
 
     def __init__(self) -> None:
-        self._pace = Pace(1.0, SPEED_TIME_CONSTANT)
+        self._time_scaling = TimeScaling(1.0, SPEED_TIME_CONSTANT)
         self.start(0)
 
     def bind(self, course: TimeParametrized, duration: float) -> None:
@@ -53,20 +53,20 @@ class ClockPhase:
         May be set at any time, and is taken over as by a low-pass with SPEED_TIME_CONSTANT. Raises ValueError for one
         that is not finite or beyond MAX_SPEED.
         """
-        return self._pace.target
+        return self._time_scaling.target
 
     @speed.setter
     def speed(self, speed: float) -> None:
         if not abs(speed) <= MAX_SPEED:
             raise ValueError(f"the speed is {speed!r}; give a number from {-MAX_SPEED:g} to {MAX_SPEED:g}")
         self._go_on_from(self._value)
-        self._pace.target = float(speed)
+        self._time_scaling.target = float(speed)
 
     def start(self, time_ns: int, value: float = 0.0) -> None:
         """Begin at this time, ns, at a share `value` of the movement, with the speed that is set."""
         self._origin_ns = self._last_ns = time_ns
         self._origin = self._value = min(max(value, 0.0), 1.0)
-        self._pace.rate = self._pace.target
+        self._time_scaling.rate = self._time_scaling.target
 
     def situated(self) -> None:
         """The course is in another situation now."""
@@ -98,15 +98,15 @@ class ClockPhase:
 
     def _passed(self, seconds: float | Array) -> float | Array:
         """Own time, s, that passes within some seconds from the last change of speed on."""
-        pace = self._pace
-        return pace.target * seconds if pace.rate == pace.target else pace.ahead(seconds)
+        scaling = self._time_scaling
+        return scaling.target * seconds if scaling.rate == scaling.target else scaling.ahead(seconds)
 
     def _go_on_from(self, value: float) -> None:
         """Let now, at this value, be the origin; at an end of the movement, what goes against it stands still."""
-        pace = self._pace
-        pace.advance(self._since_origin())
-        if (value >= 1.0 and pace.rate > 0.0) or (value <= 0.0 and pace.rate < 0.0):
-            pace.rate = 0.0
+        scaling = self._time_scaling
+        scaling.advance(self._since_origin())
+        if (value >= 1.0 and scaling.rate > 0.0) or (value <= 0.0 and scaling.rate < 0.0):
+            scaling.rate = 0.0
         self._origin_ns, self._origin, self._value = self._last_ns, value, value
 
 
@@ -232,7 +232,7 @@ class StatePhase(ClockPhase):
     def advance(self, time_ns: int) -> None:
         seconds = max(0.0, (time_ns - self._last_ns) / _SECOND)
         self._correction += -math.expm1(-seconds / self.config.response) * (self._observed - self._correction)
-        value = self._value + self._pace.ahead(seconds) / self._duration + self._effective(seconds)
+        value = self._value + self._time_scaling.ahead(seconds) / self._duration + self._effective(seconds)
         self._last_ns = time_ns
         self._go_on_from(min(max(float(value), 0.0), 1.0))
         self._unobserved += seconds
@@ -255,12 +255,12 @@ class StatePhase(ClockPhase):
         self._observed = min(max(correction, -largest), largest)
 
     def times(self, ahead: Array) -> Array:
-        values = self._value + self._pace.ahead(ahead) / self._duration + self._effective(ahead)
+        values = self._value + self._time_scaling.ahead(ahead) / self._duration + self._effective(ahead)
         return self._model_times(np.minimum(np.maximum(values, 0.0), 1.0))
 
     def _effective[T: (float, Array)](self, seconds: T) -> T:
         """What the correction adds to the value within some seconds."""
-        return min(1.0, abs(self._pace.rate)) * self._correction * seconds
+        return min(1.0, abs(self._time_scaling.rate)) * self._correction * seconds
 
 
 PHASES: dict[str, type[ClockPhase]] = {"clock": ClockPhase, "arc_length": ArcLengthPhase, "state": StatePhase}

@@ -9,8 +9,8 @@ from typing import Any
 
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.common.text import shown
-from tpgmm_core.kinematics.aims import aim_at_origins
 from tpgmm_core.kinematics.movement import KinematicMovement
+from tpgmm_core.kinematics.object_targets import target_object_origins
 from tpgmm_core.learning.estimation.compiled_em import Progress
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.retrieval.methods import KEY
@@ -71,7 +71,7 @@ class KinematicRecipe:
             times = recording.times * (duration / recording.duration)
             demonstrations.append(frames.demonstration(times, recording.configurations, objects, with_time=over_time))
         model = TPGMM(**arguments).fit(demonstrations, progress)
-        aim_at_origins(model, self.spec.aiming, over_time)
+        target_object_origins(model, self.spec.aiming, over_time)
         model.dimensions_ = _dimensions(self.spec, over_time)
         model.metadata_ = {KEY: METHOD, _SPEC_KEY: self.spec.description, "duration_s": duration}
         return model

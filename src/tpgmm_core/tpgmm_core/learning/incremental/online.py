@@ -15,8 +15,8 @@ from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.compiled_em import Progress
 from tpgmm_core.learning.estimation.em import MixtureEstimate
 from tpgmm_core.learning.estimation.emissions import Emissions
-from tpgmm_core.learning.incremental.cells import Cells, fit_cells
-from tpgmm_core.learning.incremental.growth import growth
+from tpgmm_core.learning.incremental.component_birth import new_components
+from tpgmm_core.learning.incremental.sufficient_statistics import SufficientStatistics, fit_cells
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.samples import Samples
@@ -29,8 +29,8 @@ class OnlineTPGMM(TPGMM):
 
     `fit` learns as `TPGMM` does, and keeps the moments of every `cell_size` samples that follow each other.
     `partial_fit` is incremental EM (Neal and Hinton, 1998; for streams see Cappé and Moulines, 2009) on the new
-    samples and on these cells, whose samples share their responsibilities: see `Cells`. Its objective never falls
-    (regularization "prior").
+    samples and on these cells, whose samples share their responsibilities: see `SufficientStatistics`. Its objective
+    never falls (regularization "prior").
 
     How it compares with learning from all demonstrations at once: the objective is a lower bound of that of
     `TPGMM`, and equal to it with one component, with cells of one sample, and wherever the samples of each cell
@@ -44,21 +44,21 @@ class OnlineTPGMM(TPGMM):
     cell_size : samples in a cell. A cell takes the room of about (n + 3) / 2 samples of n dimensions
     max_cells : when there are more cells, neighbours are joined, so that memory is bounded
     growth_threshold : samples of new demonstrations that are farther from all components, in mean squares of
-        standard deviations per dimension, found new ones: see `growth`. None: the number of components stays
+        standard deviations per dimension, found new ones: see `new_components`. None: the number of components stays
     max_loss : nats per sample that `partial_fit` may cost what was learned before: new demonstrations that
         contradict it get less weight. None: no limit; few old demonstrations then yield to what new ones show,
         as they do in learning from all at once
 
     Attributes after fitting (those of `TPGMM`, and)
     ------------------------
-    cells_ : `Cells` of everything taken in
+    cells_ : `SufficientStatistics` of everything taken in
     retained_ : the mean log-likelihood per sample of everything taken in is at least this, each demonstration
         counted by the influence that it was given
     influence_ : weight of the last demonstrations, 1 where `max_loss` did not limit it, 0 if they were left out
     log_likelihoods_, objectives_ : of the last call, per sample; old samples enter `partial_fit` by their bound
     """
 
-    cells_: Cells
+    cells_: SufficientStatistics
     retained_: float
     influence_: float
 
@@ -104,22 +104,24 @@ class OnlineTPGMM(TPGMM):
             lowest = self.cells_.bound(self.priors_, self.emissions_) - self.max_loss * self.cells_.n_samples
         # with less and less weight the old cells lose less and less, since the objective never falls
         for weight in 0.5 ** np.arange(HALVINGS):
-            cells = self.cells_.followed_by(Cells.of(samples, weight))
+            cells = self.cells_.followed_by(SufficientStatistics.of(samples, weight))
             estimate = self._continued(samples, cells, weight, progress)
             if self.cells_.bound(estimate.priors, estimate.emissions) >= lowest:
                 self.influence_ = float(weight)
-                new = Cells.of(samples, weight).coarser(self.cell_size)
+                new = SufficientStatistics.of(samples, weight).coarser(self.cell_size)
                 self._keep(self.cells_.followed_by(new), estimate)
                 return self
         self.influence_ = 0.0
         return self
 
-    def _continued(self, samples: Samples, cells: Cells, weight: float, progress: Progress | None) -> MixtureEstimate:
+    def _continued(
+        self, samples: Samples, cells: SufficientStatistics, weight: float, progress: Progress | None
+    ) -> MixtureEstimate:
         """EM on all cells from the present model, and components for what is new."""
         priors, emissions = self.priors_, self.emissions_
         more = None
         if self.growth_threshold is not None:
-            more = growth(emissions, priors, samples, self.growth_threshold)
+            more = new_components(emissions, priors, samples, self.growth_threshold)
         if more is not None:
             covariances = emissions.covariances
             counts = np.concatenate([self.cells_.n_samples * priors, weight * more.counts])
@@ -141,11 +143,11 @@ class OnlineTPGMM(TPGMM):
     def _fit(self, samples: Samples, progress: Progress | None) -> Self:
         super()._fit(samples, progress)
         self.influence_ = 1.0
-        self.cells_ = self._bounded(Cells.of(samples).coarser(self.cell_size))
+        self.cells_ = self._bounded(SufficientStatistics.of(samples).coarser(self.cell_size))
         self.retained_ = self.cells_.bound(self.priors_, self.emissions_) / self.cells_.n_samples
         return self
 
-    def _keep(self, cells: Cells, estimate: MixtureEstimate) -> None:
+    def _keep(self, cells: SufficientStatistics, estimate: MixtureEstimate) -> None:
         dimensions, metadata = self.dimensions_, self.metadata_
         self._learned(estimate.with_dense_covariances(), self.manifold_, estimate.emissions)
         self.dimensions_, self.metadata_ = dimensions, metadata
@@ -156,11 +158,11 @@ class OnlineTPGMM(TPGMM):
         return {**self.cells_.arrays(), "influence": np.array([self.influence_])}
 
     def _restore(self, arrays: Mapping[str, Array]) -> None:
-        self.cells_ = Cells.from_arrays(arrays, self.frame_manifolds_)
+        self.cells_ = SufficientStatistics.from_arrays(arrays, self.frame_manifolds_)
         self.influence_ = float(arrays["influence"].item())
         self.retained_ = self.cells_.bound(self.priors_, self.emissions_) / self.cells_.n_samples
 
-    def _bounded(self, cells: Cells) -> Cells:
+    def _bounded(self, cells: SufficientStatistics) -> SufficientStatistics:
         """At most `max_cells`, or one for each demonstration."""
         while len(cells.counts) > self.max_cells:
             fewer = cells.coarser(2)

@@ -11,7 +11,7 @@ from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.model.kernels_adapt import tangent_matrix
 
 
-def lifted(frame: Frame, manifold: Manifold, orders: int = 1) -> Frame:
+def frame_with_derivatives(frame: Frame, manifold: Manifold, orders: int = 1) -> Frame:
     """The frame for [x, derivatives of x], of a frame for points x (D,) on a manifold.
 
     orders : how many derivatives (n,) each, tangent vectors, on S³ about the fixed axes. A derivative is seen as the

@@ -17,7 +17,7 @@ MAX_SWEEPS = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Growth:
+class NewComponents:
     """Components to add: counts (L,); name → means (L, D_j) and covariances (L, n_j, n_j)."""
 
     counts: Array
@@ -25,7 +25,7 @@ class Growth:
     covariances: Mapping[str, Array]
 
 
-def growth(emissions: Emissions, priors: Array, samples: Samples, threshold: float) -> Growth | None:
+def new_components(emissions: Emissions, priors: Array, samples: Samples, threshold: float) -> NewComponents | None:
     """New components for samples that are far from all there are; None where the data ask for none.
 
     A sample is far when its squared Mahalanobis distance to each component, over all frames that saw it, is more
@@ -62,7 +62,7 @@ def growth(emissions: Emissions, priors: Array, samples: Samples, threshold: flo
         chosen = [x[far][(labels == k) & seen[far]] for k in kept]
         means[name] = np.stack([manifold.mean(c if len(c) else x[far]) for c in chosen])
         covariances[name] = np.repeat(pooled[name][None], len(kept), axis=0)
-    return Growth(members[kept].astype(float), means, covariances)
+    return NewComponents(members[kept].astype(float), means, covariances)
 
 
 def _dp_means(points: Array, weights: Array, threshold: float) -> Labels:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Pace`: how fast the own time of a system passes, without jumps of that speed."""
+"""`TimeScaling`: how fast the scaled time of a system passes, without jumps of that speed."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from tpgmm_core.common.types import Array
 
 
-class Pace:
-    """Own time passes at a rate that follows a target by a first-order low-pass, solved exactly.
+class TimeScaling:
+    """Scaled time passes at a rate that follows a target by a first-order low-pass, solved exactly.
 
-    rate : own time per s, at present; target : what it approaches; both may be set, the rate by whoever begins anew
+    rate : scaled time per s, at present; target : what it approaches; both may be set, the rate by whoever begins anew
     time_constant : s
     """
 
@@ -23,13 +23,13 @@ class Pace:
         self.time_constant = time_constant
 
     def advance(self, seconds: float) -> float:
-        """Own time that passes within the next seconds; they are over then."""
+        """Scaled time that passes within the next seconds; they are over then."""
         passed = float(self.ahead(seconds))
         self.rate = self.target + (self.rate - self.target) * math.exp(-seconds / self.time_constant)
         return passed
 
     def ahead(self, seconds: ArrayLike) -> Array:
-        """Own time that will have passed after seconds (...,), should the target stay."""
+        """Scaled time that will have passed after seconds (...,), should the target stay."""
         seconds = np.asarray(seconds, dtype=float)
         settled = -np.expm1(-seconds / self.time_constant) * self.time_constant
         return np.asarray(self.target * seconds + (self.rate - self.target) * settled)

@@ -16,7 +16,7 @@ import numpy as np
 from tpgmm_core.learning.tpgmm import TPGMM
 
 
-def aim_at_origins(model: TPGMM, frames: Collection[str], over_time: bool = False) -> None:
+def target_object_origins(model: TPGMM, frames: Collection[str], over_time: bool = False) -> None:
     """Let a fitted model aim at the origins of some frames: each component's mean there becomes zero, and what it
     was is counted as deviation, Sigma + mu mu^T. Of one Gaussian this is the maximum of the likelihood with that mean.
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`GoalTPGMM`: a TP-GMM that also knows where the demonstrations begin and end, as seen from each frame."""
+"""`EndpointTPGMM`: a TP-GMM that also knows where the demonstrations begin and end, as seen from each frame."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.samples import Samples
 
 BEGIN, END = 0, 1
-"""Components of `GoalTPGMM.ends_`."""
+"""Components of `EndpointTPGMM.endpoints_`."""
 
 
-class GoalTPGMM(TPGMM):
+class EndpointTPGMM(TPGMM):
     """A mixture, and a Gaussian of the first and of the last samples of the demonstrations in each frame.
 
     Systems that are to end where the demonstrations ended take the goal from here. A mixture does not tell: each of its
@@ -26,17 +26,17 @@ class GoalTPGMM(TPGMM):
 
     Attributes after fitting (those of `TPGMM`, and)
     ------------------------
-    ends_ : model of two components over the same data, where movements begin (BEGIN) and end (END), to be adapted to a
-        situation like any other. Covariances are those of as few samples as there are demonstrations: half of the
+    endpoints_ : model of two components over the same data, where movements begin (BEGIN) and end (END), to be adapted
+        to a situation like any other. Covariances are those of as few samples as there are demonstrations: half of the
         weight of one more sample for each dimension goes to their diagonal, so that a frame is not sure of what only
         too few demonstrations agree in. A frame that no end was seen from knows of it what it saw of all the movement.
 
     `fit_projected` takes its samples for one demonstration.
     """
 
-    ends_: TPGMM
+    endpoints_: TPGMM
 
-    def _fit(self, samples: Samples, progress: Progress | None) -> GoalTPGMM:
+    def _fit(self, samples: Samples, progress: Progress | None) -> EndpointTPGMM:
         super()._fit(samples, progress)
         last = np.cumsum(samples.lengths)
         labels = np.full(samples.n_samples, -1, dtype=np.intp)
@@ -47,21 +47,21 @@ class GoalTPGMM(TPGMM):
             means[name], sampled = initialization.moments(samples.manifolds[name], x, seen, labels, 2, self.reg_covar)
             counts = np.array([np.count_nonzero(seen & (labels == k)) for k in (BEGIN, END)])
             covariances[name] = _towards_diagonal(sampled, counts)
-        self._learned_ends(means, covariances)
+        self._learned_endpoints(means, covariances)
         return self
 
-    def _learned_ends(self, means: Mapping[str, Array], covariances: Mapping[str, Array]) -> None:
-        ends = TPGMM(2, reg_covar=self.reg_covar)
-        ends.priors_ = np.full(2, 0.5)
-        ends.frame_names_, ends.manifold_ = self.frame_names_, self.manifold_
-        ends.means_, ends.covariances_ = dict(means), dict(covariances)
-        self.ends_ = ends
+    def _learned_endpoints(self, means: Mapping[str, Array], covariances: Mapping[str, Array]) -> None:
+        endpoints = TPGMM(2, reg_covar=self.reg_covar)
+        endpoints.priors_ = np.full(2, 0.5)
+        endpoints.frame_names_, endpoints.manifold_ = self.frame_names_, self.manifold_
+        endpoints.means_, endpoints.covariances_ = dict(means), dict(covariances)
+        self.endpoints_ = endpoints
 
     def _more_arrays(self) -> dict[str, Array]:
         arrays = {}
         for j, name in enumerate(self.frame_names_):
-            arrays[f"ends_means_{j}"] = self.ends_.means_[name]
-            arrays[f"ends_covariances_{j}"] = self.ends_.covariances_[name]
+            arrays[f"ends_means_{j}"] = self.endpoints_.means_[name]
+            arrays[f"ends_covariances_{j}"] = self.endpoints_.covariances_[name]
         return arrays
 
     def _restore(self, arrays: Mapping[str, Array]) -> None:
@@ -77,7 +77,7 @@ class GoalTPGMM(TPGMM):
             if not np.all(np.linalg.eigvalsh(covariance) > 0.0):
                 raise ValueError(f"the covariances of the ends in frame {shown(name)} are not positive definite")
             means[name], covariances[name] = mean, covariance
-        self._learned_ends(means, covariances)
+        self._learned_endpoints(means, covariances)
 
 
 def _towards_diagonal(covariances: Array, counts: Array) -> Array:

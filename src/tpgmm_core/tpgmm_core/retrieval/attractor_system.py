@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`System`: what retrieval methods that have a state of their own and go on from step to step have in common."""
+"""`AttractorSystem`: what retrieval methods have in common that have a state of their own and go to a goal."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
-from tpgmm_core.learning.ends import GoalTPGMM
+from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.covariance_fade import CovarianceFade
 from tpgmm_core.retrieval.interface import demonstrated_duration
-from tpgmm_core.retrieval.pace import Pace
+from tpgmm_core.retrieval.time_scaling import TimeScaling
 
 _SECOND = 1_000_000_000
 
 
-class System(ABC):
-    """A `Retrieval` whose own time is in units of the duration; only forwards.
+class AttractorSystem(ABC):
+    """A `Retrieval` whose scaled time is in units of the duration; only forwards.
 
     model : fitted; manifold : of the references
     duration : s, of the movement at speed 1; as demonstrated (`metadata_["duration_s"]`) where None. May be set at any
@@ -40,16 +40,16 @@ class System(ABC):
 
     def __init__(
         self,
-        model: GoalTPGMM,
+        model: EndpointTPGMM,
         manifold: Manifold,
         duration: float | None,
         horizon_steps: int,
         horizon_time_step: float,
         blend_time: float,
     ) -> None:
-        if not isinstance(model, GoalTPGMM):
+        if not isinstance(model, EndpointTPGMM):
             raise ValueError(
-                f"the model is a {type(model).__name__}, which does not tell where movements end: fit a GoalTPGMM"
+                f"the model is a {type(model).__name__}, which does not tell where movements end: fit an EndpointTPGMM"
             )
         duration = demonstrated_duration(model) if duration is None else duration
         positive(duration=duration, horizon_time_step=horizon_time_step, blend_time=blend_time)
@@ -59,7 +59,7 @@ class System(ABC):
         self._horizon_time_step = horizon_time_step if horizon_steps else 0.0
         self._ahead_times: Array = horizon_time_step * np.arange(1, 1 + horizon_steps, dtype=np.float64)
         self._duration, self._speed = float(duration), 1.0
-        self._pace = Pace(1.0 / self._duration, self.blend_time)
+        self._time_scaling = TimeScaling(1.0 / self._duration, self.blend_time)
         self._fade = CovarianceFade(manifold.tangent_dim, self.blend_time)
         self._shown: Array = np.eye(manifold.tangent_dim)  # covariance of the last reference
         self._last_ns: int | None = None
@@ -83,7 +83,7 @@ class System(ABC):
     def duration(self, duration: float) -> None:
         positive(duration=duration)
         self._duration = float(duration)
-        self._pace.target = self._target()
+        self._time_scaling.target = self._target()
 
     @property
     def speed(self) -> float:
@@ -98,7 +98,7 @@ class System(ABC):
                 "a retrieval method that is a function of time"
             )
         self._speed = float(speed)
-        self._pace.target = self._target()
+        self._time_scaling.target = self._target()
 
     def start(self, time_ns: int, state: ArrayLike | None = None, phase: float = 0.0) -> None:
         """Begin at this time, ns, at rest: see `Retrieval.start`.
@@ -113,8 +113,8 @@ class System(ABC):
         self._last_ns = time_ns
         self._situation = None
         self._fade.forget()
-        self._pace.target = self._target()
-        self._pace.rate = self._pace.target
+        self._time_scaling.target = self._target()
+        self._time_scaling.rate = self._time_scaling.target
 
     def step(
         self,
@@ -138,7 +138,7 @@ class System(ABC):
             self._situation = situation
         self._last_ns = time_ns
         if seconds > 0.0:
-            self._pace.target = self._target()
+            self._time_scaling.target = self._target()
             self._advance(seconds, where)
             self._fade.advance(seconds)
         mean, covariance, activations = self._now()
@@ -166,7 +166,7 @@ class System(ABC):
         return self._mixture()
 
     def _target(self) -> float:
-        """Own time per s that is wanted."""
+        """Scaled time per s that is wanted."""
         return self._speed / self._duration
 
     def _check_stepped(self) -> None:

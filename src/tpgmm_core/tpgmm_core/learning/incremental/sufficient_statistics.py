@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Cells`: sufficient statistics of runs of neighbouring samples, which learning goes on from in place of the samples.
+"""`SufficientStatistics` of cells, runs of neighbouring samples: learning goes on from them in place of the samples.
 
 When all samples of a cell c share their responsibilities r_ck, the bound of EM (Neal and Hinton, 1998) needs of
 them only their number n_c and their moments, and is largest for r_ck ∝ pi_k exp E_c[log N_k] (Verbeek, Nunnink
@@ -32,7 +32,7 @@ PARTS = ("counts", "means", "scatters")  # of moments, in the order of their arg
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
+class SufficientStatistics:
     """C groups of samples, in the order in which they were shown.
 
     counts : shape (C,), samples, or their weight
@@ -47,7 +47,7 @@ class Cells:
     manifolds: Mapping[str, Manifold]
 
     @classmethod
-    def of(cls, samples: Samples, weight: float = 1.0) -> Cells:
+    def of(cls, samples: Samples, weight: float = 1.0) -> SufficientStatistics:
         """Every sample a cell of its own, of this weight."""
         frames = {
             name: Moments(weight * seen, x, np.zeros((len(x), *2 * (samples.manifolds[name].tangent_dim,))))
@@ -65,7 +65,7 @@ class Cells:
         return arrays
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, Array], manifolds: Mapping[str, Manifold]) -> Cells:
+    def from_arrays(cls, arrays: Mapping[str, Array], manifolds: Mapping[str, Manifold]) -> SufficientStatistics:
         """The inverse of `arrays`. Raises ValueError for arrays that do not fit the manifolds."""
         counts, demonstrations = arrays["cells"], arrays["cells_demonstrations"]
         C = len(counts)
@@ -90,8 +90,8 @@ class Cells:
         """Samples in all cells, by weight."""
         return float(self.counts.sum())
 
-    def followed_by(self, others: Cells) -> Cells:
-        """Cells of these demonstrations, and then those of others."""
+    def followed_by(self, others: SufficientStatistics) -> SufficientStatistics:
+        """The cells of these demonstrations, and then those of others."""
         joined = {}
         for name, a in self.frames.items():
             b = others.frames[name]
@@ -108,7 +108,7 @@ class Cells:
             frames=joined,
         )
 
-    def coarser(self, size: int) -> Cells:
+    def coarser(self, size: int) -> SufficientStatistics:
         """Every `size` cells that follow each other in a demonstration become one."""
         starts = np.searchsorted(self.demonstrations, self.demonstrations)
         places = (np.arange(len(self.counts)) - starts) // size
@@ -175,7 +175,13 @@ class Cells:
 
 
 def fit_cells(
-    cells: Cells, priors: Array, emissions: Emissions, *, tol: float, max_iter: int, progress: Progress | None = None
+    cells: SufficientStatistics,
+    priors: Array,
+    emissions: Emissions,
+    *,
+    tol: float,
+    max_iter: int,
+    progress: Progress | None = None,
 ) -> MixtureEstimate:
     """EM with shared responsibilities from the given start, with the rules of `fit_mixture`; log-likelihoods are F.
 
