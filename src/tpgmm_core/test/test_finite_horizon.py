@@ -152,15 +152,15 @@ def test_without_risk_noise_changes_nothing_and_little_risk_little() -> None:
     np.testing.assert_allclose(slight.feedforward, plain.feedforward, rtol=1e-5, atol=1e-5)
 
 
-def test_fear_stiffens_where_noise_enters() -> None:
+def test_risk_aversion_stiffens_where_noise_enters() -> None:
     A, B = double_integrator(2, 0.05)
     Q, r = np.zeros((21, 4, 4)), np.zeros((21, 4))
     Q[:, :2, :2] = np.eye(2)
     noise = np.diag([0.0, 0.0, 0.05, 0.0])
     neutral = finite_horizon_gains(A, B, Q, 1.0, r)
-    fearful = finite_horizon_gains(A, B, Q, 1.0, r, noise=noise, risk=0.5)
-    assert fearful.stiffness[0, 0, 0] > 1.1 * neutral.stiffness[0, 0, 0]
-    assert fearful.stiffness[0, 1, 1] == pytest.approx(neutral.stiffness[0, 1, 1], rel=1e-9)
+    averse = finite_horizon_gains(A, B, Q, 1.0, r, noise=noise, risk=0.5)
+    assert averse.stiffness[0, 0, 0] > 1.1 * neutral.stiffness[0, 0, 0]
+    assert averse.stiffness[0, 1, 1] == pytest.approx(neutral.stiffness[0, 1, 1], rel=1e-9)
 
 
 def test_risk_beyond_the_breakdown_is_refused() -> None:

@@ -112,7 +112,7 @@ def test_the_tau_is_the_sum_of_its_terms(baxter: RobotModel, home: np.ndarray) -
     home = home + np.r_[0.01, 0.02, 0.0, np.zeros(4)]
     for command in Loop(baxter).run(0.3, at(home)):
         law = asked(command)
-        assert set(law.terms) == {"feedforward", "feedback", "null_space", "hold", "leading"}
+        assert set(law.terms) == {"feedforward", "feedback", "null_space", "hold", "hand_guiding"}
         np.testing.assert_allclose(law.tau, sum(law.terms.values()), atol=1e-12)
     np.testing.assert_allclose(command.tau, law.tau, atol=1e-12)
     assert not command.limited

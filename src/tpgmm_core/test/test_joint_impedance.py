@@ -66,7 +66,7 @@ def test_a_motor_that_is_too_weak_gives_what_it_can_and_the_others_do_not_let_go
     mean[3], mean[10] = mean[3] + 5.0, mean[10] + 0.05  # out of all reach on the left, near on the right
     law.reset()
     answer = law.step(moment, law.target(reference(mean, 100.0 * np.eye(14)), False), AT_ONCE)
-    assert answer.shortened
+    assert answer.saturated
     assert np.all(np.abs(answer.tau) <= robot.effort_limits * (1.0 + 1e-12))
     right = joints[7:]
     np.testing.assert_allclose(answer.terms["feedback"][right], (answer.stiffness @ answer.error)[7:], rtol=1e-9)
@@ -78,19 +78,19 @@ def test_what_brakes_never_drives_however_weak_the_motors_are(robot: RobotModel,
     random = np.random.default_rng(8)
     n = robot.nv
     joints, nothing = np.arange(n), np.zeros(n)
-    shortened = 0
+    saturated = 0
     for _ in range(200):
         A = random.standard_normal((n, 2)) * np.exp(random.normal(scale=2.0, size=(n, 1)))
         D = A @ A.T + 0.1 * np.eye(n)
         v = random.standard_normal(n) * np.exp(random.normal(scale=2.0, size=n))
         given = random.uniform(-1.2, 1.2, n) * weak * robot.effort_limits
         feedback, stiffness, damping = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
-        shortened += joint_torques(
+        saturated += joint_torques(
             joints, np.eye(n), np.eye(n), nothing, nothing, v, D, 0.5 * np.eye(n), nothing, 1.0, 1.0,
             weak * robot.effort_limits, given, feedback, stiffness, damping,
         )  # fmt: skip
         assert feedback @ v <= 1e-9 * np.abs(feedback) @ np.abs(v)
-    assert shortened > 0
+    assert saturated > 0
 
 
 @pytest.mark.parametrize(("mass", "start"), [(1.0, 1.0), (0.1, 1.0), (0.1, 0.3)])

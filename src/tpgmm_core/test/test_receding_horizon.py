@@ -65,22 +65,24 @@ def test_it_agrees_with_the_riccati_differential_equation_along_a_course_that_be
     np.testing.assert_allclose(gains.acceleration, expected.feedforward[0] - expected.gains[0] @ now, rtol=1e-4)
 
 
-@pytest.mark.parametrize("risk", [0.4, -0.7])
-def test_risk_is_that_of_the_riccati_equation_with_the_covariance_as_noise(risk: float) -> None:
+@pytest.mark.parametrize("risk_share", [0.4, -0.7])
+def test_risk_is_that_of_the_riccati_equation_with_the_covariance_as_noise(risk_share: float) -> None:
     (positions, covariances), n, risk_stiffness = random_course(1, 3), 3, 25.0
     noise, Q = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
     noise[n:, n:], Q[:n, :n] = covariances[0], np.linalg.inv(covariances[0])
-    theta = risk * risk_stiffness**2  # of which the share is r theta sigma^2 = risk (risk_stiffness / K_P)^2
+    theta = risk_share * risk_stiffness**2  # the share is r theta sigma^2
     expected = continuous_regulator(*double_integrator(n), Q, CONTROL_COST, noise=noise, risk=theta).gain
-    gains = receding_horizon_gains(positions, covariances, 1.0, CONTROL_COST, risk=risk, risk_stiffness=risk_stiffness)
+    gains = receding_horizon_gains(
+        positions, covariances, 1.0, CONTROL_COST, risk_share=risk_share, risk_stiffness=risk_stiffness
+    )
     np.testing.assert_allclose(np.hstack([gains.stiffness, gains.damping]), expected, rtol=1e-6)
 
 
 def test_risk_along_a_course_agrees_with_the_riccati_differential_equation() -> None:
-    (positions, covariances), n, dt, risk, risk_stiffness = random_course(2, 2), 2, 0.1, 0.3, 30.0
+    (positions, covariances), n, dt, risk_share, risk_stiffness = random_course(2, 2), 2, 0.1, 0.3, 30.0
     noise, Q = np.zeros((2 * n, 2 * n)), np.zeros((2, 2 * n, 2 * n))
     noise[n:, n:], Q[0, :n, :n] = covariances[0], np.linalg.inv(covariances[0])
-    theta, after = risk * risk_stiffness**2, np.zeros((2 * n, 2 * n))
+    theta, after = risk_share * risk_stiffness**2, np.zeros((2 * n, 2 * n))
     A, B = double_integrator(n)
     later, end_noise = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
     later[:n, :n], end_noise[n:, n:] = np.linalg.inv(covariances[1]), covariances[1]
@@ -88,23 +90,30 @@ def test_risk_along_a_course_agrees_with_the_riccati_differential_equation() -> 
     Q[1] = after
     expected = continuous_horizon_gains(A, B, Q, CONTROL_COST, np.zeros((2, 2 * n)), dt, noise=noise, risk=theta)
     gains = receding_horizon_gains(
-        np.tile(positions[:1], (2, 1)), covariances, dt, CONTROL_COST, risk=risk, risk_stiffness=risk_stiffness
+        np.tile(positions[:1], (2, 1)),
+        covariances,
+        dt,
+        CONTROL_COST,
+        risk_share=risk_share,
+        risk_stiffness=risk_stiffness,
     )
     np.testing.assert_allclose(np.hstack([gains.stiffness, gains.damping]), expected.gains[0], rtol=1e-6)
 
 
-def test_fear_is_stiffer_hope_softer_and_no_risk_breaks_down() -> None:
+def test_risk_aversion_is_stiffer_risk_seeking_softer_and_no_share_breaks_down() -> None:
     positions, covariances = random_course(4, 3)
 
-    def firmness(risk: float) -> float:
-        gains = receding_horizon_gains(positions, covariances, 0.1, CONTROL_COST, risk=risk, risk_stiffness=100.0)
+    def firmness(risk_share: float) -> float:
+        gains = receding_horizon_gains(
+            positions, covariances, 0.1, CONTROL_COST, risk_share=risk_share, risk_stiffness=100.0
+        )
         return float(np.trace(gains.stiffness))
 
-    values = [firmness(risk) for risk in (-10.0, -0.2, 0.0, 0.2, 1e6)]
+    values = [firmness(risk_share) for risk_share in (-10.0, -0.2, 0.0, 0.2, 1e6)]
     assert values == sorted(values)
     alone = receding_horizon_gains(positions[:1], covariances[:1], 0.1, CONTROL_COST)
-    feared = receding_horizon_gains(positions[:1], covariances[:1], 0.1, CONTROL_COST, risk=1e6)
-    np.testing.assert_allclose(feared.stiffness, alone.stiffness / np.sqrt(1.0 - LARGEST_SHARE))
+    worst_case = receding_horizon_gains(positions[:1], covariances[:1], 0.1, CONTROL_COST, risk_share=1e6)
+    np.testing.assert_allclose(worst_case.stiffness, alone.stiffness / np.sqrt(1.0 - LARGEST_SHARE))
 
 
 def test_what_comes_counts_before_it_is_there() -> None:

@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
+import rclpy
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from tpgmm_core.common.old_names import RENAMED_PARAMETERS
 from tpgmm_core.retrieval.execution import ExecutionConfig
 from tpgmm_ros.runtime.parameters import Declared, Parameters, declared_of
 
@@ -44,6 +46,17 @@ def test_defaults_descriptions_and_ranges_are_there_for_tools(ros_node: Node, pa
     assert descriptor.floating_point_range[0].to_value == 10.0
     assert ros_node.describe_parameter("count").integer_range[0].to_value == 5
     assert ros_node.describe_parameter("file").read_only
+
+
+def test_a_name_of_an_earlier_version_is_refused_with_the_present_one(start_ros: None) -> None:
+    for old, new in RENAMED_PARAMETERS.items():
+        node = rclpy.create_node("old_names", parameter_overrides=[Parameter(old, value=0.5)])
+        try:
+            with pytest.raises(ValueError, match=f"the parameter {old} is called {new} now"):
+                Parameters(node, [Declared(new, 1.0, "A share", 0.0, 1.0)])
+            assert Parameters(node, DECLARED)["low"] == 1.0, "it may be the name of something else in another node"
+        finally:
+            node.destroy_node()
 
 
 def test_good_values_are_taken(ros_node: Node, parameters: Parameters) -> None:

@@ -13,6 +13,9 @@ RENAMED = {
     "GoalTPGMM": "EndpointTPGMM",  # kind of model
 }
 
+RENAMED_PARAMETERS = {"risk": "risk_share", "leading_damping": "hand_guiding_damping"}
+"""Of nodes. ROS drops what a node does not declare without a word, hence nodes refuse to start with the old names."""
+
 
 def current_name(name: str) -> str:
     """The present name of what `name` called in an earlier version; the name itself where it has not changed."""

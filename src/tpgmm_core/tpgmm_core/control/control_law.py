@@ -115,7 +115,7 @@ class LawTorques:
         zero without reference
     jacobian : (n, nv), the velocity of what has this stiffness, by the joints' velocities
     blend : 0 (gravity compensation) to 1 (the reference has full hold)
-    shortened : whether the law itself asked for less than its error did, since the motors are too weak
+    saturated : whether the law itself asked for less than its error did, since the motors are too weak
     reason : why no torques could be computed, tau then means nothing; empty when all is well
     lag : how far the robot is from what was asked for, while the law leads up to that, too; None without reference
     delay_margin : delay of the loop, s, at which the gains that the reference asks for become unstable
@@ -130,7 +130,7 @@ class LawTorques:
     damping: Array
     jacobian: Array
     blend: float
-    shortened: bool
+    saturated: bool
     reason: str
     lag: Lag | None = None
     delay_margin: float = math.inf
@@ -150,7 +150,7 @@ class LawConfig:
 
     gain_time: float = setting(0.05, 1e-3, 5.0, "Time constant with which the gains follow the precision, s")
     hold_frequency: float = setting(20.0, 0.1, 100.0, "Bandwidth with which the other joints hold still, rad/s")
-    leading_damping: float = setting(0.3, 1e-3, 50.0, "Damping of an arm without reference, N m s/rad")
+    hand_guiding_damping: float = setting(0.3, 1e-3, 50.0, "Damping of an arm without reference, N m s/rad")
     blend_time: float = setting(0.5, 1e-3, 60.0, "A reference takes hold, and lets go, over this time, s")
 
     def __post_init__(self) -> None:

@@ -39,7 +39,7 @@ class TorqueCommand:
     @property
     def limited(self) -> bool:
         """Whether anything took something away from what the error asked for."""
-        return bool(self.actions) or (self.law is not None and self.law.shortened)
+        return bool(self.actions) or (self.law is not None and self.law.saturated)
 
     @property
     def terms(self) -> dict[str, Array]:

@@ -101,7 +101,7 @@ def hindrances(robot: RobotModel, q: Array, tau: Array, asked: LawTorques) -> It
     if asked.asked > MOVES:
         none = False
         yield "the reference moves away from it"
-    elif none and asked.shortened:
+    elif none and asked.saturated:
         none = False
         yield "its motors are too weak for what is asked"
     if none:

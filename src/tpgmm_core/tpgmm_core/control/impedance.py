@@ -38,7 +38,7 @@ from tpgmm_core.robot.model import RobotModel
 
 POSE_MANIFOLD = "R3 x S3"
 #: The terms of which the torque is the sum, in the order of the rows in `ImpedanceLaw.step`.
-TERMS = ("feedforward", "feedback", "null_space", "hold", "leading")
+TERMS = ("feedforward", "feedback", "null_space", "hold", "hand_guiding")
 #: A hand that is hindered is pulled no further than this (m, rad), and led at this share of the speed.
 LEASH, ANGULAR_LEASH, HINDERED_SPEED = 0.03, 0.2, 0.25
 
@@ -75,7 +75,7 @@ class ImpedanceLaw:
 
     Its terms: "feedforward", gravity and Coriolis torques, also those of the hand's motion; "feedback", the
     impedance of the hand, and the reference's acceleration; "null_space", the posture of the arm, as far as the
-    hand does not feel it; "hold", the other joints; "leading", damping of an arm without reference.
+    hand does not feel it; "hold", the other joints; "hand_guiding", damping of an arm without reference.
     """
 
     def __init__(
@@ -169,7 +169,7 @@ class ImpedanceLaw:
         pose, twist = moment.data.pose(self.endpoint), moment.data.twist(self.endpoint)
         self._hindered = moment.loop.hindered
         self._take(target, pose, dt)
-        feedforward, feedback, null_space, hold, leading, given = rows = np.zeros((6, nv))
+        feedforward, feedback, null_space, hold, hand_guiding, given = rows = np.zeros((6, nv))
         error, stiffness, damping, jacobian = np.zeros(6), np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((6, nv))
         weight = self._weight()
         if self._posture is None:
@@ -184,11 +184,11 @@ class ImpedanceLaw:
             self._posture,
             moment.nonlinear,
             config.hold_frequency,
-            (1.0 - weight) * config.leading_damping,
+            (1.0 - weight) * config.hand_guiding_damping,
             moment.loop.delay,
             feedforward,
             hold,
-            leading,
+            hand_guiding,
             given,
         )
         found, margin, share, asked, lag = 0, np.inf, 1.0, 0.0, None
@@ -245,7 +245,7 @@ class ImpedanceLaw:
             damping=damping,
             jacobian=jacobian,
             blend=self._blend,
-            shortened=found == 1,
+            saturated=found == 1,
             reason="the joint velocities are out of all proportion" if unusable else "",
             lag=lag,
             delay_margin=margin,

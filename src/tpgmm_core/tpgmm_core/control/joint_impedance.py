@@ -31,7 +31,7 @@ from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 
 #: The terms of which the torque is the sum.
-TERMS = ("feedforward", "feedback", "hold", "leading")
+TERMS = ("feedforward", "feedback", "hold", "hand_guiding")
 #: Joints that are hindered are pulled no further than this (rad or m), to which the pull goes back at that speed (1/s).
 LEASH, LEASH_SPEED = 0.1, 0.5
 
@@ -103,7 +103,7 @@ class JointImpedanceLaw:
     """Joint-space impedance of any joints, such as those of both arms; the others hold the posture they were found in.
 
     Its terms: "feedforward", gravity, and Coriolis torques of joints that hold; "feedback", what the reference asks
-    for; "hold", the joints without reference; "leading", damping of the joints that have none at present.
+    for; "hold", the joints without reference; "hand_guiding", damping of the joints that have none at present.
     """
 
     def __init__(self, robot: RobotModel, joints: Sequence[str], config: JointImpedanceConfig | None = None) -> None:
@@ -173,7 +173,7 @@ class JointImpedanceLaw:
         weight = self._blend**2 * (3.0 - 2.0 * self._blend)
         if target is not None or weight == 0.0:
             self._target = target
-        feedforward, feedback, hold, leading, given = rows = np.zeros((len(TERMS) + 1, nv))
+        feedforward, feedback, hold, hand_guiding, given = rows = np.zeros((len(TERMS) + 1, nv))
         if self._posture is None:
             self._posture = moment.q.copy()
         standing_torques(
@@ -186,11 +186,11 @@ class JointImpedanceLaw:
             self._posture,
             self._carried(moment),
             config.hold_frequency,
-            (1.0 - weight) * config.leading_damping,
+            (1.0 - weight) * config.hand_guiding_damping,
             moment.loop.delay,
             feedforward,
             hold,
-            leading,
+            hand_guiding,
             given,
         )
         error, stiffness, damping = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
@@ -242,7 +242,7 @@ class JointImpedanceLaw:
             damping=damping,
             jacobian=self._selection,
             blend=self._blend,
-            shortened=found == 1,
+            saturated=found == 1,
             reason="the joint state is out of all proportion" if unusable else "",
             lag=lag,
             delay_margin=margin,

@@ -111,7 +111,7 @@ def standing_torques(
     delay: float,
     feedforward: Array,
     hold: Array,
-    leading: Array,
+    hand_guiding: Array,
     given: Array,
 ) -> None:
     """What the robot needs whatever the arm is to do: its weight, joints that hold still, an arm that is damped.
@@ -120,7 +120,7 @@ def standing_torques(
         inertia as a whole, since a spring for each by itself makes a chain of joints many times as stiff
     damping : of the arm's joints, N m s/rad
     delay : of the loop, s; frequency and damping are less where it is too long for them
-    feedforward, hold, leading, given (nv,), out : the terms, zero before, and their sum
+    feedforward, hold, hand_guiding, given (nv,), out : the terms, zero before, and their sum
     """
     for i in range(len(q)):
         feedforward[i] = nonlinear[i]
@@ -131,12 +131,12 @@ def standing_torques(
         joint_damping(damping, math.inf, mass, inverse, delay, damped)
     frequency *= borne_share(0.5 * OF_CRITICAL / frequency, delay)
     for i in arm:
-        leading[i] = -damped[i] * v[i]
+        hand_guiding[i] = -damped[i] * v[i]
     for i in others:
         for j in others:
             hold[i] += M[i, j] * frequency * (frequency * (posture[j] - q[j]) - 2.0 * v[j])
     for i in range(len(q)):
-        given[i] = feedforward[i] + hold[i] + leading[i]
+        given[i] = feedforward[i] + hold[i] + hand_guiding[i]
 
 
 @compiled
@@ -180,10 +180,10 @@ def arm_torques(
     rest (n,) : posture that the null space goes to; lower, upper (nv,) : position limits, which it keeps away from
     K_P, K_V (6, 6) : of the hand, 1/s^2 and 1/s
     share : of the rates of all feedback, for the delay of the loop
-    given (nv,) : what the motors give besides, without which nothing may be shortened; the arm's bias is added
+    given (nv,) : what the motors give besides, without which nothing may saturate; the arm's bias is added
     feedforward, feedback, null_space (nv,), error (6,), stiffness, damping (6, 6), out : see `LawTorques`
 
-    Returns 0, 1 where motors too weak made it shorten something, -1 where the inertia or the state is beyond
+    Returns 0, 1 where weak motors made something saturate, -1 where the inertia or the state is beyond
     reckoning.
     """
     n = len(arm)

@@ -89,7 +89,7 @@ def joint_torques(
     given (nv,) : what the motors give besides
     feedback (nv,), stiffness, damping (n, n), out
 
-    Returns 0, 1 where motors too weak made it shorten something, -1 where the state is beyond reckoning.
+    Returns 0, 1 where weak motors made something saturate, -1 where the state is beyond reckoning.
     """
     n = len(joints)
     half = share * (F @ D)
@@ -112,17 +112,17 @@ def joint_torques(
             braked = min(braked, most[i] / brake[i])
         elif brake[i] < least[i]:
             braked = min(braked, least[i] / brake[i])
-    # What brakes goes first, and is shortened as a whole: with one torque cut, those of the other joints that answer
+    # What brakes goes first, and saturates as a whole: with one torque cut, those of the other joints that answer
     # its speed may drive what they are to brake. What is missing then each joint adds for itself, as far as it can.
     # What pulls is cut where it is too much, and there alone: the others take its lack for one more push, and go on
     # holding what they hold. Shortening all would let go of both arms where one shoulder is too weak. It is never more
     # than the motor can give by itself: a far reference would leave nothing of what brakes, and the arm would swing.
-    shortened = 0 if braked == 1.0 else 1
+    saturated = 0 if braked == 1.0 else 1
     for i in range(n):
         together = braked * brake[i]
         braking = together + clamp((1.0 - braked) * own[i], least[i] - together, most[i] - together)
         pulling = clamp(pull[i], max(least[i], least[i] - braking), min(most[i], most[i] - braking))
         if pulling != pull[i]:
-            shortened = 1
+            saturated = 1
         feedback[joints[i]] = braking + pulling
-    return shortened
+    return saturated

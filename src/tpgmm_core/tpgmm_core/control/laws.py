@@ -19,9 +19,9 @@ from tpgmm_core.common.text import listed, shown
 from tpgmm_core.control.control_law import ControlLaw, DynamicState, LawTorques
 from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw
 from tpgmm_core.control.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
-from tpgmm_core.control.moving_impedance import MovingImpedanceLaw
-from tpgmm_core.control.moving_joint_impedance import MovingJointImpedanceLaw
 from tpgmm_core.control.planning import PlanConfig, Planning, Submit, at_once
+from tpgmm_core.control.receding_impedance import RecedingHorizonImpedanceLaw
+from tpgmm_core.control.receding_joint_impedance import RecedingHorizonJointImpedanceLaw
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
@@ -165,12 +165,21 @@ def _still(robot: RobotModel, endpoint: str, joints: Joints, settings: LawSettin
     return ImpedanceLaw(robot, endpoint, settings.pose)
 
 
-def _moving(
-    robot: RobotModel, endpoint: str, joints: Joints, settings: LawSettings, submit: Submit[Any], fears: bool = False
+def _receding_horizon(
+    robot: RobotModel,
+    endpoint: str,
+    joints: Joints,
+    settings: LawSettings,
+    submit: Submit[Any],
+    risk_sensitive: bool = False,
 ) -> _Law:
     if joints:
-        return MovingJointImpedanceLaw(robot, joints, settings.joint, plan=settings.plan, fears=fears)
-    return MovingImpedanceLaw(robot, endpoint, settings.pose, plan=settings.plan, fears=fears)
+        return RecedingHorizonJointImpedanceLaw(
+            robot, joints, settings.joint, plan=settings.plan, risk_sensitive=risk_sensitive
+        )
+    return RecedingHorizonImpedanceLaw(
+        robot, endpoint, settings.pose, plan=settings.plan, risk_sensitive=risk_sensitive
+    )
 
 
 def _predictive(robot: RobotModel, endpoint: str, joints: Joints, settings: LawSettings, submit: Submit[Any]) -> _Law:
@@ -185,9 +194,9 @@ def _predictive(robot: RobotModel, endpoint: str, joints: Joints, settings: LawS
 #: The laws of minimal intervention control; docs/control.md says which to choose.
 LAWS: Mapping[str, Callable[[RobotModel, str, Joints, LawSettings, Submit[Any]], _Law]] = {
     "infinite_horizon": _still,
-    "finite_horizon": _moving,
+    "finite_horizon": _receding_horizon,
     "predictive": _predictive,
-    "risk_sensitive": partial(_moving, fears=True),
+    "risk_sensitive": partial(_receding_horizon, risk_sensitive=True),
 }
 
 
@@ -202,7 +211,7 @@ def _between(before: LawTorques, after: LawTorques, share: float) -> LawTorques:
         terms=terms,
         stiffness=share * after.stiffness,
         damping=share * after.damping,
-        shortened=after.shortened or before.shortened,
+        saturated=after.saturated or before.saturated,
         reason=after.reason or before.reason,
         delay_margin=min(before.delay_margin, after.delay_margin),
         share=min(before.share, after.share),

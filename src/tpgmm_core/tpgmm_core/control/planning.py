@@ -16,10 +16,12 @@ type Submit[PlanT] = Callable[[Callable[[], PlanT]], Future[PlanT]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanConfig:
-    """Parameters of the laws that look ahead; see `control.receding_horizon` for the risk."""
+    """Parameters of the laws that look ahead; see `lqr.receding_horizon` for the risk."""
 
     plan_rate: float = setting(100.0, 1.0, 1000.0, "Laws that look ahead plan anew this often, Hz")
-    risk: float = setting(0.5, -10.0, 10.0, "Share of the control's authority that is feared for; below 0: hoped for")
+    risk_share: float = setting(
+        0.5, -10.0, 10.0, "Share of the control's authority that is feared for; below 0: hoped for"
+    )
     risk_stiffness: float = setting(100.0, 1e-3, 1e4, "The share is meant for this K_P, softer ones fear more, 1/s^2")
     plan_horizon: float = setting(0.5, 0.05, 5.0, "The predictive law looks this far ahead, s")
     plan_speed: float = setting(1.0, 1e-2, 10.0, "No joint is planned to move faster than this, rad/s")

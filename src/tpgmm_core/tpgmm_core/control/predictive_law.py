@@ -26,11 +26,11 @@ from tpgmm_core.control.control_law import DynamicState, Lag, LawTorques
 from tpgmm_core.control.impedance import ANGULAR_LEASH
 from tpgmm_core.control.impedance import LEASH as HAND_LEASH
 from tpgmm_core.control.joint_impedance import LEASH, JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
-from tpgmm_core.control.moving_impedance import check_horizon
-from tpgmm_core.control.moving_joint_impedance import moving_joint_gains
 from tpgmm_core.control.operational_space import bound_twist
 from tpgmm_core.control.planning import PlanConfig, Schedule, Submit, at_once
 from tpgmm_core.control.predictive import JointLimits, JointReference, PredictiveController, PredictivePlan
+from tpgmm_core.control.receding_impedance import check_horizon
+from tpgmm_core.control.receding_joint_impedance import receding_horizon_joint_gains
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.kinematics.joint_space import to_joint_space
 from tpgmm_core.model.reference import Reference
@@ -263,7 +263,7 @@ def _solve(
     knot = np.searchsorted(known, solver.times, side="right") - 1
     try:
         L = np.linalg.cholesky(problem.inertia)
-        gains = moving_joint_gains(L, positions, np.linalg.inv(precisions), dt, config)
+        gains = receding_horizon_joint_gains(L, positions, np.linalg.inv(precisions), dt, config)
     except np.linalg.LinAlgError as error:
         raise ValueError(f"no plan can be made: {error}") from error
     # the fourth power: K_P is the square root of the precision, and goes with the square of the share

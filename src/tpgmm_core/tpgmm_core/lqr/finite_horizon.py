@@ -71,7 +71,7 @@ def finite_horizon_gains(
     control_cost : scalar > 0, or (m, m) or (T, m, m) symmetric positive definite, R
     references : (T + 1, n), r
     noise : (n, n) or (T, n, n), W, symmetric semidefinite: covariance that each step adds to the state; None means none
-    risk : theta, in 1 over the unit of the cost: 0 is LQR, above it costs that vary are feared
+    risk : theta, in 1 over the unit of the cost: 0 is LQR, above it, costs that vary count more (risk-averse)
 
     Raises
     ------
@@ -152,9 +152,9 @@ def _recursion(A, B, Q, R, r, L, risk, gains, feedforward):  # type: ignore[no-u
                 return t
             invert_lower(factor, n, inverse)
             gram(inverse, n, middle)
-            feared = risk * (middle @ LP)
-            p = p + feared.T @ (Lt.T @ p)
-            P = P + LP.T @ feared
+            worst_case = risk * (middle @ LP)
+            p = p + worst_case.T @ (Lt.T @ p)
+            P = P + LP.T @ worst_case
         BP = Bt.T @ P
         columns[:, :n] = BP @ At
         columns[:, n] = Bt.T @ p

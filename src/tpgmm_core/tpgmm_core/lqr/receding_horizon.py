@@ -9,11 +9,11 @@ Riccati differential equation is one linear solution per interval (Anderson and 
 for it, none is sampled: a controller at 1 kHz may plan with steps of 50 ms. `continuous_horizon` does the same for any
 linear system, `lqr.double_integrator_gains` is the case without intervals.
 
-**Risk** (Jacobson 1973; Medina et al. 2012). Under fear (risk theta) noise of covariance W acts as an adversary, who
-takes a share `r theta W` of the control's authority. Here W is in proportion to the Gaussian's covariance, and the
-share is given rather than theta and W: `risk` in directions that risk-neutral control holds with the stiffness
+**Risk** (Jacobson 1973; Medina et al. 2012). Under risk aversion (theta > 0) noise of covariance W acts as an
+adversary, who takes a share `r theta W` of the control's authority. Here W is in proportion to the Gaussian's covariance, and the
+share is given rather than theta and W: `risk_share` in directions that risk-neutral control holds with the stiffness
 `risk_stiffness`, more where it is softer, in proportion to the variance. It is cut at `LARGEST_SHARE`, hence no risk
-leads to the breakdown. A negative risk hopes.
+leads to the breakdown. A negative share is risk-seeking.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from numpy.typing import ArrayLike
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.kernels import compiled
 
-#: Of the control's authority, to be lost or gained by risk.
+#: Of the control's authority, that the worst case takes, or the best case gives.
 LARGEST_SHARE = 0.9
 #: Time constants of the fastest mode in one linear solution: exponentials of more lose the slow modes to rounding.
 _LONGEST = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class MovingGains:
+class RecedingHorizonGains:
     """`u = stiffness (r - x) + damping (rdot - xdot) + acceleration`, u an acceleration, at the beginning of a horizon.
 
     stiffness, damping : (n, n), K_P in 1/s^2 and K_V in 1/s; K_V is symmetric
@@ -54,15 +54,15 @@ def receding_horizon_gains(
     *,
     min_stiffness: float = 1e-3,
     max_stiffness: float = 1e4,
-    risk: float = 0.0,
+    risk_share: float = 0.0,
     risk_stiffness: float = 1.0,
-) -> MovingGains:
+) -> RecedingHorizonGains:
     """Gains at the first of T Gaussians, of state `[x, xdot]` under accelerations whose cost is `control_cost` I.
 
     positions : (T, n), T >= 1; covariances : (T, n, n), symmetric positive definite
     time_step : s, between them; any number for a single one
     min_stiffness, max_stiffness : bounds of (Q / r)^(1/2), the stiffness that each Gaussian has for itself, in 1/s^2
-    risk, risk_stiffness : see the module
+    risk_share, risk_stiffness : see the module
 
     Raises ValueError for shapes that do not fit, values that are not finite, and costs, steps and bounds that are not
     positive or out of order.
@@ -88,18 +88,18 @@ def receding_horizon_gains(
         float(control_cost),
         min_stiffness,
         max_stiffness,
-        risk,
+        risk_share,
         risk_stiffness,
         K_P,
         K_V,
         acceleration,
     )
-    return MovingGains(K_P, K_V, acceleration)
+    return RecedingHorizonGains(K_P, K_V, acceleration)
 
 
 @compiled
 def modes(
-    S: Array, r: float, lowest: float, highest: float, risk: float, risk_stiffness: float, k: Array, g: Array
+    S: Array, r: float, lowest: float, highest: float, risk_share: float, risk_stiffness: float, k: Array, g: Array
 ) -> Array:
     """Of a covariance (n, n): the eigenvectors (n, n), their stiffness k (n,) alone, and what authority g (n,) is left.
 
@@ -110,7 +110,7 @@ def modes(
         k[i] = highest
         if values[i] > 0.0:
             k[i] = min(max(1.0 / math.sqrt(r * values[i]), lowest), highest)
-        share = risk * (risk_stiffness / k[i]) ** 2
+        share = risk_share * (risk_stiffness / k[i]) ** 2
         g[i] = 1.0 - min(max(share, -LARGEST_SHARE), LARGEST_SHARE)
     return vectors
 
@@ -123,7 +123,7 @@ def moving_gains(
     r: float,
     lowest: float,
     highest: float,
-    risk: float,
+    risk_share: float,
     risk_stiffness: float,
     K_P: Array,
     K_V: Array,
@@ -135,7 +135,7 @@ def moving_gains(
     """
     T, n = x.shape
     k, g, p = np.empty(n), np.empty(n), np.zeros(2 * n)
-    V = modes(S[T - 1], r, lowest, highest, risk, risk_stiffness, k, g)
+    V = modes(S[T - 1], r, lowest, highest, risk_share, risk_stiffness, k, g)
     P = np.zeros((2 * n, 2 * n))
     for i in range(n):
         both = k[i] / math.sqrt(g[i])
@@ -152,7 +152,7 @@ def moving_gains(
                 change = (2.0 * x[t + 1, j] - x[t, j] - x[t + 2, j]) / dt
                 for i in range(2 * n):
                     p[i] -= P[i, n + j] * change
-        V = modes(S[t], r, lowest, highest, risk, risk_stiffness, k, g)
+        V = modes(S[t], r, lowest, highest, risk_share, risk_stiffness, k, g)
         fastest = 0.0
         for i in range(n):
             fastest = max(fastest, math.sqrt(0.5 * k[i] * math.sqrt(g[i])))

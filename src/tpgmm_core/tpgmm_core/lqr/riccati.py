@@ -3,8 +3,8 @@
 
 The risk-sensitive problem minimises `(2 / theta) log E[exp(theta C / 2)]` of the cost C under process noise
 (Jacobson 1973; Medina et al. 2012 take the predicted variability as that noise). theta = 0 is the expected cost: LQR.
-theta > 0 also fears the variance of the cost and becomes stiffer where noise enters; theta < 0 hopes. Above some
-theta the expectation is infinite for every controller: no gains exist, and ValueError says so.
+theta > 0 (risk-averse) also counts the variance of the cost and becomes stiffer where noise enters; theta < 0 is
+risk-seeking. Above some theta the expectation is infinite for every controller: no gains exist, and ValueError says so.
 
 Both Riccati equations are solved by structure-preserving doubling (Chu, Fan and Lin 2005), compiled: it converges
 quadratically, and takes a quarter of the time of scipy's Schur form, which has the last word where it does not.
@@ -72,7 +72,7 @@ def continuous_regulator(
     except (np.linalg.LinAlgError, ValueError) as error:
         raise ValueError(_no_solution(risk)) from error
     gain = np.linalg.solve(R, B.T @ P)
-    worst = A - B @ gain + risk * W @ P  # noise as it would be if the fear came true
+    worst = A - B @ gain + risk * W @ P  # with the worst-case noise
     if not _semidefinite(P) or np.linalg.eigvals(worst).real.max() >= 0.0:
         raise ValueError(_no_solution(risk))
     return Regulator(gain, 0.5 * (P + P.T))
@@ -104,8 +104,8 @@ def discrete_regulator(
     remaining = np.eye(len(A)) - risk * L.T @ P @ L
     if not _semidefinite(P) or not _semidefinite(remaining):
         raise ValueError(_no_solution(risk))
-    feared = P + risk * P @ L @ np.linalg.solve(remaining, L.T @ P)
-    gain = np.linalg.solve(R + B.T @ feared @ B, B.T @ feared @ A)
+    worst_case = P + risk * P @ L @ np.linalg.solve(remaining, L.T @ P)
+    gain = np.linalg.solve(R + B.T @ worst_case @ B, B.T @ worst_case @ A)
     return Regulator(gain, 0.5 * (P + P.T))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hands of people on the robot: leading it in a lesson, and pushing it afterwards."""
+"""Contacts of people with the robot: hand guiding in a lesson, and pushing it afterwards."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def smooth_step(share: float) -> float:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
 
-def leading(
+def hand_guiding(
     session: Session, aims: Callable[[float], Poses], elbows: Callable[[float], Poses]
 ) -> list[tuple[str, Wrench]]:
     """Both arms led by the hands to poses (7,), with a light hand at each elbow that leads it to places (3,)."""
@@ -85,7 +85,7 @@ def to_start(session: Session) -> None:
         share = smooth_step(time / WAY)
         return {hand: place + share * (ELBOWS[hand] - place) for hand, place in bent.items()}
 
-    session.run(WAY + REST, leading(session, aims, elbows))
+    session.run(WAY + REST, hand_guiding(session, aims, elbows))
     session.run(FADE / 4)
 
 
@@ -100,7 +100,7 @@ def lesson_touches(session: Session, lesson: Lesson) -> list[tuple[str, Wrench]]
         wanted = aims(time)
         return {hand: ELBOWS[hand] + ELBOW_SHARE * (wanted[hand] - START[hand])[:3] for hand in HANDS}
 
-    return leading(session, aims, elbows)
+    return hand_guiding(session, aims, elbows)
 
 
 def push(session: Session, link: str, way: Array, duration: float) -> tuple[str, Wrench]:

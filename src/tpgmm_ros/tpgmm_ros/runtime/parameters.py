@@ -11,8 +11,10 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from tpgmm_core.common.old_names import RENAMED_PARAMETERS
 from tpgmm_core.common.settings import setting_of
 from tpgmm_core.common.text import one_line
+from tpgmm_ros.runtime.rclpy_workarounds import parameter_overrides
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +77,7 @@ class Parameters:
 
     Raises:
         rclpy.exceptions.InvalidParameterValueException: a value given at start is out of its range.
-        ValueError: from ``check``, for the values given at start.
+        ValueError: from ``check``, for the values given at start; or one of these has a name of an earlier version.
     """
 
     def __init__(
@@ -85,6 +87,10 @@ class Parameters:
         check: Callable[[Mapping[str, Any]], object] | None = None,
         changed: Callable[[], None] | None = None,
     ) -> None:
+        declared_names = {item.name for item in declared}
+        for old in parameter_overrides(node) & RENAMED_PARAMETERS.keys():
+            if (new := RENAMED_PARAMETERS[old]) in declared_names:
+                raise ValueError(f"the parameter {old} is called {new} now: give that one instead")
         for item in declared:
             node.declare_parameter(item.name, item.default, item.descriptor())
         self._values: dict[str, Any] = {item.name: node.get_parameter(item.name).value for item in declared}

@@ -115,6 +115,14 @@ def create_patient_service(node: Node, kind: type, name: str, callback: Callable
     service.send_response = lambda answer, header: answer.add_done_callback(lambda done: send(done.result(), header))
 
 
+def parameter_overrides(node: Node) -> set[str]:
+    """Names of the parameters that were given to a node at its start, declared or not.
+
+    rclpy keeps those that no node declares to itself, and says nothing of them.
+    """
+    return set(node._parameter_overrides)
+
+
 def waiting(subscription: Subscription, *, raw: bool = False) -> Iterator[Any]:
     """The messages that have come since the executor has taken one; as bytes if they are to be raw.
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`MovingJointImpedanceLaw`: joint-space impedance with the gains of a finite horizon, risk-sensitive if asked for.
+"""`RecedingHorizonJointImpedanceLaw`: joint impedance with the gains of a finite horizon, risk-sensitive or not.
 
-As `MovingImpedanceLaw`, for a Gaussian over joints: the cost of accelerations is R = r M(q), hence the horizon is that
-of a double integrator in the coordinates L^T q of M = L L^T, with the inertia of the present.
+As `RecedingHorizonImpedanceLaw`, for a Gaussian over joints: the cost of accelerations is R = r M(q), hence the horizon
+is that of a double integrator in the coordinates L^T q of M = L L^T, with the inertia of the present.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.joint_impedance import JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
-from tpgmm_core.control.moving_impedance import check_horizon
 from tpgmm_core.control.planning import PlanConfig, Schedule
+from tpgmm_core.control.receding_impedance import check_horizon
 from tpgmm_core.lqr.receding_horizon import receding_horizon_gains
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 
 
 @dataclass(frozen=True, slots=True)
-class MovingJointTarget(JointTarget):
+class RecedingHorizonJointTarget(JointTarget):
     """A reference and its course: positions (T, n) and covariances (T, n, n), `time_step` s apart; the first is now."""
 
     course: Array = field(default_factory=lambda: np.zeros((1, 0)))
@@ -30,11 +30,11 @@ class MovingJointTarget(JointTarget):
     time_step: float = 0.0
 
 
-class MovingJointImpedanceLaw(JointImpedanceLaw):
+class RecedingHorizonJointImpedanceLaw(JointImpedanceLaw):
     """See the module; parameters and terms are those of `JointImpedanceLaw`.
 
     plan : parameters of planning
-    fears : whether to be risk-sensitive; then a reference may come without a horizon, whose Gaussian goes on for ever
+    risk_sensitive : whether it is; then a reference may come without a horizon, whose Gaussian goes on for ever
     """
 
     def __init__(
@@ -44,9 +44,9 @@ class MovingJointImpedanceLaw(JointImpedanceLaw):
         config: JointImpedanceConfig | None = None,
         *,
         plan: PlanConfig | None = None,
-        fears: bool = False,
+        risk_sensitive: bool = False,
     ) -> None:
-        self.plan, self.fears = plan or PlanConfig(), fears
+        self.plan, self.risk_sensitive = plan or PlanConfig(), risk_sensitive
         super().__init__(robot, joints, config)
         n = len(self.joint_names)
         receding_horizon_gains(np.zeros((3, n)), np.tile(np.eye(n), (3, 1, 1)), 0.1, 1.0)  # compiles
@@ -60,10 +60,10 @@ class MovingJointImpedanceLaw(JointImpedanceLaw):
     def target(self, reference: Reference, moving: bool) -> JointTarget:
         """As `JointImpedanceLaw.target`, with what comes. Raises ValueError also for a reference without a horizon."""
         here = super().target(reference, moving)
-        check_horizon(reference, needed=not self.fears)
+        check_horizon(reference, needed=not self.risk_sensitive)
         course = (reference.gaussian, *reference.horizon) if moving else (reference.gaussian,)
         positions, covariances = (np.stack([getattr(g, name) for g in course]) for name in ("mean", "covariance"))
-        return MovingJointTarget(
+        return RecedingHorizonJointTarget(
             here.positions,
             here.velocities,
             here.precision,
@@ -73,26 +73,28 @@ class MovingJointImpedanceLaw(JointImpedanceLaw):
         )
 
     def _wanted(self, target: JointTarget, L: Array, F: Array, dt: float) -> JointGains | None:
-        if not isinstance(target, MovingJointTarget):
+        if not isinstance(target, RecedingHorizonJointTarget):
             return super()._wanted(target, L, F, dt)
         if self._schedule.due(dt, self.plan.plan_rate) or self._planned is None:
             self._schedule.begun()
             self._planned = self._solve(target, L)
         return self._planned
 
-    def _solve(self, target: MovingJointTarget, L: Array) -> JointGains:
-        risk = self.plan.risk if self.fears else 0.0
+    def _solve(self, target: RecedingHorizonJointTarget, L: Array) -> JointGains:
+        risk_share = self.plan.risk_share if self.risk_sensitive else 0.0
         course, covariances, time_step = target.course, target.covariances, target.time_step
-        return moving_joint_gains(L, course, covariances, time_step, self.config, risk, self.plan.risk_stiffness)
+        return receding_horizon_joint_gains(
+            L, course, covariances, time_step, self.config, risk_share, self.plan.risk_stiffness
+        )
 
 
-def moving_joint_gains(
+def receding_horizon_joint_gains(
     L: Array,
     course: Array,
     covariances: Array,
     time_step: float,
     config: JointImpedanceConfig,
-    risk: float = 0.0,
+    risk_share: float = 0.0,
     risk_stiffness: float = 1.0,
 ) -> JointGains:
     """Gains along a course of joints (T, n) with its covariances (T, n, n), and R = r L L^T as the control cost."""
@@ -103,7 +105,7 @@ def moving_joint_gains(
         config.joint_control_cost,
         min_stiffness=config.joint_min_stiffness,
         max_stiffness=config.joint_max_stiffness,
-        risk=risk,
+        risk_share=risk_share,
         risk_stiffness=risk_stiffness,
     )
     inverse = np.linalg.inv(gains.damping)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`MovingImpedanceLaw`: the hand's impedance with the gains of a finite horizon, risk-sensitive if asked for.
+"""`RecedingHorizonImpedanceLaw`: the hand's impedance with the gains of a finite horizon, risk-sensitive if asked for.
 
 What comes counts already: the hand grows stiff before the Gaussians do, and begins to turn before the corner. Gains and
-feedforward are those of the LQR along the reference's horizon (`control.receding_horizon`), `plan_rate` times per
+feedforward are those of the LQR along the reference's horizon (`lqr.receding_horizon`), `plan_rate` times per
 second; the reference itself is followed at every step. All else is as in `ImpedanceLaw`.
 """
 
@@ -25,18 +25,18 @@ from tpgmm_core.robot.model import RobotModel
 
 
 @dataclass(frozen=True, slots=True)
-class MovingPoseTarget(PoseTarget):
+class RecedingHorizonPoseTarget(PoseTarget):
     """A pose and the Gaussians ahead of it, `time_step` s apart, which its gains are to be made from."""
 
     course: tuple[Gaussian, ...] = ()
     time_step: float = 0.0
 
 
-class MovingImpedanceLaw(ImpedanceLaw):
+class RecedingHorizonImpedanceLaw(ImpedanceLaw):
     """See the module; parameters and terms are those of `ImpedanceLaw`.
 
     plan : parameters of planning
-    fears : whether to be risk-sensitive; then a reference may come without a horizon, whose Gaussian goes on for ever
+    risk_sensitive : whether it is; then a reference may come without a horizon, whose Gaussian goes on for ever
     """
 
     def __init__(
@@ -47,9 +47,9 @@ class MovingImpedanceLaw(ImpedanceLaw):
         rest_posture: ArrayLike | None = None,
         *,
         plan: PlanConfig | None = None,
-        fears: bool = False,
+        risk_sensitive: bool = False,
     ) -> None:
-        self.plan, self.fears = plan or PlanConfig(), fears
+        self.plan, self.risk_sensitive = plan or PlanConfig(), risk_sensitive
         super().__init__(robot, endpoint, config, rest_posture)
         receding_horizon_gains(np.zeros((3, 6)), np.tile(np.eye(6), (3, 1, 1)), 0.1, 1.0)  # compiles
 
@@ -63,17 +63,17 @@ class MovingImpedanceLaw(ImpedanceLaw):
     def target(self, reference: Reference, moving: bool) -> PoseTarget:
         """As `ImpedanceLaw.target`, with what comes. Raises ValueError also for a reference without a horizon."""
         here = super().target(reference, moving)
-        check_horizon(reference, needed=not self.fears)
+        check_horizon(reference, needed=not self.risk_sensitive)
         course = (reference.gaussian, *reference.horizon) if moving else (reference.gaussian,)
         time_step = reference.horizon_time_step
-        return MovingPoseTarget(here.reference, here.K_V, rate=here.rate, course=course, time_step=time_step)
+        return RecedingHorizonPoseTarget(here.reference, here.K_V, rate=here.rate, course=course, time_step=time_step)
 
     def _take(self, target: PoseTarget | None, pose: Array, dt: float) -> None:
-        if isinstance(target, MovingPoseTarget):
+        if isinstance(target, RecedingHorizonPoseTarget):
             target = self._with_gains(target, dt)
         super()._take(target, pose, dt)
 
-    def _with_gains(self, target: MovingPoseTarget, dt: float) -> PoseTarget:
+    def _with_gains(self, target: RecedingHorizonPoseTarget, dt: float) -> PoseTarget:
         if self._schedule.due(dt, self.plan.plan_rate) or self._planned is None:
             self._schedule.begun()
             self._planned = self._solve(target)
@@ -82,7 +82,7 @@ class MovingImpedanceLaw(ImpedanceLaw):
         self._push += min(1.0, dt / self.config.gain_time) * (planned.reference.acceleration - self._push)
         return replace(planned, reference=replace(target.reference, acceleration=self._push.copy()))
 
-    def _solve(self, target: MovingPoseTarget) -> PoseTarget:
+    def _solve(self, target: RecedingHorizonPoseTarget) -> PoseTarget:
         config, plan = self.config, self.plan
         # coordinates in which turning costs as moving does
         scale = np.array([1.0, 1.0, 1.0, *[config.characteristic_length] * 3])
@@ -94,7 +94,7 @@ class MovingImpedanceLaw(ImpedanceLaw):
             config.control_cost,
             min_stiffness=config.min_stiffness,
             max_stiffness=config.max_stiffness,
-            risk=plan.risk if self.fears else 0.0,
+            risk_share=plan.risk_share if self.risk_sensitive else 0.0,
             risk_stiffness=plan.risk_stiffness,
         )
         back = np.outer(1.0 / scale, scale)
