@@ -52,7 +52,7 @@ test: lint ## lint, then all tests
 properties: dev ## no sequence of inputs makes a torque or a rate beyond its limit: 10 000 sequences (`make test`: some)
 	TPGMM_PROPERTY_SEQUENCES=10000 $(PYTHON) -m pytest --timeout 3600 src/tpgmm_core/test/test_controller_properties.py
 
-fuzz: dev ## files and messages of strangers: refused in words, or sound; 20 000 of each kind (`make test`: some)
+fuzz: dev ## untrusted files and messages: refused in words, or sound; 20 000 of each kind (`make test`: some)
 	TPGMM_FUZZ_EXAMPLES=20000 $(PYTHON) -m pytest --timeout 7200 src/tpgmm_core/test/test_fuzz_model_file.py \
 		src/tpgmm_core/test/test_fuzz_robot_file.py src/tpgmm_core/test/test_file_bombs.py src/tpgmm_ros/test/test_fuzz_messages.py \
 		test/test_fuzz_nodes.py

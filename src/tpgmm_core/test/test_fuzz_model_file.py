@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Model files of strangers: whatever is in them, they are refused in words, or work.
+"""Untrusted model files: whatever is in them, they are refused in words, or work.
 
 `make test` tries some files, `make fuzz` (TPGMM_FUZZ_EXAMPLES=20000) as many as it says.
 """

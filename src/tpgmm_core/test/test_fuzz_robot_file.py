@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot files and URDFs of strangers: refused in words, or a robot; and they read no files but their own."""
+"""Untrusted robot files and URDFs: refused in words, or a robot; and they read no files but their own."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def test_what_the_robot_has_not_is_refused_when_it_is_there(key: str, line: str,
 
 
 def write_bag(path: Path, task: Task, broken: str = "") -> None:
-    """Both hands rest while the targets come nearer; joints in another order, with a stranger among them."""
+    """Both hands rest while the targets come nearer; joints in another order, with an unknown one among them."""
     assert task.kinematic is not None
     names = [*reversed(task.kinematic.joint_names()), "head_pan"]
     if broken == "joint":

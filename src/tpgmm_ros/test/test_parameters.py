@@ -48,9 +48,9 @@ def test_defaults_descriptions_and_ranges_are_there_for_tools(ros_node: Node, pa
     assert ros_node.describe_parameter("file").read_only
 
 
-def test_a_name_of_an_earlier_version_is_refused_with_the_present_one(start_ros: None) -> None:
+def test_a_name_of_an_earlier_version_is_refused_with_the_present_one(ros_node: Node) -> None:
     for old, new in RENAMED_PARAMETERS.items():
-        node = rclpy.create_node("old_names", parameter_overrides=[Parameter(old, value=0.5)])
+        node = rclpy.create_node("old_names", context=ros_node.context, parameter_overrides=[Parameter(old, value=0.5)])
         try:
             with pytest.raises(ValueError, match=f"the parameter {old} is called {new} now"):
                 Parameters(node, [Declared(new, 1.0, "A share", 0.0, 1.0)])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML files of strangers: read without executing anything, within limits of size and depth.
+"""Untrusted YAML files: read without executing anything, within limits of size and depth.
 
 Aliases are refused, since a page of them unfolds to gigabytes, and so are doubled keys, which make a file say other
 things than it seems to.

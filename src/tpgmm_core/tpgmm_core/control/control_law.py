@@ -148,10 +148,16 @@ class LawTorques:
 class LawConfig:
     """Parameters that all laws have."""
 
-    gain_time: float = setting(0.05, 1e-3, 5.0, "Time constant with which the gains follow the precision, s")
-    hold_frequency: float = setting(20.0, 0.1, 100.0, "Bandwidth with which the other joints hold still, rad/s")
-    hand_guiding_damping: float = setting(0.3, 1e-3, 50.0, "Damping of an arm without reference, N m s/rad")
-    blend_time: float = setting(0.5, 1e-3, 60.0, "A reference takes hold, and lets go, over this time, s")
+    gain_time: float = setting(0.05, 1e-3, 5.0, "Time constant with which stiffness and damping change, s")
+    hold_frequency: float = setting(
+        20.0, 0.1, 100.0, "How firmly joints that no reference moves hold still (bandwidth), rad/s"
+    )
+    hand_guiding_damping: float = setting(
+        0.3, 1e-3, 50.0, "Damping of an arm without a reference, while a person may guide it by hand, N m s/rad"
+    )
+    blend_time: float = setting(
+        0.5, 1e-3, 60.0, "Time over which the control fades in when a reference comes, and out when it ends, s"
+    )
 
     def __post_init__(self) -> None:
         """Raises ValueError for values out of their range."""

@@ -51,17 +51,34 @@ class ImpedanceConfig(LawConfig):
     reference: a standard deviation sigma (m) gives K_P = 1 / (sigma sqrt(r)) in 1/s^2.
     """
 
-    control_cost: float = setting(0.02, 1e-6, 1e3, "Cost of an acceleration of 1 m/s^2 against the distance")
-    characteristic_length: float = setting(0.3, 0.01, 10.0, "Turning by 1 rad/s^2 costs as moving by this, m/s^2")
-    min_stiffness: float = setting(10.0, 1e-3, 1e4, "Smallest eigenvalue of K_P, 1/s^2")
-    max_stiffness: float = setting(2500.0, 1e-3, 1e4, "Largest eigenvalue of K_P, 1/s^2")
-    max_linear_speed: float = setting(0.4, 1e-3, 5.0, "A reference that leaps is followed at this speed, m/s")
-    max_angular_speed: float = setting(1.2, 1e-3, 20.0, "A reference that leaps is followed at this speed, rad/s")
-    max_linear_acceleration: float = setting(40.0, 0.1, 1e3, "What an error asks for at most, m/s^2")
-    max_angular_acceleration: float = setting(120.0, 0.1, 1e4, "What an error asks for at most, rad/s^2")
-    max_inertia: float = setting(30.0, 1.0, 1e4, "What a hand is taken for at most where the arm is stretched, kg")
-    posture_stiffness: float = setting(4.0, 1e-3, 1e3, "Stiffness of the null space towards the rest posture, 1/s^2")
-    posture_damping: float = setting(4.0, 1e-3, 1e3, "Damping of the null space, 1/s")
+    control_cost: float = setting(
+        0.02, 1e-6, 1e3, "Cost of acceleration against deviation: larger is softer and smoother"
+    )
+    characteristic_length: float = setting(
+        0.3, 0.01, 10.0, "Length that compares turning with moving: 1 rad counts as this, m"
+    )
+    min_stiffness: float = setting(10.0, 1e-3, 1e4, "Smallest stiffness in any direction, per unit of mass, 1/s^2")
+    max_stiffness: float = setting(2500.0, 1e-3, 1e4, "Largest stiffness in any direction, per unit of mass, 1/s^2")
+    max_linear_speed: float = setting(
+        0.4, 1e-3, 5.0, "Largest speed with which the hand approaches a reference that jumps, m/s"
+    )
+    max_angular_speed: float = setting(1.2, 1e-3, 20.0, "Largest angular speed with which it approaches one, rad/s")
+    max_linear_acceleration: float = setting(
+        40.0, 0.1, 1e3, "Largest acceleration in answer to a position error, m/s^2"
+    )
+    max_angular_acceleration: float = setting(
+        120.0, 0.1, 1e4, "Largest angular acceleration in answer to an orientation error, rad/s^2"
+    )
+    max_inertia: float = setting(
+        30.0,
+        1.0,
+        1e4,
+        "Upper bound of the hand's apparent mass, which grows without bound when the arm is stretched, kg",
+    )
+    posture_stiffness: float = setting(
+        4.0, 1e-3, 1e3, "Stiffness towards the rest posture, in motions that do not move the hand (null space), 1/s^2"
+    )
+    posture_damping: float = setting(4.0, 1e-3, 1e3, "Damping of motions that do not move the hand (null space), 1/s")
 
     def __post_init__(self) -> None:
         """Raises ValueError for values out of their range, or bounds out of order."""

@@ -40,9 +40,15 @@ LEASH, LEASH_SPEED = 0.1, 0.5
 class JointImpedanceConfig(LawConfig):
     """Parameters of the law; the eigenvalues of K_P = M^-1 K are squared frequencies."""
 
-    joint_control_cost: float = setting(0.2, 1e-6, 1e3, "Cost of accelerations, r in R = r M, of the joint-space law")
-    joint_min_stiffness: float = setting(1.0, 1e-3, 1e4, "Smallest eigenvalue of K_P of the joint-space law, 1/s^2")
-    joint_max_stiffness: float = setting(1e4, 1e-3, 1e4, "Largest eigenvalue of K_P of the joint-space law, 1/s^2")
+    joint_control_cost: float = setting(
+        0.2, 1e-6, 1e3, "Cost of acceleration for references over joints: larger is softer (r in R = r M)"
+    )
+    joint_min_stiffness: float = setting(
+        1.0, 1e-3, 1e4, "Smallest stiffness for references over joints, per unit of inertia, 1/s^2"
+    )
+    joint_max_stiffness: float = setting(
+        1e4, 1e-3, 1e4, "Largest stiffness for references over joints, per unit of inertia, 1/s^2"
+    )
 
     def __post_init__(self) -> None:
         """Raises ValueError for values out of their range, or bounds out of order."""

@@ -18,14 +18,19 @@ type Submit[PlanT] = Callable[[Callable[[], PlanT]], Future[PlanT]]
 class PlanConfig:
     """Parameters of the laws that look ahead; see `lqr.receding_horizon` for the risk."""
 
-    plan_rate: float = setting(100.0, 1.0, 1000.0, "Laws that look ahead plan anew this often, Hz")
+    plan_rate: float = setting(100.0, 1.0, 1000.0, "How often laws that look ahead make a new plan, Hz")
     risk_share: float = setting(
-        0.5, -10.0, 10.0, "Share of the control's authority that is feared for; below 0: hoped for"
+        0.5,
+        -10.0,
+        10.0,
+        "Caution under uncertainty: share of control authority given to the worst case; below 0: optimism",
     )
-    risk_stiffness: float = setting(100.0, 1e-3, 1e4, "The share is meant for this K_P, softer ones fear more, 1/s^2")
-    plan_horizon: float = setting(0.5, 0.05, 5.0, "The predictive law looks this far ahead, s")
-    plan_speed: float = setting(1.0, 1e-2, 10.0, "No joint is planned to move faster than this, rad/s")
-    plan_margin: float = setting(0.06, 0.0, 1.0, "Nor to come nearer to its position limits than this, rad")
+    risk_stiffness: float = setting(
+        100.0, 1e-3, 1e4, "Stiffness at which risk_share applies; it grows where the robot is softer, 1/s^2"
+    )
+    plan_horizon: float = setting(0.5, 0.05, 5.0, "How far ahead the predictive law plans, s")
+    plan_speed: float = setting(1.0, 1e-2, 10.0, "Largest speed that the predictive law plans for a joint, rad/s")
+    plan_margin: float = setting(0.06, 0.0, 1.0, "Distance that the predictive law keeps from position limits, rad")
 
     def __post_init__(self) -> None:
         """Raises ValueError for values out of their range."""

@@ -28,18 +28,24 @@ class ControllerMode(enum.IntEnum):
 class Timeouts:
     """When a joint state or a reference is too old, and which stamps are none."""
 
-    joint_state_timeout: float = setting(0.02, 0.002, 10.0, "Without joint states for this long: damping, s")
-    silence_after: float = setting(0.2, 0.0, 10.0, "Damping without joint states for this long, then silence, s")
-    reference_timeout: float = setting(0.1, 0.002, 10.0, "A reference that is older is not followed but held, s")
-    hold_time: float = setting(1.0, 0.0, 600.0, "It is held for this long and then let go of, s")
+    joint_state_timeout: float = setting(
+        0.02, 0.002, 10.0, "Longest pause between joint states before the robot is only damped, s"
+    )
+    silence_after: float = setting(
+        0.2, 0.0, 10.0, "How long it is damped without joint states; then no more torques are sent, s"
+    )
+    reference_timeout: float = setting(
+        0.1, 0.002, 10.0, "Age at which a reference is no longer followed, but held at rest, s"
+    )
+    hold_time: float = setting(1.0, 0.0, 600.0, "How long it is held; then the robot is only damped, s")
     max_age: float = setting(
         0.1,
         0.0,
         10.0,
-        "A joint state whose stamp is older is refused, s; 0: stamps of a clock that is not this machine's",
+        "Joint states with older stamps are refused, s; 0: their stamps are from another machine's clock",
     )
-    actuation_delay: float = setting(0.001, 0.0, 0.1, "From a message with torques to the torques of the motors, s")
-    max_future: float = setting(0.05, 0.001, 10.0, "A stamp that lies further ahead of the clock is refused, s")
+    actuation_delay: float = setting(0.001, 0.0, 0.1, "Delay from sending torques until the motors give them, s")
+    max_future: float = setting(0.05, 0.001, 10.0, "Messages with stamps further in the future are refused, s")
 
     def __post_init__(self) -> None:
         """Raises ValueError for a value out of its range."""

@@ -64,15 +64,25 @@ GENTLY = 0.25
 class TorqueLimits:
     """Parameters of the pipeline."""
 
-    torque_rate: float = setting(30.0, 0.1, 1e3, "Largest change of a torque, effort limits per second, 1/s")
-    max_power: float = setting(80.0, 1.0, 1e5, "Power that the motors put into the motion at most, W")
-    recovery_time: float = setting(0.3, 1e-3, 60.0, "After an interruption the law takes over within this time, s")
-    approach_rate: float = setting(10.0, 0.1, 1e3, "Speed towards a position limit by the distance to it, 1/s")
-    limit_bandwidth: float = setting(100.0, 1.0, 500.0, "How firmly joints are braked at their limits, 1/s")
-    repulsion_margin: float = setting(0.05, 0.0, 1.0, "Joints are pushed out of this margin before limits, rad or m")
-    repulsion_frequency: float = setting(20.0, 0.1, 100.0, "How firmly they are pushed, rad/s")
-    safe_damping: float = setting(2.0, 0.0, 50.0, "Damping of each joint under the safe torque, N m s/rad")
-    max_time_step: float = setting(0.005, 1e-3, 1.0, "A longer pause between two steps counts as this long, s")
+    torque_rate: float = setting(
+        30.0, 0.1, 1e3, "Largest rate of change of a torque, as a share of the joint's effort limit, 1/s"
+    )
+    max_power: float = setting(80.0, 1.0, 1e5, "Largest power that the motors may put into the motion, W")
+    recovery_time: float = setting(0.3, 1e-3, 60.0, "Time over which control fades in again after an interruption, s")
+    approach_rate: float = setting(
+        10.0, 0.1, 1e3, "Largest speed towards a position limit, per distance that is left, 1/s"
+    )
+    limit_bandwidth: float = setting(
+        100.0, 1.0, 500.0, "How firmly joints are braked at position and speed limits, 1/s"
+    )
+    repulsion_margin: float = setting(
+        0.05, 0.0, 1.0, "Margin before position limits out of which joints are pushed back, rad or m"
+    )
+    repulsion_frequency: float = setting(
+        20.0, 0.1, 100.0, "How firmly joints are pushed back out of that margin, rad/s"
+    )
+    safe_damping: float = setting(2.0, 0.0, 50.0, "Damping of each joint while the controller only brakes, N m s/rad")
+    max_time_step: float = setting(0.005, 1e-3, 1.0, "Longest time step that the controller computes with, s")
 
     def __post_init__(self) -> None:
         """Raises ValueError for a value out of its range."""

@@ -5,7 +5,7 @@ A file is a zip archive in numpy's npz format: `model.json` as an array of bytes
 settings, and plain numeric arrays. It is replaced as a whole (`atomic_file`): an
 interrupted save loses nothing.
 
-A file may come from a stranger: what it announces is held against limits and against what it holds, before memory is
+A file may be untrusted: what it announces is held against limits and against what it holds, before memory is
 taken for it.
 """
 

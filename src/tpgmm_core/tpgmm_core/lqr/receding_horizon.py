@@ -10,10 +10,10 @@ for it, none is sampled: a controller at 1 kHz may plan with steps of 50 ms. `co
 linear system, `lqr.double_integrator_gains` is the case without intervals.
 
 **Risk** (Jacobson 1973; Medina et al. 2012). Under risk aversion (theta > 0) noise of covariance W acts as an
-adversary, who takes a share `r theta W` of the control's authority. Here W is in proportion to the Gaussian's covariance, and the
-share is given rather than theta and W: `risk_share` in directions that risk-neutral control holds with the stiffness
-`risk_stiffness`, more where it is softer, in proportion to the variance. It is cut at `LARGEST_SHARE`, hence no risk
-leads to the breakdown. A negative share is risk-seeking.
+adversary, who takes a share `r theta W` of the control's authority. Here W is in proportion to the Gaussian's
+covariance, and the share is given rather than theta and W: `risk_share` in directions that risk-neutral control holds
+with the stiffness `risk_stiffness`, more where it is softer, in proportion to the variance. It is cut at
+`LARGEST_SHARE`, hence no share leads to the breakdown. A negative share is risk-seeking.
 """
 
 from __future__ import annotations

@@ -44,11 +44,15 @@ class TrackingConfig:
     queue that was held up, an old bag.
     """
 
-    visible_timeout: float = setting(0.25, 0.001, 60.0, "A frame is held that was not seen for this long, s")
-    hold_time: float = setting(2.0, 0.0, 3600.0, "A held frame keeps its confidence for this long, s")
-    fade_time: float = setting(0.5, 0.01, 60.0, "Then it loses it, and when seen again gains it, over this time, s")
-    max_future: float = setting(0.05, 0.0, 60.0, "Stamps further ahead of ROS time are refused, s")
-    max_age: float = setting(1.0, 0.001, 3600.0, "Stamps further behind ROS time are refused, s")
+    visible_timeout: float = setting(
+        0.25, 0.001, 60.0, "A frame that was not seen for this long is held at its last pose, s"
+    )
+    hold_time: float = setting(2.0, 0.0, 3600.0, "How long a held frame keeps its full weight, s")
+    fade_time: float = setting(
+        0.5, 0.01, 60.0, "Time over which it then loses its weight, and gains it when seen again, s"
+    )
+    max_future: float = setting(0.05, 0.0, 60.0, "Poses with stamps further in the future are refused, s")
+    max_age: float = setting(1.0, 0.001, 3600.0, "Poses with older stamps are refused, s")
     filter_time: float = setting(
         1.0, 0.0, 60.0, "Poses that tremble are averaged over this time while the frame is at rest, s; 0: never"
     )

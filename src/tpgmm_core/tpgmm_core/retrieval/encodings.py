@@ -24,7 +24,7 @@ from tpgmm_core.retrieval.dmp import DmpParameters
 from tpgmm_core.retrieval.dynamic_features import manifold_with_derivatives, with_derivatives
 from tpgmm_core.retrieval.dynamical_system import with_velocity
 
-_WINDOW = "Samples of the parabolas that derivatives are taken from; odd"
+_WINDOW = "Number of samples in the parabolas that give derivatives; odd"
 _KEY = "encoding"
 
 
@@ -77,7 +77,9 @@ class TimeEncoding(Encoding):
 
     name: ClassVar[str] = "time"
     description: ClassVar[str] = "[time, data]"
-    samples: float = setting(0, 0, 100000, "At most so many of each demonstration, even in time; 0: all")
+    samples: float = setting(
+        0, 0, 100000, "Largest number of samples taken from each demonstration, evenly in time; 0: all"
+    )
 
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
         times, n = demonstration.times, int(self.samples)
@@ -120,7 +122,7 @@ class DmpEncoding(Encoding):
     init: ClassVar[str | None] = "bins"  # s is not even in time
     description: ClassVar[str] = "[decay term, attractor]"
     decay_rate: float = setting(3.0, 0.1, 20.0, "The decay term falls to exp(-decay_rate) within the duration")
-    stiffness: float = setting(400.0, 10.0, 10000.0, "Of the spring, per duration squared")
+    stiffness: float = setting(400.0, 10.0, 10000.0, "Stiffness of the spring, per duration squared")
     window: float = setting(9, 3, 999, _WINDOW)
 
     @property

@@ -37,14 +37,22 @@ _HARDLY = 0.1
 class ExecutionConfig:
     """What counts as begun and as done."""
 
-    start_timeout: float = setting(5.0, 0.1, 600.0, "All frames must be seen within this time after a request, s")
-    settle_time: float = setting(1.0, 0.01, 60.0, "The robot's error is judged this long after the movement's end, s")
-    stall_timeout: float = setting(
-        10.0, 0.1, 600.0, "A movement that stands still for this long although its speed is not 0 is given up, s"
+    start_timeout: float = setting(
+        5.0, 0.1, 600.0, "Time after a request within which all frames must have been seen, s"
     )
-    position_tolerance: float = setting(0.01, 1e-4, 1.0, "Largest error at the end that is a success, m")
-    orientation_tolerance: float = setting(0.0873, 1e-3, 3.2, "Largest error at the end that is a success, rad")
-    joint_tolerance: float = setting(0.05, 1e-3, 3.2, "The same of each joint, of movements of joints, rad or m")
+    settle_time: float = setting(
+        1.0, 0.01, 60.0, "Time that the robot has to settle before its error at the end is judged, s"
+    )
+    stall_timeout: float = setting(
+        10.0, 0.1, 600.0, "A movement that stands still for this long, though its speed is not 0, is aborted, s"
+    )
+    position_tolerance: float = setting(0.01, 1e-4, 1.0, "Largest position error at the end that counts as success, m")
+    orientation_tolerance: float = setting(
+        0.0873, 1e-3, 3.2, "Largest orientation error at the end that counts as success, rad"
+    )
+    joint_tolerance: float = setting(
+        0.05, 1e-3, 3.2, "Largest error of a joint at the end that counts as success, for movements of joints, rad or m"
+    )
 
     def __post_init__(self) -> None:
         """Raises ValueError for a value out of its range."""

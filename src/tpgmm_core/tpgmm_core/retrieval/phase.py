@@ -115,7 +115,7 @@ class ArcLengthConfig:
     """What a path's length is, and how fast it is gone along."""
 
     metres_per_radian: float = setting(0.25, 0.0, 10.0, "Length that a turn adds to a path, m/rad")
-    path_speed: float = setting(0.0, 0.0, 10.0, "Speed along the path, m/s; 0: that which fits the duration")
+    path_speed: float = setting(0.0, 0.0, 10.0, "Speed along the path, m/s; 0: whatever fits the duration")
     easing: float = setting(0.1, 0.01, 0.5, "Share of the duration for speeding up, and for slowing down")
 
     def __post_init__(self) -> None:
@@ -195,9 +195,9 @@ def share_at(path: PchipInterpolator, time: float) -> float:
 class StatePhaseConfig:
     """How the model's time follows the robot."""
 
-    timing_noise: float = setting(0.1, 1e-4, 10.0, "Deviation of the model's time that a second brings, s")
-    memory: float = setting(0.1, 1e-3, 10.0, "Deviations of the robot within this time are one observation, s")
-    response: float = setting(0.05, 1e-3, 1.0, "Time constant with which what is observed takes effect, s")
+    timing_noise: float = setting(0.1, 1e-4, 10.0, "Standard deviation that the model's time gains per second, s")
+    memory: float = setting(0.1, 1e-3, 10.0, "Time within which deviations of the robot count as one observation, s")
+    response: float = setting(0.05, 1e-3, 1.0, "Time constant with which observations take effect, s")
     catch_up: float = setting(2.0, 1.0, 10.0, "Largest correction, in multiples of the speed as learned")
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@
 
 Keys of `limits`, `friction` and `armature` are joints or groups; where both are given, the joint's own entry counts.
 
-A robot file may come from a stranger: it reads no files but those of installed packages and of its own folder.
+A robot file may be untrusted: it reads no files but those of installed packages and of its own folder.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ SPREAD, TURN_SPREAD = np.array([0.065, 0.075, 0.075]), np.full(3, 0.15)
 CUP_TURN_SPREAD = 0.22
 
 
-class Wander:
+class MultisineExcitation:
     """Wandering about zero in several directions at once, with standard deviations `spread` (n,).
 
     Each direction has a sine of its own, with a whole number of periods: none of them goes along with another one,
@@ -71,11 +71,11 @@ Lesson = Callable[[float, Poses], Poses]
 def cup_lesson(random: np.random.Generator) -> Lesson:
     """Hold the cup level: it goes everywhere and turns about the vertical; the other hand does as it likes."""
     level = np.append(SPREAD, [TURN_WAVER, TURN_WAVER, CUP_TURN_SPREAD])
-    wander = Wander(np.concatenate([level, SPREAD, TURN_SPREAD]), random)
+    excitation = MultisineExcitation(np.concatenate([level, SPREAD, TURN_SPREAD]), random)
     aside = START["right"] + np.array([0.05, -0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
 
     def at(time: float, hands: Poses) -> Poses:
-        step = wander.at(time)
+        step = excitation.at(time)
         return {"left": POSE.exp(START["left"], step[:6]), "right": POSE.exp(aside, step[6:])}
 
     return at
@@ -83,10 +83,10 @@ def cup_lesson(random: np.random.Generator) -> Lesson:
 
 def sugar_lesson(random: np.random.Generator) -> Lesson:
     """Hold the sugar above the cup: both go everywhere together, and turn as they like."""
-    wander = Wander(np.concatenate([SPREAD, TURN_SPREAD, np.full(3, WAVER), TURN_SPREAD]), random)
+    excitation = MultisineExcitation(np.concatenate([SPREAD, TURN_SPREAD, np.full(3, WAVER), TURN_SPREAD]), random)
 
     def at(time: float, hands: Poses) -> Poses:
-        step = wander.at(time)
+        step = excitation.at(time)
         # the teacher looks where the cup is, not where it was meant to be
         place = compose(hands["left"], np.concatenate([SUGAR_PLACE + step[6:9], quaternion.IDENTITY]))[:3]
         held = quaternion.multiply(quaternion.exp(step[9:]), START["right"][3:])

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tpgmm_demos.figure5.contacts import Record, elbow, gripped_push, push, smooth_step, to_start
 from tpgmm_demos.figure5.lessons import HANDS, Array
 from tpgmm_demos.figure5.session import Segment, Session, Wrench
-from tpgmm_demos.figure5.touches import Record, elbow, gripped_push, push, smooth_step, to_start
 
 CUP, SUGAR = "hold_cup", "hold_sugar"
 #: The tasks take hold and the arms come to rest within this time, s.
@@ -198,8 +198,8 @@ def _probe(session: Session) -> tuple[Probed, ...]:
             (f"turn_{axis}", turn, {left: torque}),
         ):
             session.run(PROBE_REST)
-            touches = [(link, _growing(size * wrench)) for link, wrench in wrenches.items()]
-            probes.append(Probed(name, left, size, session.run(PROBE_GROWS + PROBE_STAYS, touches)))
+            contacts = [(link, _growing(size * wrench)) for link, wrench in wrenches.items()]
+            probes.append(Probed(name, left, size, session.run(PROBE_GROWS + PROBE_STAYS, contacts)))
     return tuple(probes)
 
 

@@ -40,10 +40,10 @@ Wrench = Callable[[float, Array], Array]
 
 @dataclass(slots=True)
 class Segment:
-    """What happened in some time with the same touches: samples at `SAMPLE_RATE`, extremes of all ticks.
+    """What happened in some time with the same contacts: samples at `SAMPLE_RATE`, extremes of all ticks.
 
     time : (T,), s since its beginning; q, v, tau : (T, nv)
-    force : (T,), N, the sum over all touches of their forces' lengths
+    force : (T,), N, the sum over all contacts of their forces' lengths
     torque_share : largest |tau| / effort limit of all ticks
     stop_distance : (nv,), smallest distance to a position limit of all ticks, rad or m
     """
@@ -106,7 +106,7 @@ class Session:
         self._due_ns = -1
         self._waiting = False
         self._last: WrenchStamped | None = None
-        self._touches: Sequence[tuple[str, Wrench]] | None = None
+        self._contacts: Sequence[tuple[str, Wrench]] | None = None
         self._turn = 0
         self._now: dict[str, Array] = {}
         self.q = self.v = np.zeros(robot.nv)
@@ -142,7 +142,7 @@ class Session:
                 lambda: self._waiting and self._tau_stamp_ns == self._stamp_ns, START_TIMEOUT, "the nodes' answers"
             )
 
-    def run(self, duration: float, touches: Sequence[tuple[str, Wrench]] = ()) -> Segment:
+    def run(self, duration: float, contacts: Sequence[tuple[str, Wrench]] = ()) -> Segment:
         """Let `duration` s of the robot's time pass, while wrenches act on links; they end with it.
 
         Raises GraphError when a node ends, or time stands still.
@@ -150,13 +150,13 @@ class Session:
         segment, begin = Segment(stop_distance=np.full(self.robot.nv, np.inf)), self._stamp_ns
         self._segment, self._begin_ns, self._end_ns = segment, begin, begin + round(duration * SECOND)
         self._sample_ns = begin
-        self._touches = touches
+        self._contacts = contacts
         # what was touched before and is no more has to be told so, in its turn
-        self._released = [link for link in self._now if link not in {link for link, _ in touches}]
+        self._released = [link for link in self._now if link not in {link for link, _ in contacts}]
         if self._waiting:
             self._answer()
         deadline = time.monotonic() + 60.0 + 60.0 * duration
-        self.graph.wait_for(lambda: self._touches is None, deadline - time.monotonic(), f"{duration:g} s to pass")
+        self.graph.wait_for(lambda: self._contacts is None, deadline - time.monotonic(), f"{duration:g} s to pass")
         return segment
 
     # -- topics -------------------------------------------------------------------------------------------------------
@@ -164,7 +164,7 @@ class Session:
     def _take_torques(self, message: JointState) -> None:
         (self._tau,) = self._reader.read(message, "effort")
         self._tau_stamp_ns = conversions.time_to_ns(message.header.stamp)
-        if self._touches is not None:
+        if self._contacts is not None:
             share = float(np.max(np.abs(self._tau) / self.robot.effort_limits))
             self._segment.torque_share = max(self._segment.torque_share, share)
 
@@ -178,7 +178,7 @@ class Session:
         self.q, self.v = self._reader.read(message, "position", "velocity")
         if self._due_ns < 0:
             self._due_ns = stamp_ns
-        if self._touches is not None:
+        if self._contacts is not None:
             robot, nearest = self.robot, self._segment.stop_distance
             np.minimum(nearest, np.minimum(self.q - robot.lower_limits, robot.upper_limits - self.q), out=nearest)
         if stamp_ns < self._due_ns:
@@ -186,10 +186,10 @@ class Session:
         period = round(SECOND / TOUCH_RATE)
         self._due_ns += period * (1 + (stamp_ns - self._due_ns) // period)
         self._waiting = True
-        if self._touches is not None and stamp_ns >= self._end_ns:
-            self._touches = None
+        if self._contacts is not None and stamp_ns >= self._end_ns:
+            self._contacts = None
         # without anybody to say what follows, time stands still
-        if self._touches is not None or not self.lockstep:
+        if self._contacts is not None or not self.lockstep:
             self._answer()
 
     def _answer(self) -> None:
@@ -200,22 +200,22 @@ class Session:
         self._wrenches.publish(self._last)
 
     def _next_wrench(self) -> tuple[str, Array]:
-        if self._touches is None:
+        if self._contacts is None:
             return self.robot.endpoints["left"].frame, np.zeros(6)
         if self._released:
             link = self._released.pop()
             del self._now[link]
             return link, np.zeros(6)
-        if not self._touches:
+        if not self._contacts:
             return self.robot.endpoints["left"].frame, np.zeros(6)
         self._turn += 1
-        link, wrench = self._touches[self._turn % len(self._touches)]
+        link, wrench = self._contacts[self._turn % len(self._contacts)]
         self.data.update(self.q)
         self._now[link] = wrench(1e-9 * (self._stamp_ns - self._begin_ns), self._pose(link))
         return link, self._now[link]
 
     def _sample(self) -> None:
-        if self._touches is None or self._stamp_ns < self._sample_ns:
+        if self._contacts is None or self._stamp_ns < self._sample_ns:
             return
         self._sample_ns += round(SECOND / SAMPLE_RATE)
         segment = self._segment

@@ -11,9 +11,9 @@ from sensor_msgs.msg import JointState
 
 from tpgmm_core import TPGMM, Demonstration, Frame
 from tpgmm_core.geometry.manifold import POSE
+from tpgmm_demos.figure5.contacts import lesson_contacts, to_start
 from tpgmm_demos.figure5.lessons import HANDS, LESSON_TIME, LESSONS
 from tpgmm_demos.figure5.session import TOUCH_RATE, Session
-from tpgmm_demos.figure5.touches import lesson_touches, to_start
 from tpgmm_ros.recordings.bag_recorder import BagRecorder
 from tpgmm_ros.recordings.bags import read_recording
 from tpgmm_ros.task.task_file import Task
@@ -33,9 +33,9 @@ def record_lesson(session: Session, task: Task, bag: Path, random: np.random.Gen
     poses = [f"endpoint/{hand}/pose" for hand in HANDS]
     topics: dict[str, type] = {**dict.fromkeys(poses, PoseStamped), "joint_states": JointState}
     keep = {**dict.fromkeys(poses, KEEP_EVERY["poses"]), "joint_states": KEEP_EVERY["joint_states"]}
-    touches = lesson_touches(session, LESSONS[task.name](random))
+    contacts = lesson_contacts(session, LESSONS[task.name](random))
     with BagRecorder(session.graph.node, bag, topics, keep):
-        session.run(LESSON_TIME, touches)
+        session.run(LESSON_TIME, contacts)
 
 
 def learn(task: Task, bag: Path) -> TPGMM:

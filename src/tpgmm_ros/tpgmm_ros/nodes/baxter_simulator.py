@@ -32,16 +32,14 @@ from tpgmm_ros.runtime.parameters import Declared, Parameters
 
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
-    Declared("lockstep", False, "Publish /clock and wait for the torques that answer each state", fixed=True),
-    Declared(
-        "lockstep_wrench", False, "In lockstep, wait also for an external wrench that answers each pose", fixed=True
-    ),
+    Declared("lockstep", False, "Lockstep: publish /clock and wait for the torques that answer each state", fixed=True),
+    Declared("lockstep_wrench", False, "Lockstep: wait also for an external wrench in answer to each pose", fixed=True),
     Declared("rate", 1000.0, "Joint states per second of simulated time, Hz", 100.0, 2000.0, fixed=True),
-    Declared("physics_steps", 1, "Steps of the dynamics from one joint state to the next", 1, 20, fixed=True),
+    Declared("physics_steps", 1, "Physics steps from one joint state to the next", 1, 20, fixed=True),
     Declared("pose_rate", 100.0, "End point poses per second of simulated time, Hz", 1.0, 1000.0, fixed=True),
-    Declared("command_timeout", 0.1, "Without torques for this long, the robot brakes, s", 0.002, 10.0),
-    Declared("braking_rate", 20.0, "Rate at which it slows down while nobody commands it, 1/s", 0.0, 50.0),
-    Declared("wrench_timeout", 0.2, "An external wrench that is not repeated ends after this, s", 0.002, 10.0),
+    Declared("command_timeout", 0.1, "Time without torques after which the robot brakes, s", 0.002, 10.0),
+    Declared("braking_rate", 20.0, "How fast it brakes while no torques come, 1/s", 0.0, 50.0),
+    Declared("wrench_timeout", 0.2, "Time after which an external wrench ends unless it is repeated, s", 0.002, 10.0),
 ]
 
 Array = NDArray[np.float64]

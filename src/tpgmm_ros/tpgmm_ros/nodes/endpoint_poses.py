@@ -21,7 +21,7 @@ from tpgmm_ros.runtime.parameters import Declared, Parameters
 
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
-    Declared("pose_rate", 100.0, "End point poses, at most as often as joint states, Hz", 1.0, 1000.0, fixed=True),
+    Declared("pose_rate", 100.0, "Rate of end point poses, at most that of joint states, Hz", 1.0, 1000.0, fixed=True),
     SPREAD,
 ]
 

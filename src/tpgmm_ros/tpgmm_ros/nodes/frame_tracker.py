@@ -30,13 +30,16 @@ PARAMETERS = [
     Declared(
         "filter_time",
         -1.0,
-        "Trembling poses are averaged over this time while the frame is at rest, s; 0: never, -1: as in the task file",
+        "Noisy poses are averaged over this time while the frame is at rest, s; 0: never, -1: as in the task file",
         -1.0,
         60.0,
         fixed=True,
     ),
     Declared(
-        "lockstep", False, "Answer each pose of the movement when perception has answered it for all frames", fixed=True
+        "lockstep",
+        False,
+        "Lockstep: answer each pose of the hand once perception has answered it for all frames",
+        fixed=True,
     ),
 ]
 

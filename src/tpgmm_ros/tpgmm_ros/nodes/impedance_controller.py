@@ -46,19 +46,31 @@ from tpgmm_ros.runtime.timing import clock_trouble, loop_clock
 
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
-    Declared("law", "infinite_horizon", f"Law of control: {', '.join(LAWS)}", fixed=True),
-    Declared("endpoint", "left", "The end point that follows references of poses", fixed=True),
+    Declared("law", "infinite_horizon", f"Control law: {', '.join(LAWS)}", fixed=True),
+    Declared("endpoint", "left", "End point (hand) that follows pose references", fixed=True),
     Declared(
-        "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
+        "joint_state_rate",
+        1000.0,
+        "Rate at which joint states are expected, Hz: lost ones are counted",
+        1.0,
+        10000.0,
+        fixed=True,
     ),
     SPREAD,
     Declared("autostart", False, "Configure and activate at start, without a lifecycle manager", fixed=True),
     Declared(
-        "lockstep", False, "Answer each joint state only when the reference of the same stamp is there", fixed=True
+        "lockstep", False, "Lockstep: answer each joint state once the reference of the same stamp has come", fixed=True
     ),
-    Declared("torque_outputs", ["joint_state"], f"How torques leave, some of {', '.join(OUTPUTS)}", fixed=True),
-    Declared("torque_joints", "", "Joint group whose torques leave, in its order; empty: all joints", fixed=True),
-    Declared("gravity_compensated", False, "The robot adds the torques of gravity itself: leave them out", fixed=True),
+    Declared(
+        "torque_outputs",
+        ["joint_state"],
+        f"Messages in which torques are sent, any of {', '.join(OUTPUTS)}",
+        fixed=True,
+    ),
+    Declared("torque_joints", "", "Joint group whose torques are sent, in its order; empty: all joints", fixed=True),
+    Declared(
+        "gravity_compensated", False, "The robot compensates gravity itself: leave gravity torques out", fixed=True
+    ),
     *declared_of(Timeouts),
     *{item.name: item for config in CONFIGS for item in declared_of(config)}.values(),
     *declared_of(TorqueLimits),

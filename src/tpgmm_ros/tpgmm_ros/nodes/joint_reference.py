@@ -34,16 +34,26 @@ from tpgmm_ros.task.task_file import Task
 
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
-    Declared("task_files", [""], "Task files (YAML), one for each task of a hand", fixed=True),
+    Declared("task_files", [""], "Task files (YAML), one per hand task", fixed=True),
     Declared("model_files", [""], "Model files (.tpgmm) of these tasks, in the same order", fixed=True),
-    Declared("joints", ["left_arm", "right_arm"], "Joints or their groups that the references are over", fixed=True),
-    Declared("active", "", "Names of the tasks that hold, separated by commas; empty: none"),
+    Declared("joints", ["left_arm", "right_arm"], "Joints or joint groups that the references are for", fixed=True),
+    Declared("active", "", "Names of the active tasks, separated by commas; empty: none"),
     Declared(
-        "rest_deviation", 1.0, "Where no task says more: about the posture at the start, rad", 0.1, 10.0, fixed=True
+        "rest_deviation",
+        1.0,
+        "Allowed deviation (standard deviation) from the posture at the start where no task constrains it, rad",
+        0.1,
+        10.0,
+        fixed=True,
     ),
-    Declared("blend_time", 0.5, "A task takes hold, and lets go, over this time, s", 0.001, 60.0, fixed=True),
+    Declared("blend_time", 0.5, "Time over which a task fades in or out, s", 0.001, 60.0, fixed=True),
     Declared(
-        "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
+        "joint_state_rate",
+        1000.0,
+        "Rate at which joint states are expected, Hz: lost ones are counted",
+        1.0,
+        10000.0,
+        fixed=True,
     ),
     SPREAD,
 ]

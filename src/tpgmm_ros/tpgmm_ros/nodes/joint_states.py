@@ -24,12 +24,12 @@ from tpgmm_ros.runtime.timing import clock_trouble
 SPREAD = Declared(
     "joint_state_spread",
     MAX_SPREAD,
-    "Parts of one joint state, where it comes in several messages, may be this far apart, s",
+    "Largest difference in time between messages that make up one joint state, s",
     0.0,
     1.0,
     fixed=True,
 )
-MAX_FUTURE = Declared("max_future", 0.05, "A stamp that lies further ahead of the clock is refused, s", 0.001, 10.0)
+MAX_FUTURE = Declared("max_future", 0.05, "Messages with stamps further in the future are refused, s", 0.001, 10.0)
 
 #: Diagnostics name a silence that is longer, s.
 SILENT_AFTER = 1.0

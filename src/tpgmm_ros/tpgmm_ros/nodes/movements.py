@@ -28,7 +28,7 @@ from tpgmm_ros.nodes.controller_words import ControllerWords
 from tpgmm_ros.nodes.goals import Goals, finish
 from tpgmm_ros.runtime.background import Background
 from tpgmm_ros.runtime.parameters import Parameters
-from tpgmm_ros.runtime.rclpy_workarounds import create_patient_service
+from tpgmm_ros.runtime.rclpy_workarounds import create_deferred_service
 from tpgmm_ros.runtime.timing import clock_trouble
 from tpgmm_ros.task.task_file import Task
 
@@ -81,7 +81,7 @@ class Movements:
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._stepped_ns = 0
         self._background = Background(node)
-        create_patient_service(node, LoadModel, "load_model", self._load_model)
+        create_deferred_service(node, LoadModel, "load_model", self._load_model)
         self.goals = Goals(node, self._accept)
 
     def activate(self) -> None:

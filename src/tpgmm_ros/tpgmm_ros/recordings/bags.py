@@ -182,11 +182,11 @@ def _from_streams(path: Path, task: Task) -> Recording:
     if task.kinematic is not None:
         joints = read_joint_stream(path, task.kinematic.joint_states, task.kinematic.joint_names())
     stamped: list[PoseStream | JointStream] = [*streams.values(), *([] if joints is None else [joints])]
-    complaint = _complaint_about_stamps(streams[task.movement], stamped)
-    notes = [f"{complaint}: times of the recorder used"] if complaint else []
+    problem = _problem_of_stamps(streams[task.movement], stamped)
+    notes = [f"{problem}: times of the recorder used"] if problem else []
     series: dict[str, tuple[Nanoseconds, Array]] = {}
     for topic, stream in streams.items():
-        ns = stream.recorded if complaint else stream.stamps
+        ns = stream.recorded if problem else stream.stamps
         fresh = np.diff(ns, prepend=ns[0] - 1) > 0
         if not fresh.all():
             notes.append(f"{stream.topic}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
@@ -209,7 +209,7 @@ def _from_streams(path: Path, task: Task) -> Recording:
         unseen = np.count_nonzero(~visible[name])
         if unseen:
             notes.append(f"{name}: not seen in the first {unseen} of {len(ns)} samples")
-    configurations = None if joints is None else _configurations(path, joints, ns, bool(complaint))
+    configurations = None if joints is None else _configurations(path, joints, ns, bool(problem))
     return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes), configurations)
 
 
@@ -222,7 +222,7 @@ def _configurations(path: Path, joints: JointStream, at: Nanoseconds, by_recorde
     return joints.at(seen, at)
 
 
-def _complaint_about_stamps(movement: PoseStream, streams: Iterable[PoseStream | JointStream]) -> str | None:
+def _problem_of_stamps(movement: PoseStream, streams: Iterable[PoseStream | JointStream]) -> str | None:
     """What forbids to use the header stamps of a bag, or None."""
     if movement.stamps[0] == movement.stamps[-1]:
         return f"{movement.topic} has stamps that never change"

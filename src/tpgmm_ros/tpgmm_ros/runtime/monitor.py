@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well a node keeps up: ticks asked and done, time per step, age of what it used; published once a second.
 
-Once a second too: whether other nodes fit to its topics (`peers`), whether its clock goes, and what else it complains
-of, in the diagnostics and, when it is news, in the log.
+Once a second too: whether other nodes fit to its topics (`graph_checks`), whether its clock goes, and what else it warns
+of, in the diagnostics and, when it is new, in the log.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rclpy.node import Node
 from tpgmm_core.common.text import one_line
 from tpgmm_core.observation.streams import RateMeter
 from tpgmm_ros.messages.qos import EVENTS
-from tpgmm_ros.runtime.peers import complaints
+from tpgmm_ros.runtime.graph_checks import graph_problems
 from tpgmm_ros.runtime.timing import clock_trouble
 
 #: A longer silence is a pause, not lost ticks.
@@ -50,7 +50,7 @@ class Monitor:
         node: the node.
         status: called once a second, returns (level, message, further key-value pairs).
         rate: at which the ticks should come that ``tick`` is told of, Hz.
-        further: called once a second, returns what there is to complain of, which is said in the log when it is news.
+        further: called once a second, returns warnings, which go to the log when they are new.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Monitor:
         self._ticks = 0.0
         self._rate = rate
         self._meter = RateMeter()
-        self._complaints: list[str] = []
+        self._warnings: list[str] = []
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", EVENTS)
         # A timer on ROS time would stall with a paused simulation, just when one wants to know.
         self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -86,14 +86,14 @@ class Monitor:
 
     def publish(self) -> None:
         level, message, extra = self._status()
-        complained, self._complaints = self._complaints, [*self._further(), *complaints(self._node)]
+        warned, self._warnings = self._warnings, [*self._further(), *graph_problems(self._node)]
         if trouble := clock_trouble(self._node):
-            self._complaints.insert(0, trouble)
-        for text in self._complaints:
-            if text not in complained:
+            self._warnings.insert(0, trouble)
+        for text in self._warnings:
+            if text not in warned:
                 self._node.get_logger().warning(text)
-        if self._complaints:
-            level, message = max(level, DiagnosticStatus.WARN), "; ".join([message, *self._complaints])
+        if self._warnings:
+            level, message = max(level, DiagnosticStatus.WARN), "; ".join([message, *self._warnings])
         step_p50, step_p99, step_max = self.step.percentile_ms(50, 99, 100)
         period = self._meter.measured()
         age_p50, age_p99 = self.age.percentile_ms(50, 99)

@@ -81,7 +81,7 @@ class NodeProcesses:
         for name, process in self._processes.items():
             status = process.poll()
             if status is not None:
-                raise GraphError(f"{name} ended with status {status}; its last words:\n{self.last_words(name)}")
+                raise GraphError(f"{name} ended with status {status}; the end of its log:\n{self.log_tail(name)}")
 
     def pid(self, name: str) -> int:
         """Process id of a node that was started."""
@@ -93,7 +93,7 @@ class NodeProcesses:
         process.kill()
         process.wait()
 
-    def last_words(self, name: str, lines: int = 15) -> str:
+    def log_tail(self, name: str, lines: int = 15) -> str:
         text = (self.log_directory / f"{name}.log").read_text(errors="replace")
         return "\n".join(text.splitlines()[-lines:])
 
@@ -167,5 +167,5 @@ class Graph:
         ):
             request = ChangeState.Request(transition=Transition(id=transition))
             if not self.result(client.call_async(request), timeout, f"{name} to {label}").success:
-                raise GraphError(f"{name} refused to {label}; its last words:\n{self.processes.last_words(name)}")
+                raise GraphError(f"{name} refused to {label}; the end of its log:\n{self.processes.log_tail(name)}")
         self.node.destroy_client(client)

@@ -36,8 +36,8 @@ def without_status_events() -> None:
     an executor that is called on events, rmw_fastrtps then holds a lock of its own while it asks Fast DDS for the
     status, and Fast DDS holds one of its own while it tells rmw_fastrtps of a new one: where both happen at once, the
     node stands still for ever, with all of its topics. (ros2/rmw_fastrtps, pull request 890, of June 2026;
-    rmw_fastrtps 8.4.3 of the Jazzy wheels is older.) Without such an event there is nothing to ask for. `peers` says
-    who cannot be heard, from the graph, and with the name of the other node.
+    rmw_fastrtps 8.4.3 of the Jazzy wheels is older.) Without such an event there is nothing to ask for.
+    `graph_checks` finds out from the graph who cannot be heard, with the name of the other node.
     """
     for callbacks in (PublisherEventCallbacks, SubscriptionEventCallbacks):
         defaults = callbacks.__init__.__kwdefaults__
@@ -104,7 +104,7 @@ def guard_transitions(node: LifecycleNode, tell: Callable[[Exception], None]) ->
     node._callbacks = {state: telling(callback) for state, callback in node._callbacks.items()}
 
 
-def create_patient_service(node: Node, kind: type, name: str, callback: Callable[[Any], Future[Any]]) -> None:
+def create_deferred_service(node: Node, kind: type, name: str, callback: Callable[[Any], Future[Any]]) -> None:
     """A service whose response may come after its callback has returned: as soon as the future that the callback
     returns has it, set in the executor's thread. Meanwhile the node goes on.
 

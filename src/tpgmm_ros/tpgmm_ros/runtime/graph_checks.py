@@ -15,7 +15,7 @@ from tpgmm_core.common.text import one_line
 SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/external_wrench", "/joint_states")
 
 
-def complaints(node: Node) -> list[str]:
+def graph_problems(node: Node) -> list[str]:
     """What is wrong with the topics of a node at present, in words: which topic, which other node, what to set.
 
     Nothing of it raises an error by itself: messages of incompatible quality of service just do not come, and of two

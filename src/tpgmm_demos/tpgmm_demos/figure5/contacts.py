@@ -42,7 +42,7 @@ class _Aim:
         return self.where(time), True
 
 
-def touch(config: TeacherConfig, where: Callable[[float], Array]) -> Wrench:
+def contact(config: TeacherConfig, where: Callable[[float], Array]) -> Wrench:
     """The wrench of someone who means a link to be `where`(time): pose (7,)."""
     return Teacher(_Aim(where), config).wrench
 
@@ -67,8 +67,8 @@ def hand_guiding(
         def of_elbow(time: float, hand: str = hand, here: Array = here) -> Array:
             return np.concatenate([elbows(time)[hand], here[3:]])
 
-        hands.append((session.robot.endpoints[hand].frame, touch(HAND, of_hand)))
-        arms.append((elbow(hand), touch(ELBOW, of_elbow)))
+        hands.append((session.robot.endpoints[hand].frame, contact(HAND, of_hand)))
+        arms.append((elbow(hand), contact(ELBOW, of_elbow)))
     return hands + arms
 
 
@@ -89,7 +89,7 @@ def to_start(session: Session) -> None:
     session.run(FADE / 4)
 
 
-def lesson_touches(session: Session, lesson: Lesson) -> list[tuple[str, Wrench]]:
+def lesson_contacts(session: Session, lesson: Lesson) -> list[tuple[str, Wrench]]:
     """Both arms led through a lesson, by a teacher who sees where the hands are; the elbows go along."""
     links = {hand: session.robot.endpoints[hand].frame for hand in HANDS}
 
@@ -105,12 +105,12 @@ def lesson_touches(session: Session, lesson: Lesson) -> list[tuple[str, Wrench]]
 
 def push(session: Session, link: str, way: Array, duration: float) -> tuple[str, Wrench]:
     """Someone moves a link by a way (3,), m, within `duration` s, and holds it there."""
-    return link, touch(PUSH, _moving(session.pose(link), way, duration))
+    return link, contact(PUSH, _moving(session.pose(link), way, duration))
 
 
 def gripped_push(session: Session, link: str, way: Array, duration: float) -> tuple[str, Wrench]:
     """The same by someone who keeps the link level meanwhile."""
-    wrench = touch(GRIP, _moving(session.pose(link), way, duration))
+    wrench = contact(GRIP, _moving(session.pose(link), way, duration))
     return link, lambda time, pose: wrench(time, pose) * LEVELLING
 
 
