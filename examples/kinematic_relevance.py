@@ -3,7 +3,7 @@
 
 Demonstrations with four phases: a rest posture (7); the hand above a cup (9), the elbow at a place in the world as far
 as that leaves it (11); the hand at a place in the world (8), turned to a lamp below that (12); the hand above the cup
-(9), the rest posture below that (10). What is not asked for wanders, and cup and lamp are elsewhere each time.
+(9), the rest posture below that (10). What is not asked for wanders; cup and lamp are in different places each time.
 The model is told neither phases nor constraints; the picture shows how many of the seven directions each frame
 determines. Constraints that follow from each other share them: an elbow that is always at the same place is seen in the
 joints as well.

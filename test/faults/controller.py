@@ -132,7 +132,7 @@ def with_a_joint_twice(state: JointState) -> None:
     state.name = [NAMES[0], *NAMES[:-1]]
 
 
-def out_of_all_proportion(state: JointState) -> None:
+def implausibly_large(state: JointState) -> None:
     state.velocity = array("d", [1e200] * len(NAMES))
 
 
@@ -141,7 +141,7 @@ BAD_STATES: dict[str, tuple[Callable[[JointState], None], str]] = {
     "with infinite speeds": (with_infinity, "not finite"),
     "of wrong length": (too_short, "numbers for"),
     "with a joint named twice": (with_a_joint_twice, "twice"),
-    "with speeds of 1e200 rad/s": (out_of_all_proportion, "out of all proportion"),
+    "with speeds of 1e200 rad/s": (implausibly_large, "implausibly large"),
 }
 
 

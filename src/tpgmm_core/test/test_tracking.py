@@ -140,7 +140,7 @@ def test_a_pose_out_of_all_proportion_is_refused_whatever_its_squares_are(number
     pose[at] = number
     with np.errstate(all="raise"):
         checked, reason = check_pose(pose)
-    assert checked is None and "out of all proportion" in reason
+    assert checked is None and "implausibly large" in reason
 
 
 @pytest.mark.parametrize("at", range(7))

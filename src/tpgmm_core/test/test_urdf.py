@@ -140,7 +140,7 @@ def test_what_the_nodes_do_not_need_is_left_alone(tmp_path: Path, replace: tuple
         (('<parent link="upper"/>', '<parent link="uper"/>'), "joint 'slide' has the parent link 'uper', which is not"),
         (('<child link="tool"/>', ""), "joint 'slide' has the child link '', which is not there"),
         (('<child link="tool"/>', '<child link="upper"/>'), "link 'upper' is moved by two joints, 'turn' and 'slide'"),
-        (('<parent link="base"/>', '<parent link="tool"/>'), "joints go round|moved by two|parts that no joint"),
+        (('<parent link="base"/>', '<parent link="tool"/>'), "joints form a loop|moved by two|parts that no joint"),
         (("</robot>", '<link name="loose"/></robot>'), "2 parts that no joint connects: world, loose"),
         (('<link name="base"/>', '<link name="base"/><link name="base"/>'), "several links have the name base"),
         (('name="slide"', 'name="turn"'), "several joints have the name turn"),

@@ -64,7 +64,7 @@ def test_what_did_not_come_in_time_is_told_from_a_process_that_ended(ros_node: N
     executor = SingleThreadedExecutor(context=ros_node.context)
     with NodeProcesses(tmp_path) as processes:
         graph = Graph(ros_node, executor, processes)
-        with pytest.raises(GraphTimeoutError, match=r"waited 0\.1 s for a pose in vain"):
+        with pytest.raises(GraphTimeoutError, match=r"waited 0\.1 s for a pose"):
             graph.wait_for(lambda: False, 0.1, "a pose")
         processes.start("no_such")  # ends at once: there is no such node
         with pytest.raises(GraphError, match="no_such ended with status 1") as ended:

@@ -46,7 +46,7 @@ class DynamicState:
 
     q, v : (nv,), rad and rad/s (m and m/s for prismatic joints), finite
     inertia : (nv, nv), joint-space inertia M(q), symmetric, C-contiguous
-    inverse : (nv, nv), M^-1; NaN where M is beyond reckoning
+    inverse : (nv, nv), M^-1; NaN where M cannot be inverted
     nonlinear : (nv,), gravity, Coriolis and centrifugal torques, N m (N), where the robot is by now
     data : kinematics at q and v
     loop : how the state came

@@ -97,7 +97,7 @@ class Controller[TargetT]:
 
         brakes : no law is asked: gravity compensation with damping, at this state. The law starts anew afterwards.
 
-        A state that is not finite, or beyond the law's reckoning, gives what `rest` gives, and the reason.
+        A state that is not finite, or that the law cannot compute with, gives what `rest` gives, and the reason.
         Raises ValueError for arrays of the wrong shape.
         """
         q, v = np.ascontiguousarray(q, dtype=np.float64), np.ascontiguousarray(v, dtype=np.float64)

@@ -263,7 +263,7 @@ class ImpedanceLaw:
             jacobian=jacobian,
             blend=self._blend,
             saturated=found == 1,
-            reason="the joint velocities are out of all proportion" if unusable else "",
+            reason="the joint velocities are implausibly large" if unusable else "",
             lag=lag,
             delay_margin=margin,
             share=share,

@@ -249,7 +249,7 @@ class JointImpedanceLaw:
             jacobian=self._selection,
             blend=self._blend,
             saturated=found == 1,
-            reason="the joint state is out of all proportion" if unusable else "",
+            reason="the joint state is implausibly large" if unusable else "",
             lag=lag,
             delay_margin=margin,
             share=share,
@@ -275,7 +275,7 @@ class JointImpedanceLaw:
         return carried
 
     def _wanted(self, target: JointTarget, L: Array, F: Array, dt: float) -> JointGains | None:
-        """The gains of a target, L and F = L^-1 (n, n) of the inertia; None where they are beyond reckoning."""
+        """The gains of a target, L and F = L^-1 (n, n) of the inertia; None where they cannot be computed."""
         config, n = self.config, len(L)
         damping = np.empty((n, n))
         cost, lowest, highest = config.joint_control_cost, config.joint_min_stiffness, config.joint_max_stiffness

@@ -183,8 +183,8 @@ def arm_torques(
     given (nv,) : what the motors give besides, without which nothing may saturate; the arm's bias is added
     feedforward, feedback, null_space (nv,), error (6,), stiffness, damping (6, 6), out : see `LawTorques`
 
-    Returns 0, 1 where weak motors made something saturate, -1 where the inertia or the state is beyond
-    reckoning.
+    Returns 0, 1 where weak motors made something saturate, -1 where the inertia or the state cannot be
+    computed with.
     """
     n = len(arm)
     J, M_arm = np.empty((6, n)), np.empty((n, n))

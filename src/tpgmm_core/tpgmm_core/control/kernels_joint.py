@@ -38,7 +38,7 @@ def precision_damping(
 ) -> float:
     """D = L (2 S)^(1/2) L^T, S^2 = F Q F^T / r with the precision Q (n, n).
 
-    Returns the largest eigenvalue of K_V = F D F^T, 1/s; -1 where S is beyond reckoning.
+    Returns the largest eigenvalue of K_V = F D F^T, 1/s; -1 where S cannot be computed with.
 
     min_stiffness, max_stiffness : bounds of the eigenvalues of S, 1/s^2
     """
@@ -89,7 +89,7 @@ def joint_torques(
     given (nv,) : what the motors give besides
     feedback (nv,), stiffness, damping (n, n), out
 
-    Returns 0, 1 where weak motors made something saturate, -1 where the state is beyond reckoning.
+    Returns 0, 1 where weak motors made something saturate, -1 where the state cannot be computed with.
     """
     n = len(joints)
     half = share * (F @ D)

@@ -255,7 +255,7 @@ def _solve(
     rest: Array,
     posture_precision: Array,
 ) -> _Planned:
-    """A plan, and gains, from a problem alone. Raises ValueError for numbers that are beyond reckoning."""
+    """A plan, and gains, from a problem alone. Raises ValueError for numbers that cannot be computed with."""
     positions, precisions = _course(problem, rest, posture_precision)
     dt = problem.target.time_step
     known = dt * np.arange(len(positions))

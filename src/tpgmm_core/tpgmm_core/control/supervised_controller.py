@@ -2,7 +2,7 @@
 """`SupervisedController`: a controller that answers joint states, and knows what to do when they or references stop.
 
 Joint states and references come by `take_state` and `take_reference`, each with its stamp; `watch` is to be
-called all the time, some times within `joint_state_timeout`, since silence calls nobody. Each answers with what
+called all the time, some times within `joint_state_timeout`, since silence triggers no callback. Each answers with what
 is to be sent. Times are ns: `now_ns` of a clock that does not jump (steady, or the simulation's), `clock_ns` of
 the clock of the stamps.
 """

@@ -8,7 +8,7 @@ Gaussian is one of q too: this is Eq. (9) with an object that is a part of the r
 frames of all tasks that hold at present, is a Gaussian over the joints: tasks that were taught apart are combined
 without learning anything.
 
-Which frame matters nobody says: one in which the demonstration varied says next to nothing.
+No one has to specify which frame matters: one in which the demonstration varied says next to nothing.
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ class HandTask:
             raise ValueError(f"a task of a hand is one Gaussian on '{POSE}', got {K} on '{manifold}'")
         missing = sorted(set(self.model.frame_names_) - set(self.places))
         if missing:
-            raise ValueError(f"nothing says where the frames {missing} are; places are given for {sorted(self.places)}")
+            raise ValueError(
+                f"it is not known where the frames {missing} are; places are given for {sorted(self.places)}"
+            )
         if any(isinstance(place, str) and place == self.endpoint for place in self.places.values()):
             raise ValueError(f"the hand {self.endpoint!r} cannot be seen from itself")
 

@@ -90,7 +90,7 @@ class KinematicMovement:
 
     @property
     def speed(self) -> float:
-        """Of the model's time; see `Retrieval`. It is no speed of joints."""
+        """Speed of the model's time; see `Retrieval`. It is no speed of joints."""
         return self._time_scaling.target
 
     @speed.setter

@@ -225,7 +225,7 @@ def check_pose(pose: ArrayLike) -> tuple[NDArray[np.float64] | None, str]:
     if not np.isfinite(checked).all():
         return None, f"not finite: {checked.tolist()}"
     if np.abs(checked).max() > MAX_NUMBER:  # squares of such numbers are not finite, and no camera sees so far
-        return None, f"out of all proportion: {checked.tolist()}, expected numbers up to {MAX_NUMBER:g} (m)"
+        return None, f"implausibly large: {checked.tolist()}, expected numbers up to {MAX_NUMBER:g} (m)"
     if np.any((checked != 0.0) & (np.abs(checked) < np.finfo(np.float64).tiny)):
         # rclpy copies the bits of a Python int into a float field, and says nothing
         return None, f"not written as floats: {checked.tolist()}; an int in a float field reads so: write 1.0, not 1"

@@ -76,7 +76,7 @@ class AttractorSystem(ABC):
 
     @property
     def duration(self) -> float:
-        """Of the whole movement at speed 1, s."""
+        """Duration of the whole movement at speed 1, s."""
         return self._duration
 
     @duration.setter

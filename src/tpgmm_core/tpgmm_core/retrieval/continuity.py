@@ -138,7 +138,7 @@ class Continuity:
         return self._fade.of(covariance, ahead)
 
     def gaussian(self, mean: Array, covariance: Array, ahead: float = 0.0) -> Gaussian:
-        """Both."""
+        """The reference, mean and covariance, where the course says `mean` and `covariance`."""
         return Gaussian(self.mean(mean, ahead), self.covariance(covariance, ahead), self.manifold)
 
     def _after(self, seconds: float) -> Array:

@@ -310,12 +310,12 @@ class StableDynamics(AttractorSystem):
 
     @property
     def radius(self) -> float:
-        """Of the ball about the goal that the system is in, m: the Lyapunov function."""
+        """Radius of the ball about the goal that the system is in, m: the Lyapunov function."""
         return self._radius
 
     @property
     def distance(self) -> float:
-        """Of the system from its goal, m; at most `radius`. The reference differs from it by the offset alone."""
+        """Distance of the system from its goal, m; at most `radius`. The reference differs by the offset alone."""
         return self._length(self.manifold.log(self._goal.mean, self._x))
 
     def _size(self, covariance: Array) -> float:

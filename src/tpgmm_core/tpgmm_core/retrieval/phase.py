@@ -43,7 +43,7 @@ class ClockPhase:
 
     @property
     def duration(self) -> float:
-        """Of the movement at speed 1, s."""
+        """Duration of the movement at speed 1, s."""
         return self._duration
 
     @property

@@ -35,7 +35,7 @@ from tpgmm_core.retrieval.interface import demonstrated_duration
 
 
 class _Regression(ABC):
-    """What both orders have in common: all but `situate`, `at` and `mixture` of a `Course`.
+    """What both orders have in common: all but `situate`, `at` and `mixture` of a `TimeParametrized`.
 
     model : fitted, with time as the first dimension, s
 
@@ -60,12 +60,12 @@ class _Regression(ABC):
 
     @property
     def duration(self) -> float:
-        """Of the demonstrations, s. Raises ValueError when the model's metadata do not say."""
+        """Duration of the demonstrations, s. Raises ValueError when the model's metadata do not say."""
         return demonstrated_duration(self.model)
 
     @property
     def manifold(self) -> Manifold:
-        """Of the data, without time; on R^D it is what the frames of the situation map to."""
+        """Manifold of the data, without time; on R^D it is what the frames of the situation map to."""
         space = self._buffer.manifold
         if space is not self._space:
             self._space, self._data_space = space, _data_manifold(space)

@@ -73,7 +73,7 @@ class Reproduction:
 
     @property
     def manifold(self) -> Manifold:
-        """Of the references, without time."""
+        """Manifold of the references, without time."""
         return self.course.manifold
 
     @property
@@ -83,7 +83,7 @@ class Reproduction:
 
     @property
     def duration(self) -> float:
-        """Of the whole movement at speed 1, s."""
+        """Duration of the whole movement at speed 1, s."""
         return self.phase.duration
 
     @property

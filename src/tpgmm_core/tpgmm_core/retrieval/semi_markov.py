@@ -106,7 +106,7 @@ class SemiMarkovMovement:
 
     @property
     def manifold(self) -> Manifold:
-        """Of the references: the data's, without time and derivatives."""
+        """Manifold of the references: the data's, without time and derivatives."""
         return self._manifold
 
     @property
@@ -116,7 +116,7 @@ class SemiMarkovMovement:
 
     @property
     def duration(self) -> float:
-        """Of the whole movement at speed 1, undisturbed, s."""
+        """Duration of the whole movement at speed 1, undisturbed, s."""
         return self._duration
 
     @property

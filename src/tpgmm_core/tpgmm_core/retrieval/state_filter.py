@@ -119,7 +119,7 @@ class StateFilter:
 
     @property
     def probabilities(self) -> Array:
-        """Of the states, (K,)."""
+        """Probabilities of the states, (K,)."""
         return self._forward.sum(axis=1)
 
     @property

@@ -125,7 +125,7 @@ class TrajectoryModel:
 
     @property
     def manifold(self) -> Manifold:
-        """Of the positions."""
+        """Manifold of the positions."""
         return point_manifold(self._adapter.manifold)
 
     def activations(self, times: Array) -> Array:
@@ -157,7 +157,7 @@ class TrajectoryModel:
 
 
 class SmoothTrajectory:
-    """A trajectory model as a `Course`: solved once for each situation, and interpolated between its steps.
+    """A trajectory model as a `TimeParametrized`: solved once for each situation, and interpolated between its steps.
 
     model : as for `TrajectoryModel`, with duration_s in its metadata
     steps : that a solution has, the first one at time 0 of the model, the last one at its duration
@@ -178,12 +178,12 @@ class SmoothTrajectory:
 
     @property
     def manifold(self) -> Manifold:
-        """Of the positions."""
+        """Manifold of the positions."""
         return self._model.manifold
 
     @property
     def duration(self) -> float:
-        """Of the demonstrations, s."""
+        """Duration of the demonstrations, s."""
         return float(self._grid[-1])
 
     def situate(

@@ -170,7 +170,9 @@ def _parents(links: Mapping[str, Element], joints: Mapping[str, Element]) -> dic
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
         what = (
-            f"{len(roots)} parts that no joint connects: {listed(roots)}" if roots else "no root: its joints go round"
+            f"{len(roots)} parts that no joint connects: {listed(roots)}"
+            if roots
+            else "no root: its joints form a loop"
         )
         raise RobotFileError(f"it has {what}; expected one tree")
     for link in links:
@@ -178,7 +180,7 @@ def _parents(links: Mapping[str, Element], joints: Mapping[str, Element]) -> dic
         seen: set[str] = set()
         while above in parents:
             if above in seen:
-                raise RobotFileError(f"its joints go round: {listed(sorted(seen))}; expected one tree")
+                raise RobotFileError(f"its joints form a loop: {listed(sorted(seen))}; expected one tree")
             seen.add(above)
             above = parents[above][1]
     return parents

@@ -13,7 +13,7 @@ from tpgmm_demos.scene.pick_place import Grasp
 MAX_LOST_SHARE = 0.01
 MAX_TORQUE_AGE_MS = 5.0
 MIN_PERCEPTION_SHARE = 0.8
-#: More programs than cores that want to run, above which a wait in vain is put down to the machine. The demo's own
+#: More programs than cores that want to run, above which a time-out is put down to the machine. The demo's own
 #: nodes are among them: while they start, each wants a core.
 MAX_WAITING_PROGRAMS = 1.0
 

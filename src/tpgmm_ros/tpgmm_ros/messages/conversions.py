@@ -105,9 +105,7 @@ def wrench_to_array(message: WrenchStamped) -> Array:
     if not np.isfinite(wrench).all():
         raise MessageError(f"wrench on {shown(message.header.frame_id)} is not finite: {wrench.tolist()}")
     if np.abs(wrench).max() > MAX_WRENCH:
-        raise MessageError(
-            f"a wrench is out of all proportion: {wrench.tolist()}; expected {MAX_WRENCH:g} N, N m at most"
-        )
+        raise MessageError(f"a wrench is implausibly large: {wrench.tolist()}; expected {MAX_WRENCH:g} N, N m at most")
     return wrench
 
 

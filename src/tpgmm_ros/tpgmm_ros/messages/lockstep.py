@@ -3,9 +3,9 @@
 
 Each node answers each input of a tick once, and only when all that belongs to this tick has come; which message came
 first makes no difference then (a process network: Kahn, "The semantics of a simple language for parallel programming",
-1974). So that nobody waits for what does not come, who has nothing to say says so: with a pose that is none, with a
-reference without a Gaussian. Time stands still until all have answered, and a state that nobody answered comes again:
-who has answered it already answers as before.
+1974). So that no node waits for what does not come, a node without an answer says that it has none: by an invalid pose,
+or by a reference without a Gaussian. Time stands still until all have answered. A state that was not answered comes
+again; a node that has answered it already gives the same answer.
 """
 
 from __future__ import annotations

@@ -81,14 +81,16 @@ def check_model(model: TPGMM, spec: KinematicSpec) -> None:
     """Raises ValueError for a model that was not learned from these frames, and OSError without the robot file."""
     if model.metadata_.get(KEY) != METHOD:
         raise ValueError(
-            "the model is none of kinematic frames, which the task names: train it again, from joint states"
+            "the model was not learned from the task's kinematic frames: train it again, from joint states"
         )
     dimensions = tuple(model.dimensions_ or ())
     expected = _dimensions(spec, dimensions[:1] == ("time",))
     if dimensions != expected or model.manifold_.dim != len(expected):
         raise ValueError(f"the model is over {dimensions}; the task needs {expected}")
     if model.metadata_.get(_SPEC_KEY) != spec.description:
-        raise ValueError("the task's kinematic frames are others than the model was learned from: train it again")
+        raise ValueError(
+            "the task's kinematic frames differ from those that the model was learned from: train it again"
+        )
 
 
 def make_movement(

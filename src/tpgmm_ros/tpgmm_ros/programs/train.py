@@ -116,7 +116,7 @@ def _read(options: argparse.Namespace, task: Task, report: dict[str, Any]) -> li
         print(f"bad bag: {error}", file=sys.stderr)
     if bad and not options.skip_bad:
         raise TrainingError(
-            f"{len(bad)} of {len(bags)} bags are bad, nothing was trained; mend or leave out the bags "
+            f"{len(bad)} of {len(bags)} bags are bad, nothing was trained; repair or leave out the bags "
             "named above, or train on the others with --skip-bad"
         )
     if not good:

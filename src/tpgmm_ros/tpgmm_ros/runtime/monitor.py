@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well a node keeps up: ticks asked and done, time per step, age of what it used; published once a second.
 
-Once a second too: whether other nodes fit to its topics (`graph_checks`), whether its clock goes, and what else it warns
-of, in the diagnostics and, when it is new, in the log.
+Once a second too: whether other nodes fit to its topics (`graph_checks`), whether its clock goes, and other warnings:
+in the diagnostics and, when new, in the log.
 """
 
 from __future__ import annotations

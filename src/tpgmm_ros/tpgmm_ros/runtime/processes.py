@@ -146,7 +146,9 @@ class Graph:
             self.executor.spin_once(timeout_sec=0.02)
             self.processes.check()
             if time.monotonic() > deadline:
-                raise GraphTimeoutError(f"waited {timeout:g} s for {what} in vain; see {self.processes.log_directory}")
+                raise GraphTimeoutError(
+                    f"timed out: waited {timeout:g} s for {what}; see {self.processes.log_directory}"
+                )
 
     def result(self, future: Future, timeout: float, what: str) -> Any:
         """What a future (of a service or an action) comes to. Raises GraphError like `wait_for`."""
