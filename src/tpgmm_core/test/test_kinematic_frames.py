@@ -278,7 +278,7 @@ def test_bad_tasks_are_refused_with_the_reason() -> None:
         TaskSpace((KinematicTask("left", "pose"),)).at(KinematicState(robot, np.zeros(5)))
     with pytest.raises(ValueError, match="got A of shape"):
         TaskSpace((KinematicTask("left", relative_to="cup"),)).at(KinematicState(robot, np.zeros(5), {"cup": CUP}))
-    with pytest.raises(ValueError, match="at least one Task"):
+    with pytest.raises(ValueError, match="at least one KinematicTask"):
         TaskSpace(())
     with pytest.raises(ValueError, match="the part of a task"):
         KinematicTask("left", "smell")  # type: ignore[arg-type]

@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from ros_testing import spin_until
-from tpgmm_ros.runtime.monitor import Durations, Monitor
+from tpgmm_ros.runtime.monitor import Monitor, RecentTimes
 
 MS = 1_000_000
 
@@ -18,7 +18,7 @@ def monitor_of(node: Node) -> Monitor:
 
 
 def test_percentiles_are_in_ms_and_zero_without_samples() -> None:
-    samples = Durations()
+    samples = RecentTimes()
     assert samples.percentile_ms(50, 99) == [0.0, 0.0]
     for i in range(101):
         samples.add(1e-3 * i)
@@ -26,7 +26,7 @@ def test_percentiles_are_in_ms_and_zero_without_samples() -> None:
 
 
 def test_only_the_last_samples_count() -> None:
-    samples = Durations(size=10)
+    samples = RecentTimes(size=10)
     for value in (*[1.0] * 100, *[2.0] * 10):
         samples.add(value)
     assert samples.count == 110 and samples.percentile_ms(0, 100) == [2000.0, 2000.0]

@@ -153,4 +153,4 @@ def _objects(tasks: KinematicTasks) -> frozenset[str]:
 
 def _check_tasks(tasks: Sequence[KinematicTask]) -> None:
     if not isinstance(tasks, tuple) or not tasks or not all(isinstance(task, KinematicTask) for task in tasks):
-        raise ValueError(f"tasks are a tuple of at least one Task, got {tasks!r}")
+        raise ValueError(f"tasks are a tuple of at least one KinematicTask, got {tasks!r}")

@@ -7,10 +7,10 @@ import math
 from collections.abc import Mapping
 
 from tpgmm_core.control.loop_guard import LoopGuard
-from tpgmm_ros.runtime.monitor import Durations
+from tpgmm_ros.runtime.monitor import RecentTimes
 
 
-def loop_values(guard: LoopGuard, ages: Durations) -> dict[str, str]:
+def loop_values(guard: LoopGuard, ages: RecentTimes) -> dict[str, str]:
     """How old joint states are by their stamps, what the gains in use would bear, and what share of them is in use."""
     values = {"state_age_p50_ms": "unknown", "state_age_p99_ms": "unknown"}
     if ages.count and guard.age.age is not None:

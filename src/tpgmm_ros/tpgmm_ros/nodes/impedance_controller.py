@@ -39,7 +39,7 @@ from tpgmm_ros.nodes.joint_states import SPREAD
 from tpgmm_ros.runtime.background import Background
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.lifecycle import ManagedNode
-from tpgmm_ros.runtime.monitor import Durations, Monitor
+from tpgmm_ros.runtime.monitor import Monitor, RecentTimes
 from tpgmm_ros.runtime.parameters import Declared, Parameters, declared_of, fill
 from tpgmm_ros.runtime.rclpy_workarounds import waiting
 from tpgmm_ros.runtime.timing import clock_trouble, loop_clock
@@ -165,7 +165,7 @@ class ImpedanceControllerNode(ManagedNode):
         self._barrier = Barrier(("reference",), self._answer) if self.parameters["lockstep"] else None
         self._state_due_ns = 0
         self._actions.clear()
-        self._ages = Durations()
+        self._ages = RecentTimes()
         self._active = True
         self._change(ControllerMode.WAITING, self.controller.decision.reason, self._loop_clock.now().nanoseconds)
         return result

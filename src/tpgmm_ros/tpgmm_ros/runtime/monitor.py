@@ -24,7 +24,7 @@ from tpgmm_ros.runtime.timing import clock_trouble
 _PAUSE_NS = 1_000_000_000
 
 
-class Durations:
+class RecentTimes:
     """The last ``size`` values of a quantity, in seconds; recording one is a store."""
 
     def __init__(self, size: int = 1 << 16) -> None:
@@ -62,8 +62,8 @@ class Monitor:
     ) -> None:
         self.asked = 0
         self.done = 0
-        self.step = Durations()
-        self.age = Durations()
+        self.step = RecentTimes()
+        self.age = RecentTimes()
         self._node = node
         self._status, self._further = status, further
         self._last_tick_ns = 0
