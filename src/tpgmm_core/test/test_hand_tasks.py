@@ -120,7 +120,7 @@ def test_tasks_take_hold_and_let_go_gradually_about_the_posture_in_which_the_fir
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"places": {}}, "nothing says where the frames"),
+        ({"places": {}}, "it is not known where the frames"),
         ({"places": {"world": "left"}}, "cannot be seen from itself"),
     ],
 )
