@@ -75,7 +75,7 @@ bags: setup ## record the demonstrations in bags/ again
 	rm -rf bags/pick_place
 	$(PROGRAMS)/teach --scripted --perception exact --output bags/pick_place
 
-results: setup ## the numbers of docs/results.md: leave-one-out on real demonstrations (DATA=directory of the data sets)
+results: setup ## the numbers of docs/reference/results.md: leave-one-out on real demonstrations (DATA=directory of the data sets)
 	$(PROGRAMS)/train --task config/baxter_valve.yaml --leave-one-out --report out/results/baxter_valve \
 		$(DATA)/baxter_valve
 	PYTHONPATH=. $(PYTHON) benchmarks/valve_selection.py --data $(DATA)/baxter_valve
