@@ -26,7 +26,7 @@ DATA ?= ../shared/data
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup dev lint format test properties faults fuzz determinism seeds soak demo bags results figures figure5 figure6 bench scaling stress colcon lock clean
+.PHONY: help setup dev lint format test properties faults fuzz determinism seeds soak demo bags results figures figure5 figure6 bench scaling stress colcon docs reference lock clean
 
 help: ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -104,6 +104,14 @@ scaling: setup ## benchmarks of learning: 100 dimensions; time and memory up to 
 	PYTHONPATH=. $(PYTHON) benchmarks/high_dimension.py
 	PYTHONPATH=. $(PYTHON) benchmarks/scaling.py
 
+SPHINX := $(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going -d out/docs/doctrees -c docs
+docs: setup $(DONE)/requirements-docs ## the pages as a site, with the API from the docstrings: out/docs/html/index.html (2 minutes)
+	@mkdir -p out/docs && rm -rf out/docs/source && cp -a docs out/docs/source
+	$(SPHINX) out/docs/source out/docs/html
+
+reference: setup ## write the reference pages of nodes, topics, messages and programs from the sources again
+	$(PYTHON) tools/reference_pages.py
+
 lock: $(DONE)/requirements-dev ## resolve requirements*.in into requirements*.txt; what is locked stays while it fits (UPGRADE=1: the newest)
 	tools/lock $(BIN)/uv $(if $(UPGRADE),--upgrade)
 
@@ -143,6 +151,11 @@ $(DONE)/requirements: requirements.txt tools/install_requirements.py tools/reloc
 $(DONE)/requirements-dev: requirements-dev.txt $(DONE)/requirements
 	$(call say,what developing needs beside it: 50 wheels (some 20 seconds))
 	@$(PYTHON) tools/install_requirements.py requirements-dev.txt
+	@touch $@
+
+$(DONE)/requirements-docs: requirements-docs.txt $(DONE)/requirements
+	$(call say,what the site needs: 31 wheels (some 20 seconds))
+	@$(PYTHON) tools/install_requirements.py requirements-docs.txt
 	@touch $@
 
 # The wheels make the environment a ROS prefix. What is built here joins them, so that every process of the environment

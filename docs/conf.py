@@ -22,12 +22,12 @@ extensions = [
     "myst_parser",
     "sphinx.ext.apidoc",
     "sphinx.ext.autodoc",
-    "sphinx.ext.viewcode",
     "numpydoc",
 ]
 html_theme = "furo"
 html_title = "tpgmm"
 html_copy_source = False
+exclude_patterns = ["api/modules.rst"]
 myst_heading_anchors = 4
 
 # One page for each module, without the compiled loops, which have no users of their own
