@@ -88,7 +88,9 @@ def contents(page: Path, text: str) -> list[str]:
 
 def links(page: Path, text: str) -> list[str]:
     """The pages of docs/ that a text links to, in the order of the text."""
-    paths = [Path(os.path.normpath(page.parent / found[2])) for found in LINK.finditer(text) if found[2].endswith(".md")]
+    paths = [
+        Path(os.path.normpath(page.parent / found[2])) for found in LINK.finditer(text) if found[2].endswith(".md")
+    ]
     return [str(path.relative_to(DOCS).with_suffix("")) for path in paths if path.is_relative_to(DOCS) and path != page]
 
 

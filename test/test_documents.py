@@ -63,7 +63,9 @@ def test_links_and_pictures_lead_somewhere(page: Path) -> None:
 
 def test_every_page_can_be_reached_from_the_index_and_the_index_from_the_readme() -> None:
     def linked(page: Path) -> set[Path]:
-        targets = (target for _, target, _ in LINK.findall(prose(page)) if target.endswith(".md") and "://" not in target)
+        targets = (
+            target for _, target, _ in LINK.findall(prose(page)) if target.endswith(".md") and "://" not in target
+        )
         return {Path(os.path.normpath(page.parent / target)) for target in targets}
 
     found: set[Path] = set()
@@ -222,7 +224,7 @@ def test_the_tutorial_in_python_prints_what_it_shows(
 def test_the_first_tutorial_trains_the_model_that_its_program_asks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The demonstration itself is `test_demo.py`; here are the command that trains and the program that asks the model."""
+    """The demonstration itself is `test_demo.py`; here are the command that trains and the program that asks."""
     page = DOCS / "tutorials" / "first-movement.md"
     (words,) = (words for words in commands(page) if Path(words[0]).name == "train")
     module, function = executables()["train"].split(":")

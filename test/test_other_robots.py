@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/how-to/your-robot.md as it stands, with real processes; and the poses of robots whose drivers publish joints alone."""
+"""docs/how-to/your-robot.md as it stands, with real processes; poses of robots whose drivers publish joints alone."""
 
 from __future__ import annotations
 

@@ -5,9 +5,9 @@
     .venv/bin/python tools/reference_pages.py --check    writes nothing; status 1, and the names, where one is stale
 
 Parameters come from the nodes' own declarations. Topics, services and actions come from the nodes themselves: each is
-made once as it comes and once in lockstep, on a ROS domain of its own. Messages come from their definition files, programs
-from their ``--help``. What nobody declares (what a topic is for, how often it comes) stands in reference_texts.yaml; a
-topic without a text there is an error, and so is a text without a topic.
+made once as it comes and once in lockstep, on a ROS domain of its own. Messages come from their definition files,
+programs from their ``--help``. What nobody declares (what a topic is for, how often it comes) stands in
+reference_texts.yaml; a topic without a text there is an error, and so is a text without a topic.
 """
 
 from __future__ import annotations
