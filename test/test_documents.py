@@ -82,10 +82,11 @@ def test_every_page_can_be_reached_from_the_index_and_the_index_from_the_readme(
 
 
 def commands(page: Path) -> Iterator[list[str]]:
-    """The command lines of a page, as words: of `sh` blocks and of indented ones, with continued lines joined."""
+    """The command lines of a page, as words: of `sh` blocks, of indented ones and of code within a sentence."""
     text = page.read_text()
     blocks = re.findall(r"^ *```sh\n(.*?)^ *```", text, re.MULTILINE | re.DOTALL)
     blocks += re.findall(r"(?:(?<=\n\n)|^)((?:    .*\n)+)", re.sub(r"^ *```.*?^ *```", "", text, flags=re.S | re.M))
+    blocks += re.findall(r"(?<!`)`([^`\n]+)`(?!`)", prose(page))
     for block in blocks:
         for line in re.sub(r"\\\n", " ", block).splitlines():
             try:
@@ -118,7 +119,8 @@ def help_of(name: str) -> str:
         command = [sys.executable, name, "--help"]
     else:
         command = [sys.executable, "-m", name, "--help"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    places = [str(ROOT), str(ROOT / "test"), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(places)}
     run = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120)
     assert run.returncode == 0, f"{name} --help: {run.stderr}"
     return run.stdout
@@ -127,9 +129,9 @@ def help_of(name: str) -> str:
 def program_of(words: list[str]) -> tuple[str, list[str]] | None:
     """The program of ours that a command runs, and its arguments; None for those of others."""
     first, *rest = words
-    if Path(first).parent.name == "tpgmm_ros":
-        return Path(first).name, rest
-    if words[:3] == ["ros2", "run", "tpgmm_ros"]:
+    if found := re.fullmatch(r"\.venv/lib/tpgmm_ros/(\w+)", first):
+        return found[1], rest
+    if words[:3] == ["ros2", "run", "tpgmm_ros"] and words[3:] and words[3].isidentifier():
         return words[3], words[4:]
     if first in ("train", "teach", "demo", "check_robot", "figure5"):
         return first, rest
