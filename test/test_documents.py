@@ -17,6 +17,8 @@ from typing import Any
 
 import pytest
 
+from ros_testing import StartProcess, executable
+
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", ROOT / "bags" / "README.md", *DOCS.rglob("*.md")])
@@ -223,23 +225,30 @@ def test_the_tutorial_in_python_prints_what_it_shows(
         run_snippet(page, snippet, names, capsys)
 
 
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder with the model that the README's command trains, and what the command prints."""
+    folder = tmp_path_factory.mktemp("trained")
+    (words,) = (words for words in commands(ROOT / "README.md") if words[0] == ".venv/lib/tpgmm_ros/train")
+    words = [str(ROOT / word) if word.startswith(("config/", "bags/")) else word for word in words]
+    run = subprocess.run([executable("train"), *words[1:]], cwd=folder, capture_output=True, text=True, timeout=200)
+    assert run.returncode == 0, run.stderr
+    return folder, run.stdout
+
+
 def test_the_first_tutorial_trains_the_model_that_its_program_asks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    trained: tuple[Path, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The demonstration itself is `test_demo.py`; here are the command that trains and the program that asks."""
     page = DOCS / "tutorials" / "first-movement.md"
-    (words,) = (words for words in commands(page) if Path(words[0]).name == "train")
-    module, function = executables()["train"].split(":")
-    code = f"import sys; from {module} import {function}; sys.exit({function}())"
-    command = [sys.executable, "-c", code, *words[1:-1], str(ROOT / words[-1])]
-    command[command.index("--task") + 1] = str(ROOT / "config" / "pick_place.yaml")
-    run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=200)
-    assert run.returncode == 0, run.stderr
+    folder, printed = trained
+    of_readme = [words for words in commands(ROOT / "README.md") if words[0] == ".venv/lib/tpgmm_ros/train"]
+    assert [words for words in commands(page) if Path(words[0]).name == "train"] == of_readme
     shown = re.search(r"^    what +value\n((?:    .*\n)+)", page.read_text(), re.MULTILINE)
     assert shown is not None
     for line in shown[1].splitlines():
-        assert line.strip() == "..." or line.strip() in run.stdout, line
-    monkeypatch.chdir(tmp_path)
+        assert line.strip() == "..." or line.strip() in printed, line
+    monkeypatch.chdir(folder)
     (snippet,) = snippets(page)
     run_snippet(page, snippet, {}, capsys)
 
@@ -250,6 +259,34 @@ def test_the_readme_example_without_ros_runs(tmp_path: Path, monkeypatch: pytest
     assert without_ros
     for text in without_ros:
         exec(compile(text, "README.md", "exec"), {})
+
+
+def test_the_nodes_of_the_readme_and_its_program_reach_the_end_of_the_movement(
+    trained: tuple[Path, str], start_process: StartProcess
+) -> None:
+    """As they stand, but on simulated time, so that a busy machine only takes longer."""
+    folder, _ = trained
+    further = {
+        "baxter_simulator": ["-p", "lockstep:=true", "-p", "rate:=250.0", "-p", "physics_steps:=4"],
+        "frame_tracker": ["-p", "use_sim_time:=true"],
+        "impedance_controller": ["-p", "use_sim_time:=true"],
+        "reproduction": ["-p", "use_sim_time:=true"],
+    }
+    nodes = [words for words in commands(ROOT / "README.md") if "--ros-args" in words and words[0] != "ros2"]
+    assert [Path(words[0]).name for words in nodes] == list(further)
+    for words in nodes:
+        arguments = [word.replace(":=config/", f":={ROOT}/config/") for word in words[1:]]
+        arguments = [word.replace(":=pick_place.tpgmm", f":={folder}/pick_place.tpgmm") for word in arguments]
+        name = Path(words[0]).name
+        start_process(name, *arguments, *further[name])
+    (program,) = (text for text in snippets(ROOT / "README.md") if "rclpy" in text)
+    (folder / "reproduce.py").write_text(program)
+    asked = start_process(sys.executable, str(folder / "reproduce.py"), "--ros-args", "-p", "use_sim_time:=true")
+    assert asked.wait(240.0) == 0, asked.output
+    assert re.search(r"^reached: \d\.\d mm and \d\.\d deg from the model's end", asked.output, re.MULTILINE), (
+        asked.output
+    )
+    assert re.match(r"reached: \d\.\d mm and \d\.\d deg", printed_after(ROOT / "README.md", program))
 
 
 # -- from the paper to the code
