@@ -9,8 +9,9 @@ SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
 PYTHON := $(BIN)/python
-# Executables of tpgmm_ros
+# Executables of tpgmm_ros and tpgmm_demos
 PROGRAMS := $(VENV)/lib/tpgmm_ros
+DEMOS := $(VENV)/lib/tpgmm_demos
 # One empty file for each finished step of the set-up; another name makes the environment anew once the steps have changed
 DONE := $(VENV)/.steps
 
@@ -69,11 +70,11 @@ faults: dev ## make every known fault happen to the running nodes and check what
 	PYTHONPATH=.:test $(PYTHON) -m faults
 
 demo: setup ## train a model, start the nodes, do the task, report: out/demo/ (SEED=7 for another situation)
-	$(PROGRAMS)/demo --seed $(SEED)
+	$(DEMOS)/demo --seed $(SEED)
 
 bags: setup ## record the demonstrations in bags/ again
 	rm -rf bags/pick_place
-	$(PROGRAMS)/teach --scripted --perception exact --output bags/pick_place
+	$(DEMOS)/scripted_lessons --perception exact --output bags/pick_place
 
 results: setup ## compute the numbers of docs/reference/results.md: leave-one-out on real demonstrations (DATA=directory of the data sets)
 	$(PROGRAMS)/train --task config/baxter_valve.yaml --leave-one-out --report out/results/baxter_valve \
@@ -82,19 +83,19 @@ results: setup ## compute the numbers of docs/reference/results.md: leave-one-ou
 	PYTHONPATH=. $(PYTHON) benchmarks/retrieval_table.py --data $(DATA)
 
 figures: setup ## draw figures 1, 3 and 4 of the paper, extrapolation, weights of frames: out/ (DATA=directory of the data sets)
-	PYTHONPATH=. $(PYTHON) benchmarks/figure1.py --data $(DATA)/pbdlib
-	PYTHONPATH=. $(PYTHON) benchmarks/figure3.py --data $(DATA)/pbdlib
-	PYTHONPATH=. $(PYTHON) benchmarks/extrapolation.py --data $(DATA)/pbdlib
-	PYTHONPATH=. $(PYTHON) benchmarks/figure4.py
-	PYTHONPATH=. $(PYTHON) benchmarks/figure1d.py
-	PYTHONPATH=. $(PYTHON) benchmarks/frame_weights.py
+	PYTHONPATH=. $(PYTHON) examples/figure1.py --data $(DATA)/pbdlib
+	PYTHONPATH=. $(PYTHON) examples/figure3.py --data $(DATA)/pbdlib
+	PYTHONPATH=. $(PYTHON) examples/extrapolation.py --data $(DATA)/pbdlib
+	PYTHONPATH=. $(PYTHON) examples/figure4.py
+	PYTHONPATH=. $(PYTHON) examples/figure1d.py
+	PYTHONPATH=. $(PYTHON) examples/frame_weights.py
 
 figure5: setup ## figure 5 of the paper, a cup and a sugar cube in two hands that are pushed: out/figure5/ (20 minutes; SEED=7 for other pushes)
-	$(PROGRAMS)/figure5 --seed $(SEED)
+	$(DEMOS)/figure5 --seed $(SEED)
 
 figure6: setup ## figure 6 of the paper, priorities of two hands of a planar robot: out/figure6/, out/kinematic_relevance/
-	PYTHONPATH=. $(PYTHON) benchmarks/figure6.py
-	PYTHONPATH=. $(PYTHON) benchmarks/kinematic_relevance.py
+	PYTHONPATH=. $(PYTHON) examples/figure6.py
+	PYTHONPATH=. $(PYTHON) examples/kinematic_relevance.py
 
 BENCHMARKS := em reproduction_step retrieval_step lqr control simulator loop latency kinematic_frames
 bench: setup ## run the benchmarks: tables, and JSON in out/bench/ (needs two idle cores)
@@ -125,11 +126,11 @@ COLCON_PLACES := --base-paths src --build-base out/colcon/build --install-base o
 colcon: dev ## build and test the packages with colcon: out/colcon/ (15 minutes; TESTS="-k frame" for some tests)
 	$(COLCON) build --metas colcon.meta $(COLCON_PLACES)
 	$(COLCON) test $(COLCON_PLACES) --executor sequential --event-handlers console_direct+ --return-code-on-test-failure \
-		--packages-select tpgmm_core tpgmm_ros $(if $(TESTS),--pytest-args $(TESTS))
+		--packages-select tpgmm_core tpgmm_ros tpgmm_demos $(if $(TESTS),--pytest-args $(TESTS))
 
 clean: ## remove everything that the other targets have made
 	rm -rf $(VENV) out .hypothesis .mypy_cache .pytest_cache .ruff_cache
-	find src test benchmarks tools -name __pycache__ -prune -exec rm -rf {} +
+	find src test benchmarks examples tools -name __pycache__ -prune -exec rm -rf {} +
 
 # --- the steps of the set-up ---
 
@@ -159,7 +160,7 @@ $(DONE)/requirements-docs: requirements-docs.txt $(DONE)/requirements
 	@touch $@
 
 # The wheels make the environment a ROS prefix. What is built here joins them, so that every process of the environment
-# finds it without a setup.bash: libraries, interfaces, and executables in lib/tpgmm_ros, where `ros2 run` looks too
+# finds it without a setup.bash: libraries, interfaces, and executables in lib/<package>, where `ros2 run` looks too
 $(DONE)/interfaces: export PATH := $(CURDIR)/$(BIN):$(PATH)
 $(DONE)/interfaces: export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
 $(DONE)/interfaces: export CMAKE_PREFIX_PATH := $(CURDIR)/$(VENV)
@@ -171,11 +172,11 @@ $(DONE)/interfaces: $(DONE)/requirements $(shell find src/tpgmm_msgs -type f)
 	@$(call progress,interfaces-install) cmake --install $(VENV)/build/tpgmm_msgs
 	@touch $@
 
-PACKAGE_FILES := $(foreach package,tpgmm_core tpgmm_ros,$(addprefix src/$(package)/,setup.py setup.cfg package.xml))
+PACKAGE_FILES := $(foreach package,tpgmm_core tpgmm_ros tpgmm_demos,$(addprefix src/$(package)/,setup.py setup.cfg package.xml))
 INSTALLED_DATA := $(wildcard src/tpgmm_ros/launch/*.launch.py config/*.yaml)
 $(DONE)/packages: tools/link_packages.py $(DONE)/interfaces $(PACKAGE_FILES) $(INSTALLED_DATA)
 	$(call say,Python packages (some seconds))
-	@$(PYTHON) tools/link_packages.py src/tpgmm_core src/tpgmm_ros
+	@$(PYTHON) tools/link_packages.py src/tpgmm_core src/tpgmm_ros src/tpgmm_demos
 	@touch $@
 
 # A compiled function keeps what it was compiled from, also when a function of another file that it calls has changed

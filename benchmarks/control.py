@@ -16,17 +16,17 @@ from pathlib import Path  # noqa: E402
 import numpy as np  # noqa: E402
 
 from benchmarks.report import Row, write_report  # noqa: E402
-from tpgmm_core.control.batch import batch_gains  # noqa: E402
+from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.control.control_law import RobotMoment  # noqa: E402
-from tpgmm_core.control.finite_horizon import finite_horizon_gains  # noqa: E402
-from tpgmm_core.control.joint_space import to_joint_space  # noqa: E402
 from tpgmm_core.control.laws import LAWS, ReferenceLaw  # noqa: E402
-from tpgmm_core.control.lqr import double_integrator, double_integrator_gains, riccati_gains  # noqa: E402
 from tpgmm_core.control.predictive import JointLimits, JointReference, Plan, PredictiveController  # noqa: E402
-from tpgmm_core.gaussian import Gaussian  # noqa: E402
-from tpgmm_core.manifold import POSE  # noqa: E402
-from tpgmm_core.quaternion import Array  # noqa: E402
-from tpgmm_core.reference import Reference  # noqa: E402
+from tpgmm_core.geometry.gaussian import Gaussian  # noqa: E402
+from tpgmm_core.geometry.manifold import POSE  # noqa: E402
+from tpgmm_core.kinematics.joint_space import to_joint_space  # noqa: E402
+from tpgmm_core.lqr.batch import batch_gains  # noqa: E402
+from tpgmm_core.lqr.double_integrator import double_integrator, double_integrator_gains, riccati_gains  # noqa: E402
+from tpgmm_core.lqr.finite_horizon import finite_horizon_gains  # noqa: E402
+from tpgmm_core.model.reference import Reference  # noqa: E402
 from tpgmm_core.robot.model import RobotModel  # noqa: E402
 
 BAXTER = Path(__file__).resolve().parents[1] / "config" / "baxter.yaml"

@@ -13,7 +13,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tpgmm_ros.reporting import format_table, write_report
+from tpgmm_ros.programs.reporting import format_table, write_report
 
 RATES = (1000.0, 500.0)
 
@@ -38,7 +38,7 @@ def row(rate: float, seed: int, output: Path) -> dict[str, float | bool | list[s
     runs = []
     for i in (1, 2):
         directory = output / f"{rate:g}_hz_{i}"
-        command = [sys.executable, "-m", "tpgmm_ros.demo", "--lockstep", "--rate", str(rate), "--seed", str(seed)]
+        command = [sys.executable, "-m", "tpgmm_demos.demo", "--lockstep", "--rate", str(rate), "--seed", str(seed)]
         subprocess.run([*command, "--output", str(directory)], check=True, stdout=subprocess.DEVNULL)
         runs.append(json.loads((directory / "report.json").read_text()))
     digests = [run["digest"] for run in runs]

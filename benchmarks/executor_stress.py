@@ -25,11 +25,11 @@ from domain_coordinator import domain_id
 from rclpy.experimental import EventsExecutor
 from sensor_msgs.msg import JointState
 
-from tpgmm_ros.processes import Graph, GraphError, NodeProcesses, end_with_parent
-from tpgmm_ros.qos import STREAM
-from tpgmm_ros.rclpy_workarounds import init_rclpy
-from tpgmm_ros.reporting import format_table, write_report
-from tpgmm_ros.resources import config_file
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.programs.reporting import format_table, write_report
+from tpgmm_ros.runtime.processes import Graph, GraphError, NodeProcesses, end_with_parent
+from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
+from tpgmm_ros.runtime.resources import config_file
 
 NODES = ("baxter_simulator", "impedance_controller", "frame_tracker", "reproduction")
 #: A node that says nothing for this long stands still, s. A machine that is busy makes gaps of seconds.

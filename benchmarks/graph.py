@@ -19,14 +19,15 @@ from rclpy.clock import Clock, ClockType
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 
+from tpgmm_demos.scene.pick_place import random_situation
 from tpgmm_msgs.action import Reproduce
-from tpgmm_ros import conversions, train
-from tpgmm_ros.pick_place import random_situation
-from tpgmm_ros.processes import REALTIME_PRIORITY, Graph, NodeProcesses
-from tpgmm_ros.qos import STREAM
-from tpgmm_ros.rclpy_workarounds import init_rclpy
-from tpgmm_ros.resources import config_file
-from tpgmm_ros.task import Task
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.programs import train
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph, NodeProcesses
+from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
+from tpgmm_ros.runtime.resources import config_file
+from tpgmm_ros.task.task_file import Task
 
 BAGS = Path("bags/pick_place")
 START_TIMEOUT = 60.0

@@ -18,6 +18,7 @@ import numpy as np  # noqa: E402
 
 from benchmarks.report import Row, durations, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Adapter, Frame  # noqa: E402
+from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.kinematics.frames import (  # noqa: E402
     JointSpace,
     KinematicFrame,
@@ -28,7 +29,6 @@ from tpgmm_core.kinematics.frames import (  # noqa: E402
 from tpgmm_core.kinematics.moving import ConfigurationProduct, MovingFrames  # noqa: E402
 from tpgmm_core.kinematics.tasks import Task  # noqa: E402
 from tpgmm_core.kinematics.urdf import UrdfKinematics  # noqa: E402
-from tpgmm_core.quaternion import Array  # noqa: E402
 from tpgmm_core.robot.model import RobotModel  # noqa: E402
 
 LEFT, RIGHT = Task("left", "pose", "cup"), Task("right", "pose", "table")

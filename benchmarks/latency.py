@@ -19,11 +19,11 @@ from sensor_msgs.msg import JointState
 from benchmarks.graph import Scene, running
 from benchmarks.report import write_report
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_ros.conversions import JointReader
-from tpgmm_ros.processes import REALTIME_PRIORITY
-from tpgmm_ros.qos import STREAM
-from tpgmm_ros.resources import config_file
-from tpgmm_ros.scheduling import request_realtime
+from tpgmm_ros.messages.conversions import JointReader
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY
+from tpgmm_ros.runtime.resources import config_file
+from tpgmm_ros.runtime.scheduling import request_realtime
 
 MOVES = 200
 #: How far the target moves, m

@@ -12,8 +12,8 @@ import numpy as np  # noqa: E402
 from scipy.linalg import solve_continuous_are  # noqa: E402
 
 from benchmarks.report import alternating, write_report  # noqa: E402
-from tpgmm_core.control.finite_horizon import finite_horizon_gains  # noqa: E402
-from tpgmm_core.control.lqr import Gains, double_integrator, double_integrator_gains, riccati_gains  # noqa: E402
+from tpgmm_core.lqr.double_integrator import Gains, double_integrator, double_integrator_gains, riccati_gains  # noqa: E402
+from tpgmm_core.lqr.finite_horizon import finite_horizon_gains  # noqa: E402
 
 Row = dict[str, str | float | bool]
 Array = np.ndarray

@@ -23,11 +23,12 @@ import numpy as np  # noqa: E402
 from benchmarks.report import Row, write_report  # noqa: E402
 from benchmarks.reproduction_step import percentiles  # noqa: E402
 from tpgmm_core import Frame  # noqa: E402
-from tpgmm_core.quaternion import Array, exp, multiply  # noqa: E402
+from tpgmm_core.common.types import Array  # noqa: E402
+from tpgmm_core.geometry.quaternion import exp, multiply  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_core.retrieval.ways import WAYS, make_retrieval  # noqa: E402
-from tpgmm_ros.bags import align, find_bags, read_recordings  # noqa: E402
-from tpgmm_ros.task import MANIFOLD, Task  # noqa: E402
+from tpgmm_ros.recordings.bags import align, find_bags, read_recordings  # noqa: E402
+from tpgmm_ros.task.task_file import MANIFOLD, Task  # noqa: E402
 
 STEPS = 1000
 

@@ -23,16 +23,17 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy
 import numpy as np  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from tpgmm_core import TPGMM, Demonstration, Frame, quaternion  # noqa: E402
+from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
+from tpgmm_core.common.types import Array  # noqa: E402
+from tpgmm_core.geometry import quaternion  # noqa: E402
+from tpgmm_core.geometry.manifold import Manifold  # noqa: E402
 from tpgmm_core.learning.selection import Estimator, select_model  # noqa: E402
-from tpgmm_core.manifold import Manifold  # noqa: E402
-from tpgmm_core.quaternion import Array  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_core.retrieval.ways import DEFAULT, WAYS  # noqa: E402
-from tpgmm_ros.bags import Recording, find_bags, read_recordings  # noqa: E402
-from tpgmm_ros.reporting import format_table, write_report  # noqa: E402
-from tpgmm_ros.task import Task  # noqa: E402
-from tpgmm_ros.validation import path_errors, replay_nearest, reproduce, without_frames  # noqa: E402
+from tpgmm_ros.models.validation import path_errors, replay_nearest, reproduce, without_frames  # noqa: E402
+from tpgmm_ros.programs.reporting import format_table, write_report  # noqa: E402
+from tpgmm_ros.recordings.bags import Recording, find_bags, read_recordings  # noqa: E402
+from tpgmm_ros.task.task_file import Task  # noqa: E402
 
 WITHOUT_FRAMES = "no frames"
 REPLAY = "nearest, replayed"

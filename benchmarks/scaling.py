@@ -27,7 +27,7 @@ from matplotlib.figure import Figure  # noqa: E402
 
 from benchmarks.report import write_report  # noqa: E402
 from tpgmm_core import TPGMM  # noqa: E402
-from tpgmm_core.quaternion import Array  # noqa: E402
+from tpgmm_core.common.types import Array  # noqa: E402
 
 ITERATIONS = 10
 

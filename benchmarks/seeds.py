@@ -16,12 +16,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tpgmm_core.text import one_line
-from tpgmm_ros import train
-from tpgmm_ros.entry import INTERRUPTED
-from tpgmm_ros.perception import PERCEPTIONS
-from tpgmm_ros.reporting import format_table, write_report
-from tpgmm_ros.resources import config_file
+from tpgmm_core.common.text import one_line
+from tpgmm_demos.scene.perception import PERCEPTIONS
+from tpgmm_ros.programs import train
+from tpgmm_ros.programs.reporting import format_table, write_report
+from tpgmm_ros.runtime.entry import INTERRUPTED
+from tpgmm_ros.runtime.resources import config_file
 
 TASK_FILE = config_file("pick_place.yaml")
 BAGS = Path("bags/pick_place")
@@ -108,7 +108,7 @@ def _report(arguments: argparse.Namespace, rows: list[dict[str, Any]], error: st
 
 def run(seed: int, model: Path, perceived: str, output: Path, rate: float = 1000.0) -> dict[str, Any]:
     """One demo in a process of its own, at a rate in Hz; what came of it."""
-    command = [sys.executable, "-m", "tpgmm_ros.demo", "--lockstep", "--seed", str(seed), "--model", str(model)]
+    command = [sys.executable, "-m", "tpgmm_demos.demo", "--lockstep", "--seed", str(seed), "--model", str(model)]
     command += ["--perception", perceived, "--rate", str(rate), "--output", str(output)]
     said = ""
     (output / "report.json").unlink(missing_ok=True)

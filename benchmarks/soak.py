@@ -30,12 +30,12 @@ from rclpy.task import Future
 from benchmarks.soak_world import SoakWorld
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.srv import LoadModel
-from tpgmm_ros import train
-from tpgmm_ros.processes import Graph, GraphError, NodeProcesses
-from tpgmm_ros.rclpy_workarounds import init_rclpy
-from tpgmm_ros.reporting import format_table, write_report
-from tpgmm_ros.resources import config_file
-from tpgmm_ros.task import Task
+from tpgmm_ros.programs import train
+from tpgmm_ros.programs.reporting import format_table, write_report
+from tpgmm_ros.runtime.processes import Graph, GraphError, NodeProcesses
+from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
+from tpgmm_ros.runtime.resources import config_file
+from tpgmm_ros.task.task_file import Task
 
 BAGS = Path("bags/pick_place")
 TASK_FILE, ROBOT_FILE = config_file("pick_place.yaml"), config_file("baxter.yaml")

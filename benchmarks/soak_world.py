@@ -9,13 +9,13 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 
-from tpgmm_core.manifold import POSE
-from tpgmm_ros import conversions
-from tpgmm_ros.lockstep import nothing_seen
-from tpgmm_ros.perception import Camera, CameraConfig
-from tpgmm_ros.pick_place import Array, random_situation
-from tpgmm_ros.qos import STREAM
-from tpgmm_ros.task import Task
+from tpgmm_core.geometry.manifold import POSE
+from tpgmm_demos.scene.perception import Camera, CameraConfig
+from tpgmm_demos.scene.pick_place import Array, random_situation
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.lockstep import nothing_seen
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.task.task_file import Task
 
 #: How probably a fault begins at a tick of 10 ms, and how long it lasts, s.
 FAULTS = {

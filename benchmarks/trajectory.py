@@ -16,7 +16,8 @@ import numpy as np  # noqa: E402
 
 from benchmarks.report import Row, durations, write_report  # noqa: E402
 from benchmarks.workloads import W1, demonstrations, pose_demonstrations  # noqa: E402
-from tpgmm_core import TPGMM, Demonstration, Frame, quaternion  # noqa: E402
+from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
+from tpgmm_core.geometry import quaternion  # noqa: E402
 from tpgmm_core.retrieval.dynamic_features import manifold_with_derivatives, with_derivatives  # noqa: E402
 from tpgmm_core.retrieval.trajectory import TrajectoryCourse, TrajectoryModel  # noqa: E402
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import Demonstration, Frame, quaternion
+from tpgmm_core import Demonstration, Frame
+from tpgmm_core.geometry import quaternion
 
 
 @dataclass(frozen=True)

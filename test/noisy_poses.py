@@ -9,9 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Frame, quaternion
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.quaternion import Array
+from tpgmm_core import TPGMM, Frame
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.observation.tracking import FrameTracker, TrackingConfig
 from tpgmm_core.retrieval.ways import make_retrieval
 
 SECOND = 1_000_000_000
@@ -60,6 +62,28 @@ def seen_at(poses: Mapping[str, Array], noise: Noise, rate: float, seed: int) ->
         while len(seen) <= int(now * rate + 1e-9):
             seen.append(frames_of(noise.on(poses, random)))
         return seen[int(now * rate + 1e-9)]
+
+    return at
+
+
+def tracked_at(
+    poses: Mapping[str, Array], noise: Noise, rate: float, seed: int, filter_time: float, before: float = 1.0
+) -> Callable[[float], Frames]:
+    """As `seen_at`, through the tracker's filter: poses (7,), which were seen for so many seconds before time 0."""
+    random = np.random.default_rng(seed)
+    tracker = FrameTracker(poses, config=TrackingConfig(filter_time=filter_time))
+    tracked: list[dict[str, Frame]] = []
+
+    def at(now: float) -> Frames:
+        while len(tracked) <= int((now + before) * rate + 1e-9):
+            stamp = SECOND + round(len(tracked) / rate * SECOND)
+            for name, pose in noise.on(poses, random).items():
+                refused = tracker.observe(name, pose, stamp, stamp, stamp)
+                if refused:
+                    raise ValueError(refused)
+            known = {frame.name: frame.pose for frame in tracker.update(stamp)}
+            tracked.append(frames_of({name: pose for name, pose in known.items() if pose is not None}))
+        return tracked[int((now + before) * rate + 1e-9)]
 
     return at
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tpgmm_ros.processes import end_with_parent
+from tpgmm_ros.runtime.processes import end_with_parent
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -102,11 +102,11 @@ class RunningProcess:
 StartProcess = Callable[..., RunningProcess]
 
 
-def executable(name: str) -> str:
-    """Path of an executable of tpgmm_ros, where `ros2 run` finds it too."""
+def executable(name: str, package: str = "tpgmm_ros") -> str:
+    """Path of an executable of a package, where `ros2 run` finds it too."""
     from ament_index_python.packages import get_package_prefix
 
-    path = Path(get_package_prefix("tpgmm_ros")) / "lib" / "tpgmm_ros" / name
+    path = Path(get_package_prefix(package)) / "lib" / package / name
     if not os.access(path, os.X_OK):
         raise FileNotFoundError(f"no executable {name!r} at {path}: is it in setup.py? run `make setup`")
     return str(path)
@@ -155,7 +155,7 @@ def node_on(domain: int) -> Iterator[Node]:
     from rclpy.experimental import EventsExecutor
     from rclpy.node import Node
 
-    from tpgmm_ros.rclpy_workarounds import init_rclpy
+    from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
 
     context = Context()
     init_rclpy(context=context, domain_id=domain)

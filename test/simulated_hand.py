@@ -12,14 +12,14 @@ from sensor_msgs.msg import JointState
 from ros_graph import ALL, ROBOT_FILE, SECOND
 from ros_testing import RunningProcess, spin_until
 from tpgmm_core import Gaussian
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.reference import Reference
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator
 from tpgmm_msgs.msg import Reference as ReferenceMessage
-from tpgmm_ros import conversions
-from tpgmm_ros.conversions import JointReader
-from tpgmm_ros.qos import STREAM
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.conversions import JointReader
+from tpgmm_ros.messages.qos import STREAM
 
 ROBOT = RobotModel.from_file(ROBOT_FILE)
 NAMES = list(ROBOT.joint_names)

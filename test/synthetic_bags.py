@@ -12,7 +12,7 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from tpgmm_core import quaternion
+from tpgmm_core.geometry import quaternion
 
 Storage = Literal["mcap", "sqlite3", "ros1"]
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"

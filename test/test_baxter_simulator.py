@@ -16,9 +16,9 @@ from sensor_msgs.msg import JointState
 from ros_graph import ALL, ROBOT_FILE, SECOND, Inbox, ros_arguments
 from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_ros import conversions
-from tpgmm_ros.conversions import JointReader
-from tpgmm_ros.qos import STREAM
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.conversions import JointReader
+from tpgmm_ros.messages.qos import STREAM
 
 ROBOT = RobotModel.from_file(ROBOT_FILE)
 DATA = ROBOT.create_data()

@@ -12,9 +12,9 @@ from ros_testing import StartProcess, spin_until
 from simulated_hand import DIMENSIONS, POSE, ROBOT, SimulatedHand
 from tpgmm_core import Gaussian
 from tpgmm_core.control.laws import LAWS
-from tpgmm_core.reference import Reference
+from tpgmm_core.model.reference import Reference
 from tpgmm_msgs.msg import ControllerState
-from tpgmm_ros import conversions
+from tpgmm_ros.messages import conversions
 
 NODE = "impedance_controller"
 

@@ -16,13 +16,13 @@ from rclpy.node import Node
 from ros_graph import ROBOT_FILE, ROOT, TASK_FILE, result_of, ros_arguments
 from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_demos.demo.recording import Recording
+from tpgmm_demos.demo.world import Disturbances, World
+from tpgmm_demos.scene.perception import Camera, CameraConfig
+from tpgmm_demos.scene.pick_place import random_situation
 from tpgmm_msgs.action import Reproduce
-from tpgmm_ros import train
-from tpgmm_ros.demo.recording import Recording
-from tpgmm_ros.demo.world import Disturbances, World
-from tpgmm_ros.perception import Camera, CameraConfig
-from tpgmm_ros.pick_place import random_situation
-from tpgmm_ros.task import Task
+from tpgmm_ros.programs import train
+from tpgmm_ros.task.task_file import Task
 
 DURATION = 1.0
 TIMEOUT = 120.0

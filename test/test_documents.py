@@ -103,10 +103,11 @@ def commands(page: Path) -> Iterator[list[str]]:
 
 @cache
 def executables() -> dict[str, str]:
-    found = {}
+    found: dict[str, str] = {}
     for package in distributions():
         if (package.metadata["Name"] or "").replace("-", "_").startswith("tpgmm_"):
-            found.update({item.name: item.value for item in package.entry_points.select(group="console_scripts")})
+            points = package.entry_points.select(group="console_scripts")
+            found = {item.name: item.value for item in points} | found  # what is first on the path counts
     return found
 
 
@@ -131,7 +132,7 @@ def help_of(name: str) -> str:
 def program_of(words: list[str]) -> tuple[str, list[str]] | None:
     """The program of ours that a command runs, and its arguments; None for those of others."""
     first, *rest = words
-    if found := re.fullmatch(r"\.venv/lib/tpgmm_ros/(\w+)", first):
+    if found := re.fullmatch(r"\.venv/lib/tpgmm_(?:ros|demos)/(\w+)", first):
         return found[1], rest
     if words[:3] == ["ros2", "run", "tpgmm_ros"] and words[3:] and words[3].isidentifier():
         return words[3], words[4:]

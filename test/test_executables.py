@@ -17,7 +17,8 @@ from rclpy.node import Node
 
 from ros_graph import ROBOT_FILE, TASK_FILE, ros_arguments
 from ros_testing import STARTUP_TIMEOUT, StartProcess, executable, spin_until
-from tpgmm_ros import entry
+from tpgmm_ros import executables
+from tpgmm_ros.runtime import entry
 
 NODES: dict[str, dict[str, object]] = {
     "frame_tracker": {"task_file": TASK_FILE},
@@ -40,21 +41,37 @@ EXECUTABLES = [*NODES, *PROGRAMS]
 
 def test_every_executable_begins_where_signals_come_before_imports() -> None:
     points = importlib.metadata.distribution("tpgmm_ros").entry_points.select(group="console_scripts")
-    if all("entry" not in point.value for point in points):
+    if all("executables" not in point.value for point in points):
         pytest.fail("the installed executables are older than setup.py: run `make setup`")
-    assert {point.name: point.value for point in points} == {name: f"tpgmm_ros.entry:{name}" for name in EXECUTABLES}
-    slow = (
-        "import sys, tpgmm_ros.entry\nsys.exit(bool({'numpy', 'rclpy', 'tpgmm_core', 'argparse'} & set(sys.modules)))"
+    assert {point.name: point.value for point in points} == {
+        name: f"tpgmm_ros.executables:{name}" for name in EXECUTABLES
+    }
+    assert all(callable(getattr(executables, name)) for name in EXECUTABLES)
+    for package in ("tpgmm_ros", "tpgmm_demos"):
+        slow = "{'numpy', 'rclpy', 'tpgmm_core', 'argparse'}"
+        check = f"import sys, {package}.executables\nsys.exit(bool({slow} & set(sys.modules)))"
+        subprocess.run([sys.executable, "-c", check], check=True, timeout=60)
+
+
+@pytest.mark.parametrize("command", [["demo"], ["figure5", "--seed", "7"], ["teach", "--scripted", "--output", "bags"]])
+def test_without_tpgmm_demos_its_programs_say_what_to_install(command: list[str], tmp_path: Path) -> None:
+    """As on a robot, where only tpgmm_ros is installed."""
+    code = (
+        "import os, sys; from tpgmm_ros import executables\n"
+        "sys.path[:] = [path for path in sys.path if not os.path.isdir(os.path.join(path, 'tpgmm_demos'))]\n"
+        f"sys.argv = {command}; sys.exit(executables.{command[0]}())"
     )
-    subprocess.run([sys.executable, "-c", slow], check=True, timeout=60)
-    assert all(callable(getattr(entry, name)) for name in EXECUTABLES)
+    ended = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    (line,) = ended.stderr.splitlines()
+    assert (ended.returncode, ended.stdout) == (1, "") and line.startswith(f"error: {command[0]}")
+    assert "tpgmm_demos, which is not installed" in line and "colcon build" in line and "make setup" in line
 
 
 # -- interrupted at any moment
 
 
 #: How many for each executable, within as many seconds; TPGMM_MOMENTS=8 for more of them.
-MOMENTS = int(os.environ.get("TPGMM_MOMENTS", "3"))
+MOMENTS = int(os.environ.get("TPGMM_MOMENTS", "2"))
 
 
 def moments(name: str) -> list[float]:
@@ -95,12 +112,12 @@ def test_a_signal_during_the_imports_ends_at_once(tmp_path: Path) -> None:
     """Imports that take for ever stand for slow ones; they begin to, and say so, before the signal comes."""
     (tmp_path / "slow.py").write_text("import time\nprint('importing', flush=True)\nwhile True: time.sleep(0.01)\n")
     for kind, number, expected in (
-        ("_program", signal.SIGINT, 130),
-        ("_program", signal.SIGTERM, -signal.SIGTERM),
-        ("_node", signal.SIGINT, 0),
-        ("_node", signal.SIGTERM, 0),
+        ("program", signal.SIGINT, 130),
+        ("program", signal.SIGTERM, -signal.SIGTERM),
+        ("node", signal.SIGINT, 0),
+        ("node", signal.SIGTERM, 0),
     ):
-        code = f"import sys; from tpgmm_ros import entry; sys.exit(entry.{kind}('slow')())"
+        code = f"import sys; from tpgmm_ros.runtime import entry; sys.exit(entry.{kind}('slow')())"
         path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
         with subprocess.Popen(
             [sys.executable, "-c", code],

@@ -10,17 +10,17 @@ import pytest
 
 from ros_graph import ROOT
 from tpgmm_core import TPGMM, Demonstration, Frame
-from tpgmm_core.control.hand_tasks import HandTask
-from tpgmm_core.manifold import POSE
+from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.kinematics.hand_tasks import HandTask
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_ros.figure5.graph import open_session, start_controller, start_joint_reference
-from tpgmm_ros.figure5.lessons import HANDS, LESSON_TIME, LESSONS, START, Poses
-from tpgmm_ros.figure5.measures import energy, measure
-from tpgmm_ros.figure5.report import judged_frames
-from tpgmm_ros.figure5.sequences import AFTER, CUP, HELD, MOVE, SEQUENCES, SUGAR, Push, random_pushes, run_sequence
-from tpgmm_ros.joint_reference_node import hand_task
-from tpgmm_ros.processes import GraphError
-from tpgmm_ros.task import Task
+from tpgmm_demos.figure5.graph import open_session, start_controller, start_joint_reference
+from tpgmm_demos.figure5.lessons import HANDS, LESSON_TIME, LESSONS, START, Poses
+from tpgmm_demos.figure5.measures import energy, measure
+from tpgmm_demos.figure5.report import judged_frames
+from tpgmm_demos.figure5.sequences import AFTER, CUP, HELD, MOVE, SEQUENCES, SUGAR, Push, random_pushes, run_sequence
+from tpgmm_ros.nodes.joint_reference import hand_task
+from tpgmm_ros.runtime.processes import GraphError
+from tpgmm_ros.task.task_file import Task
 
 TASKS = {name: Task.load(ROOT / "config" / f"{name}.yaml") for name in (CUP, SUGAR)}
 BAXTER = ROOT / "config" / "baxter.yaml"

@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from benchmarks import figure1, figure3, planar
+from examples import figure1, figure3, planar
 from tpgmm_core import Frame
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "pbdlib"

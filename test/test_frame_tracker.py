@@ -21,8 +21,8 @@ from ros_graph import ALL_LATCHED, SECOND, Diagnostics, Inbox, ros_arguments, se
 from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_core import Frame
 from tpgmm_msgs.msg import TaskFrame, TaskParameters
-from tpgmm_ros import conversions
-from tpgmm_ros.qos import STREAM
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM
 
 # Each test has a frame of its own, so that one process serves them all
 FRAMES = (

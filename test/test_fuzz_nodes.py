@@ -32,12 +32,12 @@ from message_fuzz import Fuzz, subscriptions
 from ros_graph import ALL, ALL_LATCHED, ROBOT_FILE, TASK_FILE, Inbox, ros_arguments
 from ros_testing import RunningProcess, StartProcess, spin_until
 from simulated_hand import NAMES, ROBOT, pose_reference
-from tpgmm_core.tracking import FrameStatus, TrackedFrame
+from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import Reference, TaskParameters
-from tpgmm_ros import conversions
+from tpgmm_ros.messages import conversions
 
-MESSAGES = int(os.environ.get("TPGMM_FUZZ_EXAMPLES", "300"))
+MESSAGES = int(os.environ.get("TPGMM_FUZZ_EXAMPLES", "120"))
 #: Fits to all who subscribe.
 ANYONE = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: A log of lines that are longer is for nobody.

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks import extrapolation, retrieval_table
-from tpgmm_core import Demonstration, quaternion
+from benchmarks import retrieval_table
+from examples import extrapolation
+from tpgmm_core import Demonstration
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS
-from tpgmm_ros.bags import find_bags, read_recordings
-from tpgmm_ros.task import Task
-from tpgmm_ros.validation import reproduce, without_frames
+from tpgmm_ros.models.validation import reproduce, without_frames
+from tpgmm_ros.recordings.bags import find_bags, read_recordings
+from tpgmm_ros.task.task_file import Task
 
 ROOT = Path(__file__).resolve().parents[1]
 FRANKA = ROOT.parent / "shared" / "data" / "franka_bolts"

@@ -13,12 +13,16 @@ from ament_index_python.packages import get_package_share_directory
 from ros_testing import executable
 
 REPOSITORY = Path(__file__).parents[1]
-PROGRAMS = list(distribution("tpgmm_ros").entry_points.select(group="console_scripts"))
+PROGRAMS = [
+    (package, program)
+    for package in ("tpgmm_ros", "tpgmm_demos")
+    for program in distribution(package).entry_points.select(group="console_scripts")
+]
 
 
-@pytest.mark.parametrize("program", PROGRAMS, ids=lambda program: program.name)
-def test_every_executable_is_installed_and_can_be_loaded(program: EntryPoint) -> None:
-    assert os.access(executable(program.name), os.X_OK)
+@pytest.mark.parametrize(("package", "program"), PROGRAMS, ids=[f"{package}-{item.name}" for package, item in PROGRAMS])
+def test_every_executable_is_installed_and_can_be_loaded(package: str, program: EntryPoint) -> None:
+    assert os.access(executable(program.name, package), os.X_OK)
     assert callable(program.load())
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import figure6, kinematic_relevance
+from examples import figure6, kinematic_relevance
 from tpgmm_core.kinematics.chains import planar_bimanual
 
 

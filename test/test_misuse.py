@@ -21,10 +21,11 @@ from ros_graph import ROBOT_FILE, ROOT, TASK_FILE, ros_arguments
 RUN = """
 import importlib, json, os, signal, sys, tempfile, traceback
 cases = json.loads(sys.stdin.read())
-from tpgmm_ros import entry
+from tpgmm_ros import executables
 for name in {name for name, _ in cases}:
-    module = name if name in ("check_robot", "teach", "train", "demo", "figure5") else name + "_node"
-    importlib.import_module("tpgmm_ros." + module)
+    package, folder = ("tpgmm_demos", "") if name in ("demo", "figure5") else ("tpgmm_ros", "nodes.")
+    folder = "programs." if name in ("check_robot", "teach", "train") else folder
+    importlib.import_module(f"{package}.{folder}{name}")
 answers = []
 for name, case in cases:
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
@@ -36,7 +37,7 @@ for name, case in cases:
             sys.argv = [name, *case]
             status = 1
             try:
-                status = getattr(entry, name)()
+                status = getattr(executables, name)()
             except SystemExit as end:
                 status = end.code
             except BaseException:

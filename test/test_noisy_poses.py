@@ -15,21 +15,23 @@ from rclpy.action import ActionClient
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from noisy_poses import Noise, Own, away, frames_of, lengths, rms, run, seen_at
+from noisy_poses import Noise, Own, away, frames_of, lengths, rms, run, tracked_at
 from ros_graph import ALL, ROOT, TASK_FILE, result_of, ros_arguments
 from ros_testing import STARTUP_TIMEOUT, StartProcess, spin_until
-from tpgmm_core import TPGMM, quaternion
-from tpgmm_core.quaternion import Array
+from tpgmm_core import TPGMM
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.observation.tracking import TrackingConfig
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS, make_retrieval
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import Reference
-from tpgmm_ros import conversions
-from tpgmm_ros.bags import align, find_bags, read_recordings
-from tpgmm_ros.qos import STREAM
-from tpgmm_ros.task import DIMENSIONS, MANIFOLD, Task
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.recordings.bags import align, find_bags, read_recordings
+from tpgmm_ros.task.task_file import DIMENSIONS, MANIFOLD, Task
 
-STEP = 0.005
+STEP = 0.02
 RATE = 30.0
 DEMONSTRATIONS = 8
 PLACES = {
@@ -37,10 +39,10 @@ PLACES = {
     "target": np.array([0.62, 0.10, 0.03, *quaternion.exp([0.0, 0.0, -0.4])]),
     "robot": np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
 }
-OWN_IS_SMALL = ("regress_product", "trajectory", "decay")
-"""Ways whose models make less than 10 % of this noise themselves."""
-
-pytestmark = pytest.mark.xfail(reason="failed when last run; the cause is not known yet")
+DYNAMICS = pytest.mark.xfail(
+    reason="it knows no time: a little noise decides when components take over; 0.12 to 5.3 times"
+)
+BY_WAY = [pytest.param(way, marks=DYNAMICS if way == "dynamics" else []) for way in WAYS]
 
 
 @cache
@@ -54,23 +56,20 @@ def learned(way: str) -> tuple[TPGMM, Array]:
     return model, demonstrations[0].data[0, 1:].copy()
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_references_to_trembling_poses_are_as_firm_as_the_model_says(way: str) -> None:
-    """Noise of 0.5 and 2 mm and 0.5 deg, at 30 Hz, over the whole movement."""
+@pytest.mark.parametrize("way", BY_WAY)
+def test_references_to_trembling_poses_are_as_firm_as_to_exact_ones(way: str) -> None:
+    """Noise of 0.5 and 2 mm and 0.5 deg, at 30 Hz, through the tracker's filter, over the whole movement."""
     model, start = learned(way)
+    own = Own.of(model, way, PLACES, Noise(0.5), start, STEP, 2)
+    low, high = Own(own.exact, [own.exact]).band(STEP)
+    spread = lengths(own.exact.manifold, own.spread())
     for noise in (Noise(0.5), Noise(2.0)):
-        own = Own.of(model, way, PLACES, noise, start, STEP, 12)
-        found = run(model, way, seen_at(PLACES, noise, RATE, 5), start, STEP)
+        found = run(model, way, tracked_at(PLACES, noise, RATE, 5, TrackingConfig().filter_time), start, STEP)
         ratio = found.deviations / own.exact.deviations
-        if way in OWN_IS_SMALL:
-            assert ratio.max() < 1.1 and ratio.min() > 1.0 / 1.1
-        low, high = own.band(STEP)
-        outside = np.mean(((found.deviations < low) | (found.deviations > high)).any(axis=1))
-        print(f"{way}, {noise}: {ratio.min():.3f} to {ratio.max():.3f}, outside {outside:.4f}")
-        assert outside <= (0.02 if way == "dynamics" else 0.0)
-        jitter, spread = (lengths(found.manifold, values) for values in (rms(away(own.exact, found)), own.spread()))
-        print(f"  jitter {jitter}, spread {spread}")
-        assert jitter[0] <= spread[0] and jitter[1] <= spread[1]
+        jitter = lengths(found.manifold, rms(away(own.exact, found)))
+        print(f"{way}, {noise}: {ratio.min():.3f} to {ratio.max():.3f}, jitter {jitter}, spread {spread}")
+        assert np.all(found.deviations >= low) and np.all(found.deviations <= high)
+        assert jitter[0] <= 0.5 * spread[0] and jitter[1] <= 0.5 * spread[1]
         assert found.phases[-1] >= own.exact.phases[-1] - 1e-3
 
 

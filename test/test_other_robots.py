@@ -17,11 +17,12 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from ros_graph import ROOT, Inbox, result_of, ros_arguments
-from ros_testing import RunningProcess, StartProcess, spin_until
+from ros_testing import RunningProcess, StartProcess, executable, spin_until
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.action import Reproduce
-from tpgmm_ros import check_robot, conversions
-from tpgmm_ros.qos import STREAM
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.programs import check_robot
 
 PAGE = (ROOT / "docs" / "how-to" / "your-robot.md").read_text()
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
@@ -58,8 +59,10 @@ def commands(kind: str = "") -> list[list[str]]:
 
 def run(command: list[str], folder: Path) -> str:
     """What a program of the page prints."""
-    assert command[0] == ".venv/bin/python", command
-    done = subprocess.run([sys.executable, *command[1:]], cwd=folder, capture_output=True, text=True, timeout=200)
+    program = Path(command[0])
+    assert program in (Path(".venv/bin/python"), Path(".venv/lib/tpgmm_ros", program.name)), command
+    installed = sys.executable if program.name == "python" else executable(program.name)
+    done = subprocess.run([installed, *command[1:]], cwd=folder, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -14,15 +14,16 @@ from sensor_msgs.msg import JointState
 
 from ros_graph import ALL, ROBOT_FILE, ROOT, Inbox, result_of, ros_arguments
 from ros_testing import StartProcess, spin_until
-from tpgmm_core import quaternion
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_demos.teaching.bar_lesson import HANDS
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import Reference
-from tpgmm_ros import conversions, train
-from tpgmm_ros.bar_lesson import HANDS
-from tpgmm_ros.conversions import JointReader
-from tpgmm_ros.qos import STREAM
-from tpgmm_ros.task import Task
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.conversions import JointReader
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.programs import train
+from tpgmm_ros.task.task_file import Task
 
 TIMEOUT = 120.0
 DURATION = 2.8  # s of simulated time; the targets rest after MOVED s, errors count from COUNTED s on, half-way apart

@@ -30,16 +30,18 @@ from ros_graph import (
     set_parameters,
 )
 from ros_testing import STARTUP_TIMEOUT, RunningProcess, StartProcess, spin_until
-from tpgmm_core import TPGMM, Frame, quaternion
-from tpgmm_core.manifold import Manifold
+from tpgmm_core import TPGMM, Frame
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
 from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.ways import WAYS
-from tpgmm_core.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import ControllerState, Reference, TaskParameters
 from tpgmm_msgs.srv import LoadModel
-from tpgmm_ros import conversions, train
-from tpgmm_ros.qos import LATCHED, STREAM
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import LATCHED, STREAM
+from tpgmm_ros.programs import train
 
 NODE = "reproduction"
 TICK_NS = 5_000_000

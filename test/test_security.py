@@ -16,7 +16,7 @@ from rclpy.node import Node
 
 from ros_graph import ROBOT_FILE, ROOT, TASK_FILE, ros_arguments
 from ros_testing import StartProcess, spin_until
-from tpgmm_ros.task import Task
+from tpgmm_ros.task.task_file import Task
 
 POLICIES = ROOT / "config" / "security" / "policies.xml"
 THIS_MACHINE = ROOT / "config" / "security" / "this_machine.xml"
@@ -144,7 +144,8 @@ def test_with_the_profile_for_this_machine_nodes_find_each_other_and_have_no_soc
 
 def test_tests_and_programs_keep_to_this_machine(ros_domain: int) -> None:
     assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST" and os.environ["ROS_DOMAIN_ID"] == str(ros_domain)
-    programs = [*(ROOT / "benchmarks").glob("*.py"), *(ROOT / "src" / "tpgmm_ros" / "tpgmm_ros").rglob("*.py")]
+    packages = [ROOT / "src" / package / package for package in ("tpgmm_ros", "tpgmm_demos")]
+    programs = [path for folder in (ROOT / "benchmarks", *packages) for path in folder.rglob("*.py")]
     starting = [path for path in programs if "with NodeProcesses(" in path.read_text()]
     assert starting
     for path in starting:

@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks import seeds as program
 from benchmarks.seeds import run, seeds_of, table
-from tpgmm_ros.entry import INTERRUPTED
+from tpgmm_ros.runtime.entry import INTERRUPTED
 
 
 @pytest.mark.parametrize(

@@ -159,7 +159,7 @@ def test_a_package_that_is_copied_elsewhere_is_built_with_its_configuration(tmp_
     assert names == {path.name for path in (REPOSITORY / "config").glob("*.yaml")} != set()
 
 
-@pytest.mark.parametrize("program", ["lib/tpgmm_ros/demo", "bin/another"])
+@pytest.mark.parametrize("program", ["lib/tpgmm_ros/demo", "lib/tpgmm_demos/demo", "bin/another"])
 def test_ctrl_c_before_the_imports_ends_our_executables_quietly_and_is_as_ever_for_all_others(
     environment: Path, tmp_path: Path, program: str
 ) -> None:

@@ -15,11 +15,11 @@ from sensor_msgs.msg import JointState
 
 from ros_graph import ROBOT_FILE, ROOT, TASK_FILE
 from ros_testing import StartProcess, executable, spin_until
-from tpgmm_ros import conversions
-from tpgmm_ros.bags import read_recording
-from tpgmm_ros.pick_place import hand_at, pose_error
-from tpgmm_ros.qos import STREAM
-from tpgmm_ros.task import Task
+from tpgmm_demos.scene.pick_place import hand_at, pose_error
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.recordings.bags import read_recording
+from tpgmm_ros.task.task_file import Task
 
 PLACE = np.array([0.6, 0.3, 0.1, 0.0, 0.0, 0.0, 1.0])
 

@@ -25,9 +25,9 @@ from tpgmm_core.control.pose_target import PoseReference
 from tpgmm_core.control.torque_pipeline import TorqueLimits
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator
-from tpgmm_ros import conversions, torque_outputs
-from tpgmm_ros.qos import STREAM
-from tpgmm_ros.torque_outputs import OUTPUTS, Leaving, filled, message_class
+from tpgmm_ros.messages import conversions, torque_outputs
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.messages.torque_outputs import OUTPUTS, Leaving, filled, message_class
 
 NODE = "impedance_controller"
 PANDA_FILE = ROOT / "config" / "panda.yaml"

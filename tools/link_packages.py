@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make Python packages of the workspace part of this virtual environment, as `colcon build` and a setup.bash do.
 
-    .venv/bin/python tools/link_packages.py src/tpgmm_core src/tpgmm_ros
+    .venv/bin/python tools/link_packages.py src/tpgmm_core src/tpgmm_ros src/tpgmm_demos
 
 Modules and data files are linked, not copied: a change needs no build. Executables lie in lib/<package>, where
 `ros2 run` looks. Every Python process of the environment then finds all of it, whatever has started it. colcon itself
@@ -40,11 +40,12 @@ def hook(directory: Path) -> None:
     """Lines that every Python process of the environment runs at its start, before any other: they take no time."""
     # What a process finds of the workspace: `get_package_share_directory` looks in AMENT_PREFIX_PATH
     found = 'import os, sys; os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)'
-    # Python answers Ctrl-C with a traceback, whenever it comes. Until `tpgmm_ros.entry` knows better, it just ends our
-    # executables. All other programs, such as pytest and the own scripts of users, have it as it was
+    # Python answers Ctrl-C with a traceback, whenever it comes. Until `tpgmm_ros.runtime.entry` knows better, it just
+    # ends our executables. All other programs, such as pytest and the own scripts of users, have it as it was
     quiet = (
         'import os, sys; folder = os.path.dirname(os.path.realpath(getattr(sys, "argv", [""])[0])); '
-        'ours = folder == os.path.realpath(os.path.join(sys.prefix, "lib", "tpgmm_ros")); '
+        'lib = os.path.realpath(os.path.join(sys.prefix, "lib")); '
+        'ours = folder in (os.path.join(lib, "tpgmm_ros"), os.path.join(lib, "tpgmm_demos")); '
         'ours and (signal := __import__("signal")).signal(signal.SIGINT, signal.SIG_DFL)'
     )
     # In the order of their names; that of the ROS wheels starts Python a second time

@@ -71,8 +71,8 @@ def node_class(name: str) -> tuple[Any, type]:
     """The module that an executable runs, and its class of node."""
     from rclpy.node import Node
 
-    entry = import_module("tpgmm_ros.entry")
-    module = import_module(inspect.getclosurevars(getattr(entry, name)).nonlocals["module"])
+    entry, _, function = programs()[name].partition(":")
+    module = import_module(inspect.getclosurevars(getattr(import_module(entry), function)).nonlocals["module"])
     classes = [
         item
         for item in vars(module).values()
@@ -287,10 +287,11 @@ def field_type(kind: str) -> str:
 
 def programs() -> dict[str, str]:
     """The executables of all packages by name, as `module:function`."""
-    found = {}
+    found: dict[str, str] = {}
     for package in distributions():
         if (package.metadata["Name"] or "").replace("-", "_").startswith("tpgmm_"):
-            found.update({item.name: item.value for item in package.entry_points.select(group="console_scripts")})
+            points = package.entry_points.select(group="console_scripts")
+            found = {item.name: item.value for item in points} | found  # what is first on the path counts
     return found
 
 

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 from faults.table import Benches, Fault, all_faults
-from tpgmm_ros.reporting import format_table, write_report
+from tpgmm_ros.programs.reporting import format_table, write_report
 
 
 def main() -> int:

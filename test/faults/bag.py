@@ -16,8 +16,8 @@ from faults.table import fault
 from ros_graph import ALL_LATCHED, SECOND, TASK_FILE, Inbox, ros_arguments
 from ros_testing import StartProcess, spin_until
 from tpgmm_msgs.msg import TaskFrame, TaskParameters
-from tpgmm_ros import conversions
-from tpgmm_ros.qos import EVENTS, STREAM
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import EVENTS, STREAM
 
 PLACE = np.array([0.6, 0.4, 0.1, 0.0, 0.0, 0.0, 1.0])
 STEP_NS = 20_000_000

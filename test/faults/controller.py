@@ -14,7 +14,7 @@ from faults.table import fault
 from ros_graph import SECOND
 from simulated_hand import NAMES, TICK_NS, pose_reference
 from tpgmm_msgs.msg import ControllerState
-from tpgmm_ros import conversions
+from tpgmm_ros.messages import conversions
 
 HOUR = 3600 * SECOND
 

@@ -16,7 +16,7 @@ from faults.table import fault
 from ros_testing import spin_until
 from simulated_hand import NAMES, TICK_NS, pose_reference
 from tpgmm_msgs.msg import ControllerState
-from tpgmm_ros import conversions
+from tpgmm_ros.messages import conversions
 
 LEFT = [name for name in NAMES if name.startswith("left")]
 OTHERS = [name for name in NAMES if not name.startswith("left")]

@@ -20,7 +20,7 @@ from faults.table import fault
 from ros_graph import SECOND, ros_arguments, set_parameters
 from ros_testing import RunningProcess, StartProcess
 from tpgmm_core.control.supervision import ControllerMode
-from tpgmm_ros.qos import LATCHED, STREAM
+from tpgmm_ros.messages.qos import LATCHED, STREAM
 
 CONTROLLER = "impedance_controller"
 #: A machine that is busy with other things makes no false alarm, s.

@@ -12,10 +12,10 @@ import rclpy
 from geometry_msgs.msg import PoseStamped
 from rclpy.signals import SignalHandlerOptions
 
-from tpgmm_ros import conversions
-from tpgmm_ros.executor import StopFlag
-from tpgmm_ros.qos import STREAM
-from tpgmm_ros.scheduling import request_realtime
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.runtime.executor import StopFlag
+from tpgmm_ros.runtime.scheduling import request_realtime
 
 
 def main() -> None:

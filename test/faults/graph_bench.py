@@ -21,12 +21,13 @@ from ros_graph import ALL, ALL_LATCHED, ROBOT_FILE, ROOT, TASK_FILE, Diagnostics
 from ros_testing import STARTUP_TIMEOUT, RunningProcess, StartProcess, spin_until
 from simulated_hand import ROBOT
 from tpgmm_core.control.supervision import ControllerMode
+from tpgmm_demos.scene.pick_place import Situation, random_situation
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import ControllerState, Reference, TaskFrame, TaskParameters
-from tpgmm_ros import conversions, train
-from tpgmm_ros.pick_place import Situation, random_situation
-from tpgmm_ros.processes import REALTIME_PRIORITY
-from tpgmm_ros.qos import STREAM
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.programs import train
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY
 
 #: Duration of the movements that are asked for, s.
 DURATION = 4.0

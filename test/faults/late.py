@@ -34,14 +34,14 @@ def sent_away(bench: LateBench, deviation: float, seconds: float = 3.0) -> str:
     )
 
 
-def enter_late(late_ms: int, varies_ms: int, quick: bool) -> None:
+def enter_late(late_ms: int, varies_ms: int = 0) -> None:
     about = f" (varying by {varies_ms} ms)" if varies_ms else ""
 
     @fault(
         LateBench,
         f"joint states {late_ms} ms old{about}, firm references",
         "followed with gains that bear it, and it says so; no swings",
-        quick=quick,
+        quick=False,  # wants a machine with nothing else to do
     )
     def late(bench: LateBench) -> str:
         bench.delay(1e-3 * late_ms, 1e-3 * varies_ms)
@@ -52,8 +52,9 @@ def enter_late(late_ms: int, varies_ms: int, quick: bool) -> None:
         return observed
 
 
-for _late, _varies, _quick in ((20, 0, False), (30, 0, False), (20, 10, False)):  # they want an idle machine
-    enter_late(_late, _varies, _quick)
+enter_late(20)
+enter_late(30)
+enter_late(20, 10)
 
 
 @fault(
@@ -141,6 +142,7 @@ def late_unawares(bench: LateBench) -> str:
     LateBench,
     "an arm that is held by up to 60 N on its way",
     "HOLD with the reason once it gets no nearer; when it is let go it goes on gently, to its goal",
+    quick=False,
 )
 def held(bench: LateBench) -> str:
     bench.deviation, start = 5.0 * SOFT, bench.pose()

@@ -34,9 +34,9 @@ from simulated_hand import ROBOT, pose_reference
 from tpgmm_core.control.supervision import ControllerMode
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
-from tpgmm_ros import conversions
-from tpgmm_ros.conversions import JointReader
-from tpgmm_ros.qos import LATCHED, STREAM
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.conversions import JointReader
+from tpgmm_ros.messages.qos import LATCHED, STREAM
 
 NODE = "impedance_controller"
 RATE = 500.0

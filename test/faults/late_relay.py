@@ -16,9 +16,9 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from tpgmm_ros.executor import StopFlag
-from tpgmm_ros.qos import LATCHED, STREAM
-from tpgmm_ros.scheduling import request_realtime
+from tpgmm_ros.messages.qos import LATCHED, STREAM
+from tpgmm_ros.runtime.executor import StopFlag
+from tpgmm_ros.runtime.scheduling import request_realtime
 
 #: How often it is looked for what is due, s.
 LOOK = 0.0005

@@ -14,11 +14,11 @@ from faults.perception import assert_smooth
 from faults.table import fault
 from ros_graph import ACTIVATE, DEACTIVATE, call, change_state, set_parameters
 from tpgmm_core.control.supervision import ControllerMode
-from tpgmm_core.tracking import FrameStatus, TrackedFrame
+from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import TaskFrame, TaskParameters
 from tpgmm_msgs.srv import LoadModel
-from tpgmm_ros import conversions
-from tpgmm_ros.qos import LATCHED
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import LATCHED
 
 
 def load(bench: GraphBench, path: Path | str) -> LoadModel.Response:

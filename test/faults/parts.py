@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from sensor_msgs.msg import JointState
 
-from tpgmm_ros import conversions
+from tpgmm_ros.messages import conversions
 
 
 def part(state: JointState, names: Sequence[str], stamp_ns: int) -> JointState:

@@ -16,8 +16,8 @@ from faults.graph_bench import GraphBench
 from faults.table import fault
 from ros_graph import SECOND
 from tpgmm_msgs.msg import TaskFrame
-from tpgmm_ros import conversions
-from tpgmm_ros.qos import STREAM
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM
 
 #: The velocity of the reference may change by this in one step, or by twice what it does without a fault, m/s.
 JUMP = 0.05

@@ -16,11 +16,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from faults.parts import part
-from tpgmm_ros import conversions
-from tpgmm_ros.executor import StopFlag
-from tpgmm_ros.processes import REALTIME_PRIORITY
-from tpgmm_ros.qos import LATCHED, STATES, STREAM
-from tpgmm_ros.scheduling import request_realtime
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import LATCHED, STATES, STREAM
+from tpgmm_ros.runtime.executor import StopFlag
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY
+from tpgmm_ros.runtime.scheduling import request_realtime
 
 type Publish = Callable[[JointState], None]
 

@@ -8,7 +8,7 @@ import numpy as np
 from faults.robot_bench import AT_REST, RobotBench
 from faults.table import fault
 from simulated_hand import NAMES, ROBOT
-from tpgmm_ros import conversions
+from tpgmm_ros.messages import conversions
 
 OTHER_NAMES = [name for name in NAMES if name != "head_pan"]
 

@@ -16,9 +16,9 @@ from sensor_msgs.msg import JointState
 from ros_graph import ALL, ROBOT_FILE, Inbox, ros_arguments
 from ros_testing import StartProcess, spin_until
 from simulated_hand import NAMES, ROBOT
-from tpgmm_ros import conversions
-from tpgmm_ros.conversions import JointReader
-from tpgmm_ros.qos import STREAM
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.conversions import JointReader
+from tpgmm_ros.messages.qos import STREAM
 
 ELBOW = NAMES.index("left_e1")
 #: The joint is pushed with this torque beyond what carries the robot, N m.

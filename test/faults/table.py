@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Protocol, Self
 from rclpy.node import Node
 
 from ros_testing import StartProcess, node_on, own_domain, process_starter
-from tpgmm_ros.processes import REALTIME_PRIORITY
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY
 
 #: In the order of the table.
 MODULES = (

@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from tpgmm_core import TPGMM, Frame, GaussianMixture, Manifold
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
 
 
 def factors(manifold: Manifold, dims: Sequence[int]) -> list[tuple[str, list[int], list[int]]]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tpgmm_core import Gaussian, Manifold, quaternion
-from tpgmm_core.quaternion import Array
+from tpgmm_core import Gaussian, Manifold
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
 
 POSE = Manifold.parse("R3 x S3")
 

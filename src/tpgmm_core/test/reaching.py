@@ -8,8 +8,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tpgmm_core import TPGMM, Demonstration, Frame, quaternion
-from tpgmm_core.quaternion import Array
+from tpgmm_core import TPGMM, Demonstration, Frame
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
 
 DURATION = 2.0
 

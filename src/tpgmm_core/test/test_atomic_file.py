@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tpgmm_core import TPGMM
-from tpgmm_core.atomic_file import write_atomically
+from tpgmm_core.common.atomic_file import write_atomically
 
 
 def mode(path: Path) -> int:
@@ -93,7 +93,7 @@ def test_what_cannot_be_written_is_named_as_it_was_given(tmp_path: Path) -> None
 def test_a_file_or_folder_that_must_not_be_written_is_left_alone() -> None:
     code = (
         "import os, sys\n"
-        "from tpgmm_core.atomic_file import write_atomically\n"
+        "from tpgmm_core.common.atomic_file import write_atomically\n"
         "os.setuid(65534)\n"
         "for name in sys.argv[1:]:\n"
         "    try: write_atomically(name, lambda draft: draft.write_text('new'))\n"

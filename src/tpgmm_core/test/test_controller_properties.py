@@ -27,8 +27,8 @@ from tpgmm_core.control.supervised_controller import Answer, SupervisedControlle
 from tpgmm_core.control.supervision import Timeouts
 from tpgmm_core.control.torque_limits import injected_power
 from tpgmm_core.control.torque_pipeline import TorqueLimits, TorquePipeline
-from tpgmm_core.manifold import POSE
-from tpgmm_core.reference import Reference
+from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 
 SEQUENCES = int(os.environ.get("TPGMM_PROPERTY_SEQUENCES", "150"))

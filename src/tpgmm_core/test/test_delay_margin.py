@@ -17,7 +17,7 @@ from tpgmm_core.control.delay_margin import (
     fastest_rate,
     joint_damping,
 )
-from tpgmm_core.control.lqr import double_integrator_gains
+from tpgmm_core.lqr.double_integrator import double_integrator_gains
 
 
 def grows(k: float, d: float, delay: float, periods: float = 40.0) -> bool:

@@ -11,8 +11,8 @@ from scipy.special import multigammaln
 
 from benchmarks.workloads import pose_demonstrations
 from tpgmm_core import TPGMM, Adapter
+from tpgmm_core.common.types import Array
 from tpgmm_core.learning.dirichlet import DirichletTPGMM
-from tpgmm_core.quaternion import Array
 
 
 def groups(rng: np.random.Generator, K: int, N: int, dims: tuple[int, ...], noise: float = 0.5) -> dict[str, Array]:

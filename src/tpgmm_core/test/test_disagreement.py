@@ -9,9 +9,10 @@ import re
 import numpy as np
 import pytest
 
-from tpgmm_core import TPGMM, Demonstration, Frame, Gaussian, quaternion
-from tpgmm_core.disagreement import disagreement
-from tpgmm_core.manifold import POSE
+from tpgmm_core import TPGMM, Demonstration, Frame, Gaussian
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.disagreement import disagreement
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 
 WAYS = [AdaptThenRegress, RegressThenProduct]

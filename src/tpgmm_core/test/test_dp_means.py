@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from benchmarks.workloads import pose_demonstrations
 from tpgmm_core import TPGMM
+from tpgmm_core.common.types import Array
 from tpgmm_core.learning.dp_means import DPMeans
-from tpgmm_core.quaternion import Array
 
 
 def same_partition(a: Array, b: Array) -> bool:

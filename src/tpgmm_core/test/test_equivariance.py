@@ -12,8 +12,8 @@ import pytest
 from random_problems import random_gaussian, random_quaternion
 from reaching import frames_at, place, reaching_demonstrations
 from tpgmm_core import TPGMM, Demonstration, Frame, Gaussian, Manifold
-from tpgmm_core.control.lqr import double_integrator_gains
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.lqr.double_integrator import double_integrator_gains
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS, make_retrieval
 from worlds import assert_moved, moved

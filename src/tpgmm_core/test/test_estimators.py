@@ -18,9 +18,9 @@ from tpgmm_core import TPGMM
 from tpgmm_core.learning.dirichlet import DirichletTPGMM
 from tpgmm_core.learning.dp_means import DPMeans
 from tpgmm_core.learning.ends import GoalTPGMM
-from tpgmm_core.learning.hmm import TPHMM
-from tpgmm_core.learning.hsmm import TPHSMM
-from tpgmm_core.learning.online import OnlineTPGMM
+from tpgmm_core.learning.hidden_markov.hmm import TPHMM
+from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
+from tpgmm_core.learning.incremental.online import OnlineTPGMM
 
 ESTIMATORS: list[Any] = [TPGMM, DirichletTPGMM, TPHMM, TPHSMM, GoalTPGMM, OnlineTPGMM, DPMeans]
 

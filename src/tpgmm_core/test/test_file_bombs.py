@@ -20,15 +20,15 @@ from numpy.lib import format as npy
 from benchmarks.workloads import pose_demonstrations
 from model_parts import read_parts, write_parts
 from tpgmm_core import TPGMM
-from tpgmm_core.learning.hsmm import TPHSMM
-from tpgmm_core.model_file import MAX_BYTES
+from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
+from tpgmm_core.learning.model_file import MAX_BYTES
 
 MEMORY = 600_000_000
 """What a process may take beyond what it has after its imports: some times what a model file may have, bytes."""
 
 READ = f"""
 import json, resource, sys
-from tpgmm_core.model_file import ModelFileError
+from tpgmm_core.learning.model_file import ModelFileError
 from tpgmm_core.retrieval.ways import load_model
 pages = int(open("/proc/self/statm").read().split()[0])
 limit = pages * resource.getpagesize() + {MEMORY}

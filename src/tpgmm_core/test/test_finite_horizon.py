@@ -2,10 +2,10 @@
 import numpy as np
 import pytest
 
-from tpgmm_core.control.batch import batch_gains, condense
-from tpgmm_core.control.continuous_horizon import continuous_horizon_gains
-from tpgmm_core.control.finite_horizon import FiniteHorizonGains, finite_horizon_gains
-from tpgmm_core.control.lqr import double_integrator, double_integrator_gains
+from tpgmm_core.lqr.batch import batch_gains, condense
+from tpgmm_core.lqr.continuous_horizon import continuous_horizon_gains
+from tpgmm_core.lqr.double_integrator import double_integrator, double_integrator_gains
+from tpgmm_core.lqr.finite_horizon import FiniteHorizonGains, finite_horizon_gains
 
 
 def problem(seed: int, n: int = 4, m: int = 2, T: int = 6) -> tuple[np.ndarray, ...]:

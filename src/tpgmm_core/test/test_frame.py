@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from random_problems import random_quaternion
-from tpgmm_core import Demonstration, Frame, quaternion
+from tpgmm_core import Demonstration, Frame
+from tpgmm_core.geometry import quaternion
 
 rng = np.random.default_rng(3)
 

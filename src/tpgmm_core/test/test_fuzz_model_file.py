@@ -22,8 +22,8 @@ from hypothesis import strategies as st
 from model_parts import read_parts, write_parts
 from reaching import frames_at, place, reaching_demonstrations
 from tpgmm_core import TPGMM, ModelFileError
-from tpgmm_core.learning.online import OnlineTPGMM
-from tpgmm_core.manifold import Manifold
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.incremental.online import OnlineTPGMM
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS, load_model, make_retrieval
 

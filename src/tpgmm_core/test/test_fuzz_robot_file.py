@@ -14,9 +14,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from robots import ARM, ARM_URDF, write_arm
+from tpgmm_core.common.safe_yaml import MAX_BYTES, MAX_DEPTH, YamlError, parse_yaml
 from tpgmm_core.robot.description import MAX_URDF_BYTES, MAX_URDF_DEPTH, MAX_URDF_JOINTS, RobotFileError
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_core.safe_yaml import MAX_BYTES, MAX_DEPTH, YamlError, parse_yaml
 
 EXAMPLES = int(os.environ.get("TPGMM_FUZZ_EXAMPLES", "100"))
 FUZZ = settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.too_slow])

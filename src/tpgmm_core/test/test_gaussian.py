@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 from random_problems import POSE, random_gaussian, random_quaternion
 from tpgmm_core import Frame, Gaussian, Manifold
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
 
 rng = np.random.default_rng(2)
 seeds = st.integers(0, 2**32 - 1)

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from robots import BAXTER
-from tpgmm_core import TPGMM, Frame, quaternion
+from tpgmm_core import TPGMM, Frame
 from tpgmm_core.control.controller import Controller
-from tpgmm_core.control.hand_tasks import ActiveTasks, HandTask, HandTasks, deviation
 from tpgmm_core.control.joint_impedance import JointImpedanceLaw
-from tpgmm_core.manifold import POSE
-from tpgmm_core.reference import Reference
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.kinematics.hand_tasks import ActiveTasks, HandTask, HandTasks, deviation
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator
 

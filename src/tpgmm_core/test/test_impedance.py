@@ -8,12 +8,13 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from robots import BAXTER
-from tpgmm_core import Gaussian, quaternion
+from tpgmm_core import Gaussian
 from tpgmm_core.control.control_law import LawTorques
 from tpgmm_core.control.controller import Controller, TorqueCommand
 from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw
 from tpgmm_core.control.pose_target import PoseReference
-from tpgmm_core.reference import Reference
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tpgmm_core import Manifold
-from tpgmm_core.initialization import equal_bins, joint_points, kmeans, time_bins
+from tpgmm_core.learning.estimation.initialization import equal_bins, joint_points, kmeans, time_bins
 
 rng = np.random.default_rng(0)
 

@@ -11,7 +11,7 @@ from tpgmm_core import Gaussian
 from tpgmm_core.control.control_law import RobotMoment
 from tpgmm_core.control.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
 from tpgmm_core.control.kernels_joint import joint_torques
-from tpgmm_core.reference import Reference
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 
 ARMS = ("left_arm", "right_arm")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from random_problems import random_covariance
-from tpgmm_core.control.joint_space import to_joint_space
+from tpgmm_core.kinematics.joint_space import to_joint_space
 
 
 def test_the_reference_is_best_for_all_tasks_together() -> None:

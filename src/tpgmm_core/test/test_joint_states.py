@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tpgmm_core.joint_states import JointSample, JointStateAssembler, JointStateError
+from tpgmm_core.observation.joint_states import JointSample, JointStateAssembler, JointStateError
 
 JOINTS = ["a", "b", "c"]
 MS = 1_000_000

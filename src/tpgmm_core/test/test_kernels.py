@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from random_problems import random_covariance, random_rotation
-from tpgmm_core import kernels
+from tpgmm_core.geometry import kernels
 
 rng = np.random.default_rng(0)
 

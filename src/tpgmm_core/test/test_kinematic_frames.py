@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from robots import BAXTER
-from tpgmm_core import Frame, quaternion
+from tpgmm_core import Frame
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.kinematics.chains import Kinematics, PlanarRobot, planar_arm, planar_bimanual
 from tpgmm_core.kinematics.frames import (
     JointSpace,
@@ -23,7 +25,6 @@ from tpgmm_core.kinematics.frames import (
 from tpgmm_core.kinematics.inverse import THRESHOLD, damped_pseudo_inverse, null_space
 from tpgmm_core.kinematics.tasks import Moment, Task
 from tpgmm_core.kinematics.urdf import UrdfKinematics
-from tpgmm_core.quaternion import Array
 from tpgmm_core.robot.model import RobotModel
 
 BASE_Q = np.array([0.1, -1.0, -0.5, 1.6, 0.4, 1.0, -0.3])

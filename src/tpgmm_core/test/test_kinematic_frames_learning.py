@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from tpgmm_core import TPGMM, Frame
+from tpgmm_core.common.types import Array
 from tpgmm_core.kinematics.chains import planar_arm, planar_bimanual
 from tpgmm_core.kinematics.frames import JointSpace, NullSpace, PreviousConfiguration, SecondaryTaskSpace, TaskSpace
 from tpgmm_core.kinematics.hierarchy import hierarchy_frames, level_names
 from tpgmm_core.kinematics.moving import STEP, ConfigurationProduct, MovingFrames
 from tpgmm_core.kinematics.relevance import directions_determined
 from tpgmm_core.kinematics.tasks import Task
-from tpgmm_core.quaternion import Array
 
 TASKS = {hand: Task(hand, relative_to=f"{hand} object") for hand in ("left", "right")}
 HIERARCHIES: dict[str, Any] = {

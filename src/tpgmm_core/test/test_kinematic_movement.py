@@ -6,7 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tpgmm_core import TPGMM, Frame, quaternion
+from tpgmm_core import TPGMM, Frame
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.kinematics.aims import aim_at_origins
 from tpgmm_core.kinematics.chains import planar_bimanual
 from tpgmm_core.kinematics.frames import JointSpace, NullSpace, PreviousConfiguration, TaskSpace
@@ -15,8 +18,6 @@ from tpgmm_core.kinematics.movement import KinematicMovement
 from tpgmm_core.kinematics.moving import MovingFrames
 from tpgmm_core.kinematics.tasks import Task
 from tpgmm_core.kinematics.urdf import UrdfKinematics
-from tpgmm_core.mixture import GaussianMixture
-from tpgmm_core.quaternion import Array
 from tpgmm_core.robot.model import RobotModel
 
 ROBOT_FILE = "config/baxter.yaml"

@@ -14,8 +14,8 @@ from robots import BAXTER
 from tpgmm_core import Gaussian
 from tpgmm_core.control.controller import Controller, TorqueCommand
 from tpgmm_core.control.laws import LAWS, ReferenceLaw
-from tpgmm_core.manifold import POSE
-from tpgmm_core.reference import Reference
+from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.reproduction import Reproduction
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator

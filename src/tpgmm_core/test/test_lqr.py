@@ -8,9 +8,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.linalg import solve_continuous_are, solve_discrete_are
 
-from tpgmm_core.control.finite_horizon import finite_horizon_gains
-from tpgmm_core.control.lqr import double_integrator, double_integrator_gains, double_integrator_value, riccati_gains
-from tpgmm_core.control.riccati import continuous_regulator, discrete_regulator
+from tpgmm_core.lqr.double_integrator import (
+    double_integrator,
+    double_integrator_gains,
+    double_integrator_value,
+    riccati_gains,
+)
+from tpgmm_core.lqr.finite_horizon import finite_horizon_gains
+from tpgmm_core.lqr.riccati import continuous_regulator, discrete_regulator
 
 
 @st.composite

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from random_problems import random_quaternion
-from tpgmm_core import Frame, Manifold, quaternion
-from tpgmm_core.manifold import POSE
+from tpgmm_core import Frame, Manifold
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.manifold import POSE
 
 rng = np.random.default_rng(1)
 M = Manifold.parse("R1 x R3 x S3")

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import logsumexp
 
-from tpgmm_core.learning.durations import PRIOR_SEGMENTS, Durations
-from tpgmm_core.learning.markov import MarkovChain, Posteriors, SemiMarkovChain
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.learning.hidden_markov.durations import PRIOR_SEGMENTS, Durations
+from tpgmm_core.learning.hidden_markov.markov import MarkovChain, Posteriors, SemiMarkovChain
 
 
 def random_rows(rng: np.random.Generator, K: int, allowed: Array) -> Array:

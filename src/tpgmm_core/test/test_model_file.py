@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from benchmarks.workloads import pose_demonstrations
 from model_parts import read_parts, write_parts
-from tpgmm_core import TPGMM, Frame, ModelFileError, model_file
+from tpgmm_core import TPGMM, Frame, ModelFileError
+from tpgmm_core.learning import model_file
 
 
 @pytest.fixture(scope="module")

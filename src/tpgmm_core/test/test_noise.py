@@ -13,13 +13,13 @@ from noisy_poses import SECOND, Noise, Own, away, frames_of, lengths, rms, run, 
 from random_problems import random_covariance
 from reaching import place, reaching_demonstrations
 from tpgmm_core import TPGMM, Frame, Gaussian
-from tpgmm_core.manifold import POSE
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.continuity import Continuity
 from tpgmm_core.retrieval.covariance_fade import CovarianceFade, lasting, multiply, relate
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS, make_retrieval
-from tpgmm_core.situation import Situation
 from worlds import planar_demonstrations
 
 STEP = 0.01

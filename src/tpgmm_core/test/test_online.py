@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from benchmarks.workloads import W1, Workload, demonstrations, pose_demonstrations
 from tpgmm_core import TPGMM, Demonstration, Frame, ModelFileError
-from tpgmm_core.learning.cells import Cells, fit_cells
-from tpgmm_core.learning.em import expectation, fit_mixture
-from tpgmm_core.learning.online import OnlineTPGMM
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.learning.estimation.em import expectation, fit_mixture
+from tpgmm_core.learning.incremental.cells import Cells, fit_cells
+from tpgmm_core.learning.incremental.online import OnlineTPGMM
 
 SMALL = Workload("small", n_demonstrations=8, n_samples=60, n_frames=2, D=3, K=4)
 

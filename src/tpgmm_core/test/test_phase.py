@@ -12,9 +12,9 @@ import pytest
 from random_problems import random_quaternion
 from reaching import DURATION, frames_at, place, reaching_model
 from tpgmm_core import Frame, Gaussian
-from tpgmm_core.manifold import POSE
-from tpgmm_core.quaternion import Array
-from tpgmm_core.reference import Reference
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.phase import PHASES, ArcLengthConfig, ArcLengthPhase, ClockPhase, StatePhase, StatePhaseConfig
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 from tpgmm_core.retrieval.reproduction import Reproduction

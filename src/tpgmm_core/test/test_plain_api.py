@@ -17,13 +17,14 @@ from benchmarks.numpy_tpgmm import NumpyTPGMM, condition_on_first
 from benchmarks.numpy_tpgmm import adapt as numpy_adapt
 from benchmarks.workloads import W1, W2, Workload, demonstrations, pose_demonstrations
 from random_problems import random_covariance, random_quaternion, random_rotation
-from tpgmm_core import TPGMM, Adapter, Frame, Gaussian, GaussianMixture, Gaussians, Manifold, kernels_condition
-from tpgmm_core.adaptation import UNCONSTRAINED_VARIANCE
+from tpgmm_core import TPGMM, Adapter, Frame, Gaussian, GaussianMixture, Gaussians, Manifold
+from tpgmm_core.geometry import kernels_condition
 from tpgmm_core.learning.dirichlet import DirichletTPGMM
 from tpgmm_core.learning.ends import GoalTPGMM
-from tpgmm_core.learning.hmm import TPHMM
-from tpgmm_core.learning.hsmm import TPHSMM
-from tpgmm_core.learning.online import OnlineTPGMM
+from tpgmm_core.learning.hidden_markov.hmm import TPHMM
+from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
+from tpgmm_core.learning.incremental.online import OnlineTPGMM
+from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
 
 SPACES = {
     "R4": [[0], [2, 0], [1, 3], [3]],

@@ -11,11 +11,11 @@ from robots import BAXTER
 
 pytest.importorskip("daqp")
 
-from tpgmm_core.control.batch import batch_gains
-from tpgmm_core.control.joint_space import to_joint_space
-from tpgmm_core.control.lqr import double_integrator, double_integrator_gains, double_integrator_value
 from tpgmm_core.control.predictive import JointLimits, JointReference, Plan, PredictiveController
-from tpgmm_core.manifold import POSE
+from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.kinematics.joint_space import to_joint_space
+from tpgmm_core.lqr.batch import batch_gains
+from tpgmm_core.lqr.double_integrator import double_integrator, double_integrator_gains, double_integrator_value
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator
 
@@ -209,7 +209,7 @@ def test_bad_input_is_refused(make: object, message: str) -> None:
 def test_only_the_predictive_module_needs_its_solver() -> None:
     program = (
         "import sys; sys.modules['daqp'] = None\n"
-        "import tpgmm_core.control.batch, tpgmm_core.control.finite_horizon\n"
+        "import tpgmm_core.lqr.batch, tpgmm_core.lqr.finite_horizon\n"
         "try:\n    import tpgmm_core.control.predictive\n"
         "except ImportError as error:\n    print(error)"
     )

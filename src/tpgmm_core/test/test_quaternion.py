@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from random_problems import random_quaternion
-from tpgmm_core import quaternion as qt
+from tpgmm_core.geometry import quaternion as qt
 
 rng = np.random.default_rng(0)
 

@@ -2,10 +2,10 @@
 import numpy as np
 import pytest
 
-from tpgmm_core.control.continuous_horizon import continuous_horizon_gains
-from tpgmm_core.control.lqr import double_integrator_gains, double_integrator_value
-from tpgmm_core.control.receding_horizon import LARGEST_SHARE, receding_horizon_gains
-from tpgmm_core.control.riccati import continuous_regulator
+from tpgmm_core.lqr.continuous_horizon import continuous_horizon_gains
+from tpgmm_core.lqr.double_integrator import double_integrator_gains, double_integrator_value
+from tpgmm_core.lqr.receding_horizon import LARGEST_SHARE, receding_horizon_gains
+from tpgmm_core.lqr.riccati import continuous_regulator
 
 CONTROL_COST = 0.02
 

@@ -11,8 +11,8 @@ import pytest
 
 from reaching import DURATION, frames_at, place, reaching_model
 from tpgmm_core import TPGMM, Frame
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.reference import Reference
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.reproduction import Reproduction
 from worlds import planar_demonstrations

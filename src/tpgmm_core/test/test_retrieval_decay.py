@@ -9,11 +9,12 @@ import pytest
 
 from random_problems import random_quaternion
 from reaching import reaching_model
-from tpgmm_core import Demonstration, Frame, Manifold, quaternion
+from tpgmm_core import Demonstration, Frame, Manifold
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.learning.ends import GoalTPGMM
-from tpgmm_core.learning.hmm import TPHMM
-from tpgmm_core.quaternion import Array
-from tpgmm_core.reference import Reference
+from tpgmm_core.learning.hidden_markov.hmm import TPHMM
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.decay import DecayLaw, DecayMovement
 from worlds import DURATION, assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world
 

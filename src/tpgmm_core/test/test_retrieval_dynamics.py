@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from random_problems import random_covariance, random_quaternion
 from reaching import frames_at, place, reaching_model
-from tpgmm_core import Demonstration, Frame, Manifold, quaternion
+from tpgmm_core import Demonstration, Frame, Manifold
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.learning.ends import END, GoalTPGMM
-from tpgmm_core.quaternion import Array
-from tpgmm_core.reference import Reference
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.dynamics import Convergence, StableDynamics, with_velocity
 from worlds import DURATION, assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world
 

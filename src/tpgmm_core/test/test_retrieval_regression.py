@@ -8,7 +8,8 @@ import pytest
 
 from random_problems import random_covariance
 from reaching import DURATION, frames_at, place, reaching_model
-from tpgmm_core import TPGMM, Frame, Gaussian, GaussianMixture, quaternion
+from tpgmm_core import TPGMM, Frame, Gaussian, GaussianMixture
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.frames import without_time
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 from worlds import assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from reaching import frames_at, place
-from tpgmm_core import TPGMM, Demonstration, Frame, quaternion
-from tpgmm_core.learning.durations import Durations
-from tpgmm_core.learning.hsmm import TPHSMM
-from tpgmm_core.learning.markov import SemiMarkovChain
-from tpgmm_core.quaternion import Array
-from tpgmm_core.reference import Reference
+from tpgmm_core import TPGMM, Demonstration, Frame
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.learning.hidden_markov.durations import Durations
+from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
+from tpgmm_core.learning.hidden_markov.markov import SemiMarkovChain
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval import kernels_semi_markov
 from tpgmm_core.retrieval.dynamic_features import with_derivatives
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement

@@ -10,8 +10,9 @@ import pytest
 from random_problems import POSE, random_covariance, random_quaternion, random_rotation
 from reaching import DURATION as POSE_DURATION
 from reaching import frames_at, place, reaching_demonstrations, reaching_model
-from tpgmm_core import TPGMM, Demonstration, Frame, GaussianMixture, Manifold, quaternion
-from tpgmm_core.quaternion import Array
+from tpgmm_core import TPGMM, Demonstration, Frame, GaussianMixture, Manifold
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.differences import derivatives, difference_weights
 from tpgmm_core.retrieval.dynamic_features import (
     manifold_with_derivatives,

@@ -11,7 +11,7 @@ import pytest
 
 from reaching import DURATION, frames_at, place, reaching_demonstrations, reaching_model
 from tpgmm_core import TPGMM, Demonstration, Frame
-from tpgmm_core.manifold import POSE, Manifold
+from tpgmm_core.geometry.manifold import POSE, Manifold
 from tpgmm_core.retrieval.encodings import ENCODINGS, TimeEncoding, encoding_of
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.ways import WAYS, load_model, make_retrieval, way_of

@@ -11,9 +11,9 @@ pytest.importorskip("pinocchio")
 import pinocchio as pin
 
 from robots import BAXTER, GRIPPER_URDF, write_arm
-from tpgmm_core import quaternion
 from tpgmm_core.control.controller import Controller
 from tpgmm_core.control.impedance import ImpedanceLaw
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.robot.description import RobotFileError
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator

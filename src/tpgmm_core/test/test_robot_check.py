@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from robots import CONFIG, GRIPPER_URDF, write_arm
-from tpgmm_core.robot.check import suspicions, workspace
+from tpgmm_core.control.robot_check import suspicions, workspace
 from tpgmm_core.robot.model import RobotModel
 
 OWN = ["baxter", "panda", "ur5", "xarm7"]

@@ -13,11 +13,11 @@ pytest.importorskip("pinocchio")
 
 from reaching import DURATION, displaced, frames_at, reaching_near
 from robots import CONFIG, KINOVA
-from tpgmm_core import quaternion
 from tpgmm_core.control.control_law import LawTorques, RobotMoment
 from tpgmm_core.control.controller import Controller
 from tpgmm_core.control.impedance import ImpedanceLaw
 from tpgmm_core.control.pose_target import PoseReference
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.reproduction import Reproduction
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from benchmarks.workloads import pose_demonstrations
 from tpgmm_core import TPGMM, Demonstration, Frame
+from tpgmm_core.learning.covariance.structure import STRUCTURES
 from tpgmm_core.learning.dirichlet import DirichletTPGMM
 from tpgmm_core.learning.dp_means import DPMeans
-from tpgmm_core.learning.structure import STRUCTURES
 
 
 @st.composite

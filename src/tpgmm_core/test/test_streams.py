@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from tpgmm_core.streams import RESTARTED_AFTER, Leader, RateMeter, Stamp, StreamWatch
+from tpgmm_core.observation.streams import RESTARTED_AFTER, Leader, RateMeter, Stamp, StreamWatch
 
 MS = 1_000_000
 

@@ -17,16 +17,16 @@ from scipy.stats import multivariate_normal
 from benchmarks.workloads import pose_demonstrations
 from random_problems import random_covariance
 from tpgmm_core import TPGMM, Demonstration, Frame, Manifold, ModelFileError
-from tpgmm_core.learning.compiled_moments import CompiledMoments
-from tpgmm_core.learning.deep_mfa import divided
-from tpgmm_core.learning.em import expectation, fit_mixture
-from tpgmm_core.learning.emissions import Emissions
-from tpgmm_core.learning.factor_analyzers import FactorAnalyzers, SubspaceCovariances
-from tpgmm_core.learning.semi_tied import SemiTiedCovariances
-from tpgmm_core.learning.structure import STRUCTURES, Covariances, Structure
-from tpgmm_core.learning.structures import covariances_class
-from tpgmm_core.quaternion import Array
-from tpgmm_core.samples import Samples
+from tpgmm_core.common.types import Array
+from tpgmm_core.learning.covariance.deep_mfa import divided
+from tpgmm_core.learning.covariance.factor_analyzers import FactorAnalyzers, SubspaceCovariances
+from tpgmm_core.learning.covariance.semi_tied import SemiTiedCovariances
+from tpgmm_core.learning.covariance.structure import STRUCTURES, Covariances, Structure
+from tpgmm_core.learning.covariance.structures import covariances_class
+from tpgmm_core.learning.estimation.compiled_moments import CompiledMoments
+from tpgmm_core.learning.estimation.em import expectation, fit_mixture
+from tpgmm_core.learning.estimation.emissions import Emissions
+from tpgmm_core.model.samples import Samples
 
 
 def one_frame(X: Array) -> Samples:
@@ -332,7 +332,7 @@ def test_compiled_and_chunked_moments_agree(name: str, is_pose: bool, monkeypatc
     labels = np.arange(120) * 3 // 120
     emissions = Emissions.from_labels(Structure(name, n_factors=2), samples, labels)
     priors = np.bincount(labels) / 120.0
-    monkeypatch.setattr("tpgmm_core.learning.emissions.CHUNK_NUMBERS", 100)
+    monkeypatch.setattr("tpgmm_core.learning.estimation.emissions.CHUNK_NUMBERS", 100)
     log_likelihood, counts, moments = CompiledMoments(samples, priors, emissions)(priors, emissions)
     responsibilities, expected = expectation(priors, emissions, samples)
     assert log_likelihood == pytest.approx(expected, rel=1e-10)

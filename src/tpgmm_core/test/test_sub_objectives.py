@@ -6,7 +6,7 @@ import pytest
 
 from reaching import DURATION, frames_at, place, reaching_model
 from tpgmm_core import TPGMM, Demonstration, Frame
-from tpgmm_core.control.sub_objectives import SubObjectives, sub_objectives
+from tpgmm_core.retrieval.sub_objectives import SubObjectives, sub_objectives
 
 TIMES = np.linspace(0.0, DURATION, 21)
 

@@ -17,8 +17,8 @@ from tpgmm_core.control.pose_target import PoseTarget
 from tpgmm_core.control.supervised_controller import SupervisedController
 from tpgmm_core.control.supervision import ControllerMode, Timeouts
 from tpgmm_core.control.torque_pipeline import TorqueLimits
-from tpgmm_core.manifold import POSE
-from tpgmm_core.reference import Reference
+from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator
 

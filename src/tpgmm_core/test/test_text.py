@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tpgmm_core.text import LINE_LIMIT, NAME_LIMIT, listed, one_line, shown
+from tpgmm_core.common.text import LINE_LIMIT, NAME_LIMIT, listed, one_line, shown
 
 
 @given(st.text(st.characters()) | st.binary() | st.lists(st.text(st.characters())))

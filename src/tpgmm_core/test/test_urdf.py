@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from robots import ARM_URDF, write_arm
-from tpgmm_core.robot.check import suspicions
+from tpgmm_core.control.robot_check import suspicions
 from tpgmm_core.robot.description import RobotFileError
 from tpgmm_core.robot.model import RobotModel
 

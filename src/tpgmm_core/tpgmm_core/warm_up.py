@@ -10,14 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-import tpgmm_core.control.finite_horizon
-import tpgmm_core.control.lqr  # noqa: F401  these two compile on import
+import tpgmm_core.lqr.double_integrator  # noqa: F401  these two compile on import
 from tpgmm_core import TPGMM, Adapter, Frame, Gaussian
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.kinematics.tasks import compile_kernels
 from tpgmm_core.learning.ends import GoalTPGMM
-from tpgmm_core.learning.hmm import TPHMM
-from tpgmm_core.learning.hsmm import TPHSMM
-from tpgmm_core.manifold import POSE
+from tpgmm_core.learning.hidden_markov.hmm import TPHMM
+from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
 from tpgmm_core.retrieval.dynamics import StableDynamics
 from tpgmm_core.retrieval.regression import RegressThenProduct
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement

@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from ros_testing import spin_until
-from tpgmm_ros.bag_recorder import BagRecorder
+from tpgmm_ros.recordings.bag_recorder import BagRecorder
 
 TOPICS = {"hand/pose": PoseStamped, "silent/pose": PoseStamped}
 

@@ -10,8 +10,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from synthetic_bags import REACH_TASK, Storage, Topic, reach, write_bag
-from tpgmm_core import Frame, quaternion
-from tpgmm_ros.bags import (
+from tpgmm_core import Frame
+from tpgmm_core.geometry import quaternion
+from tpgmm_ros.recordings.bags import (
     BagError,
     align,
     find_bags,
@@ -20,7 +21,7 @@ from tpgmm_ros.bags import (
     read_recording,
     read_recordings,
 )
-from tpgmm_ros.task import Task
+from tpgmm_ros.task.task_file import Task
 
 ROOT = Path(__file__).resolve().parents[3]
 VALVE = ROOT.parent / "shared" / "data" / "baxter_valve"

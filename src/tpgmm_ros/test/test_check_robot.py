@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tpgmm_core import quaternion
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_ros import check_robot
-from tpgmm_ros.resources import config_file
+from tpgmm_ros.programs import check_robot
+from tpgmm_ros.runtime.resources import config_file
 
 
 @pytest.mark.parametrize("name", ["baxter", "panda", "ur5"])

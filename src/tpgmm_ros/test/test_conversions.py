@@ -13,14 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sensor_msgs.msg import JointState
 
-from tpgmm_core import Frame, Gaussian, quaternion
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.reference import Reference
-from tpgmm_core.tracking import FrameStatus, TrackedFrame
+from tpgmm_core import Frame, Gaussian
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.model.reference import Reference
+from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import Gaussian as GaussianMessage
 from tpgmm_msgs.msg import TaskParameters
-from tpgmm_ros import conversions
-from tpgmm_ros.conversions import JointReader, MessageError
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.conversions import JointReader, MessageError
 
 POSE = np.array([0.5, -0.1, 0.2, *quaternion.exp([0.1, -0.2, 0.3])])
 COVARIANCE = np.diag([1.0, 2.0, 3.0, 0.1, 0.2, 0.3]) + 0.01

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tpgmm_ros.parameters import Declared
+from tpgmm_ros.runtime.parameters import Declared
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = ROOT / "docs" / "reference" / "nodes"
@@ -35,7 +35,7 @@ def row_of(item: Declared) -> str:
 
 @pytest.mark.parametrize("node", NODES)
 def test_each_parameter_of_a_node_stands_on_its_page_as_the_node_declares_it(node: str) -> None:
-    declared: list[Declared] = importlib.import_module(f"tpgmm_ros.{node}_node").PARAMETERS
+    declared: list[Declared] = importlib.import_module(f"tpgmm_ros.nodes.{node}").PARAMETERS
     section = (PAGES / f"{node}.md").read_text().split("## Parameters\n", 1)[1].split("\n##", 1)[0]
     rows = [line for line in section.splitlines() if re.match(r"\| `", line)]
     assert rows == [row_of(item) for item in declared]
@@ -74,12 +74,12 @@ def modules_of(package: str) -> dict[str, Path]:
     return {str(path.relative_to(root)): path for path in root.rglob("*.py") if not path.stem.startswith("__")}
 
 
-@pytest.mark.parametrize("package", ["tpgmm_core", "tpgmm_ros"])
+@pytest.mark.parametrize("package", ["tpgmm_core", "tpgmm_ros", "tpgmm_demos"])
 def test_the_table_of_modules_names_each_module_once_and_no_other(package: str) -> None:
     assert sorted(modules_in_table(package)) == sorted(modules_of(package))
 
 
-@pytest.mark.parametrize("package", ["tpgmm_core", "tpgmm_ros"])
+@pytest.mark.parametrize("package", ["tpgmm_core", "tpgmm_ros", "tpgmm_demos"])
 def test_imports_of_modules_go_in_no_circle(package: str) -> None:
     """Those at the top of a module; an import for the type checker alone is none."""
     modules = modules_of(package)

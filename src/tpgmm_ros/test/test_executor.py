@@ -2,6 +2,7 @@
 """How nodes are run."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +12,7 @@ from domain_coordinator import domain_id
 PROBE = """
 from rclpy.node import Node
 from std_msgs.msg import Empty
-from tpgmm_ros.executor import run
+from tpgmm_ros.runtime.executor import run
 
 class Probe(Node):
     def __init__(self):
@@ -41,5 +42,17 @@ def test_no_status_event_of_the_middleware_is_asked_for() -> None:
 
 
 def test_no_program_starts_rclpy_in_another_way() -> None:
-    modules = (Path(__file__).parents[1] / "tpgmm_ros").rglob("*.py")
-    assert [path.name for path in modules if "rclpy.init(" in path.read_text()] == ["rclpy_workarounds.py"]
+    assert modules_with(r"rclpy\.init\(") == ["rclpy_workarounds.py"]
+
+
+def test_private_parts_of_rclpy_are_used_in_one_module() -> None:
+    """Names of rclpy 7.1 that begin with an underscore, or that its documentation does not have."""
+    names = r"rclpy\.impl\b", r"\._service_change_state\b", r"\._state_machine\b", r"\.handle\b", r"\.send_response\b"
+    assert modules_with("|".join(names)) == ["rclpy_workarounds.py"]
+
+
+def modules_with(pattern: str) -> list[str]:
+    """Names of the files of both packages whose text has it."""
+    packages = (Path(__file__).parents[2] / package / package for package in ("tpgmm_ros", "tpgmm_demos"))
+    modules = (path for package in packages for path in package.rglob("*.py"))
+    return [path.name for path in modules if re.search(pattern, path.read_text())]

@@ -17,14 +17,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sensor_msgs.msg import JointState
 
-from tpgmm_core.manifold import MAX_TEXT
-from tpgmm_core.tracking import check_pose
+from tpgmm_core.geometry.manifold import MAX_TEXT
+from tpgmm_core.observation.tracking import check_pose
 from tpgmm_msgs.msg import Gaussian as GaussianMessage
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskFrame, TaskParameters
-from tpgmm_ros import conversions
-from tpgmm_ros.conversions import MAX_DIMENSION, MAX_ITEMS, MAX_WRENCH, JointReader, MessageError
-from tpgmm_ros.task_model import known_frames
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.conversions import MAX_DIMENSION, MAX_ITEMS, MAX_WRENCH, JointReader, MessageError
+from tpgmm_ros.models.task_model import known_frames
 
 FUZZ = settings(
     max_examples=int(os.environ.get("TPGMM_FUZZ_EXAMPLES", "150")),

@@ -12,10 +12,10 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from tpgmm_core import TPGMM
-from tpgmm_ros import train
-from tpgmm_ros.bags import BagError, read_recording
-from tpgmm_ros.task import Task, TaskError
-from tpgmm_ros.task_model import load_model, make_retrieval
+from tpgmm_ros.models.task_model import load_model, make_retrieval
+from tpgmm_ros.programs import train
+from tpgmm_ros.recordings.bags import BagError, read_recording
+from tpgmm_ros.task.task_file import Task, TaskError
 
 ROOT = Path(__file__).resolve().parents[3]
 TASK_FILE = ROOT / "config" / "left_first.yaml"

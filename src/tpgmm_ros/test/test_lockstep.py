@@ -7,7 +7,7 @@ import itertools
 
 import pytest
 
-from tpgmm_ros.lockstep import LateBarrier
+from tpgmm_ros.messages.lockstep import LateBarrier
 
 
 class Node:

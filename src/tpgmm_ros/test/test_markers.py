@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from visualization_msgs.msg import Marker, MarkerArray
 
-from tpgmm_core import Frame, GaussianMixture, quaternion
-from tpgmm_core.manifold import Manifold
-from tpgmm_ros.markers import LIFETIME, Scene
+from tpgmm_core import Frame, GaussianMixture
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_ros.messages.markers import LIFETIME, Scene
 
 TURN = quaternion.exp(np.array([0.0, 0.0, np.pi / 2]))
 

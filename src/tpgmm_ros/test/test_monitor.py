@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from ros_testing import spin_until
-from tpgmm_ros.monitor import Monitor, Samples
+from tpgmm_ros.runtime.monitor import Monitor, Samples
 
 MS = 1_000_000
 

@@ -13,7 +13,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from tpgmm_core.retrieval.execution import ExecutionConfig
-from tpgmm_ros.parameters import Declared, Parameters, declared_of
+from tpgmm_ros.runtime.parameters import Declared, Parameters, declared_of
 
 DECLARED = [
     Declared("low", 1.0, "Lower end, m", 0.0, 10.0),

@@ -8,8 +8,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tpgmm_core.safe_yaml import MAX_BYTES
-from tpgmm_ros.task import Task, TaskError, TaskFrameSpec
+from tpgmm_core.common.safe_yaml import MAX_BYTES
+from tpgmm_ros.task.task_file import Task, TaskError, TaskFrameSpec
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 

@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 from synthetic_bags import REACH_TASK, reach, write_bag
-from tpgmm_core import TPGMM, Frame, quaternion
+from tpgmm_core import TPGMM, Frame
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.ways import WAYS
-from tpgmm_ros.bags import Recording, read_recording
-from tpgmm_ros.reporting import format_table, write_report
-from tpgmm_ros.task import Task
-from tpgmm_ros.task_model import load_model
-from tpgmm_ros.train import main
-from tpgmm_ros.validation import path_errors, replay_nearest, reproduce
+from tpgmm_ros.models.task_model import load_model
+from tpgmm_ros.models.validation import path_errors, replay_nearest, reproduce
+from tpgmm_ros.programs.reporting import format_table, write_report
+from tpgmm_ros.programs.train import main
+from tpgmm_ros.recordings.bags import Recording, read_recording
+from tpgmm_ros.task.task_file import Task
 
 ROOT = Path(__file__).resolve().parents[3]
 VALVE = ROOT.parent / "shared" / "data" / "baxter_valve"
@@ -50,7 +51,7 @@ def damaged(bags: Path, tmp_path: Path) -> Path:
 
 def test_train_end_to_end(bags: Path, tmp_path: Path) -> None:
     output, report = tmp_path / "models" / "reach.tpgmm", tmp_path / "report"
-    command = [sys.executable, "-m", "tpgmm_ros.train", "--task", bags / "task.yaml", "--output", output]
+    command = [sys.executable, "-m", "tpgmm_ros.programs.train", "--task", bags / "task.yaml", "--output", output]
     run = subprocess.run([*command, "--report", report, bags], capture_output=True, text=True, timeout=120)
     assert run.returncode == 0, run.stderr
     assert f"demonstrations  {COUNT}" in run.stdout and "log-likelihood" in run.stdout and str(output) in run.stdout
@@ -73,7 +74,7 @@ def test_train_end_to_end(bags: Path, tmp_path: Path) -> None:
 
 
 def test_train_needs_no_ros() -> None:
-    code = "import sys, tpgmm_ros.train; sys.exit(any(name.split('.')[0] == 'rclpy' for name in sys.modules))"
+    code = "import sys, tpgmm_ros.programs.train; sys.exit(any(name.split('.')[0] == 'rclpy' for name in sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
 
 

@@ -13,16 +13,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.operational_space import invert_inertia
-from tpgmm_core.reference import Reference
-from tpgmm_core.settings import check_settings, setting
+from tpgmm_core.model.reference import Reference
 
 if TYPE_CHECKING:
     from tpgmm_core.robot.model import RobotData
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

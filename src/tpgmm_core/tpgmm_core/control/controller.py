@@ -7,14 +7,12 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import AT_ONCE, ControlLaw, LawTorques, Loop, RobotMoment
 from tpgmm_core.control.torque_limits import finite
 from tpgmm_core.control.torque_pipeline import TorqueLimits, TorquePipeline, actions
 from tpgmm_core.robot.model import RobotModel
-
-Array = NDArray[np.float64]
 
 #: A robot under gravity compensation with damping loses its speed about this fast, s.
 REST_TIME = 0.05

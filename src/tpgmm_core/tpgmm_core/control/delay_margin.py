@@ -16,11 +16,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tpgmm_core.kernels import compiled
-
-Array = NDArray[np.float64]
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import compiled
 
 #: A loop is made to bear this many times the delay that is known of: half of the phase margin is left.
 DELAY_SAFETY = 2.0

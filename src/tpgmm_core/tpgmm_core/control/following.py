@@ -10,12 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import Lag, LawTorques
 from tpgmm_core.robot.model import RobotModel
-
-Array = NDArray[np.float64]
 
 #: Far from the reference, m and rad; near again below the share of it.
 FAR, FAR_ANGLE, NEAR = 0.05, 0.3, 0.7

@@ -12,8 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tpgmm_core.common.settings import setting
+from tpgmm_core.common.text import listed, shown
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import Lag, LawConfig, LawTorques, RobotMoment
 from tpgmm_core.control.delay_margin import borne_share, delay_margin, fastest_rate
 from tpgmm_core.control.kernels_impedance import (
@@ -26,16 +29,12 @@ from tpgmm_core.control.kernels_impedance import (
     standing_torques,
     waiting_share,
 )
-from tpgmm_core.control.lqr import double_integrator_gains
 from tpgmm_core.control.operational_space import bound_twist
 from tpgmm_core.control.pose_target import PoseReference, PoseTarget
 from tpgmm_core.control.torque_limits import finite
-from tpgmm_core.reference import Reference
+from tpgmm_core.lqr.double_integrator import double_integrator_gains
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_core.settings import setting
-from tpgmm_core.text import listed, shown
-
-Array = NDArray[np.float64]
 
 POSE_MANIFOLD = "R3 x S3"
 #: The terms of which the torque is the sum, in the order of the rows in `ImpedanceLaw.step`.

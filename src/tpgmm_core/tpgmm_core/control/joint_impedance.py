@@ -19,18 +19,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tpgmm_core.common.settings import setting
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import Lag, LawConfig, LawTorques, RobotMoment
 from tpgmm_core.control.delay_margin import borne_share, delay_margin
 from tpgmm_core.control.kernels_impedance import standing_torques
 from tpgmm_core.control.kernels_joint import inertia_factor, joint_torques, precision_damping
 from tpgmm_core.control.torque_limits import finite
-from tpgmm_core.reference import Reference
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_core.settings import setting
-
-Array = NDArray[np.float64]
 
 #: The terms of which the torque is the sum.
 TERMS = ("feedforward", "feedback", "hold", "leading")

@@ -8,12 +8,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.delay_margin import OF_CRITICAL, borne_share, joint_damping
 from tpgmm_core.control.operational_space import bound_twist, operational_space
 from tpgmm_core.control.torque_limits import fit
-from tpgmm_core.kernels import compiled, quaternion_difference, turn
+from tpgmm_core.geometry.kernels import compiled, quaternion_difference, turn
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 #: The null space keeps this far away from position limits (rad or m), or this share of the range, ...

@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
+from tpgmm_core.common.text import listed, shown
 from tpgmm_core.control.control_law import ControlLaw, LawTorques, RobotMoment
 from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw
 from tpgmm_core.control.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
 from tpgmm_core.control.moving_impedance import MovingImpedanceLaw
 from tpgmm_core.control.moving_joint_impedance import MovingJointImpedanceLaw
 from tpgmm_core.control.planning import PlanConfig, Planning, Submit, at_once
-from tpgmm_core.manifold import POSE
-from tpgmm_core.reference import Reference
+from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_core.text import listed, shown
 
 #: Names of the joints that a law moves; none: those of the end point, by its pose.
 type Joints = tuple[str, ...]

@@ -11,18 +11,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.delay_margin import fastest_rate
 from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw
 from tpgmm_core.control.planning import PlanConfig, Schedule
 from tpgmm_core.control.pose_target import PoseTarget
-from tpgmm_core.control.receding_horizon import receding_horizon_gains
-from tpgmm_core.gaussian import Gaussian
-from tpgmm_core.reference import Reference
+from tpgmm_core.geometry.gaussian import Gaussian
+from tpgmm_core.lqr.receding_horizon import receding_horizon_gains
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

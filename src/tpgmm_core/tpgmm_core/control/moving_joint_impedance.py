@@ -11,16 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.joint_impedance import JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
 from tpgmm_core.control.moving_impedance import check_horizon
 from tpgmm_core.control.planning import PlanConfig, Schedule
-from tpgmm_core.control.receding_horizon import receding_horizon_gains
-from tpgmm_core.reference import Reference
+from tpgmm_core.lqr.receding_horizon import receding_horizon_gains
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tpgmm_core.kernels import compiled
-
-Array = NDArray[np.float64]
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import compiled
 
 #: Shares of the speed limit: below the first a joint is at rest, the second counts as a swing, the third is an alarm.
 AT_REST, SWINGS, ALARM = 0.01, 0.03, 0.15

@@ -8,7 +8,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from tpgmm_core.settings import check_settings, setting
+from tpgmm_core.common.settings import check_settings, setting
 
 #: Does a piece of work, at once or in another thread, and holds its outcome.
 type Submit[PlanT] = Callable[[Callable[[], PlanT]], Future[PlanT]]

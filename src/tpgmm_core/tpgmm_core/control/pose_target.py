@@ -6,11 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.delay_margin import delay_margin
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

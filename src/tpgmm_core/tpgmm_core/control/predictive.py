@@ -21,18 +21,18 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from tpgmm_core.control.batch import condense
-from tpgmm_core.control.finite_horizon import finite_horizon_gains
-from tpgmm_core.control.lqr import double_integrator, double_integrator_value
+from tpgmm_core.common.types import Array
+from tpgmm_core.lqr.batch import condense
+from tpgmm_core.lqr.double_integrator import double_integrator, double_integrator_value
+from tpgmm_core.lqr.finite_horizon import finite_horizon_gains
 
 try:
     import daqp
 except ImportError as error:  # the rest of the core does without it
     raise ImportError("model predictive control needs the solver DAQP: pip install daqp") from error
 
-Array = NDArray[np.float64]
 
 _HARD, _SOFT = 0, 8  # DAQP's kinds of constraints
 _SOLVED, _SOLVED_SOFTLY = 1, 2  # DAQP's exit flags: all limits kept; soft limits exceeded

@@ -19,24 +19,22 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tpgmm_core.common.text import listed, shown
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import Lag, LawTorques, RobotMoment
 from tpgmm_core.control.impedance import ANGULAR_LEASH
 from tpgmm_core.control.impedance import LEASH as HAND_LEASH
 from tpgmm_core.control.joint_impedance import LEASH, JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
-from tpgmm_core.control.joint_space import to_joint_space
 from tpgmm_core.control.moving_impedance import check_horizon
 from tpgmm_core.control.moving_joint_impedance import moving_joint_gains
 from tpgmm_core.control.operational_space import bound_twist
 from tpgmm_core.control.planning import PlanConfig, Schedule, Submit, at_once
 from tpgmm_core.control.predictive import JointLimits, JointReference, Plan, PredictiveController
-from tpgmm_core.manifold import POSE
-from tpgmm_core.reference import Reference
+from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.kinematics.joint_space import to_joint_space
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_core.text import listed, shown
-
-Array = NDArray[np.float64]
 
 STEPS = 10
 #: Each step of the horizon is longer than the one before: the first is short, as gains are those of constant controls.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from tpgmm_core.streams import SECOND
+from tpgmm_core.observation.streams import SECOND
 
 #: Time constants, s, with which the age grows and is forgotten; a pause counts as no more than `LONGEST_STEP`.
 GROWS, FORGOTTEN, LONGEST_STEP = 0.02, 1.0, 0.005

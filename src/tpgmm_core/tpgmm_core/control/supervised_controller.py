@@ -12,19 +12,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import ControlLaw
 from tpgmm_core.control.controller import Controller, TorqueCommand
 from tpgmm_core.control.loop_guard import LoopGuard
 from tpgmm_core.control.supervision import ControllerMode, Inputs, Timeouts, decide, slow_states
 from tpgmm_core.control.torque_pipeline import TorqueLimits
-from tpgmm_core.reference import Reference
+from tpgmm_core.model.reference import Reference
+from tpgmm_core.observation.streams import SECOND, RateMeter, Stamp, StreamWatch, standing_still
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_core.streams import SECOND, RateMeter, Stamp, StreamWatch, standing_still
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass
 
-from tpgmm_core.settings import check_settings, setting
+from tpgmm_core.common.settings import check_settings, setting
 
 #: Fewer joint states than this within `joint_state_timeout`, and one that is late is taken for silence.
 STATES_WITHIN_TIMEOUT = 3

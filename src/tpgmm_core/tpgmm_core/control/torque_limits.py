@@ -10,12 +10,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from tpgmm_core.kernels import compiled
-
-Array = NDArray[np.float64]
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import compiled
 
 
 @compiled

@@ -34,8 +34,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import RobotMoment
 from tpgmm_core.control.delay_margin import OF_CRITICAL, borne_share, joint_damping
 from tpgmm_core.control.torque_limits import (
@@ -47,11 +48,8 @@ from tpgmm_core.control.torque_limits import (
     repel,
     torque_bounds,
 )
-from tpgmm_core.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_core.settings import check_settings, setting
-
-Array = NDArray[np.float64]
 
 #: What a step did beside passing a torque on, by the bits of `limit_torques`.
 ACTIONS = ("not finite", "joint limit", "repulsion", "effort or rate", "power")

@@ -13,7 +13,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from tpgmm_core.tpgmm import TPGMM
+from tpgmm_core.learning.tpgmm import TPGMM
 
 
 def aim_at_origins(model: TPGMM, frames: Collection[str], over_time: bool = False) -> None:

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
 
 
 class Kinematics(Protocol):

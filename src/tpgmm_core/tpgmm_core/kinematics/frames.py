@@ -22,7 +22,7 @@ from typing import Protocol
 
 import numpy as np
 
-from tpgmm_core.frame import Frame
+from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.kinematics.inverse import damped_gram_inverse, damped_pseudo_inverse
 from tpgmm_core.kinematics.tasks import Moment, Task, Tasks, View
 

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tpgmm_core.kernels import compiled
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import compiled
 
 #: s0: singular values of Jacobians below it are damped; m/rad for positions, rad/rad for orientations.
 THRESHOLD = 0.05

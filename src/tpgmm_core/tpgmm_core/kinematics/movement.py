@@ -8,17 +8,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tpgmm_core.frame import Frame
-from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.gaussian import Gaussian
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.kinematics.moving import ConfigurationProduct, MovingFrames
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.mixture import GaussianMixture
-from tpgmm_core.quaternion import Array
-from tpgmm_core.reference import Reference
+from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.reference import Reference
+from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.pace import Pace
-from tpgmm_core.situation import Situation
-from tpgmm_core.tpgmm import TPGMM
 
 _SECOND = 1_000_000_000
 MAX_JOINT_SPEED = 1.0  # rad/s

@@ -9,17 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tpgmm_core.adaptation import Adapter
-from tpgmm_core.demonstration import Demonstration
-from tpgmm_core.frame import Frame
-from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.gaussian import Gaussian
+from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.kinematics.chains import Kinematics
 from tpgmm_core.kinematics.frames import KinematicFrame, PreviousConfiguration
 from tpgmm_core.kinematics.inverse import THRESHOLD
 from tpgmm_core.kinematics.tasks import Moment, compile_kernels
-from tpgmm_core.mixture import GaussianMixture
-from tpgmm_core.quaternion import Array
-from tpgmm_core.tpgmm import TPGMM
+from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.adaptation import Adapter
+from tpgmm_core.model.demonstration import Demonstration
 
 STEP = 0.02
 """What demonstrations show of the steps of joints is stretched to steps as long as this, s."""

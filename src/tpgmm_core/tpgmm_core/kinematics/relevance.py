@@ -7,9 +7,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tpgmm_core.frame import Frame
-from tpgmm_core.mixture import GaussianMixture
-from tpgmm_core.tpgmm import TPGMM
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.mixture import GaussianMixture
+from tpgmm_core.learning.tpgmm import TPGMM
 
 
 def directions_determined(

@@ -9,11 +9,12 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from tpgmm_core.frame import Frame
-from tpgmm_core.kernels import inverse_left_jacobian, quaternion_difference
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.kernels import inverse_left_jacobian, quaternion_difference
+from tpgmm_core.geometry.quaternion import rotation_matrix
 from tpgmm_core.kinematics import inverse
 from tpgmm_core.kinematics.chains import Kinematics
-from tpgmm_core.quaternion import Array, rotation_matrix
 
 _PARTS = ("position", "orientation", "pose")
 

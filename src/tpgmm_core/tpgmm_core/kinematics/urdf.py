@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
 from tpgmm_core.robot.model import RobotModel
 
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Learning beyond the compiled EM of full covariances: structures, encodings, model choice.
+"""Learning: estimators, and in folders what they are made of (`covariance`, `estimation`) and what else there is
+(`hidden_markov`, `incremental`).
 
-Modules are imported by name; this file imports nothing, so that `tpgmm_core.tpgmm` can use some of them and
-others can use it.
+Modules are imported by name.
 """

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import betaln, digamma, gammaln
 
-from tpgmm_core import initialization
-from tpgmm_core.estimation import MIN_ITERATIONS, Estimate, Parameters, Progress, Workspace
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.quaternion import Array
-from tpgmm_core.samples import Samples
-from tpgmm_core.tpgmm import TPGMM
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.estimation import initialization
+from tpgmm_core.learning.estimation.compiled_em import MIN_ITERATIONS, Estimate, Parameters, Progress, Workspace
+from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.samples import Samples
 
 DELETION_ITERATIONS = 10  # after which a model without the component must be better
 FORGOTTEN = -1e9  # instead of the logarithm of 0

@@ -14,12 +14,12 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tpgmm_core.demonstration import Demonstration
-from tpgmm_core.estimator import Estimator
-from tpgmm_core.initialization import Labels
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.quaternion import Array
-from tpgmm_core.samples import Samples
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.estimation.initialization import Labels
+from tpgmm_core.learning.estimator import Estimator
+from tpgmm_core.model.demonstration import Demonstration
+from tpgmm_core.model.samples import Samples
 
 ROUNDING = 1e-12  # what the cost has to fall by, relatively, for another sweep
 

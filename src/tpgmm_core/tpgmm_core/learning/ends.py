@@ -7,12 +7,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tpgmm_core import initialization
-from tpgmm_core.estimation import Progress
-from tpgmm_core.quaternion import Array
-from tpgmm_core.samples import Samples
-from tpgmm_core.text import shown
-from tpgmm_core.tpgmm import TPGMM
+from tpgmm_core.common.text import shown
+from tpgmm_core.common.types import Array
+from tpgmm_core.learning.estimation import initialization
+from tpgmm_core.learning.estimation.compiled_em import Progress
+from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.samples import Samples
 
 BEGIN, END = 0, 1
 """Components of `GoalTPGMM.ends_`."""

@@ -18,9 +18,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tpgmm_core.demonstration import Demonstration
+from tpgmm_core.common.types import Array
 from tpgmm_core.learning import criteria
-from tpgmm_core.quaternion import Array
+from tpgmm_core.model.demonstration import Demonstration
 
 CRITERIA = ("leave-one-out", "bic", "aic")
 

@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from tpgmm_core.kernels import compiled
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import compiled
 
 
 @compiled

@@ -18,13 +18,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from tpgmm_core.frame import Frame
-from tpgmm_core.frame_buffer import manifold_origin
-from tpgmm_core.gaussian import Gaussian
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.mixture import GaussianMixture
-from tpgmm_core.quaternion import Array
-from tpgmm_core.reference import Reference
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.gaussian import Gaussian
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.mixture import GaussianMixture
+from tpgmm_core.model.frame_buffer import manifold_origin
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.covariance_fade import CovarianceFade
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.retrieval.spring import critically_damped

@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
-from tpgmm_core.kernels import cholesky, compiled, gram, invert_lower
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
 
 NEGLIGIBLE = 1e-15  # of what is left: rounding hides it
 SMALLEST = 1e-15  # of the ratios, as a share of the largest: smaller ones are rounding

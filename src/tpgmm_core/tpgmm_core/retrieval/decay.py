@@ -21,19 +21,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core.adaptation import Adapter
-from tpgmm_core.demonstration import Demonstration
-from tpgmm_core.frame import Frame
-from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.gaussian import Gaussian
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.learning.ends import BEGIN, END, GoalTPGMM
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.mixture import GaussianMixture
-from tpgmm_core.quaternion import Array
+from tpgmm_core.model.adaptation import Adapter
+from tpgmm_core.model.demonstration import Demonstration
+from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.differences import derivatives
 from tpgmm_core.retrieval.frames import require_time_kept, without_time
 from tpgmm_core.retrieval.spring import critically_damped
 from tpgmm_core.retrieval.system import System, positive
-from tpgmm_core.situation import Situation
 
 LONGEST_STEP = 0.005
 """Of the attractor along its path, in durations; MAX_STEPS of them are made at once at most, else longer ones."""

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import Manifold
 
 
 def difference_weights(times: ArrayLike, window: int = 3) -> tuple[NDArray[np.intp], Array]:

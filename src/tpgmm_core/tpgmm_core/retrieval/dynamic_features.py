@@ -16,10 +16,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tpgmm_core.demonstration import Demonstration
-from tpgmm_core.frame import Frame
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.differences import derivatives, difference_weights
 from tpgmm_core.retrieval.frames import without_time
 from tpgmm_core.retrieval.lifting import lifted

@@ -38,14 +38,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core.adaptation import Adapter
-from tpgmm_core.demonstration import Demonstration
-from tpgmm_core.frame import Frame
-from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.gaussian import Gaussian
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.learning.ends import BEGIN, END, GoalTPGMM
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.mixture import GaussianMixture
-from tpgmm_core.quaternion import Array
+from tpgmm_core.model.adaptation import Adapter
+from tpgmm_core.model.demonstration import Demonstration
+from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval import kernels_dynamics as kernels
 from tpgmm_core.retrieval.differences import derivatives
 from tpgmm_core.retrieval.frames import without_time
@@ -53,8 +55,6 @@ from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.lifting import lifted
 from tpgmm_core.retrieval.spring import critically_damped
 from tpgmm_core.retrieval.system import System
-from tpgmm_core.settings import check_settings, setting
-from tpgmm_core.situation import Situation
 
 MAX_TIME_STEP = 0.005
 """Of the integration, in durations; MAX_STEPS of them are made at once at most, longer ones after a long pause."""

@@ -14,14 +14,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from tpgmm_core.demonstration import Demonstration
-from tpgmm_core.manifold import Manifold
+from tpgmm_core.common.settings import check_settings, configured, setting
+from tpgmm_core.common.text import shown
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.decay import DecayLaw
 from tpgmm_core.retrieval.dynamic_features import manifold_with_derivatives, with_derivatives
 from tpgmm_core.retrieval.dynamics import with_velocity
-from tpgmm_core.settings import check_settings, configured, setting
-from tpgmm_core.text import shown
-from tpgmm_core.tpgmm import TPGMM
 
 _WINDOW = "Samples of the parabolas that derivatives are taken from; odd"
 _KEY = "encoding"

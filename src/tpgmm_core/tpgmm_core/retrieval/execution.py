@@ -16,15 +16,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core.frame import Frame
-from tpgmm_core.gaussian import Gaussian
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.quaternion import Array
-from tpgmm_core.reference import Reference
+from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.text import listed
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.gaussian import Gaussian
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.continuity import Continued
 from tpgmm_core.retrieval.interface import Retrieval
-from tpgmm_core.settings import check_settings, setting
-from tpgmm_core.text import listed
 
 _SECOND = 1_000_000_000
 _PROGRESS = 0.01

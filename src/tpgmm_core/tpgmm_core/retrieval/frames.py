@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from tpgmm_core import kernels_regress
-from tpgmm_core.frame import Frame
-from tpgmm_core.frame_buffer import FrameBuffer
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.model import kernels_regress
+from tpgmm_core.model.frame_buffer import FrameBuffer
 
 
 def without_time(frames: Mapping[str, Frame]) -> dict[str, Frame]:

@@ -14,14 +14,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
-from tpgmm_core.frame import Frame
-from tpgmm_core.gaussian import Gaussian
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.mixture import GaussianMixture
-from tpgmm_core.quaternion import Array
-from tpgmm_core.reference import Reference
-from tpgmm_core.text import shown
-from tpgmm_core.tpgmm import TPGMM
+from tpgmm_core.common.text import shown
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.gaussian import Gaussian
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.mixture import GaussianMixture
+from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.reference import Reference
 
 
 class Retrieval(Protocol):
@@ -68,7 +68,7 @@ class Retrieval(Protocol):
 
         time_ns : on the clock that `start` was given
         frames : those that are known, by name, at least one. What counts as a change is another value: see
-            `tpgmm_core.situation.Situation`
+            `tpgmm_core.model.situation.Situation`
         state : (D,), where the robot is, as far as that is known
         weights : how far each frame is trusted, 0 to 1; fully where not named
 

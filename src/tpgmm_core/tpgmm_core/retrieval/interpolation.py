@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tpgmm_core.kernels import compiled, inverse_left_jacobian, transport
-from tpgmm_core.kernels_product import difference, move
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import compiled, inverse_left_jacobian, transport
+from tpgmm_core.geometry.kernels_product import difference, move
 
 
 @compiled

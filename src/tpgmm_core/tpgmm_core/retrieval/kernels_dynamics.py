@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
-from tpgmm_core.kernels import cholesky, compiled, gram, invert_lower, transport
-from tpgmm_core.kernels_product import difference, move
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower, transport
+from tpgmm_core.geometry.kernels_product import difference, move
 
 NEGLIGIBLE = 1e-12  # components with a smaller activation add nothing to a covariance
 

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from tpgmm_core.kernels import compiled
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import compiled
 
 
 @compiled

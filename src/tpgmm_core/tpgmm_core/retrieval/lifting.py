@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tpgmm_core.frame import Frame, block_diagonal
-from tpgmm_core.kernels_adapt import tangent_matrix
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame, block_diagonal
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.model.kernels_adapt import tangent_matrix
 
 
 def lifted(frame: Frame, manifold: Manifold, orders: int = 1) -> Frame:

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
 
 
 class Pace:

@@ -10,9 +10,9 @@ from functools import lru_cache
 import numpy as np
 from scipy.stats import chi2
 
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.mixture import GaussianMixture
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.retrieval.state_filter import Course
 from tpgmm_core.retrieval.tracking_plan import Plan, Planner
 

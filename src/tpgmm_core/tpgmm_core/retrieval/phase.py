@@ -14,11 +14,11 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
-from tpgmm_core.gaussian import Gaussian
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.retrieval.interface import Course
 from tpgmm_core.retrieval.pace import Pace
-from tpgmm_core.settings import check_settings, setting
 
 _SECOND = 1_000_000_000
 SPEED_TIME_CONSTANT = 0.1  # s, with which a new speed is taken over

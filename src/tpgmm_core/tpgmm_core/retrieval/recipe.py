@@ -10,14 +10,14 @@ from typing import Any, Self
 
 import numpy as np
 
-from tpgmm_core.demonstration import Demonstration
-from tpgmm_core.estimation import Progress
-from tpgmm_core.manifold import Manifold
+from tpgmm_core.common.settings import configured
+from tpgmm_core.common.text import listed
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.estimation.compiled_em import Progress
+from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.encodings import Encoding
 from tpgmm_core.retrieval.ways import DEFAULT, KEY, Way, way_named
-from tpgmm_core.settings import configured
-from tpgmm_core.text import listed
-from tpgmm_core.tpgmm import TPGMM
 
 
 @dataclass(frozen=True, slots=True)

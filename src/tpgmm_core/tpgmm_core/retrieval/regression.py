@@ -20,18 +20,18 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tpgmm_core import kernels_regress
-from tpgmm_core.adaptation import UNCONSTRAINED_VARIANCE, Adapter
-from tpgmm_core.disagreement import no_product
-from tpgmm_core.frame import Frame
-from tpgmm_core.frame_buffer import FrameBuffer
-from tpgmm_core.gaussian import Gaussian
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.mixture import GaussianMixture
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.disagreement import no_product
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.gaussian import Gaussian
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.mixture import GaussianMixture
+from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model import kernels_regress
+from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE, Adapter
+from tpgmm_core.model.frame_buffer import FrameBuffer
 from tpgmm_core.retrieval.frames import require_time_kept
 from tpgmm_core.retrieval.interface import demonstrated_duration
-from tpgmm_core.tpgmm import TPGMM
 
 
 class _Regression(ABC):

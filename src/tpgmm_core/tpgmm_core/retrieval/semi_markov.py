@@ -15,21 +15,21 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tpgmm_core.adaptation import Adapter
-from tpgmm_core.frame import Frame
-from tpgmm_core.frame_buffer import manifold_origin
-from tpgmm_core.gaussian import Gaussian
-from tpgmm_core.learning.hsmm import TPHSMM
-from tpgmm_core.learning.markov import SemiMarkovChain
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.mixture import GaussianMixture
-from tpgmm_core.quaternion import Array
-from tpgmm_core.reference import Reference
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.gaussian import Gaussian
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.mixture import GaussianMixture
+from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
+from tpgmm_core.learning.hidden_markov.markov import SemiMarkovChain
+from tpgmm_core.model.adaptation import Adapter
+from tpgmm_core.model.frame_buffer import manifold_origin
+from tpgmm_core.model.reference import Reference
+from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.dynamic_features import point_manifold, standing_frames
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.path_follower import AdaptedStates, PathFollower
 from tpgmm_core.retrieval.state_filter import Course, StateFilter
-from tpgmm_core.situation import Situation
 
 _SECOND = 1e-9
 

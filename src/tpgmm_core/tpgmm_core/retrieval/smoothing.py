@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.kernels import compiled, inverse_left_jacobian
-from tpgmm_core.kernels_product import ROUNDED_GAIN, difference, longest, move
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import compiled, inverse_left_jacobian
+from tpgmm_core.geometry.kernels_product import ROUNDED_GAIN, difference, longest, move
+from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.retrieval.banded import cholesky_band, inverse_band, solve_band
 
 MAX_ITERATIONS = 300

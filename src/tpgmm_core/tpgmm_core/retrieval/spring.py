@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
 
 
 def critically_damped(error: Array, velocity: Array, rate: float, time: float) -> tuple[Array, Array]:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tpgmm_core.learning.markov import SemiMarkovChain
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.learning.hidden_markov.markov import SemiMarkovChain
 from tpgmm_core.retrieval import kernels_semi_markov
 
 STANDING = 1e-3

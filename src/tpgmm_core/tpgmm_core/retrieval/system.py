@@ -10,18 +10,18 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tpgmm_core import quaternion
-from tpgmm_core.frame import Frame
-from tpgmm_core.gaussian import Gaussian
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.gaussian import Gaussian
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.learning.ends import GoalTPGMM
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.mixture import GaussianMixture
-from tpgmm_core.quaternion import Array
-from tpgmm_core.reference import Reference
+from tpgmm_core.model.reference import Reference
+from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.covariance_fade import CovarianceFade
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.pace import Pace
-from tpgmm_core.situation import Situation
 
 _SECOND = 1_000_000_000
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core.control.finite_horizon import finite_horizon_gains
-from tpgmm_core.control.lqr import double_integrator
-from tpgmm_core.kernels import compiled
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.lqr.double_integrator import double_integrator
+from tpgmm_core.lqr.finite_horizon import finite_horizon_gains
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,19 +14,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tpgmm_core import quaternion
-from tpgmm_core.adaptation import Adapter
-from tpgmm_core.frame import Frame
-from tpgmm_core.gaussian import Gaussian
-from tpgmm_core.manifold import Manifold
-from tpgmm_core.mixture import GaussianMixture
-from tpgmm_core.quaternion import Array
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.gaussian import Gaussian
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.mixture import GaussianMixture
+from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.adaptation import Adapter
 from tpgmm_core.retrieval.differences import difference_weights
 from tpgmm_core.retrieval.dynamic_features import point_manifold, standing_frames
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.interpolation import interpolate
 from tpgmm_core.retrieval.smoothing import Smooth, smoothest
-from tpgmm_core.tpgmm import TPGMM
 
 WARM_TURN = 0.2
 """A course begins at its former solution where no state turned by more than this, rad: from there it finds the same."""

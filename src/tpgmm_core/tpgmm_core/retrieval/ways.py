@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any
 
-from tpgmm_core import model_file
+from tpgmm_core.common.text import shown
+from tpgmm_core.learning import model_file
 from tpgmm_core.learning.ends import GoalTPGMM
-from tpgmm_core.learning.hsmm import TPHSMM
+from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
+from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.retrieval.decay import DecayMovement
 from tpgmm_core.retrieval.dynamics import StableDynamics
 from tpgmm_core.retrieval.encodings import (
@@ -27,8 +29,6 @@ from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 from tpgmm_core.retrieval.reproduction import Reproduction
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 from tpgmm_core.retrieval.trajectory import TrajectoryCourse
-from tpgmm_core.text import shown
-from tpgmm_core.tpgmm import TPGMM
 
 KEY = "retrieval"
 """Of the way, in metadata and settings."""

@@ -12,11 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from tpgmm_core.text import listed
-
-Array = NDArray[np.float64]
+from tpgmm_core.common.text import listed
+from tpgmm_core.common.types import Array
 
 #: Of the largest one: principal inertias that are below zero by less than this are rounding.
 ROUNDING = 1e-6

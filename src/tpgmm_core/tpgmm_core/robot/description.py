@@ -28,8 +28,8 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from tpgmm_core.safe_yaml import YamlError, load_yaml
-from tpgmm_core.text import listed, one_line, shown
+from tpgmm_core.common.safe_yaml import YamlError, load_yaml
+from tpgmm_core.common.text import listed, one_line, shown
 
 PACKAGE_SCHEME = "package://"
 REQUIRED_KEYS = ("urdf", "base_frame", "joint_groups", "endpoints", "home")

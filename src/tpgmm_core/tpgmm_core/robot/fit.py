@@ -8,10 +8,11 @@ from collections.abc import Mapping
 import numpy as np
 import pinocchio as pin
 
-from tpgmm_core.robot.bodies import Array, bodies
+from tpgmm_core.common.text import listed, shown
+from tpgmm_core.common.types import Array
+from tpgmm_core.robot.bodies import bodies
 from tpgmm_core.robot.description import RobotDescription, RobotFileError
 from tpgmm_core.robot.urdf_tree import UrdfTree
-from tpgmm_core.text import listed, shown
 
 #: A joint that moves less than this (kg m^2 or kg) moves nothing, and its acceleration under a torque means nothing.
 LEAST_INERTIA = 1e-9

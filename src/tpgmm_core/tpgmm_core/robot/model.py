@@ -15,13 +15,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from tpgmm_core.common.text import listed, shown
+from tpgmm_core.common.types import Array
 from tpgmm_core.robot.description import Endpoint, RobotDescription, RobotFileError
 from tpgmm_core.robot.fit import check_inertia, check_mimics
 from tpgmm_core.robot.urdf import read_urdf
 from tpgmm_core.robot.urdf_tree import Mimic
-from tpgmm_core.text import listed, shown
-
-Array = NDArray[np.float64]
 
 # No joint of an arm has more (N m or N; rad/s or m/s): URDFs hold such numbers where nobody knew the limit.
 CREDIBLE_EFFORT = 1000.0

@@ -14,11 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.robot.model import RobotModel
-
-Array = NDArray[np.float64]
 
 # Coulomb friction f_c sgn(v) is taken as f_c v / (|v| + v_s): below this speed (rad/s or m/s) a joint creeps
 # where a real one would stick.

@@ -16,9 +16,9 @@ from xml.etree import ElementTree
 
 import pinocchio as pin
 
+from tpgmm_core.common.text import listed, one_line, shown
 from tpgmm_core.robot.description import RobotFileError
 from tpgmm_core.robot.urdf_tree import SINGLE, UrdfTree, read_tree
-from tpgmm_core.text import listed, one_line, shown
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
+from tpgmm_core.common.text import listed, one_line, shown
 from tpgmm_core.robot.description import RobotFileError, read_xml
-from tpgmm_core.text import listed, one_line, shown
 
 MAX_NAME = 200  # characters
 #: Joints of one degree of freedom.

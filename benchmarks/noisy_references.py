@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the tracker's filter makes of references to poses that tremble.
+
+`PYTHONPATH=.:test .venv/bin/python benchmarks/noisy_references.py SEED ...` prints for each way of retrieval, over the
+whole pick-and-place: standard deviations of references, of any axis, as multiples of those to exact poses; for how much
+of the time they differ by more than 10 %; and by how much the mean is off.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+from noisy_poses import BOUND, Noise, away, frames_of, lengths, rms, run, tracked_at
+from test_noisy_poses import PLACES, RATE, learned
+from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_core.retrieval.ways import WAYS
+
+STEP = 0.02
+NOISES = Noise(0.5), Noise(2.0)
+
+
+def main(seeds: list[int]) -> None:
+    print("| way | filter | standard deviations | beyond 10 % | off by |")
+    for way in WAYS:
+        model, start = learned(way)
+        exact = run(model, way, lambda _: frames_of(PLACES), start, STEP)
+        for filter_time in (0.0, TrackingConfig().filter_time):
+            poses = [tracked_at(PLACES, noise, RATE, seed, filter_time) for noise in NOISES for seed in seeds]
+            runs = [run(model, way, frames_at, start, STEP) for frames_at in poses]
+            ratio = np.array([found.deviations / exact.deviations for found in runs])
+            beyond = 100.0 * ((ratio > BOUND) | (ratio < 1.0 / BOUND)).any(axis=2).mean(axis=1)
+            off = np.array([lengths(exact.manifold, rms(away(exact, found))) for found in runs]).max(axis=0)
+            print(
+                f"| `{way}` | {filter_time:g} s | {ratio.min():.2f} to {ratio.max():.2f} times | {beyond.min():.1f} to "
+                f"{beyond.max():.1f} % | {1e3 * off[0]:.1f} mm, {np.degrees(off[1]):.2f} deg |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main([int(seed) for seed in sys.argv[1:]] or [5])

@@ -1,0 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers with one value everywhere."""
+
+from __future__ import annotations
+
+import math
+
+LOG_2PI = math.log(2.0 * math.pi)
+RANK_TOLERANCE = 1e-10  # singular values below this share of the largest count as zero
+SINGULAR = 1e-14  # a variance, given the dimensions before, that is a smaller share of the whole one is rounding

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""YAML files of strangers: read without executing anything, within limits of size and depth.
+
+Aliases are refused, since a page of them unfolds to gigabytes, and so are doubled keys, which make a file say other
+things than it seems to.
+"""
+
+from __future__ import annotations
+
+import errno
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tpgmm_core.common.text import one_line, shown
+
+MAX_BYTES = 64 * 1024
+MAX_DEPTH = 20
+"""Mappings and lists within one another. The files of this project have 3."""
+
+
+class YamlError(ValueError):
+    """A YAML file that cannot be used; the text names the file, the key, and what was expected."""
+
+
+def load_yaml(path: Path, what: str) -> Any:
+    """What a YAML file holds; `what` is what errors say was expected, such as "a task file".
+
+    Raises YamlError for a file that cannot be read, is no regular file, is too large, or is no YAML.
+    """
+    try:
+        if path.exists() and not path.is_file():  # to open a pipe would wait for its other end
+            raise OSError(errno.EINVAL, "not a regular file")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:  # ValueError: a path with a null character
+        reason = getattr(error, "strerror", None) or error
+        raise YamlError(f"{one_line(path)}: cannot be read ({one_line(reason)}); expected {what} in YAML") from None
+    if len(content) > MAX_BYTES:
+        raise YamlError(f"{one_line(path)}: is larger than {MAX_BYTES} bytes; expected {what} in YAML")
+    try:
+        return parse_yaml(content.decode("utf-8"), one_line(path))
+    except UnicodeDecodeError:
+        raise YamlError(f"{one_line(path)}: is not UTF-8 text; expected {what} in YAML") from None
+
+
+def parse_yaml(text: str, source: str) -> Any:
+    """What YAML text says: mappings, lists, texts, numbers, dates; `source` is what errors call it.
+
+    Raises YamlError where it is no YAML, is nested too deeply, or holds aliases or doubled keys.
+    """
+    try:
+        return yaml.load(text, Loader=_Loader)
+    # PyYAML lets more than YAMLError out of malformed scalars: KeyError, IndexError, AttributeError, ...
+    except Exception as error:
+        raise YamlError(f"{source}: is not a YAML file that can be read: {one_line(error, 400)}") from None
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML without aliases, without doubled keys, and of limited depth."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        mark = self.peek_event().start_mark
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.MarkedYAMLError(problem="aliases (*name) are not allowed here", problem_mark=mark)
+        self._depth += 1
+        if self._depth > MAX_DEPTH:
+            raise yaml.MarkedYAMLError(problem=f"nested more than {MAX_DEPTH} deep", problem_mark=mark)
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key_node, _ in node.value:
+            key = key_node.value
+            if isinstance(key, str) and key in seen:
+                raise yaml.MarkedYAMLError(
+                    problem=f"the key {shown(key)} stands here twice", problem_mark=key_node.start_mark
+                )
+            if isinstance(key, str):
+                seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+# YAML 1.1 reads 1e-6 as text, since it has no point; YAML 1.2 and people read a number.
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
+)

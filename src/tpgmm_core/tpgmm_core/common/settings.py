@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings with a meaning and a range: said once, checked everywhere, and shown to users as they stand here.
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SomeConfig:
+    hold_time: float = setting(2.0, 0.0, 60.0, "A lost frame keeps its confidence for this long, s")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import Field, dataclass, field, fields
+from typing import Any
+
+from tpgmm_core.common.text import listed, shown
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What is known of a number: its default, inclusive bounds, and a sentence that ends with its unit."""
+
+    default: float
+    lower: float
+    upper: float
+    description: str
+
+
+def setting(default: float, lower: float, upper: float, description: str) -> Any:
+    """A dataclass field that is a number with a range and a description."""
+    return field(default=default, metadata={"setting": Setting(default, lower, upper, description)})
+
+
+def setting_of(item: Field[Any]) -> Setting:
+    """What ``setting`` was told of a field."""
+    known: Setting = item.metadata["setting"]
+    return known
+
+
+def configured[ConfigT](config: type[ConfigT], values: Mapping[str, Any]) -> ConfigT:
+    """A dataclass of settings with some of them given by name, as files give them.
+
+    Raises:
+        ValueError: an unknown name, or a value out of its range.
+    """
+    known = [item.name for item in fields(config)]  # type: ignore[arg-type]
+    unknown = [name for name in values if name not in known]
+    if unknown:
+        raise ValueError(f"unknown settings {listed(unknown)}; known are {', '.join(known)}")
+    return config(**values)
+
+
+def check_settings(config: Any) -> None:
+    """Raises ValueError for the first setting of a dataclass that is no number or out of its range."""
+    for item in fields(config):
+        known, value = setting_of(item), getattr(config, item.name)
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not (number and known.lower <= value <= known.upper):
+            raise ValueError(
+                f"{item.name} is {shown(value)}, expected {known.lower:g} to {known.upper:g} ({known.description})"
+            )

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What of a robot file is suspicious, though it can be used; and where the robot's end points get to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from tpgmm_core.common.text import listed
+from tpgmm_core.common.types import Array
+from tpgmm_core.control.impedance import ImpedanceConfig
+from tpgmm_core.robot.bodies import bodies
+from tpgmm_core.robot.model import RobotModel
+
+#: A home that is nearer to a position limit than this share of the range leaves no room to hold the robot there.
+NEAR_LIMIT = 0.03
+#: Of its effort, what carries a joint's share of the robot at home should leave the rest to move it.
+MUCH_EFFORT = 0.7
+#: Smallest singular value of an end point's Jacobian with which it moves freely, m; turns count by a length.
+HARDLY = 0.03
+#: An error that friction alone holds back, rad or m.
+STUCK = 0.1
+
+
+def workspace(robot: RobotModel, endpoint: str, postures: int = 3000, random_state: int = 0) -> Array:
+    """Corners (2, 3) of the box around the positions that an end point has in random postures, m, in the base frame.
+
+    The joints of the end point's group take postures within their limits, the others are at home.
+    """
+    rng, data, q = np.random.default_rng(random_state), robot.create_data(), robot.home.copy()
+    joints = robot.indices(robot.endpoints[endpoint].joints)
+    lower, upper = robot.lower_limits[joints], robot.upper_limits[joints]
+    # an endless joint has been everywhere after one turn
+    lower, upper = np.where(np.isfinite(lower), lower, -np.pi), np.where(np.isfinite(upper), upper, np.pi)
+    positions = np.empty((postures, 3))
+    for i in range(postures):
+        q[joints] = rng.uniform(lower, upper)
+        data.update(q)
+        positions[i] = data.pose(endpoint)[:3]
+    return np.array([positions.min(axis=0), positions.max(axis=0)])
+
+
+def suspicions(robot: RobotModel) -> list[str]:
+    """What its author should look at, in words; empty when nothing is suspicious."""
+    return [*_of_joints(robot), *_of_bodies(robot), *_of_groups(robot), *_of_endpoints(robot), *_of_base(robot)]
+
+
+def _of_joints(robot: RobotModel) -> Iterator[str]:
+    data, home = robot.create_data(), robot.home
+    carried = np.abs(data.gravity(home)) / robot.effort_limits
+    felt = 1.0 / np.diag(np.linalg.inv(data.mass_matrix(home)))
+    stuck = robot.coulomb_friction / (felt * ImpedanceConfig().max_stiffness)
+    for i, joint in enumerate(robot.joint_names):
+        room = min(home[i] - robot.lower_limits[i], robot.upper_limits[i] - home[i])
+        if room < NEAR_LIMIT * (robot.upper_limits[i] - robot.lower_limits[i]):
+            unit = robot.unit(joint, "position")
+            yield f"home of {joint} is {room:.3g} {unit} from its limit: choose one further inside"
+        if carried[i] > MUCH_EFFORT:
+            yield f"{joint} needs {carried[i]:.0%} of its effort to hold the robot at home: are masses right?"
+        if stuck[i] > STUCK:
+            yield (
+                f"{joint} moves so little ({felt[i]:.2g} {robot.unit(joint, 'inertia')}) that its friction holds an "
+                f"error of {stuck[i]:.2g} {robot.unit(joint, 'position')}: "
+                f"give the inertia of its motor, as the joint feels it: armature: {{{joint}: {{inertia: ...}}}}"
+            )
+    without = [joint for joint, friction in zip(robot.joint_names, robot.coulomb_friction, strict=True) if not friction]
+    if without:
+        yield f"no friction of {listed(without, 40)}: what works in the simulator may stick on the robot"
+
+
+def _of_bodies(robot: RobotModel) -> Iterator[str]:
+    for body in bodies(robot.pinocchio):
+        if body.is_a_point:
+            yield f"{body}: with a mass of {body.mass:.3g} kg, is it a point? Correct <inertia> in the URDF"
+        elif not body.has_the_shape_of_a_body:
+            yield f"{body}, one of which is larger than the sum of the others: no body is like that; correct <inertia>"
+    moved = {joint for joints in robot.joint_groups.values() for joint in joints}
+    for name, mimic in robot.mimics.items():
+        if mimic.leader in moved and name not in robot.joint_names:
+            yield f"{name} mimics {mimic.leader}: here it stands still, where that puts it at home"
+
+
+def _of_groups(robot: RobotModel) -> Iterator[str]:
+    grouped = {joint for joints in robot.joint_groups.values() for joint in joints}
+    if others := [joint for joint in robot.joint_names if joint not in grouped]:
+        yield (
+            f"{listed(others, 40)}: in no group, so they are held where they are found; lock them if something else "
+            "drives them (locked: ...)"
+        )
+
+
+def _of_endpoints(robot: RobotModel) -> Iterator[str]:
+    data, length = robot.create_data(), ImpedanceConfig().characteristic_length
+    data.update(robot.home)
+    for name, end in robot.endpoints.items():
+        group = robot.joint_groups[end.joints]
+        frame = robot.pinocchio.frames[robot.endpoint_frame_ids[name]]
+        movers = [robot.joint_names[i - 1] for i in robot.pinocchio.supports[frame.parentJoint] if i > 0]
+        if idle := [joint for joint in group if joint not in movers]:
+            yield f"end point {name}: {listed(idle)} of its group do not move it"
+        if foreign := [joint for joint in movers if joint not in group]:
+            yield f"end point {name}: {listed(foreign)} move it too, and are held"
+        if len(group) < 6:
+            yield f"end point {name}: {len(group)} joints cannot give it every pose; 6 or more can"
+            continue
+        J = data.jacobian(name)[:, robot.indices(end.joints)] * np.repeat([1.0, length], 3)[:, None]
+        least = np.linalg.svd(J, compute_uv=False)[-1]
+        if least < HARDLY:
+            yield f"end point {name}: at home it can hardly move in some direction ({least:.2g} m/rad): bend the arm"
+
+
+def _of_base(robot: RobotModel) -> Iterator[str]:
+    gravity = robot.world_to_base.rotation @ robot.pinocchio.gravity.linear
+    if not np.allclose(gravity, [0.0, 0.0, -9.81], atol=0.05):
+        x, y, z = gravity
+        yield f"gravity is {x:.2f}, {y:.2f}, {z:.2f} m/s^2 in the base frame, not along -z: is the robot mounted so?"

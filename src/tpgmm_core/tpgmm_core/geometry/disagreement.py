@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`disagreement`: where Gaussians contradict each other so much that they have no product, in words."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+
+from tpgmm_core.common.text import shown
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import Manifold, Sphere
+
+FAR = 3.0
+"""Standard deviations: orientations that are nearer do not contradict each other by themselves."""
+
+
+class Located(Protocol):
+    """What is asked of a Gaussian here, so that `gaussian.py` can ask for the words."""
+
+    @property
+    def mean(self) -> Array:
+        """A point of the manifold, (D,)."""
+
+    @property
+    def covariance(self) -> Array:
+        """In the tangent space at the mean, (n, n)."""
+
+    @property
+    def manifold(self) -> Manifold:
+        """Where the mean lies."""
+
+
+def disagreement(gaussians: Mapping[str, Located]) -> str:
+    """Which two of the Gaussians are farthest apart, in what, and how far that is beside what they know.
+
+    What was learned of how place and turn go together is linear. Far from where it was learned it asks for more than a
+    whole turn, so that orientations have no product though they would agree where the places did.
+
+    Parameters
+    ----------
+    gaussians : by names that the text calls them by, at least two, on one manifold with S³ factors
+    """
+    found: tuple[float, str] = (-1.0, "")
+    for (first, a), (second, b) in itertools.combinations(gaussians.items(), 2):
+        manifold = a.manifold
+        step, spread = manifold.log(a.mean, b.mean), a.covariance + b.covariance
+        for sphere in manifold.spheres:
+            between = _between(first, second, step, spread, manifold, sphere)
+            found = between if between[0] > found[0] else found
+    return f"they contradict each other: {found[1]}"
+
+
+def no_product(what: str, views: Mapping[str, Located]) -> ValueError:
+    """The error of a product that did not converge.
+
+    Parameters
+    ----------
+    what : whose product it is
+    views : what the frames say of it, in the common frame
+    """
+    return ValueError(
+        f"the frames do not agree on {what}; {disagreement(views)}. Bring the frames closer to demonstrated "
+        "situations, or trust some of them less (weights)"
+    )
+
+
+def _between(
+    first: str, second: str, step: Array, spread: Array, manifold: Manifold, sphere: Sphere
+) -> tuple[float, str]:
+    """How many standard deviations two poses are apart, and words for it."""
+    turn = sphere.tangent
+    place = slice(turn.start - 3, turn.start)
+    has_place = turn.start >= 3 and set(range(place.start, place.stop)) <= set(manifold.flat_tangent.tolist())
+    turned, far_turned = np.degrees(np.linalg.norm(step[turn])), _deviations(step[turn], spread[turn, turn])
+    both = f"what {shown(first)} and {shown(second)} expect"
+    words = f"{both} is turned by {turned:.3g} deg, {far_turned:.1f} standard deviations of what was learned"
+    if not has_place:
+        return far_turned, words
+    apart, far = np.linalg.norm(step[place]), _deviations(step[place], spread[place, place])
+    if far <= far_turned:
+        return far_turned, words
+    words = (
+        f"{both} lies {apart:.3g} m apart, {far:.1f} standard deviations of what was learned; over such a "
+        "distance, what was learned of how place and turn go together asks for turns that cannot be"
+    )
+    if far_turned > FAR:
+        words += f" (it is turned by {turned:.3g} deg besides)"
+    return far, words
+
+
+def _deviations(step: Array, covariance: Array) -> float:
+    return float(np.sqrt(max(0.0, float(step @ np.linalg.pinv(covariance, hermitian=True) @ step))))

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Moments of a mixture of conditional Gaussians, compiled: the last step of `kernels_condition.condition`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import compiled, quaternion_difference, rotation, turn
+from tpgmm_core.geometry.kernels_product import MAX_STEPS, along, difference, longest, move
+
+NEGLIGIBLE = 1e-20  # components with a smaller activation add nothing
+MEAN_TOLERANCE = 1e-13  # the weighted mean on S³ stops at steps shorter than this, in rad
+NEAR = math.cos(0.25 * math.pi)  # scalar product of quaternions that are a turn of pi / 2 apart
+
+
+@compiled
+def match_one(
+    h: Array, z: Array, means: Array, slopes: Array, within: Array, steps: Array, out_means: Array,
+    out_covariances: Array,
+) -> None:  # fmt: skip
+    """`match_flat` for one value, without what it takes to have several side by side."""
+    K, n_i, n = slopes.shape
+    for o in range(n):
+        mean = 0.0
+        for k in range(K):
+            x = means[k, o]
+            for i in range(n_i):
+                x += slopes[k, i, o] * z[k, i, 0]
+            steps[k, o, 0] = x
+            mean += h[k, 0] * x
+        out_means[0, o] = mean
+        for m in range(o + 1):
+            out_covariances[0, o, m] = 0.0
+    for k in range(K):
+        w = h[k, 0]
+        if w < NEGLIGIBLE:
+            continue
+        for o in range(n):
+            steps[k, o, 0] -= out_means[0, o]
+            f = w * steps[k, o, 0]
+            for m in range(o + 1):
+                out_covariances[0, o, m] += w * within[k, o, m] + f * steps[k, m, 0]
+    for o in range(n):
+        for m in range(o):
+            out_covariances[0, m, o] = out_covariances[0, o, m]
+
+
+@compiled
+def match_flat(
+    active: Array, h: Array, means: Array, steps: Array, within: Array, weight: Array, moments: Array,
+    out_means: Array, out_covariances: Array,
+) -> None:  # fmt: skip
+    """Moments on R^n of the active ones of K Gaussians at means (K, n) + steps (K, n, T), weighted by h (K, T), side by
+    side. steps are overwritten; weight (T,) and moments are scratch.
+    """
+    n, size = means.shape[1], len(out_means)
+    S, d = moments[n:], steps
+    moments[:] = 0.0
+    for o in range(n):
+        for k, begin, end in active:
+            x, mean, w, m = steps[k, o, begin:end], moments[o, begin:end], h[k, begin:end], means[k, o]
+            for c in range(len(x)):
+                x[c] += m
+                mean[c] += w[c] * x[c]
+        for k, begin, end in active:
+            x, mean = steps[k, o, begin:end], moments[o, begin:end]
+            for c in range(len(x)):
+                x[c] -= mean[c]
+    for k, begin, end in active:
+        w, row = h[k, begin:end], 0
+        weighted = weight[: end - begin]
+        for o in range(n):
+            e = d[k, o, begin:end]
+            for c in range(len(e)):
+                weighted[c] = w[c] * e[c]
+            for m in range(o + 1):
+                total, f, C = S[row, begin:end], d[k, m, begin:end], within[k, o, m]
+                for c in range(len(e)):
+                    total[c] += w[c] * C + weighted[c] * f[c]
+                row += 1
+    row = 0
+    for o in range(n):
+        for c in range(size):
+            out_means[c, o] = moments[o, c]
+        for m in range(o + 1):
+            for c in range(size):
+                out_covariances[c, o, m] = S[row, c]
+                out_covariances[c, m, o] = S[row, c]
+            row += 1
+
+
+@compiled
+def match_curved(
+    h: Array, means: Array, steps: Array, within: Array, flat: Array, spheres: Array, mean: Array, covariance: Array
+) -> None:
+    """Moments of those of K Gaussians that are not negligible, reached from means (K, D) along steps (K, n), weighted
+    by h (K,), where there are S³ factors.
+    """
+    n = len(flat)
+    conditionals, e, step = means.copy(), np.empty((len(means), n)), np.empty(n)
+    active, n_active, likeliest = np.empty(len(h), dtype=np.int64), 0, 0
+    for k in range(len(h)):
+        if h[k] < NEGLIGIBLE:
+            continue
+        active[n_active] = k
+        n_active += 1
+        for i in range(n):
+            step[i] = steps[k, i]
+        move(conditionals[k], step, flat, spheres)
+        if h[k] > h[likeliest]:
+            likeliest = k
+    active = active[:n_active]
+    mean[:] = conditionals[likeliest]
+    for s in range(len(spheres)):
+        a = spheres[s, 0]
+        is_far = False
+        for j in active:
+            if abs(along(conditionals[j], mean, a)) < NEAR:
+                is_far = True
+        if is_far:  # there may be several means: the main axis of q q^T does not depend on signs, and lies near one
+            moments = np.zeros((4, 4))
+            for j in active:
+                for i in range(4):
+                    for m in range(4):
+                        moments[i, m] += h[j] * conditionals[j, a + i] * conditionals[j, a + m]
+            mean[a : a + 4] = np.linalg.eigh(moments)[1][:, 3]
+    for _ in range(MAX_STEPS):
+        step[:] = 0.0
+        for j in active:
+            difference(conditionals[j], mean, flat, spheres, e[j])
+            for i in range(n):
+                step[i] += h[j] * e[j, i]
+        move(mean, step, flat, spheres)
+        if longest(step) < MEAN_TOLERANCE:
+            break
+    covariance[:] = 0.0
+    C, R, q = np.empty((n, n)), np.empty((3, 3)), np.empty(4)
+    for j in active:
+        difference(conditionals[j], mean, flat, spheres, e[j])
+        C[:] = within[j]
+        for s in range(len(spheres)):
+            a, t = spheres[s]
+            # half the shortest turn from the component's mean to its conditional one, and from there to the mixture's
+            x, y, z = quaternion_difference(
+                conditionals[j, a], conditionals[j, a + 1], conditionals[j, a + 2], conditionals[j, a + 3],
+                means[j, a], means[j, a + 1], means[j, a + 2], means[j, a + 3],
+            )  # fmt: skip
+            q[:] = 0.0
+            q[3] = 1.0
+            turn(q, 0.5 * x, 0.5 * y, 0.5 * z)
+            turn(q, -0.5 * e[j, t], -0.5 * e[j, t + 1], -0.5 * e[j, t + 2])
+            rotation(q[0], q[1], q[2], q[3], R)
+            rotate(C, t, R)
+        for i in range(n):
+            for m in range(i + 1):
+                covariance[i, m] += h[j] * (C[i, m] + e[j, i] * e[j, m])
+    for i in range(n):
+        for m in range(i):
+            covariance[m, i] = covariance[i, m]
+
+
+@compiled
+def rotate(C: Array, t: int, R: Array) -> None:
+    """C ← R C R^T for the three dimensions from t on."""
+    n = len(C)
+    for i in range(n):
+        c0, c1, c2 = C[i, t], C[i, t + 1], C[i, t + 2]
+        for m in range(3):
+            C[i, t + m] = R[m, 0] * c0 + R[m, 1] * c1 + R[m, 2] * c2
+    for i in range(n):
+        c0, c1, c2 = C[t, i], C[t + 1, i], C[t + 2, i]
+        for m in range(3):
+            C[t + m, i] = R[m, 0] * c0 + R[m, 1] * c1 + R[m, 2] * c2

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`GaussianMixture`: what a TP-GMM becomes in one situation, and regression on it (GMR)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Self, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.gaussian import Gaussian, Gaussians
+from tpgmm_core.geometry.manifold import Manifold
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GaussianMixture:
+    """Mixture of K Gaussians.
+
+    Parameters
+    ----------
+    priors : shape (K,), positive, summing to 1
+    means : shape (K, D), ambient coordinates
+    covariances : shape (K, D_tangent, D_tangent), each in the tangent space at its mean
+    manifold : the space; None means R^D
+
+    Raises ValueError for shapes that do not fit.
+    """
+
+    priors: Array
+    means: Array
+    covariances: Array
+    manifold: Manifold
+
+    def __init__(
+        self, priors: ArrayLike, means: ArrayLike, covariances: ArrayLike, manifold: Manifold | None = None
+    ) -> None:
+        priors, means = np.asarray(priors, dtype=float), np.asarray(means, dtype=float)
+        covariances = np.asarray(covariances, dtype=float)
+        if means.ndim != 2:
+            raise ValueError(f"the means of a mixture have shape (K, D), got {means.shape}")
+        manifold = Manifold.euclidean(means.shape[1]) if manifold is None else manifold
+        K, n = len(means), manifold.tangent_dim
+        if priors.shape != (K,) or means.shape != (K, manifold.dim) or covariances.shape != (K, n, n):
+            raise ValueError(
+                f"a mixture on {manifold} has priors ({K},), means ({K}, {manifold.dim}) and covariances "
+                f"({K}, {n}, {n}), got {priors.shape}, {means.shape} and {covariances.shape}"
+            )
+        object.__setattr__(self, "priors", priors)
+        object.__setattr__(self, "means", means)
+        object.__setattr__(self, "covariances", covariances)
+        object.__setattr__(self, "manifold", manifold)
+
+    def component(self, k: int) -> Gaussian:
+        """The k-th Gaussian, without its prior."""
+        return Gaussian(self.means[k], self.covariances[k], self.manifold)
+
+    @classmethod
+    def _made(cls, priors: Array, means: Array, covariances: Array, manifold: Manifold) -> Self:
+        """Of arrays that fit, and that nobody else holds."""
+        made = object.__new__(cls)
+        set_priors(made, priors)
+        set_means(made, means)
+        set_covariances(made, covariances)
+        set_manifold(made, manifold)
+        return made
+
+    def responsibilities(self, dims: Sequence[int], values: ArrayLike) -> Array:
+        """How much each component accounts for `values` (..., len(dims)) of the dimensions `dims`: (K, ...).
+
+        Computed in logarithms; sums to 1 over the components also far from all of them.
+        """
+        log_joint = self._log_joint(dims, values)
+        joint = np.exp(log_joint - log_joint.max(axis=0))
+        return joint / joint.sum(axis=0)
+
+    def log_density(self, x: ArrayLike) -> Array:
+        """Logarithm of the density (...,) at points x (..., D)."""
+        log_joint = self._log_joint(range(self.manifold.dim), x)
+        top = log_joint.max(axis=0)
+        return np.asarray(top + np.log(np.exp(log_joint - top).sum(axis=0)))
+
+    def _log_joint(self, dims: Sequence[int], values: ArrayLike) -> Array:
+        densities = [self.component(k).marginal(dims).log_density(values) for k in range(len(self.priors))]
+        log_priors = np.log(np.maximum(self.priors, np.finfo(float).tiny))
+        return np.stack([p + d for p, d in zip(log_priors, densities, strict=True)])
+
+    @overload
+    def condition(self, dims: Sequence[int], values: Sequence[float]) -> Gaussian: ...
+
+    @overload
+    def condition(self, dims: Sequence[int], values: ArrayLike) -> Gaussian | Gaussians: ...
+
+    def condition(self, dims: Sequence[int], values: ArrayLike) -> Gaussian | Gaussians:
+        """Gaussian mixture regression: the other dimensions, given values of the ambient dimensions `dims`.
+
+        The Gaussian has the first two moments of the conditional mixture. On S³ its mean is where the
+        weighted tangent vectors to the components' means cancel out, and their covariances are moved there
+        by parallel transport. Compiled; components whose share is below 1e-20 are left out.
+
+        Parameters
+        ----------
+        dims : distinct ambient dimensions; the four numbers of a quaternion go together
+        values : shape (len(dims),) for one Gaussian, or (T, len(dims)) for T at once, such as `times[:, None]`
+
+        Returns
+        -------
+        The `Gaussian` of the other dimensions, in their order; `Gaussians`, a sequence of T, for values (T, len(dims))
+
+        Raises
+        ------
+        ValueError
+            for dimensions and values that do not fit, values that are not finite or beyond all numbers away, and a
+            component whose covariance of the dimensions `dims` is singular
+        """
+        parts = self.manifold.split(tuple(dims))
+        given = np.array(values, float, order="C")  # a copy: of one type for the compiled code, whatever comes
+        D, free = parts.given.dim, parts.free
+        is_one = given.shape == (D,)
+        if is_one:
+            given = given.reshape(1, D)
+        elif given.ndim != 2 or given.shape[1] != D:
+            raise ValueError(
+                f"values of {D} dimensions have shape ({D},), or (T, {D}) for several at once, got {given.shape}"
+                + (": write values[:, None] for T values of one dimension" if D == 1 and given.ndim == 1 else "")
+            )
+        priors, means, covariances = self.priors, self.means, self.covariances
+        if not (priors.flags.carray and means.flags.carray and covariances.flags.carray):
+            # read-only and strided arrays would each be compiled for anew
+            priors, means, covariances = priors.copy(), means.copy(), covariances.copy()
+        T, n = len(given), free.tangent_dim
+        out_means, out_covariances = np.empty((T, free.dim)), np.empty((T, n, n))
+        failed = kernel()(priors, means, covariances, parts.plan, given, out_means, out_covariances, NOT_WANTED)
+        if failed != -1:
+            raise ValueError(_refusal(failed, dims, values))
+        if is_one:
+            return Gaussian._made(out_means[0], out_covariances[0], free)
+        out_means.setflags(write=False)
+        out_covariances.setflags(write=False)
+        return Gaussians(out_means, out_covariances, free)
+
+
+# the setters that a frozen class does not give away
+set_priors, set_means, set_covariances, set_manifold = (
+    vars(GaussianMixture)[name].__set__ for name in ("priors", "means", "covariances", "manifold")
+)
+
+
+@cache
+def kernel() -> Any:
+    """`kernels_condition.condition`, read when first asked for: most programs that import the core never do."""
+    from tpgmm_core.geometry.kernels_condition import condition
+
+    return condition
+
+
+NOT_WANTED: Array = np.empty((0, 0))  # activations
+
+
+def _refusal(failed: int, dims: Sequence[int], values: ArrayLike) -> str:
+    """What to say of what `kernels_condition.condition` returned."""
+    from tpgmm_core.geometry import kernels_condition
+
+    if failed == kernels_condition.NOT_FINITE:
+        return f"values must be finite, got {values!r}"
+    if failed == kernels_condition.TOO_FAR:
+        return f"the values {values!r} are so far from all components that no number says how far"
+    return (
+        f"the covariance of component {failed} is not positive definite in the dimensions {list(dims)}: "
+        "fit with a larger reg_covar"
+    )

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Deep mixtures of factor analyzers (Tang, Salakhutdinov and Hinton 2012): how their covariances are kept.
+
+The prior N(0, I) of the factors of each first-level component c is replaced by a mixture of factor analyzers of
+its own: x = mu_c + Lambda_c z + noise, z ~ sum_s pi_s N(nu_s, L_s). A component of the deep model is a pair (c, s),
+with mean mu_c + Lambda_c nu_s and covariance Lambda_c L_s Lambda_c^T + Psi_c. L_s may have the same form again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.learning.covariance.factor_analyzers import FactorAnalyzers
+from tpgmm_core.learning.covariance.low_rank import LowRankCovariances, n_loadings
+from tpgmm_core.learning.covariance.structure import Structure
+
+
+@dataclass(frozen=True, eq=False)
+class DeepFactorAnalyzers(LowRankCovariances):
+    """Sigma_k = base_k L_k base_k^T + diag(noise_k), where base and noise are those of the component's parent.
+
+    loadings : shape (K, n, d), base_k times a root of L_k; base : shape (K, n, d), equal for siblings, which
+    follow one another; latent : the K covariances L_k (d, d); n_parents : components of the layer below
+
+    The M-step moves L_k, and the means within the range of base_k; base and noise stay as the layer below
+    learned them.
+    """
+
+    base: Array
+    latent: FactorAnalyzers | DeepFactorAnalyzers
+    n_parents: int
+
+    @classmethod
+    def assembled(
+        cls,
+        structure: Structure,
+        base: Array,
+        noise: Array,
+        latent: FactorAnalyzers | DeepFactorAnalyzers,
+        n_parents: int,
+    ) -> Self:
+        """From its parts; see the class."""
+        return cls(structure, base @ np.linalg.cholesky(latent.dense()), noise, base, latent, n_parents)
+
+    @classmethod
+    def start(cls, structure: Structure, counts: Array, scatters: Array) -> Self:
+        raise ValueError('"deep_mfa" is learned layer by layer, from "mfa": see fit_deep_mixture')
+
+    def maximised(self, counts: Array, scatters: Array) -> Self:
+        R = self._latent_regressions
+        latent_scatters = self.latent.dense() - R @ self.base @ self.latent.dense()
+        latent_scatters = latent_scatters + R @ scatters @ np.swapaxes(R, 1, 2)
+        latent_scatters = 0.5 * (latent_scatters + np.swapaxes(latent_scatters, 1, 2))
+        latent = self.latent.maximised(counts, latent_scatters)
+        return self.assembled(self.structure, self.base, self.noise, latent, self.n_parents)
+
+    def mean_steps(self, steps: Array) -> Array:
+        expected = np.einsum("kdn,kn->kd", self._latent_regressions, steps)
+        return np.einsum("knd,kd->kn", self.base, self.latent.mean_steps(expected))
+
+    @cached_property
+    def _latent_regressions(self) -> Array:
+        """L base^T Sigma^-1, (K, d, n): the expectation of z - nu, given x - mu."""
+        return self.latent.dense() @ self.regressions_of(self.base)
+
+    @property
+    def top_loadings(self) -> Array:
+        return self.base @ self.latent.top_loadings
+
+    @classmethod
+    def from_arrays(cls, structure: Structure, arrays: Mapping[str, Array]) -> Self:
+        own = {name: array for name, array in arrays.items() if not name.startswith("latent_")}
+        inner = {name.removeprefix("latent_"): array for name, array in arrays.items() if name not in own}
+        base, noise, n_parents = own["base"], own["noise"], own["n_parents"]
+        kind = DeepFactorAnalyzers if "base" in inner else FactorAnalyzers
+        latent = kind.from_arrays(structure, inner)
+        K = len(base)
+        is_whole = n_parents.shape == (1,) and 1 <= n_parents[0] <= K and K % n_parents[0] == 0
+        if base.ndim != 3 or noise.shape != base.shape[:2] or latent.shape != base.shape[::2] or not is_whole:
+            raise ValueError(
+                f"base (K, n, d), noise (K, n) and latent covariances (K, d) of K / n_parents siblings each, got "
+                f"{base.shape}, {noise.shape}, {latent.shape} and n_parents = {n_parents}"
+            )
+        return cls.assembled(structure, base, noise, latent, int(n_parents[0]))
+
+    def arrays(self) -> dict[str, Array]:
+        inner = {f"latent_{name}": array for name, array in self.latent.arrays().items()}
+        return {"base": self.base, "noise": self.noise, "n_parents": np.array([float(self.n_parents)]), **inner}
+
+    @property
+    def n_parameters(self) -> int:
+        """Of the parents' loadings and noise, and of the latent covariances."""
+        n, d = self.base.shape[1:]
+        return self.n_parents * (n_loadings(n, d) + n) + self.latent.n_parameters
+
+    @property
+    def n_mean_parameters(self) -> int:
+        return self.n_parents * self.shape[1] + self.latent.n_mean_parameters
+
+
+def divided(
+    covariances: FactorAnalyzers | DeepFactorAnalyzers, structure: Structure, n_parts: int, top: FactorAnalyzers
+) -> DeepFactorAnalyzers:
+    """Each component in `n_parts`, whose topmost factors have the covariances `top` (of K n_parts) instead of I."""
+    K = covariances.shape[0]
+    noise = np.repeat(covariances.noise, n_parts, axis=0)
+    if isinstance(covariances, DeepFactorAnalyzers):
+        base, latent = covariances.base, divided(covariances.latent, structure, n_parts, top)
+        return DeepFactorAnalyzers.assembled(
+            structure, np.repeat(base, n_parts, axis=0), noise, latent, covariances.n_parents
+        )
+    return DeepFactorAnalyzers.assembled(structure, np.repeat(covariances.loadings, n_parts, axis=0), noise, top, K)

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Semi-tied covariances: one basis for all components, and a diagonal for each (Gales 1999)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from scipy.linalg import eigh
+
+from tpgmm_core.common.constants import SINGULAR
+from tpgmm_core.common.types import Array
+from tpgmm_core.learning.covariance.classical import inverse_factor, not_definite
+from tpgmm_core.learning.covariance.structure import Covariances, Structure
+
+SWEEPS = 3
+"""Updates of all rows, and then of the diagonals, in each M-step of the mixture."""
+
+
+@dataclass(frozen=True, eq=False)
+class SemiTiedCovariances(Covariances):
+    """Sigma_k = H diag(variances_k) H^T; the columns of H are synergies that all components share.
+
+    Kept as transform A = H^-1, shape (n, n), in whose coordinates every component is diagonal, with
+    variances, shape (K, n). The paper's "tied structures ... reuse of previously acquired synergies".
+    """
+
+    structure: Structure
+    transform: Array
+    variances: Array
+    arrays_of = ("transform", "variances")
+
+    def __post_init__(self) -> None:
+        _check_variances(self.variances)
+
+    @classmethod
+    def start(cls, structure: Structure, counts: Array, scatters: Array) -> Self:
+        """From the axes that make two pooled scatters diagonal at once, those of half of the components each
+        where there are several: exact for two components."""
+        halves = [counts[::2] @ scatters[::2].reshape(-1, scatters[0].size)]
+        halves.append(counts @ scatters.reshape(-1, scatters[0].size))
+        one, both = (half.reshape(scatters[0].shape) / counts.sum() for half in halves)
+        _check_definite(both, scatters)
+        A = eigh(one, both)[1].T
+        return cls(structure, A, _diagonals(A, scatters))
+
+    def maximised(self, counts: Array, scatters: Array) -> Self:
+        A, variances = self.transform, self.variances
+        _check_definite(np.einsum("k,kij->ij", counts, scatters), scatters)
+        for _ in range(SWEEPS):
+            A = _rows_updated(A, variances, counts, scatters)
+            variances = _diagonals(A, scatters)
+            _check_variances(variances)
+        return type(self)(self.structure, A, variances)
+
+    @classmethod
+    def from_arrays(cls, structure: Structure, arrays: Mapping[str, Array]) -> Self:
+        A, variances = arrays["transform"], arrays["variances"]
+        if variances.ndim != 2 or A.shape != (variances.shape[1],) * 2 or np.linalg.matrix_rank(A) < len(A):
+            raise ValueError(
+                f"the transform is a regular matrix (n, n) and variances have shape (K, n), got {A.shape} and "
+                f"{variances.shape}"
+            )
+        return cls(structure, A, variances)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        K, n = self.variances.shape
+        return K, n
+
+    @cached_property
+    def basis(self) -> Array:
+        """H = A^-1, (n, n)."""
+        return np.linalg.inv(self.transform)
+
+    @cached_property
+    def log_determinants(self) -> Array:
+        return np.asarray(np.log(self.variances).sum(axis=1) - 2.0 * np.linalg.slogdet(self.transform)[1])
+
+    def squared_distances(self, k: int, d: Array) -> Array:
+        y = d @ self.transform.T
+        return np.asarray((y * y) @ (1.0 / self.variances[k]))
+
+    def dense(self) -> Array:
+        return (self.basis * self.variances[:, None, :]) @ self.basis.T
+
+    def inverse_traces(self) -> Array:
+        return np.asarray((1.0 / self.variances) @ (self.transform**2).sum(axis=1))
+
+    @property
+    def n_parameters(self) -> int:
+        """The scale of the rows of A is free: n (n - 1) + K n; one or two components are as good as full."""
+        K, n = self.shape
+        return min(n * (n - 1) + K * n, K * n * (n + 1) // 2)
+
+
+def _check_variances(variances: Array) -> None:
+    """Raise ValueError for a component that is, but for rounding, a point along some axis."""
+    if not np.all(variances > SINGULAR * variances.max(axis=0)):
+        raise not_definite(int(np.argmin(variances.min(axis=1))))
+
+
+def _check_definite(pooled: Array, scatters: Array) -> None:
+    """Raise ValueError where all components together lie in a subspace; one alone may."""
+    inverse_factor(pooled, int(np.argmin(np.linalg.eigvalsh(scatters)[:, 0])))
+
+
+def _diagonals(A: Array, scatters: Array) -> Array:
+    """diag(A S_k A^T), (K, n)."""
+    return np.einsum("kij,ij->ki", A @ scatters, A)
+
+
+def _rows_updated(A: Array, variances: Array, counts: Array, scatters: Array) -> Array:
+    """Each row of A in turn where the likelihood is largest, the others fixed (Gales 1999, Eq. 22).
+
+    a_i = c G_i^-1 sqrt(sum_k counts_k / (c G_i^-1 c^T)), G_i = sum_k counts_k / variances_ki S_k, c the cofactors of
+    row i. Column i of A^-1 is c / |A|, and the scale of c cancels.
+    """
+    A, H = A.copy(), np.linalg.inv(A)
+    total = counts.sum()
+    flat = scatters.reshape(len(scatters), -1)
+    for i in range(len(A)):
+        G = ((counts / variances[:, i]) @ flat).reshape(A.shape)
+        row = np.linalg.solve(G, H[:, i])
+        row *= np.sqrt(total / (H[:, i] @ row))
+        change = row - A[i]
+        H -= np.outer(H[:, i], change @ H) / (1.0 + change @ H[:, i])  # Sherman-Morrison
+        A[i] = row
+    return A

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""EM over frames (Section 3): stacks samples and parameters for the compiled iteration, and decides when to stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.learning.estimation import kernels_em
+from tpgmm_core.model.samples import Samples
+
+__all__ = ["MIN_ITERATIONS", "Estimate", "Parameters", "Progress", "Samples", "Workspace", "expectation_maximisation"]
+
+MIN_ITERATIONS = 5  # the gain of the first iterations may be small on a plateau
+
+Progress = Callable[[int, float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parameters:
+    """Parameters of a TP-GMM: priors (K,), and name → means (K, D_j), covariances (K, n_j, n_j)."""
+
+    priors: Array
+    means: Mapping[str, Array]
+    covariances: Mapping[str, Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """Result of EM, with the course of the log-likelihood and of the objective, per sample, over the iterations."""
+
+    parameters: Parameters
+    log_likelihoods: Array
+    objectives: Array
+    converged: bool
+
+
+def expectation_maximisation(
+    samples: Samples,
+    start: Parameters,
+    *,
+    reg_covar: float,
+    regularization: str,
+    tol: float,
+    max_iter: int,
+    progress: Progress | None = None,
+) -> Estimate:
+    """EM from `start` until an iteration gains less than `tol`, at the earliest after 5 iterations.
+
+    regularization "add": reg_covar I is added to every covariance, and the objective is the log-likelihood
+    (which then may fall in its last digits). "prior": a prior exp(-1/2 tr(Psi Sigma^-1)) with Psi =
+    reg_covar N / K I on every covariance, which counts like reg_covar I for a component with its share N /
+    K of the samples; the objective is the penalised log-likelihood, and never falls on Euclidean data. On
+    S³ the M-step takes the mean of the tangent vectors, which is the maximum for isotropic rotations and
+    close to it otherwise.
+
+    Raises ValueError when a covariance loses its definiteness.
+    """
+    state = Workspace(samples, start)
+    K = len(start.priors)
+    added = reg_covar if regularization == "add" else 0.0
+    prior_scatter = 0.0 if regularization == "add" else reg_covar * samples.n_samples / K
+    log_likelihoods: list[float] = []
+    objectives: list[float] = []
+    converged = False
+    state.factorise()
+    for iteration in range(1, max_iter + 1):
+        log_likelihood, objective, failed = state.iterate(added, prior_scatter)
+        state.check(failed)
+        log_likelihoods.append(log_likelihood)
+        objectives.append(objective)
+        if progress is not None:
+            progress(iteration, log_likelihood)
+        if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < tol:
+            converged = True
+            break
+    return Estimate(state.parameters(), np.array(log_likelihoods), np.array(objectives), converged)
+
+
+class Workspace:
+    """Samples and parameters in the arrangement of `kernels_em`, for whatever iterates over them."""
+
+    def __init__(self, samples: Samples, start: Parameters) -> None:
+        self.names = list(samples.X)
+        self.manifolds = [samples.manifolds[name] for name in self.names]
+        P, K, N = len(self.names), len(start.priors), samples.n_samples
+        n = max(manifold.tangent_dim for manifold in self.manifolds)
+        self.X = np.ascontiguousarray(np.concatenate([samples.X[name].T for name in self.names]))
+        self.seen = samples.seen.astype(float)
+        rows = np.cumsum([0] + [manifold.dim for manifold in self.manifolds])
+        self.layout = np.array([[row, m.tangent_dim] for row, m in zip(rows, self.manifolds, strict=False)])
+        self.flat = np.full((P, n), -1)
+        spheres = []
+        for j, manifold in enumerate(self.manifolds):
+            self.flat[j, : manifold.tangent_dim] = manifold.ambient_of_tangent
+            spheres += [[j, *start] for start in manifold.sphere_starts]
+        self.spheres = np.array(spheres, dtype=np.int64).reshape(-1, 3)
+        self.log_priors = np.log(np.maximum(start.priors, np.finfo(float).tiny))
+        self.means = np.concatenate([start.means[name] for name in self.names], axis=1)
+        self.covariances = np.zeros((P, K, n, n))
+        for j, name in enumerate(self.names):
+            size = self.layout[j, 1]
+            self.covariances[j, :, :size, :size] = start.covariances[name]
+        self.factors = np.zeros((P, K, n, n))
+        self.log_norms = np.zeros((P, K))
+        self.counts = np.zeros((P + 1, K))
+        self.first = np.zeros((P, K, n))
+        self.second = np.zeros((P, K, n, n))
+        self.responsibilities = np.zeros((K, N) if spheres else (0, 0))
+
+    def iterate(self, added: float, prior_scatter: float) -> tuple[float, float, int]:
+        result: tuple[float, float, int] = kernels_em.em_iteration(
+            self.X, self.seen, self.layout, self.flat, self.spheres, self.log_priors, self.means,
+            self.covariances, self.factors, self.log_norms, self.counts, self.first, self.second,
+            self.responsibilities, added, prior_scatter,
+        )  # fmt: skip
+        return result
+
+    def expectation(self) -> float:
+        """The E-step alone, with the factors and normalisations as they are: the sum of the log-likelihoods."""
+        result: float = kernels_em.expectation(
+            self.X, self.seen, self.layout, self.flat, self.spheres, self.log_priors, self.means,
+            self.factors, self.log_norms, self.counts, self.first, self.second, self.responsibilities,
+        )  # fmt: skip
+        return result
+
+    def factorise(self) -> None:
+        """Factors and normalisations of the covariances. Raises ValueError for one that is not definite."""
+        self.check(kernels_em.factorise(self.layout, self.covariances, self.factors, self.log_norms))
+
+    def check(self, failed: int) -> None:
+        """Raise for what `kernels_em.factorise` found."""
+        if failed >= 0:
+            j, k = divmod(failed, len(self.log_priors))
+            raise ValueError(
+                f"the covariance of component {k} in frame {self.names[j]!r} is not positive definite: "
+                "its samples lie in a subspace; give a larger reg_covar, or take fewer components"
+            )
+
+    def parameters(self) -> Parameters:
+        priors = np.exp(self.log_priors)
+        means, covariances = {}, {}
+        for j, (name, manifold) in enumerate(zip(self.names, self.manifolds, strict=True)):
+            row, n = self.layout[j]
+            means[name] = self.means[:, row : row + manifold.dim].copy()
+            covariances[name] = self.covariances[j, :, :n, :n].copy()
+        return Parameters(priors / priors.sum(), means, covariances)

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""EM of a mixture over `Emissions`: any covariance structure, with the rules of `compiled_em`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.learning.estimation.compiled_em import MIN_ITERATIONS, Estimate, Parameters, Progress, Samples
+from tpgmm_core.learning.estimation.compiled_moments import CompiledMoments
+from tpgmm_core.learning.estimation.emissions import Emissions, Moments
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MixtureEstimate:
+    """Result of EM: priors (K,), components, and the course of the log-likelihood and objective per sample."""
+
+    priors: Array
+    emissions: Emissions
+    log_likelihoods: Array
+    objectives: Array
+    converged: bool
+
+    def with_dense_covariances(self) -> Estimate:
+        """The same as what EM of full covariances returns."""
+        parameters = Parameters(self.priors, self.emissions.means, self.emissions.covariances)
+        return Estimate(parameters, self.log_likelihoods, self.objectives, self.converged)
+
+
+def expectation(priors: Array, emissions: Emissions, samples: Samples) -> tuple[Array, float]:
+    """E-step: responsibilities (N, K) and the log-likelihood of all samples together."""
+    log_joint = emissions.log_density(samples)
+    log_joint += np.log(np.maximum(priors, np.finfo(float).tiny))
+    top = log_joint.max(axis=1)  # log-sum-exp in place: this is the largest array
+    log_joint -= top[:, None]
+    joint = np.exp(log_joint, out=log_joint)
+    total = joint.sum(axis=1)
+    joint /= total[:, None]
+    return joint, float(top.sum() + np.log(total).sum())
+
+
+def fit_mixture(
+    samples: Samples,
+    priors: Array,
+    emissions: Emissions,
+    *,
+    tol: float,
+    max_iter: int,
+    progress: Progress | None = None,
+) -> MixtureEstimate:
+    """EM from the given start until an iteration gains less than `tol`, at the earliest after 5 iterations.
+
+    The objective is the log-likelihood less `Emissions.penalty`, per sample, taken before each M-step.
+    Raises ValueError when a covariance loses its definiteness.
+    """
+
+    def by_numpy(priors: Array, emissions: Emissions) -> tuple[float, Array, dict[str, Moments]]:
+        responsibilities, log_likelihood = expectation(priors, emissions, samples)
+        return log_likelihood, responsibilities.sum(axis=0), emissions.moments(samples, responsibilities)
+
+    gathered = CompiledMoments(samples, priors, emissions) if CompiledMoments.suits(emissions) else by_numpy
+    N = samples.n_samples
+    log_likelihoods: list[float] = []
+    objectives: list[float] = []
+    converged = False
+    for iteration in range(1, max_iter + 1):
+        log_likelihood, counts, moments = gathered(priors, emissions)
+        log_likelihoods.append(log_likelihood / N)
+        objectives.append((log_likelihood - emissions.penalty()) / N)
+        priors = counts / N
+        emissions = emissions.updated(moments)
+        if progress is not None:
+            progress(iteration, log_likelihoods[-1])
+        if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < tol:
+            converged = True
+            break
+    return MixtureEstimate(priors, emissions, np.array(log_likelihoods), np.array(objectives), converged)

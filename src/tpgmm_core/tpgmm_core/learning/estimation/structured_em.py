@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a start with full covariances, or from components that were learned before, to components of a structure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tpgmm_core.learning.covariance.structure import Structure
+from tpgmm_core.learning.estimation.compiled_em import Parameters, Progress, Samples
+from tpgmm_core.learning.estimation.deep_em import fit_deep_mixture
+from tpgmm_core.learning.estimation.em import MixtureEstimate, fit_mixture
+from tpgmm_core.learning.estimation.emissions import Emissions
+
+
+def fit_structure(
+    samples: Samples,
+    structure: Structure,
+    start: Parameters,
+    begun: Emissions | None,
+    random_state: int | np.random.Generator | None,
+    *,
+    tol: float,
+    max_iter: int,
+    progress: Progress | None = None,
+) -> MixtureEstimate:
+    """EM with this structure, with the rules of `fit_mixture`.
+
+    begun : components of `start` as an earlier fit left them, which go on as they are where their structure is
+        the same; others start from the structure's nearest to the covariances of `start`
+    random_state : seed or generator for dividing the components of "deep_mfa"
+    """
+    is_deep = structure.name == "deep_mfa"
+    first = replace(structure, name="mfa") if is_deep else structure
+    emissions = start_emissions(samples, first, start, begun)
+    if is_deep:
+        return fit_deep_mixture(
+            samples, start.priors, emissions, structure,
+            tol=tol, max_iter=max_iter, random_state=random_state, progress=progress,
+        )  # fmt: skip
+    return fit_mixture(samples, start.priors, emissions, tol=tol, max_iter=max_iter, progress=progress)
+
+
+def start_emissions(samples: Samples, structure: Structure, start: Parameters, begun: Emissions | None) -> Emissions:
+    """The components that EM starts from: see `fit_structure`."""
+    counts = samples.n_samples * start.priors
+    emissions = Emissions.from_gaussians(structure, samples, counts, start.means, start.covariances)
+    if begun is None or (begun.structure.name, begun.structure.n_factors) != (structure.name, structure.n_factors):
+        return emissions
+    frames = {name: replace(frame, structure=structure) for name, frame in begun.frames.items()}  # type: ignore[type-var]
+    return replace(emissions, frames=frames)

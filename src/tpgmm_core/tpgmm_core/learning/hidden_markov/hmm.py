@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`TPHMM`: a hidden Markov model whose states are Gaussians seen from several frames (Section 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.estimation.compiled_em import MIN_ITERATIONS, Estimate, Parameters, Progress
+from tpgmm_core.learning.estimation.em import expectation
+from tpgmm_core.learning.estimation.emissions import Emissions
+from tpgmm_core.learning.estimation.structured_em import start_emissions
+from tpgmm_core.learning.hidden_markov.markov import MarkovChain, SemiMarkovChain
+from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.demonstration import Demonstration
+from tpgmm_core.model.samples import Samples
+
+Chain = MarkovChain | SemiMarkovChain
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChainEstimate(Estimate):
+    """Result of EM: as that of a mixture, whose priors are how often each state was; and states and their chain."""
+
+    chain: Chain
+    emissions: Emissions
+
+
+def fit_chain(
+    samples: Samples,
+    chain: Chain,
+    emissions: Emissions,
+    *,
+    tol: float,
+    max_iter: int,
+    progress: Progress | None = None,
+) -> ChainEstimate:
+    """Baum-Welch over several demonstrations from the given start, with the rules of `fit_mixture`.
+
+    The objective is the log-likelihood, less `Emissions.penalty`, plus the prior of the chain, per sample; with
+    regularization "prior" it never falls on Euclidean data. Raises ValueError when a covariance loses its
+    definiteness, and for a demonstration that the chain cannot produce.
+    """
+    N = samples.n_samples
+    log_likelihoods: list[float] = []
+    objectives: list[float] = []
+    converged = False
+    priors = np.zeros(emissions.n_components)
+    for iteration in range(1, max_iter + 1):
+        found = chain.posteriors(emissions.log_density(samples), samples.lengths)
+        log_likelihoods.append(found.log_likelihood / N)
+        objectives.append((found.log_likelihood - emissions.penalty() + chain.log_prior) / N)
+        priors = found.responsibilities.sum(axis=0)
+        chain = chain.maximised(found)
+        emissions = emissions.maximised(samples, found.responsibilities)
+        if progress is not None:
+            progress(iteration, log_likelihoods[-1])
+        if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < tol:
+            converged = True
+            break
+    parameters = Parameters(priors / priors.sum(), emissions.means, emissions.covariances)
+    return ChainEstimate(
+        parameters, np.array(log_likelihoods), np.array(objectives), converged, chain=chain, emissions=emissions
+    )
+
+
+class TPHMM(TPGMM):
+    """Hidden Markov model that is observed from several frames at once.
+
+    A sample of state k has the density prod_j N(x^(j); mu_k^(j), Sigma_k^(j)) over the frames that saw it, as a
+    component of a TP-GMM; which state follows which is learned (Baum-Welch). Order comes from the transitions, so
+    that the data need not hold time, and may come back to where it was before.
+
+    Parameters (those of `TPGMM`, and)
+    ----------
+    n_components : K, the states
+    init : as for `TPGMM`, "bins" by default; or a fitted model of this class, whose chain is taken too
+    transitions : "left-right" (from the first state, each followed by the next), "ergodic" (any to any), or a
+        start (K, K) of EM, in which zeros stay zero
+
+    Attributes after fitting (those of `TPGMM`, and)
+    ------------------------
+    start_probabilities_ : shape (K,); transitions_ : shape (K, K), from row to column
+    priors_ : shape (K,), the share of the samples in each state
+    """
+
+    chain_: Chain
+
+    def __init__(
+        self,
+        n_components: int = 3,
+        init: str | ArrayLike | TPGMM = "bins",
+        reg_covar: float = 1e-4,
+        tol: float = 1e-5,
+        max_iter: int = 100,
+        random_state: int | np.random.Generator | None = 0,
+        manifold: str | Manifold = "euclidean",
+        regularization: str = "add",
+        n_init: int = 1,
+        covariance: str = "full",
+        n_factors: int = 1,
+        covariance_options: Mapping[str, Any] | None = None,
+        transitions: str | ArrayLike = "left-right",
+    ) -> None:
+        super().__init__(
+            n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
+            covariance, n_factors, covariance_options,
+        )  # fmt: skip
+        self.transitions = transitions
+
+    def fit_projected(
+        self,
+        X: Mapping[str, ArrayLike],
+        visible: Mapping[str, ArrayLike] | None = None,
+        progress: Progress | None = None,
+        lengths: Sequence[int] | None = None,
+    ) -> Self:
+        """As `TPGMM.fit_projected`; `lengths` says how many samples each demonstration has, one after the other
+        (None: they are one)."""
+        self._check_parameters()
+        samples = Samples.from_projected(X, visible, self.manifold)
+        if lengths is not None:
+            if min(lengths, default=0) < 1 or sum(lengths) != samples.n_samples:
+                raise ValueError(f"lengths are from 1 and sum to the {samples.n_samples} samples, got {lengths!r}")
+            samples = replace(samples, lengths=list(lengths))
+        return self._fit(samples, progress)
+
+    @property
+    def n_parameters_(self) -> int:
+        """Free parameters of the states and of their chain."""
+        self._check_fitted()
+        return self.emissions_.n_parameters + self.chain_.n_parameters
+
+    def most_likely_states(self, demonstrations: Sequence[Demonstration]) -> list[NDArray[np.intp]]:
+        """The likeliest states (T,) of each demonstration (Viterbi)."""
+        samples = self._samples(demonstrations)
+        states, _ = self.chain_.most_likely(self.emissions_.log_density(samples), samples.lengths)
+        return np.split(states, np.cumsum(samples.lengths)[:-1])
+
+    def state_posteriors(self, demonstrations: Sequence[Demonstration]) -> list[Array]:
+        """Probabilities (T, K) of the states of each demonstration, given all of its samples."""
+        samples = self._samples(demonstrations)
+        found = self.chain_.posteriors(self.emissions_.log_density(samples), samples.lengths)
+        return np.split(found.responsibilities, np.cumsum(samples.lengths)[:-1])
+
+    def score(self, demonstrations: Sequence[Demonstration]) -> float:
+        """Log-likelihood per sample."""
+        samples = self._samples(demonstrations)
+        found = self.chain_.posteriors(self.emissions_.log_density(samples), samples.lengths)
+        return found.log_likelihood / samples.n_samples
+
+    def state_probabilities(self, n_steps: int) -> Array:
+        """Probabilities (n_steps, K) of the states at each step when nothing is observed: with the Gaussians of
+        `adapt`, a reference to track."""
+        self._check_fitted()
+        return self.chain_.state_probabilities(n_steps)
+
+    def _estimate(
+        self, samples: Samples, start: Parameters, progress: Progress | None
+    ) -> tuple[Estimate, Emissions | None]:
+        chain, emissions = self._start_of_chain(samples, start)
+        estimate = fit_chain(samples, chain, emissions, tol=self.tol, max_iter=self.max_iter, progress=progress)
+        return estimate, estimate.emissions
+
+    def _start_of_chain(self, samples: Samples, start: Parameters) -> tuple[Chain, Emissions]:
+        if isinstance(self.init, type(self)) and start.priors is self.init.priors_:
+            return self.init.chain_, start_emissions(samples, self._structure(), start, self.init.emissions_)
+        emissions = start_emissions(samples, self._structure(), start, None)
+        responsibilities, _ = expectation(start.priors, emissions, samples)
+        if isinstance(self.transitions, str) and self.transitions == "left-right":
+            # in the order in which a movement meets them
+            phase = np.concatenate([np.linspace(0.0, 1.0, length) for length in samples.lengths])
+            order = np.argsort(phase @ responsibilities / np.maximum(responsibilities.sum(axis=0), 1e-300))
+            responsibilities = responsibilities[:, order]
+            start = Parameters(
+                start.priors[order],
+                {name: mean[order] for name, mean in start.means.items()},
+                {name: covariance[order] for name, covariance in start.covariances.items()},
+            )
+            emissions = start_emissions(samples, self._structure(), start, None)
+        per_demonstration = np.add.reduceat(responsibilities, np.cumsum([0, *samples.lengths[:-1]]), axis=0)
+        visits = np.maximum(np.minimum(per_demonstration, 1.0).sum(axis=0), 1e-300)
+        return self._new_chain(per_demonstration.sum(axis=0) / visits, max(samples.lengths)), emissions
+
+    def _new_chain(self, mean_durations: Array, longest: int) -> Chain:
+        """A chain to start from; mean_durations (K,) and the longest demonstration in samples."""
+        return MarkovChain.of(self.transitions, mean_durations)
+
+    def _learned(self, estimate: Estimate, manifold: Manifold, emissions: Emissions | None = None) -> None:
+        super()._learned(estimate, manifold, emissions)
+        if isinstance(estimate, ChainEstimate):
+            self._learned_chain(estimate.chain)
+
+    def _learned_chain(self, chain: Chain) -> None:
+        self.chain_ = chain
+
+    @property
+    def start_probabilities_(self) -> Array:
+        """Of the states at the first sample, (K,)."""
+        return self.chain_.start
+
+    @property
+    def transitions_(self) -> Array:
+        """Probabilities (K, K), from row to column."""
+        return self.chain_.transitions
+
+    def _more_arrays(self) -> dict[str, Array]:
+        return self.chain_.arrays()
+
+    def _restore(self, arrays: Mapping[str, Array]) -> None:
+        self._learned_chain(MarkovChain.from_arrays(arrays, len(self.priors_)))
+
+    def _check_parameters(self) -> None:
+        super()._check_parameters()
+        if self.covariance == "deep_mfa":
+            raise ValueError('"deep_mfa" divides components of a mixture: take "mfa" with more states')

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`OnlineTPGMM`: a TP-GMM that takes in new demonstrations without the old ones (incremental EM)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.estimation.compiled_em import Progress
+from tpgmm_core.learning.estimation.em import MixtureEstimate
+from tpgmm_core.learning.estimation.emissions import Emissions
+from tpgmm_core.learning.incremental.cells import Cells, fit_cells
+from tpgmm_core.learning.incremental.growth import growth
+from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.demonstration import Demonstration
+from tpgmm_core.model.samples import Samples
+
+HALVINGS = 30  # of the weight of demonstrations that contradict the others, until they are left out
+
+
+class OnlineTPGMM(TPGMM):
+    """TP-GMM that keeps sufficient statistics, so that learning goes on without the old data.
+
+    `fit` learns as `TPGMM` does, and keeps the moments of every `cell_size` samples that follow each other.
+    `partial_fit` is incremental EM (Neal and Hinton, 1998; for streams see Cappé and Moulines, 2009) on the new
+    samples and on these cells, whose samples share their responsibilities: see `Cells`. Its objective never falls
+    (regularization "prior").
+
+    How it compares with learning from all demonstrations at once: the objective is a lower bound of that of
+    `TPGMM`, and equal to it with one component, with cells of one sample, and wherever the samples of each cell
+    are of one component. The search starts from the model as it was, so that it may end in another maximum.
+
+    What it forgets: `retained_` is a lower bound of the log-likelihood of everything taken in, known without the
+    data. With `max_loss`, new demonstrations cost the old ones at most that much of it.
+
+    Parameters (those of `TPGMM`, and)
+    ----------
+    cell_size : samples in a cell. A cell takes the room of about (n + 3) / 2 samples of n dimensions
+    max_cells : when there are more cells, neighbours are joined, so that memory is bounded
+    growth_threshold : samples of new demonstrations that are farther from all components, in mean squares of
+        standard deviations per dimension, found new ones: see `growth`. None: the number of components stays
+    max_loss : nats per sample that `partial_fit` may cost what was learned before: new demonstrations that
+        contradict it get less weight. None: no limit; few old demonstrations then yield to what new ones show,
+        as they do in learning from all at once
+
+    Attributes after fitting (those of `TPGMM`, and)
+    ------------------------
+    cells_ : `Cells` of everything taken in
+    retained_ : the mean log-likelihood per sample of everything taken in is at least this, each demonstration
+        counted by the influence that it was given
+    influence_ : weight of the last demonstrations, 1 where `max_loss` did not limit it, 0 if they were left out
+    log_likelihoods_, objectives_ : of the last call, per sample; old samples enter `partial_fit` by their bound
+    """
+
+    cells_: Cells
+    retained_: float
+    influence_: float
+
+    def __init__(
+        self,
+        n_components: int = 3,
+        init: str | ArrayLike | TPGMM = "time",
+        reg_covar: float = 1e-4,
+        tol: float = 1e-5,
+        max_iter: int = 100,
+        random_state: int | np.random.Generator | None = 0,
+        manifold: str | Manifold = "euclidean",
+        regularization: str = "add",
+        n_init: int = 1,
+        covariance: str = "full",
+        n_factors: int = 1,
+        covariance_options: Mapping[str, Any] | None = None,
+        cell_size: int = 5,
+        max_cells: int = 2000,
+        growth_threshold: float | None = 16.0,
+        max_loss: float | None = None,
+    ) -> None:
+        super().__init__(
+            n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
+            covariance, n_factors, covariance_options,
+        )  # fmt: skip
+        self.cell_size = cell_size
+        self.max_cells = max_cells
+        self.growth_threshold = growth_threshold
+        self.max_loss = max_loss
+
+    def partial_fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
+        """Take in new demonstrations; the first call is `fit`.
+
+        Raises ValueError for demonstrations whose frames or dimensions are not those of the model.
+        """
+        if not hasattr(self, "cells_"):
+            return self.fit(demonstrations, progress)
+        self._check_parameters()
+        samples = self._samples(demonstrations)
+        lowest = -np.inf
+        if self.max_loss is not None:
+            lowest = self.cells_.bound(self.priors_, self.emissions_) - self.max_loss * self.cells_.n_samples
+        # with less and less weight the old cells lose less and less, since the objective never falls
+        for weight in 0.5 ** np.arange(HALVINGS):
+            cells = self.cells_.followed_by(Cells.of(samples, weight))
+            estimate = self._continued(samples, cells, weight, progress)
+            if self.cells_.bound(estimate.priors, estimate.emissions) >= lowest:
+                self.influence_ = float(weight)
+                new = Cells.of(samples, weight).coarser(self.cell_size)
+                self._keep(self.cells_.followed_by(new), estimate)
+                return self
+        self.influence_ = 0.0
+        return self
+
+    def _continued(self, samples: Samples, cells: Cells, weight: float, progress: Progress | None) -> MixtureEstimate:
+        """EM on all cells from the present model, and components for what is new."""
+        priors, emissions = self.priors_, self.emissions_
+        more = None
+        if self.growth_threshold is not None:
+            more = growth(emissions, priors, samples, self.growth_threshold)
+        if more is not None:
+            covariances = emissions.covariances
+            counts = np.concatenate([self.cells_.n_samples * priors, weight * more.counts])
+            priors = counts / counts.sum()
+            emissions = Emissions.from_gaussians(
+                emissions.structure,
+                samples,
+                counts,
+                {name: np.concatenate([mean, more.means[name]]) for name, mean in emissions.means.items()},
+                {name: np.concatenate([covariances[name], C]) for name, C in more.covariances.items()},
+            )
+        if self.regularization == "prior":  # which counts in proportion to the samples
+            scatter = self.reg_covar * cells.n_samples / emissions.n_components
+            emissions = replace(emissions, prior_scatter=scatter)
+        # the old samples hardly move: what is gained is gained by the new
+        tol = self.tol * weight * samples.n_samples / cells.n_samples
+        return fit_cells(cells, priors, emissions, tol=tol, max_iter=self.max_iter, progress=progress)
+
+    def _fit(self, samples: Samples, progress: Progress | None) -> Self:
+        super()._fit(samples, progress)
+        self.influence_ = 1.0
+        self.cells_ = self._bounded(Cells.of(samples).coarser(self.cell_size))
+        self.retained_ = self.cells_.bound(self.priors_, self.emissions_) / self.cells_.n_samples
+        return self
+
+    def _keep(self, cells: Cells, estimate: MixtureEstimate) -> None:
+        dimensions, metadata = self.dimensions_, self.metadata_
+        self._learned(estimate.with_dense_covariances(), self.manifold_, estimate.emissions)
+        self.dimensions_, self.metadata_ = dimensions, metadata
+        self.cells_ = self._bounded(cells)
+        self.retained_ = self.cells_.bound(self.priors_, self.emissions_) / self.cells_.n_samples
+
+    def _more_arrays(self) -> dict[str, Array]:
+        return {**self.cells_.arrays(), "influence": np.array([self.influence_])}
+
+    def _restore(self, arrays: Mapping[str, Array]) -> None:
+        self.cells_ = Cells.from_arrays(arrays, self.frame_manifolds_)
+        self.influence_ = float(arrays["influence"].item())
+        self.retained_ = self.cells_.bound(self.priors_, self.emissions_) / self.cells_.n_samples
+
+    def _bounded(self, cells: Cells) -> Cells:
+        """At most `max_cells`, or one for each demonstration."""
+        while len(cells.counts) > self.max_cells:
+            fewer = cells.coarser(2)
+            if len(fewer.counts) == len(cells.counts):
+                break
+            cells = fewer
+        return cells
+
+    def _check_parameters(self) -> None:
+        super()._check_parameters()
+        if self.covariance == "deep_mfa":
+            raise ValueError('"deep_mfa" components are no Gaussians, whose moments would do: learn from all data')
+        for name in ("cell_size", "max_cells"):
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
+                raise ValueError(f"{name} is an integer from 1, got {value!r}")
+        for name in ("growth_threshold", "max_loss"):
+            value = getattr(self, name)
+            if value is not None and not (isinstance(value, int | float | np.number) and value > 0.0):
+                raise ValueError(f"{name} is a number above 0, or None, got {value!r}")

@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Model files: one file of numbers and text, versioned; loading executes nothing.
+
+A file is a zip archive in numpy's npz format: `model.json` as an array of bytes with the names, texts and
+settings, and plain numeric arrays. It is replaced as a whole (`atomic_file`): an
+interrupted save loses nothing.
+
+A file may come from a stranger: what it announces is held against limits and against what it holds, before memory is
+taken for it.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import stat
+import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tpgmm_core.common.atomic_file import write_atomically
+from tpgmm_core.common.text import one_line, shown
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.covariance.structure import Covariances, Structure
+from tpgmm_core.learning.covariance.structures import covariances_class
+
+FORMAT = "tpgmm model"
+VERSION = 2  # 2 knows structures and kinds; a mixture of full covariances is written as 1
+MAX_BYTES = 100_000_000  # unpacked; a model of 100 components, 20 frames and 20 dimensions has 7 MB
+MAX_HEADER_BYTES = 1_000_000  # of model.json
+MAX_MEMBERS = 10_000
+MAX_COMPONENTS = 10_000
+MAX_DIMENSIONS = 10_000
+MAX_NUMBERS = MAX_BYTES // 8
+"""Of all dense covariances together: structures of few numbers are small in the file and large in memory."""
+
+
+class ModelFileError(ValueError):
+    """The file is damaged, or no model file, or from a later version."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelContents:
+    """What a model file holds: see the attributes of `TPGMM`. settings are constructor arguments; frames are the
+    covariances in their structure, where it is not "full": then the file holds these, not the dense ones; kind is
+    the class of the estimator, and more the arrays that it has beyond those of `TPGMM`."""
+
+    manifold: Manifold
+    priors: Array
+    means: Mapping[str, Array]
+    covariances: Mapping[str, Array]
+    log_likelihoods: Array
+    objectives: Array
+    converged: bool
+    settings: Mapping[str, str | float | None]
+    dimensions: tuple[str, ...] | None = None
+    metadata: Mapping[str, str | float] = field(default_factory=dict)
+    frames: Mapping[str, Covariances] | None = None
+    kind: str = "TPGMM"
+    more: Mapping[str, Array] = field(default_factory=dict)
+
+
+def write(path: str | PathLike[str], contents: ModelContents) -> None:
+    """Write a model file, replacing an older one only when the new one is complete.
+
+    Raises ValueError when the metadata hold something else than texts and finite numbers, OSError when the
+    disk refuses.
+    """
+    _check_metadata(contents.metadata)
+    names = list(contents.means)
+    header = {
+        "format": FORMAT,
+        "version": 1 if contents.frames is None and contents.kind == "TPGMM" else 2,
+        "kind": contents.kind,
+        "frames": names,
+        "manifold": str(contents.manifold),
+        "dimensions": None if contents.dimensions is None else list(contents.dimensions),
+        "converged": contents.converged,
+        "settings": dict(contents.settings),
+        "metadata": dict(contents.metadata),
+    }
+    if contents.frames is not None:
+        header["structure"] = asdict(next(iter(contents.frames.values())).structure)
+    arrays: dict[str, Any] = {
+        "model.json": np.frombuffer(json.dumps(header, allow_nan=False).encode(), dtype=np.uint8),
+        "priors": contents.priors,
+        "log_likelihoods": contents.log_likelihoods,
+        "objectives": contents.objectives,
+    }
+    arrays |= {f"more_{key}": array for key, array in contents.more.items()}
+    for j, name in enumerate(names):
+        arrays[f"means_{j}"] = contents.means[name]
+        if contents.frames is None:
+            arrays[f"covariances_{j}"] = contents.covariances[name]
+        else:
+            arrays |= {f"frame_{j}_{key}": array for key, array in contents.frames[name].arrays().items()}
+
+    def fill(draft: Path) -> None:
+        with draft.open("wb") as stream:  # a name would be given the ending .npz
+            np.savez_compressed(stream, **arrays)
+
+    write_atomically(path, fill)
+
+
+def read(path: str | PathLike[str]) -> ModelContents:
+    """Read a model file.
+
+    Raises ModelFileError for anything but a complete model file of a known version, FileNotFoundError where
+    there is none.
+    """
+    try:
+        arrays = _arrays(path)
+        return _contents(json.loads(arrays.pop("model.json").tobytes()), arrays)
+    except (FileNotFoundError, IsADirectoryError, PermissionError):
+        raise
+    except ModelFileError as error:
+        raise ModelFileError(f"{one_line(path)}: {error}") from None
+    except Exception as error:  # whatever zip, numpy and json raise on damaged bytes: to the caller it is one thing
+        raise ModelFileError(
+            f"{one_line(path)}: damaged, or no model file ({type(error).__name__}: {one_line(error, 300)}); "
+            "train the model again"
+        ) from error
+
+
+def _arrays(path: str | PathLike[str]) -> dict[str, Any]:
+    """The arrays of the archive by name, as many and as large as a model file may have."""
+    status = os.stat(path)
+    if stat.S_ISDIR(status.st_mode):
+        raise IsADirectoryError(f"{path} is a folder, expected a model file")
+    if not stat.S_ISREG(status.st_mode) or status.st_size > MAX_BYTES:
+        raise ModelFileError(f"no regular file of at most {MAX_BYTES} bytes")
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        size = sum(member.file_size for member in members)
+        if size > MAX_BYTES or len(members) > MAX_MEMBERS:
+            raise ModelFileError(
+                f"{size} bytes unpacked in {len(members)} members, a model file has at most {MAX_BYTES} in "
+                f"{MAX_MEMBERS}"
+            )
+        # zipfile unpacks no more of a member than the size that is announced
+        arrays = {m.filename.removesuffix(".npy"): _array(m.filename, archive.read(m)) for m in members}
+    if arrays["model.json"].nbytes > MAX_HEADER_BYTES:
+        raise ModelFileError(f"model.json has more than {MAX_HEADER_BYTES} bytes")
+    return arrays
+
+
+def _array(name: str, content: bytes) -> Any:
+    """A numeric array in numpy's npy format. numpy's own reader takes the memory that the file announces first."""
+    stream = io.BytesIO(content)
+    version = np.lib.format.read_magic(stream)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, is_fortran, dtype = read_header(stream)
+    if dtype not in (np.float64, np.uint8):
+        raise ModelFileError(f"{name} must be finite float64 numbers, got {dtype}")
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != len(content) - stream.tell():
+        raise ModelFileError(f"{name} announces shape {shape}, and holds {len(content) - stream.tell()} bytes")
+    flat = np.frombuffer(content, dtype, offset=stream.tell())
+    return flat.reshape(shape, order="F" if is_fortran else "C").copy()
+
+
+def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise ModelFileError("no model file: it does not say so in its header")
+    if header.get("version") not in range(1, VERSION + 1):
+        raise ModelFileError(f"version {shown(header.get('version'))}, this software reads versions up to {VERSION}")
+    names = header["frames"]
+    is_list = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    if not names or not is_list or len(set(names)) != len(names):
+        raise ModelFileError(f"frames are distinct names, got {shown(names)}")
+    manifold = Manifold.parse(header["manifold"])
+    if manifold.dim > MAX_DIMENSIONS:
+        raise ModelFileError(f"the manifold has {manifold.dim} dimensions, a model file at most {MAX_DIMENSIONS}")
+    means = {name: _numbers(arrays, f"means_{j}", 2) for j, name in enumerate(names)}
+    priors = _numbers(arrays, "priors", 1)
+    K = len(priors)
+    if K == 0 or priors.min() < 0.0 or not math.isclose(priors.sum(), 1.0, abs_tol=1e-6):
+        raise ModelFileError("priors must be from 0 and sum to 1")
+    if K > MAX_COMPONENTS:
+        raise ModelFileError(f"{K} components, a model file has at most {MAX_COMPONENTS}")
+    frames = None if "structure" not in header else _frames(header, arrays)
+    covariances = {} if frames else {name: _numbers(arrays, f"covariances_{j}", 3) for j, name in enumerate(names)}
+    n_numbers = 0
+    for name in names:
+        D = means[name].shape[1]
+        space = Manifold.euclidean(D) if manifold.is_euclidean and D else manifold
+        n = space.tangent_dim
+        shape = (*frames[name].shape, n) if frames else covariances[name].shape
+        if means[name].shape != (K, space.dim) or shape != (K, n, n):
+            raise ModelFileError(
+                f"frame {shown(name)} has means {means[name].shape} and covariances {shape}, "
+                f"expected {(K, space.dim)} and {(K, n, n)}"
+            )
+        n_numbers += K * n * n
+        if n_numbers > MAX_NUMBERS:
+            raise ModelFileError(f"covariances of {n_numbers} numbers, a model file has at most {MAX_NUMBERS}")
+        if frames:
+            covariances[name] = frames[name].dense()
+        np.linalg.cholesky(covariances[name])
+    dimensions = header["dimensions"]
+    if dimensions is not None and not (
+        isinstance(dimensions, list)
+        and len(dimensions) == manifold.dim
+        and all(isinstance(name, str) for name in dimensions)
+    ):
+        raise ModelFileError(f"dimensions are {manifold.dim} names, got {shown(dimensions)}")
+    course = [_numbers(arrays, name, 1) for name in ("log_likelihoods", "objectives")]
+    if not all(map(len, course)):
+        raise ModelFileError(f"log_likelihoods and objectives have at least one number, got {[len(c) for c in course]}")
+    _check_metadata(header["metadata"])
+    # a setting that is not given, such as no random state, is None, and no fault
+    _check_metadata({key: value for key, value in dict(header["settings"]).items() if value is not None})
+    return ModelContents(
+        manifold=manifold,
+        priors=priors,
+        means=means,
+        covariances=covariances,
+        log_likelihoods=course[0],
+        objectives=course[1],
+        converged=bool(header["converged"]),
+        settings=dict(header["settings"]),
+        dimensions=None if dimensions is None else tuple(dimensions),
+        metadata=dict(header["metadata"]),
+        frames=frames,
+        kind=str(header.get("kind", "TPGMM")),
+        more={key.removeprefix("more_"): _numbers(arrays, key) for key in arrays if key.startswith("more_")},
+    )
+
+
+def _frames(header: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Covariances]:
+    """The covariances in their structure, whose class checks that its arrays fit together."""
+    settings = dict(header["structure"])
+    settings["layers"] = tuple(tuple(layer) for layer in settings["layers"])
+    structure = Structure(**settings)
+    frames = {}
+    for j, name in enumerate(header["frames"]):
+        prefix = f"frame_{j}_"
+        own = {key.removeprefix(prefix): _numbers(arrays, key) for key in arrays if key.startswith(prefix)}
+        for key, array in own.items():
+            # some structures multiply their factors out when they are made
+            if array.ndim == 3 and array.shape[0] * max(array.shape[1:]) ** 2 > MAX_NUMBERS:
+                raise ModelFileError(f"{prefix}{key} of shape {array.shape} stands for more than {MAX_NUMBERS} numbers")
+        frames[name] = covariances_class(structure).from_arrays(structure, own)
+    return frames
+
+
+def _numbers(arrays: dict[str, Any], name: str, ndim: int | None = None) -> Array:
+    array = arrays[name]
+    if array.dtype != np.float64 or ndim not in (None, array.ndim) or not np.all(np.isfinite(array)):
+        raise ModelFileError(f"{name} must be finite float64 numbers" + (f" of {ndim} axes" if ndim else ""))
+    return np.asarray(array)
+
+
+def _check_metadata(metadata: Any) -> None:
+    if not isinstance(metadata, Mapping):
+        raise ValueError(f"metadata is a mapping from names to texts and numbers, got {shown(metadata)}")
+    for key, value in metadata.items():
+        is_number = isinstance(value, int | float) and abs(value) < 1e300  # larger integers are no float any more
+        if not isinstance(key, str) or not (isinstance(value, str) or is_number):
+            raise ValueError(f"metadata maps names to texts and finite numbers, got {shown(key)}: {shown(value)}")

@@ -1,0 +1,372 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`TPGMM`: the task-parameterized Gaussian mixture model, learned by EM over frames (Section 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from os import PathLike
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.mixture import GaussianMixture
+from tpgmm_core.learning import model_file
+from tpgmm_core.learning.covariance.classical import FullCovariances
+from tpgmm_core.learning.covariance.structure import Structure
+from tpgmm_core.learning.estimation import initialization
+from tpgmm_core.learning.estimation.compiled_em import (
+    Estimate,
+    Parameters,
+    Progress,
+    Workspace,
+    expectation_maximisation,
+)
+from tpgmm_core.learning.estimation.em import expectation
+from tpgmm_core.learning.estimation.emissions import Emissions
+from tpgmm_core.learning.estimation.structured_em import fit_structure
+from tpgmm_core.learning.estimator import Estimator
+from tpgmm_core.model.adaptation import Adapter
+from tpgmm_core.model.demonstration import Demonstration
+from tpgmm_core.model.learned import Learned
+from tpgmm_core.model.samples import Samples, view_manifold
+
+
+class TPGMM(Estimator):
+    """Gaussian mixture that is observed from several frames at once.
+
+    Parameters (stored unchanged; checked by `fit`)
+    ----------
+    n_components : K
+    init : "time" (bins of equal width between the first and the last time), "bins" (every demonstration cut
+        into K parts of equal counts), "kmeans" (k-means++ on all frames' views side by side), the component of
+        every sample, integers (N,) (such as `DPMeans.labels_`), or a fitted TPGMM
+    reg_covar : added to the diagonal of the covariances, in squared units of the data
+    tol : EM stops when an iteration gains less, in log-likelihood per sample
+    max_iter : most iterations of EM
+    random_state : seed or generator for "kmeans" and for restarts
+    manifold : space of the data, e.g. "R1 x R3 x S3"; "euclidean" is R^D for any D, also different per frame
+    regularization : "add", or "prior", whose objective never falls: see `expectation_maximisation`
+    n_init : starts of EM, of which the one with the best objective counts: `init`, then k-means by chance
+    covariance : "full", or a structure with fewer parameters, for all components and frames: "diag", "spherical",
+        "tied", "mfa", "mppca", "hddc", "semi_tied", "deep_mfa" (which divides the K components further)
+    n_factors : columns of the loadings of "mfa", "mppca" and "deep_mfa", for frames of more dimensions
+    covariance_options : other fields of `tpgmm_core.learning.covariance.structure.Structure` by name, or None
+
+    Attributes after fitting
+    ------------------------
+    priors_ : shape (K,); means_ : name → (K, D_j); covariances_ : name → (K, n_j, n_j), tangent dimensions
+    emissions_ : the components with their covariance structure; n_parameters_ : free parameters of the model
+    log_likelihood_, log_likelihoods_ : per sample, the last and their course; objectives_ : what EM maximises
+    n_iter_, converged_, frame_names_, manifold_ (the space of the data; on R^D with frames that were
+    projected elsewhere, the largest D_j), dimensions_ (names, or None), metadata_ (free-form texts and
+    numbers)
+
+    A model is a plain value: it may be copied, pickled, fitted again; `priors_`, `means_` and `covariances_` may be
+    set by hand, and changed in place. Whatever is asked afterwards follows from the numbers as they are then.
+    """
+
+    priors_: Array
+    means_: dict[str, Array]
+    covariances_: dict[str, Array]
+    log_likelihood_: float
+    log_likelihoods_: Array
+    objectives_: Array
+    n_iter_: int
+    converged_: bool
+    frame_names_: tuple[str, ...]
+    manifold_: Manifold
+    dimensions_: tuple[str, ...] | None
+    metadata_: dict[str, str | float]
+    _emissions: tuple[Learned, Emissions] | None = None  # as learned, and of which numbers
+
+    def __init__(
+        self,
+        n_components: int = 3,
+        init: str | ArrayLike | TPGMM = "time",
+        reg_covar: float = 1e-4,
+        tol: float = 1e-5,
+        max_iter: int = 100,
+        random_state: int | np.random.Generator | None = 0,
+        manifold: str | Manifold = "euclidean",
+        regularization: str = "add",
+        n_init: int = 1,
+        covariance: str = "full",
+        n_factors: int = 1,
+        covariance_options: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.n_components = n_components
+        self.init = init
+        self.reg_covar = reg_covar
+        self.tol = tol
+        self.max_iter = max_iter
+        self.random_state = random_state
+        self.manifold = manifold
+        self.regularization = regularization
+        self.n_init = n_init
+        self.covariance = covariance
+        self.n_factors = n_factors
+        self.covariance_options = covariance_options
+
+    def fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
+        """Learn from demonstrations, projected into their frames by Eq. (4).
+
+        progress is called with (iteration, log-likelihood per sample). Raises ValueError for demonstrations
+        that do not agree in dimensions or frames, and for data that the constructor arguments do not fit.
+        """
+        self._check_parameters()
+        return self._fit(Samples.from_demonstrations(demonstrations, self.manifold), progress)
+
+    def fit_projected(
+        self,
+        X: Mapping[str, ArrayLike],
+        visible: Mapping[str, ArrayLike] | None = None,
+        progress: Progress | None = None,
+    ) -> Self:
+        """Learn from data that was already observed from each frame.
+
+        X : name → shape (N, D_j); visible : name → mask (N,), always seen where not named. For init="time"
+        the time is the first dimension of the first frame; for "bins" all samples are one demonstration.
+        Raises ValueError for shapes that do not fit.
+        """
+        self._check_parameters()
+        return self._fit(Samples.from_projected(X, visible, self.manifold), progress)
+
+    def _fit(self, samples: Samples, progress: Progress | None) -> Self:
+        if samples.n_samples < self.n_components:
+            raise ValueError(f"{self.n_components} components need at least as many samples, got {samples.n_samples}")
+        estimates: list[tuple[Estimate, Emissions | None]] = []
+        failure: ValueError | None = None
+        for start in self._starts(samples):
+            try:
+                estimates.append(self._estimate(samples, start, progress))
+            except ValueError as error:  # a start may end in a subspace, others not
+                failure = error
+        if not estimates:
+            assert failure is not None
+            raise failure
+        best, emissions = max(estimates, key=lambda e: e[0].objectives[-1])
+        self._learned(best, samples.manifold, emissions)
+        return self
+
+    def _estimate(
+        self, samples: Samples, start: Parameters, progress: Progress | None
+    ) -> tuple[Estimate, Emissions | None]:
+        """EM from one start; with the components where their structure is not full."""
+        rules: dict[str, Any] = {"tol": self.tol, "max_iter": self.max_iter, "progress": progress}
+        structure = self._structure()
+        if structure.name == "full":
+            regularization: dict[str, Any] = {"reg_covar": self.reg_covar, "regularization": self.regularization}
+            return expectation_maximisation(samples, start, **regularization, **rules), None
+        begun = self.init.emissions_ if isinstance(self.init, TPGMM) and start.priors is self.init.priors_ else None
+        estimate = fit_structure(samples, structure, start, begun, self.random_state, **rules)
+        return estimate.with_dense_covariances(), estimate.emissions
+
+    def _learned(self, estimate: Estimate, manifold: Manifold, emissions: Emissions | None = None) -> None:
+        self.priors_ = estimate.parameters.priors
+        self.means_ = dict(estimate.parameters.means)
+        self.covariances_ = dict(estimate.parameters.covariances)
+        self.log_likelihoods_ = estimate.log_likelihoods
+        self.log_likelihood_ = float(estimate.log_likelihoods[-1])
+        self.objectives_ = estimate.objectives
+        self.n_iter_ = len(estimate.log_likelihoods)
+        self.converged_ = estimate.converged
+        self.frame_names_ = tuple(self.means_)
+        self.manifold_ = manifold
+        self.dimensions_ = None
+        self.metadata_ = {}
+        self._emissions = None if emissions is None else (Learned(self), emissions)
+
+    @property
+    def emissions_(self) -> Emissions:
+        """The components; full ones are put together when asked for.
+
+        A structure holds as long as the means and covariances are what was learned: where they were changed by hand,
+        they are what counts, as full covariances.
+        """
+        self._check_fitted()
+        if self._emissions is not None:
+            learned, emissions = self._emissions
+            if learned.is_of(self):
+                return emissions
+        structure = Structure("full", reg_covar=self.reg_covar, regularization=self.regularization)
+        frames = {name: FullCovariances(structure, covariances) for name, covariances in self.covariances_.items()}
+        return Emissions(structure, self.frame_manifolds_, self.means_, frames)
+
+    @property
+    def n_parameters_(self) -> int:
+        """Free parameters: of the means and covariances in all frames, and the priors, which sum to 1."""
+        return self.emissions_.n_parameters + len(self.priors_) - 1
+
+    def _structure(self) -> Structure:
+        options = dict(self.covariance_options or {})
+        try:
+            return Structure(self.covariance, self.n_factors, self.reg_covar, self.regularization, **options)
+        except TypeError:
+            known = [field.name for field in fields(Structure)][4:]
+            raise ValueError(f"covariance_options may hold {', '.join(known)}, got {sorted(options)}") from None
+
+    @property
+    def frame_manifolds_(self) -> dict[str, Manifold]:
+        """Name → space of the frame's view."""
+        return {name: view_manifold(self.manifold_, mean.shape[1]) for name, mean in self.means_.items()}
+
+    def _check_parameters(self) -> None:
+        for name, lowest in (("n_components", 1), ("max_iter", 1), ("n_init", 1)):
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < lowest:
+                raise ValueError(f"{name} is an integer from {lowest}, got {value!r}")
+        for name in ("reg_covar", "tol"):
+            value = getattr(self, name)
+            if not isinstance(value, int | float | np.number) or not (np.isfinite(value) and value >= 0.0):
+                raise ValueError(f"{name} is a finite number from 0, got {value!r}")
+        self._structure()
+        if isinstance(self.init, str) and self.init not in ("time", "bins", "kmeans"):
+            raise ValueError(f'init is "time", "bins", "kmeans", labels or a fitted TPGMM, got {self.init!r}')
+
+    def _starts(self, samples: Samples) -> Iterator[Parameters]:
+        """The start that `init` asks for; then those of single runs of k-means, each from centres of its own."""
+        rng = np.random.default_rng(self.random_state)
+        if isinstance(self.init, TPGMM):
+            yield self._start_from(self.init, samples)
+        else:
+            yield self._start(samples, initialization.assignments(samples, self.init, self.n_components, rng))
+        for _ in range(1, self.n_init):
+            yield self._start(
+                samples, initialization.assignments(samples, "kmeans", self.n_components, rng, n_starts=1)
+            )
+
+    def _start(self, samples: Samples, labels: initialization.Labels) -> Parameters:
+        K = self.n_components
+        counts = np.bincount(labels[labels >= 0], minlength=K)
+        means, covariances = {}, {}
+        for (name, x), mask in zip(samples.X.items(), samples.seen, strict=True):
+            means[name], covariances[name] = initialization.moments(
+                samples.manifolds[name], x, mask, labels, K, self.reg_covar
+            )
+        return Parameters(counts / counts.sum(), means, covariances)
+
+    def _start_from(self, other: TPGMM, samples: Samples) -> Parameters:
+        other._check_fitted()
+        shapes = {name: (self.n_components, x.shape[1]) for name, x in samples.X.items()}
+        others = {name: mean.shape for name, mean in other.means_.items()}
+        if shapes != others:
+            raise ValueError(f"the model given as init has means of shapes {others}, the data asks for {shapes}")
+        return Parameters(other.priors_, other.means_, other.covariances_)
+
+    def _check_fitted(self) -> None:
+        if not hasattr(self, "priors_"):
+            raise ValueError(f"this {type(self).__name__} is not fitted yet: call fit or load first")
+
+    def adapt(
+        self,
+        frames: Mapping[str, Frame],
+        state: ArrayLike | None = None,
+        weights: Mapping[str, float] | None = None,
+    ) -> GaussianMixture:
+        """The mixture in a new situation, by Eqs. (5) and (6): parameters and errors are those of `Adapter.adapt`.
+
+        What can be worked out ahead of the frames is kept for the next call, as long as the model holds the same
+        numbers: attributes may be set, and arrays changed in place, at any time. Calls in several threads at once have
+        an `Adapter` each, and the mixture shares nothing with the model.
+        """
+        self._check_fitted()
+        idle: list[Adapter] = self.__dict__.setdefault("_adapters", [])
+        try:
+            adapter = idle.pop()  # nobody else's until it is put back
+        except IndexError:
+            adapter = Adapter(self)
+        if not adapter.learned.is_of(self):
+            adapter = Adapter(self)
+        try:
+            return adapter.adapt(frames, state, weights)
+        finally:
+            idle.append(adapter)
+
+    def score(self, demonstrations: Sequence[Demonstration]) -> float:
+        """Log-likelihood per sample of demonstrations, also of such as the model was not fitted to.
+
+        Frames that were not seen are no factor. Raises ValueError for demonstrations whose frames or dimensions
+        are not those of the model.
+        """
+        samples = self._samples(demonstrations)
+        if self.emissions_.structure.name != "full":
+            return expectation(self.priors_, self.emissions_, samples)[1] / samples.n_samples
+        workspace = Workspace(samples, Parameters(self.priors_, self.means_, self.covariances_))
+        workspace.factorise()
+        return workspace.expectation() / samples.n_samples
+
+    def _samples(self, demonstrations: Sequence[Demonstration]) -> Samples:
+        self._check_fitted()
+        samples = Samples.from_demonstrations(demonstrations, self.manifold_, may_be_unseen=True)
+        shapes = {name: x.shape[1] for name, x in samples.X.items()}
+        known = {name: mean.shape[1] for name, mean in self.means_.items()}
+        if shapes != known:
+            raise ValueError(f"the model has frames of dimensions {known}, the demonstrations {shapes}")
+        return samples
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write a model file: see `model_file`."""
+        self._check_fitted()
+        settings = {k: v for k, v in self.get_params().items() if v is None or isinstance(v, str | int | float)}
+        settings["manifold"] = str(self.manifold)
+        contents = model_file.ModelContents(
+            manifold=self.manifold_,
+            priors=self.priors_,
+            means=self.means_,
+            covariances=self.covariances_,
+            log_likelihoods=self.log_likelihoods_,
+            objectives=self.objectives_,
+            converged=self.converged_,
+            settings=settings,
+            dimensions=self.dimensions_,
+            metadata=self.metadata_,
+            frames=None if self.emissions_.structure.name == "full" else self.emissions_.frames,
+            kind=type(self).__name__,
+            more=self._more_arrays(),
+        )
+        model_file.write(path, contents)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Self:
+        """Read a model file. Raises ModelFileError when it is damaged, no model file, or holds another kind of model.
+
+        `TPGMM.load` reads all kinds, as the mixture of their components.
+        """
+        contents = model_file.read(path)
+        known = {k: v for k, v in contents.settings.items() if k in cls._parameter_names()}
+        parameters = Parameters(contents.priors, contents.means, contents.covariances)
+        model = cls(**known)  # type: ignore[arg-type]
+        emissions = None
+        if contents.frames is not None:
+            structure = next(iter(contents.frames.values())).structure
+            options = {f.name: getattr(structure, f.name) for f in fields(Structure)[4:]}
+            model.covariance_options = {k: v for k, v in options.items() if v != getattr(Structure(), k)} or None
+            manifolds = {name: view_manifold(contents.manifold, m.shape[1]) for name, m in contents.means.items()}
+            emissions = Emissions(structure, manifolds, contents.means, contents.frames)
+        model._learned(
+            Estimate(parameters, contents.log_likelihoods, contents.objectives, contents.converged),
+            contents.manifold,
+            emissions,
+        )
+        model.dimensions_ = contents.dimensions
+        model.metadata_ = dict(contents.metadata)
+        if cls is not TPGMM:
+            if contents.kind != cls.__name__:
+                raise model_file.ModelFileError(f"{path} holds a {contents.kind}, no {cls.__name__}")
+            try:
+                model._restore(contents.more)
+            except (LookupError, ValueError, TypeError) as error:  # what arrays of any shape may lead to
+                raise model_file.ModelFileError(f"{path}: {error}") from error
+        return model
+
+    def _more_arrays(self) -> dict[str, Array]:
+        """What a model file has to hold of a kind of model beyond its components."""
+        return {}
+
+    def _restore(self, arrays: Mapping[str, Array]) -> None:
+        """The inverse of `_more_arrays`. Raises KeyError and ValueError for arrays that do not fit."""

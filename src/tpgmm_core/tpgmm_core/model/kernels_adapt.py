@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Adapting all components to new frames (Eqs. 5, 6), compiled.
+
+Numbers that are worked on for all components together lie side by side, component last, so that the innermost loops
+vectorise. Frame j takes `sizes[j]` = (D_j, n_j) ambient and tangent dimensions to D and n.
+`flat[i]` is the ambient index of tangent dimension i, or -1 on S³, and `spheres[s]` = (first ambient, first tangent
+index) of each S³ factor: `Manifold.ambient_of_tangent` and `Manifold.sphere_starts`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tpgmm_core.common.constants import RANK_TOLERANCE
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import compiled, is_orthogonal, pseudo_inverse, rotation_of_left_matrix
+from tpgmm_core.geometry.kernels_product import fuse, invert_precision, scratch_for
+
+
+@compiled
+def tangent_matrix(A: Array, flat: Array, spheres: Array, out: Array) -> bool:
+    """How A (D, D_j) acts on tangent vectors, out (n, n_j); False when a block on S³ is not L(q)."""
+    if len(spheres) == 0:
+        out[:] = A
+        return True
+    n = len(flat)
+    for i in range(n):
+        for m in range(n):
+            out[i, m] = A[flat[i], flat[m]] if flat[i] >= 0 and flat[m] >= 0 else 0.0
+    for s in range(len(spheres)):
+        a, t = spheres[s]
+        for i in range(A.shape[0]):
+            if i < a or i >= a + 4:
+                for m in range(a, a + 4):
+                    if A[i, m] != 0.0 or A[m, i] != 0.0:
+                        return False
+        if not rotation_of_left_matrix(A[a : a + 4, a : a + 4], out[t : t + 3, t : t + 3]):
+            return False
+    return True
+
+
+@compiled
+def multiply(F: Array, rows: Array, width: int, out: Array) -> None:
+    """out[o, c] = sum over i of F[o, i] rows[i, c], for c < width."""
+    n, count = F.shape
+    for o in range(n):
+        for c in range(width):
+            out[o, c] = 0.0
+        # four rows at once, since the rows are short; beyond the last one the factor is zero
+        for i in range(0, count, 4):
+            i1, i2, i3 = min(i + 1, count - 1), min(i + 2, count - 1), min(i + 3, count - 1)
+            f0 = F[o, i]
+            f1 = F[o, i1] if i + 1 < count else 0.0
+            f2 = F[o, i2] if i + 2 < count else 0.0
+            f3 = F[o, i3] if i + 3 < count else 0.0
+            if f0 != 0.0 or f1 != 0.0 or f2 != 0.0 or f3 != 0.0:  # frames are full of zeros
+                for c in range(width):
+                    out[o, c] += f0 * rows[i, c] + f1 * rows[i1, c] + f2 * rows[i2, c] + f3 * rows[i3, c]
+
+
+@compiled
+def view_frame(
+    means: Array, precisions: Array, size: Array, flat: Array, spheres: Array, A: Array, b: Array, inverse: Array,
+    has_inverse: bool, weight: float, half: Array, turned: Array, targets: Array, terms: Array,
+) -> bool:  # fmt: skip
+    """Eq. (5) for one frame and all components; False when A does not fit the manifold.
+
+    means (D_j, K); precisions (n_j, n_j K) of the model. Writes targets (D, K), A mu + b, and terms (n, n K),
+    weight M^T Lambda_k M with M = A^+, or inverse (D_j, D) where the frame has its own. half (n, n_j K)
+    and turned (n_j, n K) are scratch.
+    """
+    D, K = targets.shape
+    D_j, n_j = size
+    n = len(flat)
+    tangent = np.empty((n, n_j))
+    if not tangent_matrix(A[:, :D_j], flat, spheres, tangent):
+        return False
+    if has_inverse:
+        M = np.ascontiguousarray(inverse[:D_j].T)
+    elif n == n_j and is_orthogonal(tangent):  # of a rotation, A^+ = A^T
+        M = tangent
+    else:
+        M = np.ascontiguousarray(pseudo_inverse(tangent, RANK_TOLERANCE).T)
+    multiply(M, precisions, n_j * K, half)
+    for i in range(n):
+        for m in range(n_j):
+            for k in range(K):
+                turned[m, i * K + k] = weight * half[i, m * K + k]
+    multiply(M, turned, n * K, terms)
+    multiply(A[:, :D_j], means, K, targets)
+    for i in range(D):
+        for k in range(K):
+            targets[i, k] += b[i]
+    return True
+
+
+@compiled
+def adapt(
+    means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, inverses: Array,
+    has_inverse: Array, weights: Array, state: Array, min_precision: float, out_means: Array, out_covariances: Array,
+) -> int:  # fmt: skip
+    """Eqs. (5) and (6) for all components; writes out_means (K, D) and out_covariances (K, n, n).
+
+    means (P, D_max, K); precisions (P, n_max, n_max K), where entry (l, m) of component k lies at [l, m K + k];
+    A (P, D, D_max), b (P, D), inverses (P, D_max, D), has_inverse and weights (P,),
+    state (D,). Returns -1, or the frame whose matrix does not fit S³, or -2 - k for the component whose product did not
+    converge.
+    """
+    P, K = means.shape[0], means.shape[2]
+    D, n = len(state), len(flat)
+    half, turned = np.empty((n, precisions.shape[2])), np.empty((precisions.shape[1], n * K))
+    targets, terms = np.empty((P, D, K)), np.empty((P, n, n * K))
+    for j in range(P):
+        if weights[j] > 0.0 and not view_frame(
+            means[j], precisions[j], sizes[j], flat, spheres, A[j], b[j], inverses[j], has_inverse[j],
+            weights[j], half, turned, targets[j], terms[j],
+        ):  # fmt: skip
+            return j
+    if len(spheres) == 0:
+        add_up(weights, targets, terms, state, min_precision, flat, spheres, out_means, out_covariances)
+        return -1
+    component_targets, component_terms = np.empty((P, D)), np.empty((P, n, n))
+    for k in range(K):
+        for j in range(P):
+            for i in range(D):
+                component_targets[j, i] = targets[j, i, k]
+            for o in range(n):
+                for i in range(o, n):
+                    component_terms[j, i, o] = terms[j, o, i * K + k]
+        if not fuse(
+            component_targets, component_terms, weights, state, min_precision, flat, spheres,
+            out_means[k], out_covariances[k],
+        ):  # fmt: skip
+            return -2 - k
+    return -1
+
+
+@compiled
+def add_up(
+    weights: Array, targets: Array, terms: Array, state: Array, min_precision: float, flat: Array, spheres: Array,
+    out_means: Array, out_covariances: Array,
+) -> None:  # fmt: skip
+    """Eq. (6) on R^n, for all components at once: precisions add up, means are weighted by them.
+
+    targets (P, n, K) and terms (P, n, n K) as `view_frame` writes them. Sums are taken about one frame's means, so that
+    a world far from its origin costs no digits.
+    """
+    P, n, K = targets.shape
+    H, pull, base, d = np.zeros((n, n * K)), np.zeros((n, K)), np.empty((n, K)), np.empty((n, K))
+    for i in range(n):
+        base[i] = state[i]
+    is_first = True
+    for j in range(P):
+        if not weights[j] > 0.0:
+            continue
+        for o in range(n):
+            for c in range(n * K):
+                H[o, c] += terms[j, o, c]
+        if is_first:
+            base[:] = targets[j]
+            is_first = False
+            continue
+        for i in range(n):
+            for k in range(K):
+                d[i, k] = targets[j, i, k] - base[i, k]
+        for o in range(n):
+            for i in range(n):
+                for k in range(K):
+                    pull[o, k] += terms[j, o, i * K + k] * d[i, k]
+    S, gradient, scratch = np.empty((n, n)), np.empty(n), scratch_for(n)
+    for k in range(K):
+        for o in range(n):
+            gradient[o] = -pull[o, k]
+            out_means[k, o] = base[o, k]
+            for i in range(n):
+                S[o, i] = H[o, i * K + k]
+        invert_precision(S, gradient, out_means[k], state, min_precision, flat, spheres, scratch, out_covariances[k])
+        for i in range(n):
+            for m in range(n):
+                out_means[k, i] -= out_covariances[k, i, m] * gradient[m]

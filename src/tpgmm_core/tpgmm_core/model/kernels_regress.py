@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gaussian mixture regression over time, alone and after adapting, compiled.
+
+`flat[i]` is the ambient index of tangent dimension i, or -1 on S³, and `spheres[s]` = (first ambient, first tangent
+index) of each S³ factor: `Manifold.ambient_of_tangent` and `Manifold.sphere_starts`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower, transport
+from tpgmm_core.geometry.kernels_product import MAX_STEPS, STEP_TOLERANCE, difference, longest, move
+from tpgmm_core.model.kernels_adapt import adapt
+
+NEGLIGIBLE = 1e-20  # components with a smaller activation add nothing to a covariance
+
+
+@compiled
+def regress(
+    log_priors: Array, means: Array, covariances: Array, t: float, flat: Array, spheres: Array, mean: Array,
+    covariance: Array, activations: Array,
+) -> None:  # fmt: skip
+    """Gaussian mixture regression on the first dimension at t: mean (D - 1,), covariance (n - 1, n - 1).
+
+    The Gaussian is moment-matched; on S³ its mean is where the weighted tangent vectors cancel out, and the
+    components' covariances move there by parallel transport. activations (K,) sum to 1.
+    """
+    K, D = means.shape
+    n = len(flat)
+    top = -np.inf
+    for k in range(K):
+        variance = covariances[k, 0, 0]
+        d = t - means[k, 0]
+        activations[k] = log_priors[k] - 0.5 * (math.log(variance) + d * d / variance)
+        top = max(top, activations[k])
+    total = 0.0
+    for k in range(K):
+        activations[k] = math.exp(activations[k] - top)
+        total += activations[k]
+    likeliest = 0
+    for k in range(K):
+        activations[k] /= total
+        if activations[k] > activations[likeliest]:
+            likeliest = k
+    conditionals = means.copy()
+    steps = np.empty((K, n))
+    for k in range(K):
+        slope = (t - means[k, 0]) / covariances[k, 0, 0]
+        for i in range(n):
+            steps[k, i] = covariances[k, i, 0] * slope
+        move(conditionals[k], steps[k], flat, spheres)
+    x = conditionals[likeliest].copy()
+    e = np.empty((K, n))
+    step = np.empty(n)
+    for _ in range(MAX_STEPS):
+        step[:] = 0.0
+        for k in range(K):
+            difference(conditionals[k], x, flat, spheres, e[k])
+            for i in range(n):
+                step[i] += activations[k] * e[k, i]
+        move(x, step, flat, spheres)
+        if len(spheres) == 0 or longest(step) < STEP_TOLERANCE:
+            break
+    for i in range(1, D):
+        mean[i - 1] = x[i]
+    covariance[:] = 0.0
+    C = np.empty((n, n))
+    for k in range(K):
+        h = activations[k]
+        if h < NEGLIGIBLE:
+            continue
+        difference(conditionals[k], x, flat, spheres, e[k])
+        for i in range(n):
+            gain = covariances[k, i, 0] / covariances[k, 0, 0]
+            for m in range(i + 1):
+                C[i, m] = covariances[k, i, m] - gain * covariances[k, m, 0]
+                C[m, i] = C[i, m]
+        for s in range(len(spheres)):
+            a = spheres[s, 1]
+            transport(C, a, steps[k, a], steps[k, a + 1], steps[k, a + 2])  # to the component's conditional mean
+            transport(C, a, -e[k, a], -e[k, a + 1], -e[k, a + 2])  # and from there to the mixture's
+        for i in range(1, n):
+            for m in range(1, i + 1):
+                covariance[i - 1, m - 1] += h * (C[i, m] + e[k, i] * e[k, m])
+    for i in range(n - 1):
+        for m in range(i):
+            covariance[m, i] = covariance[i, m]
+
+
+@compiled
+def regress_all(
+    log_priors: Array, means: Array, covariances: Array, flat: Array, spheres: Array, times: Array,
+    out_means: Array, out_covariances: Array, out_activations: Array,
+) -> None:  # fmt: skip
+    """`regress` at all times (H,)."""
+    for i in range(len(times)):
+        regress(
+            log_priors, means, covariances, times[i], flat, spheres,
+            out_means[i], out_covariances[i], out_activations[i],
+        )  # fmt: skip
+
+
+@compiled
+def adapt_and_regress(
+    means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, inverses: Array,
+    has_inverse: Array, weights: Array, state: Array, min_precision: float, adapted_means: Array,
+    adapted_covariances: Array, log_priors: Array, times: Array, out_means: Array, out_covariances: Array,
+    out_activations: Array,
+) -> int:  # fmt: skip
+    """`adapt`, then `regress_all`."""
+    failed: int = adapt(
+        means, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, weights, state, min_precision,
+        adapted_means, adapted_covariances,
+    )  # fmt: skip
+    if failed == -1:
+        regress_all(
+            log_priors, adapted_means, adapted_covariances, flat, spheres, times,
+            out_means, out_covariances, out_activations,
+        )  # fmt: skip
+    return failed
+
+
+@compiled
+def regress_and_adapt(
+    log_priors: Array, means: Array, covariances: Array, sizes: Array, view_flat: Array, spheres: Array,
+    data_flat: Array, data_spheres: Array, A: Array, b: Array, inverses: Array, has_inverse: Array,
+    weights: Array, state: Array, min_precision: float, times: Array, out_means: Array, out_covariances: Array,
+    activations: Array,
+) -> int:  # fmt: skip
+    """Regression in each frame at all times (H,), then `adapt`, as if the times were components.
+
+    means (P, K, D_max), covariances (P, K, n_max, n_max), sizes (P, 2), view_flat and spheres: what each frame learned,
+    time first. data_flat, data_spheres, A, b, inverses, state: without time. Writes out_means (H, D), out_covariances
+    (H, n, n), and activations (K,) at the first of the times, the mean over the frames.
+
+    Returns what `adapt` does, or P + the frame whose covariance is singular.
+    """
+    P, H = len(means), len(times)
+    data_sizes = sizes - 1
+    n_max = covariances.shape[2] - 1
+    seen, precisions = np.zeros((P, means.shape[2] - 1, H)), np.zeros((P, n_max, n_max * H))
+    h, total = np.empty(len(log_priors)), 0.0
+    activations[:] = 0.0
+    for j in range(P):
+        if not weights[j] > 0.0:
+            continue
+        D, n = data_sizes[j]
+        view_means = np.ascontiguousarray(means[j, :, : D + 1])
+        view_covariances = np.ascontiguousarray(covariances[j, :, : n + 1, : n + 1])
+        mean, covariance, L = np.empty(D), np.empty((n, n)), np.empty((n, n))
+        for i in range(H):
+            regress(
+                log_priors, view_means, view_covariances, times[i], view_flat[: n + 1], spheres, mean, covariance, h
+            )  # fmt: skip
+            if i == 0:
+                total += weights[j]
+                for k in range(len(h)):
+                    activations[k] += weights[j] * h[k]
+            for o in range(D):
+                seen[j, o, i] = mean[o]
+            if not cholesky(covariance, n, L):
+                return P + j
+            invert_lower(L, n, covariance)
+            gram(covariance, n, L)
+            for o in range(n):
+                for m in range(n):
+                    precisions[j, o, m * H + i] = L[o, m]
+    for k in range(len(h)):
+        activations[k] = activations[k] / total if total > 0.0 else math.exp(log_priors[k])
+    failed: int = adapt(
+        seen, precisions, data_sizes, data_flat, data_spheres, A, b, inverses, has_inverse, weights, state,
+        min_precision, out_means, out_covariances,
+    )  # fmt: skip
+    return failed
+
+
+@compiled
+def time_changed(A: Array, b: Array, weights: Array) -> int:
+    """The first frame with a weight that does not leave the first dimension as it is, or -1."""
+    for j in range(len(weights)):
+        if not weights[j] > 0.0:
+            continue
+        mixed = abs(A[j, 0, 0] - 1.0) + abs(b[j, 0])
+        for i in range(1, A.shape[1]):
+            mixed += abs(A[j, i, 0])
+        for m in range(1, A.shape[2]):
+            mixed += abs(A[j, 0, m])
+        if mixed > 0.0:
+            return j
+    return -1

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The inverse optimal control reading of a model (Section 5): each frame is a sub-objective, with learned weights.
+
+A reproduction minimises Eq. (3), the sum over the frames of `(xi - xi_j)^T Lambda_j (xi - xi_j)` at each time. The
+precisions Lambda_j were learned: they say how much the demonstrations cared for each frame, when, and in which
+directions. With Sigma the covariance of the product, the matrices `Sigma^(1/2) Lambda_j Sigma^(1/2)` add up to the
+identity, whatever the units: their diagonals are the shares of the frames in the objective.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.kernels_product import add_term, scratch_for
+from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.retrieval.regression import RegressThenProduct
+
+
+@dataclass(frozen=True, slots=True)
+class SubObjectives:
+    """What each of P frames wants of a movement at T times, on n tangent dimensions.
+
+    frames : names, in the order of the axes P
+    means : (T, D), the movement: where the sum of all is least
+    covariances : (T, n, n), of the movement, in the tangent spaces at the means
+    precisions : (T, P, n, n), Lambda_j at the movement, in the unit of the data to the power of -2
+    shares : (T, P, n), of each frame in the objective along each dimension: 0 to 1, the sum over the frames is 1
+    costs : (T, P), what is left of each sub-objective: how far the frames contradict each other, in variances
+    """
+
+    frames: tuple[str, ...]
+    means: Array
+    covariances: Array
+    precisions: Array
+    shares: Array
+    costs: Array
+
+    def weights(self, dimensions: slice | list[int] = slice(None)) -> Array:
+        """(T, P): the frames' shares, averaged over tangent dimensions (positions, say, or rotations)."""
+        return np.asarray(self.shares[..., dimensions].mean(axis=-1))
+
+
+def sub_objectives(model: TPGMM, times: ArrayLike, frames: Mapping[str, Frame]) -> SubObjectives:
+    """The sub-objectives of a model's frames in one situation.
+
+    model : with time as the first dimension; times : (T,), of the model; frames : over [time, data], one or more
+
+    Raises ValueError as `RegressThenProduct` and its `retrieve`.
+    """
+    retrieval = RegressThenProduct(model)
+    movement = retrieval.retrieve(frames, times)
+    manifold = movement[0].manifold
+    layout = manifold.ambient_of_tangent, manifold.sphere_starts
+    T, P, n = len(movement), len(frames), manifold.tangent_dim
+    precisions, costs = np.zeros((T, P, n, n)), np.empty((T, P))
+    for j, (name, frame) in enumerate(frames.items()):
+        for t, wanted in enumerate(retrieval.retrieve({name: frame}, times)):
+            scratch, gradient = scratch_for(n), np.zeros(n)
+            costs[t, j] = 2.0 * add_term(
+                movement[t].mean, wanted.mean, wanted.precision, *layout, scratch, gradient, precisions[t, j]
+            )
+    covariances = np.stack([g.covariance for g in movement])
+    values, vectors = np.linalg.eigh(precisions.sum(axis=1))
+    root = (vectors / np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    shares = np.einsum("tik,tpkl,tli->tpi", root, precisions, root)
+    return SubObjectives(tuple(frames), np.stack([g.mean for g in movement]), covariances, precisions, shares, costs)

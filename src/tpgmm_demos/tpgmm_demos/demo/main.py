@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The demo's program: train, start, disturb, report."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from action_msgs.msg import GoalStatus
+from domain_coordinator import domain_id
+from rclpy.action import ActionClient
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+
+import tpgmm_demos.demo as package
+from tpgmm_core import TPGMM, Frame
+from tpgmm_core.retrieval.interface import demonstrated_duration
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_demos.demo.causes import cause_of_waiting_in_vain
+from tpgmm_demos.demo.pictures import draw
+from tpgmm_demos.demo.recording import Recording
+from tpgmm_demos.demo.report import evaluate, table
+from tpgmm_demos.demo.world import EXACT_RATE, Disturbances, World
+from tpgmm_demos.scene.perception import PERCEPTIONS, Camera, perception
+from tpgmm_demos.scene.pick_place import random_situation
+from tpgmm_msgs.action import Reproduce
+from tpgmm_ros.programs import train
+from tpgmm_ros.programs.reporting import run_with_report, write_report
+from tpgmm_ros.runtime.entry import INTERRUPTED
+from tpgmm_ros.runtime.executor import init
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph, GraphError, GraphTimeoutError, NodeProcesses
+from tpgmm_ros.runtime.resources import config_file
+from tpgmm_ros.task.task_file import Task
+
+#: How long nodes may take to start, and the movement to end, s: in real time, and in lockstep, where a busy machine is
+#: allowed to take its time.
+START_TIMEOUT = {False: 60.0, True: 600.0}
+END_TIMEOUT = {False: 300.0, True: 1800.0}
+#: Of the simulated robot at least, Hz: its dynamics are the same for controllers of all rates.
+PHYSICS_RATE = 1000.0
+
+
+def main() -> int:
+    arguments = _parser().parse_args()
+
+    def cause_of(error: Exception) -> str:
+        if not isinstance(error, GraphTimeoutError):  # nothing else is a matter of time
+            return ""
+        return cause_of_waiting_in_vain(os.getloadavg()[0], os.cpu_count() or 1, arguments.lockstep)
+
+    return run_with_report(arguments.output, lambda: _train_and_run(arguments), (GraphError,), cause_of)
+
+
+def _train_and_run(arguments: argparse.Namespace) -> bool:
+    model_file = arguments.model or arguments.output / "pick_place.tpgmm"
+    if arguments.model:
+        print(f"1. using the model {model_file}")
+        return _run(arguments, model_file)
+    print(f"1. training from {arguments.bags}")
+    status = train.main(["--task", str(arguments.task), "--output", str(model_file), str(arguments.bags)])
+    if status == INTERRUPTED:
+        raise KeyboardInterrupt
+    if status:
+        raise GraphError("training failed")
+    return _run(arguments, model_file)
+
+
+def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
+    task = Task.load(arguments.task)
+    robot = RobotModel.from_file(arguments.robot)
+    model = TPGMM.load(model_file)
+    # The seeds of the demonstrations are drawn otherwise: no situation here was in one of them.
+    random = np.random.default_rng([arguments.seed, 0xDE, 0x40])
+    situation = random_situation(random)
+    disturbances = Disturbances.random(random, demonstrated_duration(model))
+    with _domain(arguments.domain):
+        init([])
+        node = Node("demo", parameter_overrides=[Parameter("use_sim_time", value=arguments.lockstep)])
+        executor = EventsExecutor()
+        executor.add_node(node)
+        recorder = Node("demo_recorder")
+        recording = Recording(recorder, task, list(robot.joint_names))
+        # numbers of its own: the situation is the same whatever perception is like
+        camera = Camera(perception(arguments.perception, EXACT_RATE), [arguments.seed, 0xDE, 0xCA])
+        world = World(node, task, situation, disturbances, camera, arguments.lockstep)
+        with NodeProcesses(arguments.output / "log") as processes:
+            graph = Graph(node, executor, processes)
+            print(f"2. starting the nodes (logs: {processes.log_directory})")
+            _start(graph, arguments, model_file)
+            print("3. reproducing in a new situation; the object is pushed and the target hidden on the way")
+            if arguments.lockstep:  # simulated time begins with the movement, so that it is the same each time
+                result = _ask(graph, recording, START_TIMEOUT[arguments.lockstep])
+            _start_simulator(graph, arguments)
+            graph.wait_for(recording.hand_is_known, START_TIMEOUT[arguments.lockstep], "the hand's pose")
+            begun = time.monotonic()
+            if not arguments.lockstep:
+                result = _ask(graph, recording, START_TIMEOUT[arguments.lockstep])
+            outcome = _outcome(graph, recording, world, result, END_TIMEOUT[arguments.lockstep])
+            took = time.monotonic() - begun
+        executor.remove_node(node)
+        node.destroy_node()
+        recorder.destroy_node()
+        rclpy.shutdown()
+    report = evaluate(recording, world, robot.effort_limits, outcome, arguments.lockstep)
+    assert world.started_ns is not None
+    report["rate_hz"] = arguments.rate
+    report["seed"] = arguments.seed
+    report["perception"]["kind"] = arguments.perception
+    report["real_time_factor"] = report["movement_time_s"] / took
+    report["digest"] = recording.digest(world.started_ns, demonstrated_duration(model))
+    pushed = disturbances.pushed(situation.object, np.inf)
+    frames = {name: np.array(spec.pose) for name, spec in task.frames.items() if spec.pose is not None}
+    frames |= {"object": pushed, "target": situation.target}
+    mixture = model.adapt({name: Frame.from_pose(pose[:3], pose[3:]).with_time() for name, pose in frames.items()})
+    draw(recording, world, mixture, robot.effort_limits, arguments.output)
+    path = write_report(arguments.output, report)
+    print(table(report))
+    print(f"report and pictures: {path.parent}")
+    return bool(report["passed"])
+
+
+@contextlib.contextmanager
+def _domain(given: int | None) -> Iterator[None]:
+    """A ROS domain that nobody else on this machine uses, and that no other machine sees; or the one that was given."""
+    with contextlib.ExitStack() as stack:
+        if given is None:
+            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+            given = stack.enter_context(domain_id())
+        os.environ["ROS_DOMAIN_ID"] = str(given)
+        yield
+
+
+def _start(graph: Graph, arguments: argparse.Namespace, model_file: Path) -> None:
+    """All nodes but the simulator."""
+    processes, simulated = graph.processes, arguments.lockstep
+    both = {"use_sim_time": simulated, "realtime_priority": _priority(arguments)}
+    lockstep = {"lockstep_rate": 100.0, "start_timeout": 60.0} if simulated else {}
+    processes.start("frame_tracker", task_file=arguments.task, lockstep=simulated, **both)
+    answering = {"joint_state_rate": arguments.rate, **both}
+    processes.start("reproduction", task_file=arguments.task, model_file=model_file, **lockstep, **answering)
+    processes.start("impedance_controller", robot_file=arguments.robot, lockstep=simulated, **answering)
+    graph.bring_up("impedance_controller", START_TIMEOUT[simulated])
+    graph.bring_up("reproduction", START_TIMEOUT[simulated])
+
+
+def _start_simulator(graph: Graph, arguments: argparse.Namespace) -> None:
+    graph.processes.start(
+        "baxter_simulator",
+        robot_file=arguments.robot,
+        lockstep=arguments.lockstep,
+        rate=arguments.rate,
+        physics_steps=math.ceil(PHYSICS_RATE / arguments.rate),
+        realtime_priority=_priority(arguments),
+    )
+
+
+def _priority(arguments: argparse.Namespace) -> int:
+    return 0 if arguments.lockstep else REALTIME_PRIORITY
+
+
+def _ask(graph: Graph, recording: Recording, timeout: float) -> Future:
+    """Ask for the movement; returns its result to come once the movement waits for nothing but the robot."""
+    client = ActionClient(graph.node, Reproduce, "reproduce")
+    graph.wait_for(client.server_is_ready, timeout, "the action 'reproduce'")
+    goal = graph.result(client.send_goal_async(Reproduce.Goal()), timeout, "the goal to be accepted")
+    if not goal.accepted:
+        raise GraphError("reproduction refused the goal")
+    result = goal.get_result_async()
+    graph.wait_for(lambda: result.done() or recording.says("reproduction", "stage"), timeout, "the movement to begin")
+    return result
+
+
+def _outcome(graph: Graph, recording: Recording, world: World, result: Future, timeout: float) -> tuple[bool, str]:
+    """Whether the movement succeeded, and what the action said."""
+
+    def ended() -> bool:
+        recording.poll()
+        if world.started_ns is None:
+            world.started_ns = recording.first_reference_ns()
+        return result.done()
+
+    graph.wait_for(ended, timeout, "the end of the movement")
+    if world.started_ns is None:
+        raise GraphError(f"the movement never started: {result.result().result.reason}")
+    response = result.result()
+    return response.status == GoalStatus.STATUS_SUCCEEDED, response.result.reason
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="demo", description=package.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seed", type=int, default=1, help="another number, another situation (default: %(default)s)")
+    parser.add_argument(
+        "--bags", type=Path, default=Path("bags/pick_place"), help="the demonstrations (default: %(default)s)"
+    )
+    parser.add_argument("--model", type=Path, help="a model file of the task to use, in place of training one")
+    parser.add_argument(
+        "--output", type=Path, default=Path("out/demo"), help="report, pictures, model, logs (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--task", type=Path, default=config_file("pick_place.yaml"), help="task file (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--robot", type=Path, default=config_file("baxter.yaml"), help="robot file (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--perception",
+        choices=PERCEPTIONS,
+        default="camera",
+        help="camera: object and target are seen 30 times per second, 30 ms late, with noise of 1 mm and 0.5 deg; "
+        "exact: where they are, at once (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--lockstep", action="store_true", help="as fast as possible on simulated time, not in real time"
+    )
+    parser.add_argument(
+        "--rate", type=float, default=1000.0, help="of joint states and torques, Hz, 100 to 2000 (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--domain", type=int, help="ROS domain to run on, to watch with RViz (default: a free one, this machine only)"
+    )
+    return parser

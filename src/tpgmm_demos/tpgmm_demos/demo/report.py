@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From what was recorded to the demo's figures and its verdict."""
+
+from __future__ import annotations
+
+import math
+import os
+import textwrap
+from typing import Any
+
+import numpy as np
+
+from tpgmm_demos.demo.causes import cause_of_failure
+from tpgmm_demos.demo.recording import Recording, Series
+from tpgmm_demos.demo.world import World
+from tpgmm_demos.scene.pick_place import pose_error
+from tpgmm_ros.programs.reporting import format_table
+
+NODES = ("reproduction", "impedance_controller", "baxter_simulator")
+
+#: What has to be reached: m, deg, shares of the effort limits. A change of torque up to JUMP, N m from one tick to the
+#: next, is no jump; nor is one that the movement makes elsewhere too.
+LARGEST_POSITION_ERROR = 0.01
+LARGEST_ORIENTATION_ERROR = 5.0
+LARGEST_TORQUE_SHARE = 1.0
+JUMP = 0.5
+#: A motor that gives this share of what it can give counts as one at its limit.
+SATURATED = 0.999
+#: A frame that came back is watched for this long, s.
+AFTERWARDS = 0.5
+#: s from one command to the next.
+TICK = 0.001
+
+
+def evaluate(
+    recording: Recording, world: World, effort_limits: np.ndarray, outcome: tuple[bool, str], lockstep: bool
+) -> dict[str, Any]:
+    """The report of one run.
+
+    Args:
+        recording: what was on the topics.
+        world: where things are at the end.
+        effort_limits: (nv,), N m.
+        outcome: what the action said.
+        lockstep: no tick was late, so that a jump has no excuse.
+    """
+    assert world.started_ns is not None
+    position, angle = pose_error(world.grasp.object, world.situation.target)
+    orientation = math.degrees(angle)
+    torque = recording.torque().since(world.started_ns)
+    hidden = world.disturbances.hide_start, world.disturbances.hide_start + world.disturbances.hide_duration
+    lost = _largest_step(torque, world.started_ns, *hidden)
+    back = _largest_step(torque, world.started_ns, hidden[1], hidden[1] + AFTERWARDS)
+    usual = JUMP if lockstep else max(JUMP, _usual_step(torque, world.started_ns, hidden))
+    share = float((np.abs(torque.values) / effort_limits).max())
+    checks = {
+        "the object was grasped": world.grasp.holds,
+        "the movement ended well": outcome[0],
+        "the object is on the target": position <= LARGEST_POSITION_ERROR,
+        "the object is turned as the target": orientation <= LARGEST_ORIENTATION_ERROR,
+        "no torque above its limit": share <= LARGEST_TORQUE_SHARE,
+        "no jump when a frame was lost": lost <= usual,
+        "no jump when it came back": back <= usual,
+    }
+    diagnostics = {node: recording.diagnostics(node, world.started_ns) for node in NODES}
+    simulator = diagnostics["baxter_simulator"][-1]
+    reproduction = diagnostics["reproduction"][-1]
+    at_limit = (np.abs(torque.values) >= SATURATED * effort_limits).any(axis=0)
+    report = {
+        "passed": all(checks.values()),
+        "final_position_error_m": position,
+        "final_orientation_error_deg": orientation,
+        "path_deviation_m": _path_deviation(recording, world.started_ns),
+        "max_torque_share": share,
+        "torque_step_when_frame_lost_nm": lost,
+        "torque_step_when_frame_back_nm": back,
+        "usual_torque_step_nm": usual,
+        "largest_torque_step_nm": _largest_step(torque, world.started_ns, 0.0, math.inf),
+        "ticks": {node: _ticks(rows) for node, rows in diagnostics.items()},
+        "reproduction_step_ms": {name: float(reproduction[f"step_{name}_ms"]) for name in ("p50", "p99")},
+        "torque_age_ms": {name: float(simulator[f"age_{name}_ms"]) for name in ("p50", "p99")},
+        "movement_time_s": float(torque.times(world.started_ns)[-1]),
+        "outcome": outcome[1],
+        "checks": checks,
+        "lockstep": lockstep,
+        "perception": _perception(recording, world),
+        "nearest_to_grasp": {"m": float(world.nearest[0]), "rad": float(world.nearest[1])},
+        "saturated_joints": [name for name, full in zip(recording.joints, at_limit, strict=True) if full],
+        "load": os.getloadavg()[0],
+        "cores": os.cpu_count() or 1,
+    }
+    return report | {"cause": cause_of_failure(report)}
+
+
+def _perception(recording: Recording, world: World) -> dict[str, Any]:
+    """What of the camera's images came through to the task parameters, per second in which the object was in sight."""
+    assert world.started_ns is not None
+    counts = recording.observations(world.started_ns)
+    rates = {name: counts[name] / time for name, time in world.in_sight_s.items() if time > 0.0}
+    return {"camera_hz": world.camera.config.rate, "rate_hz": rates}
+
+
+def _usual_step(torque: Series, origin_ns: int, hidden: tuple[float, float]) -> float:
+    """Largest step, N m, while nothing was lost: where ticks come late, the movement itself makes larger ones."""
+    before = _largest_step(torque, origin_ns, 0.0, hidden[0])
+    return max(before, _largest_step(torque, origin_ns, hidden[1] + AFTERWARDS, math.inf))
+
+
+def _largest_step(torque: Series, origin_ns: int, start: float, end: float) -> float:
+    """Largest change of any joint's torque from one tick to the next, N m, between two times.
+
+    Where the machine was late and commands are missing, their change is shared out over the ticks they cover.
+    """
+    times = torque.times(origin_ns)
+    chosen = (times >= start) & (times <= end)
+    if chosen.sum() < 2:
+        return 0.0
+    change = np.abs(np.diff(torque.values[chosen], axis=0)).max(axis=1)
+    ticks = np.maximum(1, np.rint(np.diff(times[chosen]) / TICK))
+    return float((change / ticks).max())
+
+
+def _path_deviation(recording: Recording, origin_ns: int) -> float:
+    """Root mean square distance between the hand and the reference's mean at the same stamp, m."""
+    reference = recording.reference().since(origin_ns)
+    hand = recording.hand().since(origin_ns)
+    at = np.minimum(np.searchsorted(reference.stamps_ns, hand.stamps_ns), len(reference.stamps_ns) - 1)
+    distance = np.linalg.norm(hand.values[:, :3] - reference.values[at, :3], axis=1)
+    return float(np.sqrt(np.mean(distance**2)))
+
+
+def _ticks(rows: list[dict[str, str]]) -> dict[str, int]:
+    """Ticks asked for and done between the first and the last of a node's diagnostics."""
+    ticks = {}
+    for name in ("asked", "done"):
+        counts = [int(row[f"ticks_{name}"]) for row in rows]
+        ticks[name] = counts[-1] - counts[0] if len(counts) > 1 else counts[-1]
+    return ticks
+
+
+def table(report: dict[str, Any]) -> str:
+    """The report for people."""
+    usual = f"<= {report['usual_torque_step_nm']:.3f} N m"
+    rows: list[tuple[str, str, str]] = [
+        (
+            "final position error",
+            f"{1e3 * report['final_position_error_m']:.2f} mm",
+            f"<= {1e3 * LARGEST_POSITION_ERROR:g} mm",
+        ),
+        (
+            "final orientation error",
+            f"{report['final_orientation_error_deg']:.2f} deg",
+            f"<= {LARGEST_ORIENTATION_ERROR:g} deg",
+        ),
+        ("path deviation (RMS)", f"{1e3 * report['path_deviation_m']:.2f} mm", ""),
+        ("largest torque, share of its limit", f"{report['max_torque_share']:.3f}", f"<= {LARGEST_TORQUE_SHARE:g}"),
+        ("torque step per tick, frame lost", f"{report['torque_step_when_frame_lost_nm']:.3f} N m", usual),
+        ("torque step per tick, frame back", f"{report['torque_step_when_frame_back_nm']:.3f} N m", usual),
+        ("largest torque step", f"{report['largest_torque_step_nm']:.3f} N m", ""),
+    ]
+    for node, ticks in report["ticks"].items():
+        share = 100.0 * ticks["done"] / max(1, ticks["asked"])
+        rows.append((f"ticks, {node}", f"{ticks['done']} of {ticks['asked']} ({share:.1f} %)", ""))
+    for key, name in (("reproduction_step_ms", "reproduction step"), ("torque_age_ms", "torque age")):
+        values = report[key]
+        rows.append((name, f"p50 {values['p50']:.2f} ms, p99 {values['p99']:.2f} ms", ""))
+    perception = report["perception"]
+    for frame, rate in perception["rate_hz"].items():
+        rows.append((f"poses of '{frame}' that came", f"{rate:.1f} of {perception['camera_hz']:.1f} per s", ""))
+    rows += [(what, "yes" if ok else "NO", "yes") for what, ok in report["checks"].items()]
+    rows.append(("passed", "yes" if report["passed"] else "NO", "yes"))
+    text = format_table(("what", "measured", "to reach"), rows)
+    return f"{text}\n{textwrap.fill('cause: ' + report['cause'], 120)}" if report["cause"] else text

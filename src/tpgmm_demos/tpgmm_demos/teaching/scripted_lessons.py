@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""scripted_lessons: record demonstrations of a scripted teacher on a simulated Baxter. `teach --scripted` is the same.
+
+Starts ``baxter_simulator`` and ``impedance_controller`` (gravity compensation), and a scripted teacher leads the
+simulated robot by forces through a lesson, in another situation for each recording: pick-and-place with one hand, or a
+bar between both hands whose targets cannot both be reached, with priority for one of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from domain_coordinator import domain_id
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from tqdm import tqdm
+
+from tpgmm_core.common.text import one_line
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_demos.scene.perception import PERCEPTIONS, Camera, perception
+from tpgmm_demos.scene.pick_place import random_situation
+from tpgmm_demos.teaching import bar_lesson
+from tpgmm_demos.teaching.bar_lesson import BarLesson
+from tpgmm_demos.teaching.pick_place_lesson import ScriptedLesson
+from tpgmm_ros.recordings.bag_recorder import BagRecorder, topics_of
+from tpgmm_ros.runtime.executor import StopFlag, init
+from tpgmm_ros.runtime.processes import Graph, GraphError, NodeProcesses
+from tpgmm_ros.runtime.resources import config_file
+from tpgmm_ros.task.task_file import Task, TaskError
+
+#: Joint states come at up to 1 kHz; a demonstration needs no more than the poses' rate, Hz.
+JOINT_STATE_RATE = 50.0
+#: Exact perception sees the objects this often, Hz: at every third pose of the hand.
+EXACT_RATE = 100.0 / 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class LessonKind:
+    """How a lesson is made, and what it asks of the simulation.
+
+    Attributes:
+        make: the lesson, from the program's node, the task, the robot file, the camera and where variation comes from.
+        exact_rate: exact perception sees the objects this often, Hz.
+        rate: steps of the simulation per second, Hz.
+        pose_rate: it publishes poses and waits for a wrench this often, Hz.
+        keep_every: one of so many poses of the hand is recorded.
+    """
+
+    make: Callable[[Node, Task, Path, Camera, np.random.Generator], ScriptedLesson | BarLesson]
+    exact_rate: float = EXACT_RATE
+    rate: float = 1000.0
+    pose_rate: float = 100.0
+    keep_every: int = 1
+
+
+def _pick_place(
+    node: Node, task: Task, robot_file: Path, camera: Camera, random: np.random.Generator
+) -> ScriptedLesson:
+    link = RobotModel.from_file(robot_file).endpoints[task.endpoint].frame
+    return ScriptedLesson(node, task, link, random_situation(random), camera, random)
+
+
+def _bar(first: str) -> LessonKind:
+    def make(node: Node, task: Task, robot_file: Path, camera: Camera, random: np.random.Generator) -> BarLesson:
+        return BarLesson(node, task, robot_file, first, camera, random)
+
+    exact_rate = bar_lesson.TOUCH_RATE / bar_lesson.KEEP_EVERY
+    return LessonKind(make, exact_rate, bar_lesson.RATE, bar_lesson.TOUCH_RATE, bar_lesson.KEEP_EVERY)
+
+
+#: By the name of their task file in config/.
+LESSONS = {"pick_place": LessonKind(_pick_place), "left_first": _bar("left"), "right_first": _bar("right")}
+
+
+def record_scripted(
+    task: Task,
+    robot_file: Path,
+    output: Path,
+    count: int,
+    seed: int,
+    lesson: str = "pick_place",
+    perceived: str = "camera",
+) -> list[Path]:
+    """Record ``count`` demonstrations of one of LESSONS; existing ones are kept and not made again.
+
+    Args:
+        perceived: how the objects are seen, one of PERCEPTIONS.
+
+    Raises:
+        GraphError: a node failed, or the scripted teacher did not manage what it is to show.
+    """
+    made = []
+    with domain_id() as domain, tempfile.TemporaryDirectory() as logs:
+        # Nodes started here talk to each other and to nobody else.
+        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", ROS_LOG_DIR=logs)
+        init([])
+        stop = StopFlag()
+        with tqdm(total=count, unit="demonstration", desc="teaching") as progress:
+            for index in range(count):
+                path = output / f"demo_{index + 1:02d}"
+                if path.exists():
+                    progress.write(f"{path}: exists, kept")
+                else:
+                    random = np.random.default_rng([seed, index])
+                    # numbers of its own: the teacher does the same whatever perception is like
+                    camera = Camera(perception(perceived, LESSONS[lesson].exact_rate), [seed, index, 0xCA])
+                    words = _record_lesson(task, robot_file, LESSONS[lesson], path, camera, random, Path(logs), stop)
+                    progress.write(f"{path}: {words}")
+                    made.append(path)
+                progress.update()
+        rclpy.shutdown()
+    return made
+
+
+def _record_lesson(
+    task: Task,
+    robot_file: Path,
+    kind: LessonKind,
+    path: Path,
+    camera: Camera,
+    random: np.random.Generator,
+    logs: Path,
+    stop: StopFlag,
+) -> str:
+    node = Node("teach", parameter_overrides=[Parameter("use_sim_time", value=True)])
+    executor = EventsExecutor()
+    executor.add_node(node)
+    with NodeProcesses(logs) as processes:
+        processes.start(
+            "impedance_controller",
+            robot_file=robot_file,
+            endpoint=task.endpoint,
+            joint_state_rate=kind.rate,
+            use_sim_time=True,
+            autostart=True,
+        )
+        processes.start(
+            "baxter_simulator",
+            robot_file=robot_file,
+            lockstep=True,
+            lockstep_wrench=True,
+            rate=kind.rate,
+            pose_rate=kind.pose_rate,
+        )
+        graph = Graph(node, executor, processes)
+        graph.wait_for(lambda: node.count_publishers("joint_torques") > 0, 30.0, "the controller")
+        keep_every = {"joint_states": round(kind.rate / JOINT_STATE_RATE), task.movement: kind.keep_every}
+        with BagRecorder(node, path, topics_of(task), keep_every=keep_every) as recorder:
+            lesson = kind.make(node, task, robot_file, camera, random)
+            graph.wait_for(lambda: lesson.done or stop.set, 300.0, "the end of the demonstration")
+            lesson.close()
+            if stop.set:
+                raise GraphError(f"interrupted; the unfinished recording of {path} is not kept")
+            if lesson.failure:
+                raise GraphError(f"{path}: {lesson.failure}")
+    executor.remove_node(node)
+    node.destroy_node()
+    return f"{lesson.duration:.1f} s, {recorder.counts[task.movement] // kind.keep_every} poses"
+
+
+def main() -> int:
+    scripted = "--scripted" in sys.argv[1:]
+    parser = argparse.ArgumentParser(
+        prog="teach --scripted" if scripted else "scripted_lessons",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="examples:\n"
+        "  teach --scripted --count 16 --output bags/pick_place\n"
+        "  teach --scripted --lesson left_first --count 3 --output bags/priorities/left_first",
+    )
+    shown = "(default: %(default)s)"
+    parser.add_argument("--scripted", action="store_true", help=argparse.SUPPRESS)  # how `teach` hands over
+    parser.add_argument("--lesson", choices=LESSONS, default="pick_place", help=f"what is taught {shown}")
+    parser.add_argument("--task", type=Path, help="task file (default: that of the lesson in config/)")
+    parser.add_argument("--output", type=Path, required=True, help="the directory of the bags")
+    parser.add_argument("--count", type=int, default=16, help=f"demonstrations to record {shown}")
+    parser.add_argument("--seed", type=int, default=0, help=f"of the scripted teacher's variation {shown}")
+    parser.add_argument(
+        "--perception",
+        choices=PERCEPTIONS,
+        default="camera",
+        help=f"how the objects are seen: 30 Hz, late and with noise, or without a fault {shown}",
+    )
+    parser.add_argument("--robot", type=Path, default=config_file("baxter.yaml"), help=f"robot file {shown}")
+    arguments = parser.parse_args()
+    count, seed, lesson = arguments.count, arguments.seed, arguments.lesson
+    if count < 1:
+        parser.error(f"--count {count}: give 1 or more")
+    try:
+        task = Task.load(arguments.task or config_file(f"{lesson}.yaml"))
+        made = record_scripted(task, arguments.robot, arguments.output, count, seed, lesson, arguments.perception)
+        print(f"{len(made)} demonstrations recorded in {arguments.output}")
+    except (TaskError, GraphError, OSError, ValueError) as error:
+        print(f"error: {one_line(error)}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

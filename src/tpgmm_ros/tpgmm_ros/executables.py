@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The executables of this package by their names, as setup.py lists them. Nothing here takes time to import."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+from tpgmm_ros.runtime.entry import missing, node, program
+
+
+def _demonstration(name: str) -> Callable[[], int]:
+    """A program of tpgmm_demos under the name that it has here; without that package, it says what to install."""
+    run = program(f"tpgmm_demos.{name}")
+
+    def start() -> int:
+        if reason := missing("tpgmm_demos", name):
+            print(f"error: {reason}", file=sys.stderr)
+            return 1
+        return run()
+
+    return start
+
+
+frame_tracker = node("tpgmm_ros.nodes.frame_tracker")
+reproduction = node("tpgmm_ros.nodes.reproduction")
+impedance_controller = node("tpgmm_ros.nodes.impedance_controller")
+joint_reference = node("tpgmm_ros.nodes.joint_reference")
+baxter_simulator = node("tpgmm_ros.nodes.baxter_simulator")
+endpoint_poses = node("tpgmm_ros.nodes.endpoint_poses")
+check_robot = program("tpgmm_ros.programs.check_robot")
+teach = program("tpgmm_ros.programs.teach")
+train = program("tpgmm_ros.programs.train")
+demo = _demonstration("demo")
+figure5 = _demonstration("figure5")

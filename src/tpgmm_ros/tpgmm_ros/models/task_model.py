@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A model and the frames it meets, held against the task that both are for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tpgmm_core import TPGMM, Frame
+from tpgmm_core.common.text import listed, one_line, shown
+from tpgmm_core.geometry.manifold import POSE, Manifold
+from tpgmm_core.retrieval import ways
+from tpgmm_core.retrieval.encodings import encoding_of
+from tpgmm_core.retrieval.interface import Retrieval
+from tpgmm_ros.messages.conversions import TaskFrameState
+from tpgmm_ros.models import kinematic_recipe
+from tpgmm_ros.task.task_file import DIMENSIONS, MANIFOLD, Task
+
+
+def load_model(path: str | Path, task: Task) -> TPGMM:
+    """A model that fits a task, whatever it encodes of the task's movements.
+
+    Raises:
+        ValueError: the file is no model, or the model is of something else than the task describes.
+        OSError: the file cannot be read.
+    """
+    model = ways.load_model(path)
+    if task.kinematic is not None:
+        try:
+            kinematic_recipe.check_model(model, task.kinematic)
+        except ValueError as error:
+            raise ValueError(f"{one_line(path)} does not fit task '{task.name}': {error}") from error
+        return model
+    encoding, space = encoding_of(model), Manifold.parse(MANIFOLD)
+    manifold, dimensions = encoding.manifold(space), encoding.dimensions(DIMENSIONS, space)
+    if model.manifold_ != manifold or tuple(model.dimensions_ or ()) != dimensions:
+        raise ValueError(
+            f"{one_line(path)} encodes {listed(model.dimensions_ or ())} on {model.manifold_}; "
+            f"task '{task.name}' needs {dimensions} on {manifold}"
+        )
+    unknown = [name for name in model.frame_names_ if name not in task.frames]
+    if unknown:
+        raise ValueError(
+            f"{one_line(path)} was learned from the frames {listed(model.frame_names_)}; task '{task.name}' "
+            f"names {listed(task.frames)} and lacks {listed(unknown)}"
+        )
+    return model
+
+
+def make_retrieval(model: TPGMM, task: Task, way: str | None = None, **settings: Any) -> Retrieval:
+    """A movement of a model that fits the task; settings as for `tpgmm_core.retrieval.ways.make_retrieval`.
+
+    Raises:
+        ValueError: a model that does not suit the way, or settings that it cannot have.
+        OSError: the robot file of kinematic frames cannot be read.
+    """
+    if task.kinematic is not None:
+        return kinematic_recipe.make_movement(model, task.kinematic, way, **settings)
+    return ways.make_retrieval(model, way, **settings)
+
+
+def state_dimensions(task: Task) -> tuple[str, ...]:
+    """Names of the numbers that references of a task are over. Raises ValueError and OSError for a missing robot."""
+    return DIMENSIONS[1:] if task.kinematic is None else task.kinematic.joint_names()
+
+
+def known_frames(states: Mapping[str, TaskFrameState]) -> dict[str, tuple[Frame, float]]:
+    """Those frames that are not missing, as they act on [time, pose], and how far each is trusted.
+
+    Raises:
+        ValueError: a frame that does not act on poses.
+    """
+    known = {}
+    for name, state in states.items():
+        if state.frame is None:
+            continue
+        try:
+            POSE.tangent_map(state.frame.A)
+        except ValueError as error:
+            raise ValueError(f"frame {shown(name)}: {error}") from error
+        known[name] = state.frame.with_time(), state.weight
+    return known

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Leave-one-out: how well a model tells what was done in a situation that it has not seen."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tpgmm_core import TPGMM, Demonstration, Frame
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.retrieval.ways import make_retrieval, way_named, way_of
+from tpgmm_ros.recordings.bag_messages import Array
+from tpgmm_ros.recordings.bags import Recording, align
+
+_METRES_PER_RADIAN = 0.1
+"""How far apart two situations are: a turn by 0.1 rad counts as a centimetre."""
+
+
+@dataclass(frozen=True, slots=True)
+class PathErrors:
+    """How far a path is from the one that was shown, at the same phase. The sign of a quaternion is no error.
+
+    Attributes:
+        position_rmse_m: root of the mean squared distance.
+        position_end_m: distance at the last sample.
+        orientation_mean_deg: mean angle.
+        orientation_end_deg: angle at the last sample.
+        position_by_tenth_m: mean distance in each tenth of the movement, (10,): where the errors lie.
+    """
+
+    position_rmse_m: float
+    position_end_m: float
+    orientation_mean_deg: float
+    orientation_end_deg: float
+    position_by_tenth_m: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """One demonstration left out.
+
+    Attributes:
+        recording: what was left out.
+        model: errors of the reproduction by a model of the others.
+        nearest: errors of replaying the most similar of the others, as seen from the anchor; for comparison.
+        iterations: number of EM iterations.
+    """
+
+    recording: Recording
+    model: PathErrors
+    nearest: PathErrors
+    iterations: int
+
+
+def leave_one_out(
+    recordings: Sequence[Recording], learn: Callable[[list[Demonstration]], TPGMM], anchor: str
+) -> Iterator[Fold]:
+    """Train on all recordings but one, reproduce in the situation of that one; each in turn.
+
+    The frames are those of the recording left out, over time. Its duration is not used: both paths are
+    compared at the same phase.
+
+    Args:
+        recordings: at least two.
+        learn: a model of demonstrations.
+        anchor: frame from which the nearest demonstration is replayed.
+
+    Raises:
+        ValueError: fewer than two recordings.
+    """
+    if len(recordings) < 2:
+        raise ValueError(f"leave-one-out needs at least two demonstrations, {len(recordings)} given: record more")
+    for left_out in recordings:
+        others = [recording for recording in recordings if recording is not left_out]
+        demonstrations, duration = align(others)
+        model = learn(demonstrations)
+        yield Fold(
+            left_out,
+            path_errors(reproduce(model, left_out.to_demonstration(duration)), left_out.movement),
+            path_errors(replay_nearest(others, left_out, anchor), left_out.movement),
+            int(model.n_iter_),
+        )
+
+
+def reproduce(model: TPGMM, situation: Demonstration, way: str | None = None, settle: float = 0.0) -> Array:
+    """Points (T, D), such as poses, that a model gives at the times and with the frames of a demonstration.
+
+    A way that knows the movement as a function of time is asked for each time in the situation of that time. One that
+    has a state of its own is stepped through the times by a robot that is at once where it is to be. As long as no
+    frame is visible the movement stays where it starts.
+
+    Args:
+        model: of [time, point] as any way encodes it.
+        situation: [time, point], in the space that the model was learned in.
+        way: in place of the model's own.
+        settle: a movement with a state of its own need not be at its end at the last time: it goes on in the last
+            situation for this share of the whole time, and then there are more than T points.
+    """
+    chosen = way_of(model) if way is None else way_named(way)
+    chosen.check(model)
+    poses = np.tile(situation.data[0, 1:], (len(situation.times), 1))
+    course = None if chosen.course is None else chosen.course(model)
+    movement = None if course is not None else make_retrieval(model, chosen.name, horizon_steps=0)
+    pose, former = poses[0], None
+    for i, (time, frames) in enumerate(zip(situation.times, _frames_over_time(situation), strict=True)):
+        if not frames:
+            continue
+        if course is not None:
+            if frames is not former:
+                course.situate(frames, poses[0])
+            poses[i] = course.at(np.array([time]))[0][0]
+        elif movement is not None:
+            time_ns = round(1e9 * time)
+            if former is None:
+                movement.start(time_ns, pose)
+            poses[i] = pose = movement.step(time_ns, frames, pose).gaussian.mean
+        former = frames
+    if movement is None or former is None or settle == 0.0:
+        return poses
+    times, more = situation.times, []
+    step = float(times[-1] - times[-2])
+    for time in np.arange(times[-1] + step, times[-1] + settle * (times[-1] - times[0]), step):
+        pose = movement.step(round(1e9 * time), former, pose).gaussian.mean
+        more.append(pose)
+    return np.vstack([poses, *more])
+
+
+def _frames_over_time(situation: Demonstration) -> Iterator[dict[str, Frame]]:
+    """The visible frames at each sample; the same mapping as long as nothing changes."""
+    visible = {name: situation.is_visible(name) for name in situation.frames}
+    former: dict[str, Frame] | None = None
+    for i in range(len(situation.times)):
+        now = {name: frame.at(i) for name, frame in situation.frames.items() if visible[name][i]}
+        if former is None or not _are_same(now, former):
+            former = now
+        yield former
+
+
+def _are_same(one: Mapping[str, Frame], other: Mapping[str, Frame]) -> bool:
+    return one.keys() == other.keys() and all(
+        np.array_equal(frame.A, other[name].A) and np.array_equal(frame.b, other[name].b) for name, frame in one.items()
+    )
+
+
+def without_frames(demonstration: Demonstration) -> Demonstration:
+    """The same, seen from the base alone: what a model without task parameters learns of it, and reproduces."""
+    D = demonstration.data.shape[1]
+    return Demonstration(demonstration.times, demonstration.data, {"base": Frame(np.eye(D), np.zeros(D))})
+
+
+def replay_nearest(others: Sequence[Recording], situation: Recording, anchor: str) -> Array:
+    """Poses (T, 7) of the recording whose frames were most like these at the start, moved with `anchor`."""
+
+    def distance(other: Recording) -> float:
+        return sum(_distance(other.frames[name][0], pose[0]) for name, pose in situation.frames.items())
+
+    other = min(others, key=distance)
+    # The sample nearest in phase: dense recordings need no interpolation of poses.
+    phase = situation.times / situation.duration * other.duration
+    index = np.abs(other.times[:, None] - phase).argmin(axis=0)
+    here, there, moved = situation.frames[anchor], other.frames[anchor][index], other.movement[index]
+    turn = quaternion.multiply(here[:, 3:], quaternion.conjugate(there[:, 3:]))
+    lever = (quaternion.rotation_matrix(turn) @ (moved[:, :3] - there[:, :3])[..., None])[..., 0]
+    return np.hstack([here[:, :3] + lever, quaternion.multiply(turn, moved[:, 3:])])
+
+
+def path_errors(path: Array, shown: Array) -> PathErrors:
+    """Errors of a path (T, 7) against the one that was shown (T, 7)."""
+    distances = np.linalg.norm(path[:, :3] - shown[:, :3], axis=1)
+    angles = np.degrees(quaternion.angle_between(path[:, 3:], shown[:, 3:]))
+    return PathErrors(
+        position_rmse_m=float(np.sqrt(np.mean(distances**2))),
+        position_end_m=float(distances[-1]),
+        orientation_mean_deg=float(angles.mean()),
+        orientation_end_deg=float(angles[-1]),
+        position_by_tenth_m=tuple(float(part.mean()) for part in np.array_split(distances, 10)),
+    )
+
+
+def mean_errors(errors: Sequence[PathErrors]) -> PathErrors:
+    """Mean of each error over several paths."""
+    return PathErrors(
+        position_rmse_m=float(np.mean([e.position_rmse_m for e in errors])),
+        position_end_m=float(np.mean([e.position_end_m for e in errors])),
+        orientation_mean_deg=float(np.mean([e.orientation_mean_deg for e in errors])),
+        orientation_end_deg=float(np.mean([e.orientation_end_deg for e in errors])),
+        position_by_tenth_m=tuple(np.mean([e.position_by_tenth_m for e in errors], axis=0).tolist()),
+    )
+
+
+def _distance(p: Array, q: Array) -> float:
+    return float(np.linalg.norm(p[:3] - q[:3]) + _METRES_PER_RADIAN * quaternion.angle_between(p[3:], q[3:]))

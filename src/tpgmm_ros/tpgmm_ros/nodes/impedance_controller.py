@@ -1,0 +1,340 @@
+# SPDX-License-Identifier: Apache-2.0
+"""impedance_controller: references and joint states in, joint torques out, stiff only where the task needs it.
+
+Each joint state is answered by torques that carry its stamp. When joint states stop, a timer on the steady clock
+sends the safe torque for some time. A lifecycle node: while it is not active, no torque; before that, the safe one.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from sensor_msgs.msg import JointState
+
+from tpgmm_core.common.text import shown
+from tpgmm_core.control.controller import TorqueCommand
+from tpgmm_core.control.laws import CONFIGS, LAWS, LawSettings, LawTarget, ReferenceLaw
+from tpgmm_core.control.planning import at_once
+from tpgmm_core.control.supervised_controller import Answer, SupervisedController
+from tpgmm_core.control.supervision import ControllerMode, Timeouts, slow_states
+from tpgmm_core.control.torque_pipeline import TorqueLimits
+from tpgmm_core.observation.joint_states import JointSample
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_msgs.msg import ControllerState
+from tpgmm_msgs.msg import Reference as ReferenceMessage
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.conversions import JointStates, MessageError
+from tpgmm_ros.messages.lockstep import Barrier, is_no_reference
+from tpgmm_ros.messages.qos import LATCHED, STATES, STREAM
+from tpgmm_ros.messages.torque_outputs import OUTPUTS, TorqueOutputs
+from tpgmm_ros.nodes.controller_status import limited, loop_values
+from tpgmm_ros.nodes.joint_states import SPREAD
+from tpgmm_ros.runtime.background import Background
+from tpgmm_ros.runtime.executor import run
+from tpgmm_ros.runtime.lifecycle import ManagedNode
+from tpgmm_ros.runtime.monitor import Monitor, Samples
+from tpgmm_ros.runtime.parameters import Declared, Parameters, declared_of, fill
+from tpgmm_ros.runtime.rclpy_workarounds import waiting
+from tpgmm_ros.runtime.timing import clock_trouble, loop_clock
+
+PARAMETERS = [
+    Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
+    Declared("law", "infinite_horizon", f"Law of control: {', '.join(LAWS)}", fixed=True),
+    Declared("endpoint", "left", "The end point that follows references of poses", fixed=True),
+    Declared(
+        "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
+    ),
+    SPREAD,
+    Declared("autostart", False, "Configure and activate at start, without a lifecycle manager", fixed=True),
+    Declared(
+        "lockstep", False, "Answer each joint state only when the reference of the same stamp is there", fixed=True
+    ),
+    Declared("torque_outputs", ["joint_state"], f"How torques leave, some of {', '.join(OUTPUTS)}", fixed=True),
+    Declared("torque_joints", "", "Joint group whose torques leave, in its order; empty: all joints", fixed=True),
+    Declared("gravity_compensated", False, "The robot adds the torques of gravity itself: leave them out", fixed=True),
+    *declared_of(Timeouts),
+    *{item.name: item for config in CONFIGS for item in declared_of(config)}.values(),
+    *declared_of(TorqueLimits),
+]
+STATE_PERIOD_NS = 100_000_000
+#: How often silence is looked for, and the safe torque sent meanwhile, s.
+WATCH_PERIOD = 0.005
+#: Step of the last torques, which lead to the safe one, s; and how long that may take.
+RELEASE_STEP, RELEASE_TIME = 0.001, 0.2
+
+
+class ImpedanceControllerNode(ManagedNode):
+    def __init__(self) -> None:
+        super().__init__("impedance_controller")
+        # Every value may be in its range and the whole still make no sense.
+        self.parameters = Parameters(self, PARAMETERS, check=self._check_parameters, changed=self._reconfigure)
+        self.law: ReferenceLaw | None = None
+        self._background = Background(self)
+        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"], self._slow)
+        self._active = False
+        self._mode, self._reason = ControllerMode.WAITING, "not active"
+        self._actions: Counter[str] = Counter()
+        if self.parameters["autostart"]:
+            self.start_itself()
+
+    @staticmethod
+    def _check_parameters(values: Mapping[str, Any]) -> None:
+        if values["law"] not in LAWS:
+            raise ValueError(f"law is {shown(values['law'])}, expected one of {', '.join(LAWS)}")
+        LawSettings.filled(lambda config: fill(config, values))
+
+    def _make_law(self) -> ReferenceLaw:
+        # in lockstep the same numbers, however long a plan takes
+        submit = at_once if self.parameters["lockstep"] else self._background.submit
+        settings = LawSettings.filled(self.parameters.fill)
+        return ReferenceLaw(self.parameters["law"], self.robot, self.parameters["endpoint"], settings, submit)
+
+    def _reconfigure(self) -> None:
+        if self.law is not None:
+            self.law.configure(LawSettings.filled(self.parameters.fill))
+            self.controller.configure(self.parameters.fill(TorqueLimits), self.parameters.fill(Timeouts))
+
+    # -- lifecycle ----------------------------------------------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        super().on_configure(state)
+        try:
+            self.robot = RobotModel.from_file(self.parameters.file("robot_file"))
+            self.law = self._make_law()
+            self._outputs = TorqueOutputs(
+                self,
+                self.robot,
+                self.parameters["torque_outputs"],
+                self.parameters["torque_joints"],
+                self.parameters["gravity_compensated"],
+            )
+        except (ValueError, OSError, ImportError) as error:
+            return self.refuse(error)
+        limits, timeouts = self.parameters.fill(TorqueLimits), self.parameters.fill(Timeouts)
+        for text in slow_states(
+            1.0 / self.parameters["joint_state_rate"], "joint_state_rate", timeouts, limits.max_time_step
+        ):
+            self.get_logger().warning(text)
+        self.controller: SupervisedController[LawTarget] = SupervisedController(
+            self.robot,
+            self.law,
+            limits,
+            timeouts,
+            period=1.0 / self.parameters["joint_state_rate"],
+            # between two of these messages the robot answers its own state, of now
+            closed_elsewhere=self.parameters["torque_outputs"] == ["linear_feedback_controller"],
+        )
+        self._names = list(self.robot.joint_names)
+        self._joint_states = JointStates(self._names, ("position", "velocity"), self.parameters[SPREAD.name])
+        self._loop_clock = loop_clock(self)
+        self._simulated = bool(self.get_parameter("use_sim_time").value)
+        self._states = self.create_lifecycle_publisher(ControllerState, "controller_state", LATCHED)
+        self.create_subscription(ReferenceMessage, "reference", self._take_reference, STREAM)
+        self._state_messages = self.create_subscription(JointState, "joint_states", self._take_states, STATES)
+        # The steady clock, also under simulated time: it calls even where that stands still. Ages are the loop clock's.
+        self.create_timer(WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        return TransitionCallbackReturn.SUCCESS
+
+    def _slow(self) -> list[str]:
+        """The defaults are those of a robot with some hundred joint states per second: what others have to set."""
+        return self.controller.slow if self._active else []
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        result = super().on_activate(state)
+        self.controller.start()
+        self._joint_states.forget()
+        self._barrier = Barrier(("reference",), self._answer) if self.parameters["lockstep"] else None
+        self._state_due_ns = 0
+        self._actions.clear()
+        self._ages = Samples()
+        self._active = True
+        self._change(ControllerMode.WAITING, self.controller.decision.reason, self._loop_clock.now().nanoseconds)
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._let_go()
+        return super().on_deactivate(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._let_go()
+        return super().on_shutdown(state)
+
+    def destroy_node(self) -> None:
+        self._let_go()
+        self._background.close()
+        super().destroy_node()
+
+    def _let_go(self) -> None:
+        """The last torques lead to the safe one: what the robot is left with until its own watchdog takes over."""
+        if not self._active:
+            return
+        end = time.monotonic() + RELEASE_TIME
+        last = False
+        while not last and time.monotonic() < end:
+            time.sleep(RELEASE_STEP)
+            command, last = self.controller.release(RELEASE_STEP)
+            if command is not None:
+                self._publish(command, self.controller.stamp_ns)
+        self._active = False
+        if self._actions:
+            self.get_logger().info(f"torques were limited: {limited(self._actions)}")
+        self._change(ControllerMode.WAITING, "not active", self._loop_clock.now().nanoseconds)
+
+    # -- inputs -------------------------------------------------------------------------------------------------------
+
+    def _take_reference(self, message: ReferenceMessage) -> None:
+        if not self._active:
+            return
+        stamp_ns = conversions.time_to_ns(message.header.stamp)
+        if self._barrier is None or not is_no_reference(message):
+            self._follow_reference(message, stamp_ns)
+        if self._barrier is not None:
+            self._barrier.came("reference", stamp_ns)
+
+    def _follow_reference(self, message: ReferenceMessage, stamp_ns: int) -> None:
+        now_ns, clock_ns = self._times(stamp_ns)
+        try:
+            if message.header.frame_id not in ("", self.robot.base_frame):
+                raise MessageError(
+                    f"the reference is expressed in {shown(message.header.frame_id)}; "
+                    f"expected '{self.robot.base_frame}'"
+                )
+            self.controller.take_reference(conversions.reference(message), stamp_ns, now_ns, clock_ns)
+        except ValueError as error:
+            self.controller.refuse_reference(str(error))
+            self.get_logger().error(f"reference refused: {error}", throttle_duration_sec=1.0)
+
+    def _take_states(self, message: JointState) -> None:
+        """All that wait, since a state may come in parts; the newest state is answered, others would be too late."""
+        samples = [self._sample(item) for item in (message, *waiting(self._state_messages)) if self._active]
+        newest = next((sample for sample in reversed(samples) if sample is not None), None)
+        if newest is None:
+            return
+        if self._barrier is None:
+            self._answer(newest)
+        else:
+            self._barrier.take(newest, newest.stamp_ns)
+
+    def _sample(self, message: JointState) -> JointSample | None:
+        """The state that a message completes, if it completes one."""
+        try:
+            sample = self._joint_states.take(message)
+        except MessageError as error:
+            stamp_ns = conversions.time_to_ns(message.header.stamp)
+            now_ns, _ = self._times(stamp_ns)
+            self._report(self.controller.refuse_state(str(error), stamp_ns, now_ns), now_ns)
+            return None
+        if sample is None:  # joints of others, or a part of the state
+            self.controller.miss_state(self._joint_states.incomplete)
+        return sample
+
+    def _times(self, stamp_ns: int) -> tuple[int, int]:
+        """The clock that watches, and that of the stamps, ns, when a message came."""
+        clock_ns = self.get_clock().now().nanoseconds
+        if self._barrier is not None:  # in lockstep time waits for the answer: nothing is older than its stamp says
+            clock_ns = min(clock_ns, stamp_ns)
+        if self._simulated:  # the same clock, and /clock and the message of the same moment race each other
+            return max(clock_ns, stamp_ns), clock_ns
+        return self._loop_clock.now().nanoseconds, clock_ns
+
+    # -- one step -----------------------------------------------------------------------------------------------------
+
+    def _answer(self, sample: JointSample) -> None:
+        start = time.perf_counter()
+        self.monitor.tick(sample.stamp_ns)
+        now_ns, clock_ns = self._times(sample.stamp_ns)
+        q, v = sample.values
+        answer = self.controller.take_state(q, v, sample.stamp_ns, now_ns, clock_ns)
+        self._report(answer, now_ns)
+        if (age := self.controller.guard.age.age) is not None:
+            self._ages.add(age)
+        if answer is not None:
+            self.monitor.done += 1
+            self.monitor.step.add(time.perf_counter() - start)
+
+    def _watch(self) -> None:
+        """Joint states may have stopped, which no message tells."""
+        if not self._active:
+            return
+        now_ns = self._loop_clock.now().nanoseconds
+        if now_ns:
+            self._report(self.controller.watch(now_ns), now_ns)
+        elif not self.controller.stamp_ns:  # a simulated clock that has not come yet
+            self._change(ControllerMode.WAITING, clock_trouble(self), now_ns)
+
+    def _report(self, answer: Answer | None, now_ns: int) -> None:
+        """Send torques, if any, and tell what is done and why."""
+        if answer is not None:
+            self._publish(answer.command, answer.stamp_ns)
+        decision = self.controller.decision
+        self._change(decision.mode, decision.reason, now_ns)
+        if answer is not None and self._is_due(now_ns):
+            self._tell(answer.command, now_ns)
+
+    def _publish(self, command: TorqueCommand, stamp_ns: int) -> None:
+        self._outputs.publish(command, stamp_ns)
+        self._actions.update(command.actions)
+
+    # -- what others are told -----------------------------------------------------------------------------------------
+
+    def _change(self, mode: ControllerMode, reason: str, now_ns: int) -> None:
+        """Each change of the mode is told at once; other words for the same mode when the next message is due."""
+        if mode is self._mode and (reason == self._reason or not self._is_due(now_ns)):
+            return
+        self._mode, self._reason = mode, reason
+        text = f"{mode.name}: {reason}"
+        if mode is ControllerMode.FAULT:
+            self.get_logger().error(text)
+        else:
+            self.get_logger().info(text)
+        self._states.publish(self._state_message())
+
+    def _is_due(self, now_ns: int) -> bool:
+        return not 0 < self._state_due_ns - now_ns <= STATE_PERIOD_NS
+
+    def _state_message(self) -> ControllerState:
+        message = ControllerState(state=int(self._mode), reason=self._reason)
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.frame_id = self.robot.base_frame
+        return message
+
+    def _tell(self, command: TorqueCommand, now_ns: int) -> None:
+        self._state_due_ns = now_ns + STATE_PERIOD_NS
+        message = self._state_message()
+        message.joints = self._names
+        feedforward = command.tau if command.law is None else command.law.terms["feedforward"]
+        message.feedforward_torque = conversions.floats(feedforward)
+        message.feedback_torque = conversions.floats(command.tau - feedforward)
+        message.term_names, message.terms = conversions.torque_terms(command.terms)
+        if command.law is not None:
+            message.stiffness = conversions.floats(command.law.stiffness)
+            message.damping = conversions.floats(command.law.damping)
+        self._states.publish(message)
+
+    def _status(self) -> tuple[bytes, str, dict[str, str]]:
+        level = DiagnosticStatus.OK
+        if self._mode is ControllerMode.FAULT:
+            level = DiagnosticStatus.ERROR
+        elif self._mode in (ControllerMode.HOLD, ControllerMode.WAITING):
+            level = DiagnosticStatus.WARN
+        values = {"torques_limited": limited(self._actions)}
+        if self._active:
+            values |= loop_values(self.controller.guard, self._ages)
+        if self.law is not None and self.law.plan_age is not None:
+            values["plan_age_ms"] = f"{1e3 * self.law.plan_age:.1f}"
+        return level, f"{self._mode.name}: {self._reason}", values
+
+
+def main() -> int:
+    return run(ImpedanceControllerNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""joint_reference: joint states and the taught tasks of the hands in, references over the joints out.
+
+Each joint state is answered by the product of the Gaussians of all tasks that hold at present, in joint space. Which
+ones hold is the parameter `active`, at any time. While none does, or there are none, the references are wherever the
+robot is: it may be led, as in gravity compensation.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
+
+from tpgmm_core import TPGMM
+from tpgmm_core.common.text import listed, shown
+from tpgmm_core.kinematics.hand_tasks import ActiveTasks, HandTask, HandTasks
+from tpgmm_core.model.reference import Reference
+from tpgmm_core.observation.streams import Stamp
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_msgs.msg import Reference as ReferenceMessage
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.nodes.joint_states import SPREAD, Heard, JointStateStream
+from tpgmm_ros.runtime.executor import run
+from tpgmm_ros.runtime.monitor import Monitor
+from tpgmm_ros.runtime.parameters import Declared, Parameters
+from tpgmm_ros.task.task_file import Task
+
+PARAMETERS = [
+    Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
+    Declared("task_files", [""], "Task files (YAML), one for each task of a hand", fixed=True),
+    Declared("model_files", [""], "Model files (.tpgmm) of these tasks, in the same order", fixed=True),
+    Declared("joints", ["left_arm", "right_arm"], "Joints or their groups that the references are over", fixed=True),
+    Declared("active", "", "Names of the tasks that hold, separated by commas; empty: none"),
+    Declared(
+        "rest_deviation", 1.0, "Where no task says more: about the posture at the start, rad", 0.1, 10.0, fixed=True
+    ),
+    Declared("blend_time", 0.5, "A task takes hold, and lets go, over this time, s", 0.001, 60.0, fixed=True),
+    Declared(
+        "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
+    ),
+    SPREAD,
+]
+#: A longer pause between two joint states counts as this long, s.
+MAX_PAUSE = 0.02
+
+
+def hand_task(task: Task, model: TPGMM, endpoints: list[str]) -> HandTask:
+    """A task file and its model, by end points and fixed places.
+
+    Raises ValueError for frames that are observed elsewhere than on the robot, and a model that does not fit.
+    """
+    topics = {f"endpoint/{name}/pose": name for name in endpoints}
+    places: dict[str, str | np.ndarray] = {}
+    for name, frame in task.frames.items():
+        if frame.pose is not None:
+            places[name] = np.array(frame.pose)
+        elif frame.topic in topics:
+            places[name] = topics[frame.topic]
+        else:
+            raise ValueError(
+                f"{task.name}: frame '{name}' is on {shown(frame.topic)}; expected one of {listed(sorted(topics))}"
+            )
+    return HandTask(model, task.endpoint, places)
+
+
+class JointReferenceNode(Node):
+    def __init__(self) -> None:
+        super().__init__("joint_reference")
+        self.active: ActiveTasks | None = None
+        self.parameters = Parameters(self, PARAMETERS, check=self._check, changed=self._choose)
+        self.robot = RobotModel.from_file(self.parameters.file("robot_file"))
+        # ROS has no empty arrays on the command line
+        files = [[file for file in self.parameters[name] if file] for name in ("task_files", "model_files")]
+        if len(files[0]) != len(files[1]):
+            raise ValueError(f"expected one model file for each task file, got {shown(files[0])} and {shown(files[1])}")
+        tasks = [(Task.load(task), TPGMM.load(model)) for task, model in zip(*files, strict=True)]
+        hands = {task.name: hand_task(task, model, list(self.robot.endpoints)) for task, model in tasks}
+        product = HandTasks(self.robot, hands, self.parameters["joints"], self.parameters["rest_deviation"])
+        self.active = ActiveTasks(product, self.parameters["blend_time"])
+        self._choose()
+        self._frames = {
+            name: tuple(f"{name}/{frame}" for frame in hand.model.frame_names_) for name, hand in hands.items()
+        }
+        spread = self.parameters[SPREAD.name]
+        self._joint_states = JointStateStream(
+            self, "joint_states", self._answer, self.robot.joint_names, ("position",), spread
+        )
+        self._last_ns: int | None = None
+        self._last: ReferenceMessage | None = None
+        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"], self._joint_states.silence)
+        self._references = self.create_publisher(ReferenceMessage, "reference", STREAM)
+
+    def _check(self, values: Mapping[str, Any]) -> None:
+        if self.active is not None:
+            self.active.check(_names(values["active"]))
+
+    def _choose(self) -> None:
+        if self.active is not None:
+            self.active.choose(_names(self.parameters["active"]))
+
+    def _answer(self, heard: Heard) -> None:
+        assert self.active is not None
+        start = time.perf_counter()
+        if heard.kind is Stamp.REPEATED:  # it comes again, since an answer was lost
+            if self._last is not None:
+                self._references.publish(self._last)
+            return
+        stamp_ns, (q,) = heard.stamp_ns, heard.values
+        self.monitor.tick(stamp_ns)
+        dt = 0.0 if self._last_ns is None else 1e-9 * (stamp_ns - self._last_ns)
+        gaussian = self.active.step(q, min(max(0.0, dt), MAX_PAUSE))
+        self._last_ns = stamp_ns
+        frames = tuple(frame for name in self.active.holding for frame in self._frames[name])
+        reference = Reference(0.0, gaussian, 0.0, (), np.ones(1), frames)
+        names = self.active.tasks.joint_names
+        self._last = conversions.reference_message(reference, names, stamp_ns, self.robot.base_frame)
+        self._references.publish(self._last)
+        self.monitor.done += 1
+        self.monitor.step.add(time.perf_counter() - start)
+
+    def _status(self) -> tuple[bytes, str, dict[str, str]]:
+        holding = () if self.active is None else self.active.holding
+        text = f"tasks that hold: {', '.join(holding)}" if holding else "no task holds"
+        return DiagnosticStatus.OK, text, {}
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def main() -> int:
+    return run(JointReferenceNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The joint states that a node follows: complete ones, of its own joints, each once, and why none comes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.observation.joint_states import MAX_SPREAD
+from tpgmm_core.observation.streams import RESTARTED_AFTER, Leader, Stamp, StreamWatch, standing_still
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.conversions import JointStates, MessageError
+from tpgmm_ros.messages.qos import STATES
+from tpgmm_ros.runtime.parameters import Declared
+from tpgmm_ros.runtime.rclpy_workarounds import waiting
+from tpgmm_ros.runtime.timing import clock_trouble
+
+SPREAD = Declared(
+    "joint_state_spread",
+    MAX_SPREAD,
+    "Parts of one joint state, where it comes in several messages, may be this far apart, s",
+    0.0,
+    1.0,
+    fixed=True,
+)
+MAX_FUTURE = Declared("max_future", 0.05, "A stamp that lies further ahead of the clock is refused, s", 0.001, 10.0)
+
+#: Diagnostics name a silence that is longer, s.
+SILENT_AFTER = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A state and what its stamp says: NEW, REPEATED or RESTARTED. Values as the fields were asked for, (n,) each."""
+
+    kind: Stamp
+    stamp_ns: int
+    values: tuple[Array, ...]
+
+
+class JointStateStream:
+    """Subscribes to messages, and hands on states that are to be answered, each with what its stamp says.
+
+    Of states that have waited together the newest is handed on: the others would be answered too late.
+
+    Args:
+        node: says in its log what is refused.
+        topic: of the messages.
+        answer: called with each state.
+        joints: whose states; None where no joint is known and states are only a beat, which `Leader` gives then.
+        fields: what of them, "position", "velocity".
+        max_spread: parts of one state may be this far apart, s.
+        max_future: called for what a stamp may be ahead of the clock, s; None: not asked.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        answer: Callable[[Heard], object],
+        joints: Sequence[str] | None,
+        fields: Sequence[str] = (),
+        max_spread: float = MAX_SPREAD,
+        max_future: Callable[[], float] | None = None,
+    ) -> None:
+        self._node, self._answer = node, answer
+        self._assembler = None if joints is None else JointStates(joints, fields, max_spread)
+        self._leader, self._watch = Leader(), StreamWatch()
+        self._max_future = max_future
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._trouble: Callable[[], str] = str
+        self._subscription = node.create_subscription(JointState, topic, self._take_all, STATES)
+
+    def _take_all(self, message: JointState) -> None:
+        heard = [item for item in map(self.take, [message, *waiting(self._subscription)]) if item is not None]
+        if heard:
+            newest = heard[-1]
+            restarted = any(item.kind is Stamp.RESTARTED for item in heard)
+            self._answer(replace(newest, kind=Stamp.RESTARTED) if restarted else newest)
+
+    def take(self, message: JointState) -> Heard | None:
+        """What a message has brought; None where that is nothing to answer."""
+        now_ns = self._steady.now().nanoseconds
+        stamp_ns = conversions.time_to_ns(message.header.stamp)
+        values: tuple[Array, ...] = ()
+        if self._assembler is None:
+            if not self._leader.is_led_by(message.name, now_ns):
+                return None
+        else:
+            try:
+                sample = self._assembler.take(message)
+            except MessageError as error:
+                self._refuse(str(error))
+                return None
+            if sample is None:
+                self._trouble = self._assembler.incomplete
+                return None
+            stamp_ns, values = sample.stamp_ns, sample.values
+        ahead = math.inf if self._max_future is None else self._max_future()
+        kind = self._watch.judge(stamp_ns, now_ns, self._node.get_clock().now().nanoseconds, RESTARTED_AFTER, ahead)
+        if kind is Stamp.FUTURE:
+            self._refuse(f"its stamp lies more than {ahead:g} s ahead of this machine's clock; synchronise them")
+            return None
+        if kind is Stamp.OLD:
+            return None
+        if kind is Stamp.REPEATED:
+            self._trouble = lambda: standing_still(stamp_ns)
+        else:
+            self._watch.accept(stamp_ns, now_ns)
+            self._trouble = str
+        return Heard(kind, stamp_ns, values)
+
+    def why_silent(self) -> str:
+        """Why no new state comes, in words."""
+        trouble = clock_trouble(self._node) or self._trouble()
+        return trouble or "is the robot running, and is the topic the right one?"
+
+    def silence(self) -> list[str]:
+        """That no new state has come for a second, and why, in words; nothing where states come."""
+        age = self._watch.age(self._steady.now().nanoseconds)
+        if age is not None and age <= SILENT_AFTER:
+            return []
+        return [f"no {'joint states yet' if age is None else 'more joint states'}: {self.why_silent()}"]
+
+    def _refuse(self, reason: str) -> None:
+        self._trouble = lambda: f"the newest was refused: {reason}"
+        self._node.get_logger().error(f"joint state refused: {reason}", throttle_duration_sec=1.0)

@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: Apache-2.0
+"""reproduction: task parameters and a model in, at every step a Gaussian out: where to be and how much it matters.
+
+A lifecycle node. The action ``reproduce`` starts a movement; its references follow the joint states tick by tick (or
+a timer, where no robot publishes them), and go on after the end, so that the robot holds what it has reached.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from visualization_msgs.msg import MarkerArray
+
+from tpgmm_core.common.text import listed, shown
+from tpgmm_core.model.reference import Reference
+from tpgmm_core.observation.streams import Stamp
+from tpgmm_core.observation.tracking import check_pose
+from tpgmm_core.retrieval.execution import ExecutionConfig
+from tpgmm_core.retrieval.phase import PHASES
+from tpgmm_core.retrieval.ways import WAYS, way_named
+from tpgmm_msgs.msg import Reference as ReferenceMessage
+from tpgmm_msgs.msg import TaskParameters
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.lockstep import Barrier, no_reference
+from tpgmm_ros.messages.markers import Scene
+from tpgmm_ros.messages.qos import LATCHED, STREAM
+from tpgmm_ros.models.task_model import known_frames, load_model, state_dimensions
+from tpgmm_ros.nodes.controller_words import ControllerWords
+from tpgmm_ros.nodes.joint_states import MAX_FUTURE, SPREAD, Heard, JointStateStream
+from tpgmm_ros.nodes.movements import Movements
+from tpgmm_ros.runtime.executor import run
+from tpgmm_ros.runtime.lifecycle import ManagedNode
+from tpgmm_ros.runtime.monitor import Monitor
+from tpgmm_ros.runtime.parameters import Declared, Parameters, declared_of
+from tpgmm_ros.runtime.timing import loop_clock
+from tpgmm_ros.task.task_file import Task
+
+PARAMETERS = [
+    Declared("task_file", "", "Task file (YAML): frames and the movement's topic", fixed=True),
+    Declared("model_file", "", "Model file (.tpgmm) that is loaded when the node is configured", fixed=True),
+    Declared(
+        "joint_state_rate", 1000.0, "Joint states that should come, Hz: lost ones are counted", 1.0, 10000.0, fixed=True
+    ),
+    SPREAD,
+    MAX_FUTURE,
+    Declared("autostart", False, "Configure and activate at start, without a lifecycle manager", fixed=True),
+    Declared(
+        "lockstep_rate",
+        0.0,
+        "In lockstep: how often poses and task parameters come, Hz; each step waits for those of its tick; 0: never",
+        0.0,
+        1000.0,
+        fixed=True,
+    ),
+    Declared("rate", 0.0, "References on a timer, Hz; 0: one for each joint state", 0.0, 2000.0, fixed=True),
+    Declared("retrieval", "", f"Way of retrieval: {', '.join(WAYS)}; empty: what the model was learned for"),
+    Declared("phase", "clock", f"What the model's time follows: {', '.join(PHASES)}"),
+    Declared("speed", 1.0, "1: as learned; 0: pause; less than 0: back", -2.0, 2.0),
+    Declared("horizon_steps", 1, "Gaussians ahead in each reference", 0, 50),
+    Declared("horizon_time_step", 0.005, "Time between them, s", 0.001, 1.0),
+    Declared("blend_time", 0.15, "Time constant with which moved or lost frames are taken over, s", 0.001, 5.0),
+    *declared_of(ExecutionConfig),
+]
+WATCH_PERIOD = 0.5  # s
+TRACKER_TIMEOUT = 1.0  # s
+FEEDBACK_PERIOD_NS = 100_000_000
+POSE_PERIOD_NS = 33_000_000
+MARKER_PERIOD_NS = 100_000_000
+
+
+class ReproductionNode(ManagedNode):
+    def __init__(self) -> None:
+        super().__init__("reproduction")
+        self.movements: Movements | None = None
+        self.parameters = Parameters(self, PARAMETERS, self._check)
+        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"])
+        self._received: list[tuple[Any, ...]] = []
+        # A tracker that stopped is noticed by a clock that does not stop.
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._received_ns = 0
+        self._done_ns: dict[str, int] = {}
+        self._sent: ReferenceMessage | None = None
+        self._scene = Scene()
+        self._barrier: Barrier[int] | None = None
+        if rate := self.parameters["lockstep_rate"]:
+            self._barrier = Barrier(("task_parameters", "pose"), self._answer, round(1e9 / rate))
+        if self.parameters["autostart"]:
+            self.start_itself()
+
+    def _check(self, values: Mapping[str, Any]) -> None:
+        if values["retrieval"]:
+            way_named(values["retrieval"])
+        if values["phase"] not in PHASES:
+            raise ValueError(f"there is no phase {shown(values['phase'])}; known are {', '.join(PHASES)}")
+        if self.movements is not None:  # last, since it takes effect: only the way itself knows which speeds it can go
+            self.movements.set_speed(values["speed"])
+
+    # -- lifecycle ----------------------------------------------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        super().on_configure(state)
+        try:
+            self.task = Task.load(self.parameters.file("task_file"))
+            model_file = self.parameters["model_file"]
+            model = load_model(model_file, self.task) if model_file else None
+            self._dimensions = state_dimensions(self.task)
+        except (ValueError, OSError) as error:
+            return self.refuse(error)
+        self._references = self.create_lifecycle_publisher(ReferenceMessage, "reference", STREAM)
+        self._reference_poses = self.create_lifecycle_publisher(PoseWithCovarianceStamped, "reference_pose", STREAM)
+        self._markers = self.create_lifecycle_publisher(MarkerArray, "markers", STREAM)
+        self.create_subscription(TaskParameters, "task_parameters", self._take_task_parameters, LATCHED)
+        self.create_subscription(PoseStamped, self.task.movement, self._take_pose, STREAM)
+        if self.parameters["rate"] > 0.0:
+            self.create_timer(
+                1.0 / self.parameters["rate"],
+                lambda: self._step(self.get_clock().now().nanoseconds),
+                clock=loop_clock(self),
+            )
+        kinematic = self.task.kinematic
+        self._joint_states = JointStateStream(
+            self,
+            "joint_states" if kinematic is None else kinematic.joint_states,
+            self._take_joint_state,
+            None if kinematic is None else self._dimensions,
+            () if kinematic is None else ("position",),
+            self.parameters[SPREAD.name],
+            lambda: self.parameters[MAX_FUTURE.name],
+        )
+        self.movements = Movements(
+            self, self.task, model, self.parameters, self._joint_states.why_silent, ControllerWords(self)
+        )
+        self._received = []
+        self.create_timer(WATCH_PERIOD, self.movements.watch, clock=self._steady)
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        assert self.movements is not None
+        self.movements.activate()
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        assert self.movements is not None
+        self.movements.deactivate()
+        self._hide(self.get_clock().now().nanoseconds)
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        assert self.movements is not None
+        self.movements.close()
+        self.movements = None
+        return super().on_cleanup(state)
+
+    # -- inputs -------------------------------------------------------------------------------------------------------
+
+    def _take_task_parameters(self, message: TaskParameters) -> None:
+        self._received_ns = self._steady.now().nanoseconds
+        self._take_frames(message)
+        if self._barrier is not None:
+            self._barrier.came("task_parameters", conversions.time_to_ns(message.header.stamp))
+
+    def _take_frames(self, message: TaskParameters) -> None:
+        # The same frames again, only observed later, are no change: the reproduction need not adapt to them anew.
+        received = [(item.name, item.status, item.confidence, item.a, item.b) for item in message.frames]
+        if received == self._received:
+            return
+        try:
+            known = known_frames(conversions.task_parameters(message))
+        except ValueError as error:
+            self.get_logger().error(f"task parameters refused: {error}", throttle_duration_sec=1.0)
+            return
+        self._received = received
+        if self.movements is not None:
+            self.movements.take_frames(known)
+
+    def _take_joint_state(self, heard: Heard) -> None:
+        if self.task.kinematic is not None and self.movements is not None:
+            self.movements.state = heard.values[0]
+        if self.parameters["rate"] > 0.0:  # a timer gives the beat
+            return
+        if self._barrier is not None:
+            self._barrier.take(heard.stamp_ns, heard.stamp_ns)
+        elif heard.kind is not Stamp.REPEATED:
+            self._step(heard.stamp_ns)
+        elif self._sent is not None and conversions.time_to_ns(self._sent.header.stamp) == heard.stamp_ns:
+            self._send(self._sent)  # it comes again, since an answer was lost
+
+    def _take_pose(self, message: PoseStamped) -> None:
+        pose, reason = check_pose(conversions.pose_to_array(message.pose))
+        if pose is None:
+            self.get_logger().error(f"pose of the robot refused: {reason}", throttle_duration_sec=1.0)
+        elif self.movements is not None and self.task.kinematic is None:
+            self.movements.state = pose
+        if self._barrier is not None:
+            self._barrier.came("pose", conversions.time_to_ns(message.header.stamp))
+
+    # -- one step -----------------------------------------------------------------------------------------------------
+
+    def _answer(self, stamp_ns: int) -> None:
+        """In lockstep, each state has an answer, and the same one however often it comes."""
+        if self._sent is None or conversions.time_to_ns(self._sent.header.stamp) != stamp_ns:
+            self._sent = None
+            self._step(stamp_ns)
+            if self._sent is None:
+                self._send(no_reference(stamp_ns, self.task.base_frame))
+        else:
+            self._send(self._sent)
+
+    def _send(self, message: ReferenceMessage) -> None:
+        self._sent = message
+        self._references.publish(message)
+
+    def _step(self, stamp_ns: int) -> None:
+        if self.movements is None or self.movements.execution is None:
+            self._hide(stamp_ns)
+            return
+        start = time.perf_counter()
+        self.monitor.tick(stamp_ns)
+        reference = self.movements.step(stamp_ns)
+        if reference is None:
+            self._hide(stamp_ns)
+            return
+        self._send(conversions.reference_message(reference, self._dimensions, stamp_ns, self.task.base_frame))
+        self.monitor.done += 1
+        self.monitor.step.add(time.perf_counter() - start)
+        self._show(stamp_ns, self.movements, reference)
+
+    def _show(self, stamp_ns: int, movements: Movements, reference: Reference) -> None:
+        """What is published more rarely, for people and for the action's client."""
+        frame_id = self.task.base_frame
+        if self._is_due("feedback", stamp_ns, FEEDBACK_PERIOD_NS):
+            movements.goals.tell(reference.phase, reference.frames)
+        if self.task.kinematic is not None:  # no poses, and no Gaussians of poses to be shown
+            return
+        if self._is_due("pose", stamp_ns, POSE_PERIOD_NS):
+            self._reference_poses.publish(conversions.pose_with_covariance(reference.gaussian, stamp_ns, frame_id))
+        if self._markers.get_subscription_count() and self._is_due("markers", stamp_ns, MARKER_PERIOD_NS):
+            assert movements.execution is not None
+            mixture = movements.execution.retrieval.mixture()
+            shown = self._scene.show(mixture, reference.activations, movements.frames, stamp_ns, frame_id)
+            self._markers.publish(shown)
+
+    def _hide(self, stamp_ns: int) -> None:
+        """Nothing is reproduced any more: viewers forget what they were shown."""
+        if not self._scene.is_empty:
+            self._markers.publish(self._scene.clear(stamp_ns, self.task.base_frame))
+
+    def _is_due(self, what: str, stamp_ns: int, period_ns: int) -> bool:
+        if 0 <= stamp_ns - self._done_ns.get(what, -period_ns) < period_ns:
+            return False
+        self._done_ns[what] = stamp_ns
+        return True
+
+    def _status(self) -> tuple[bytes, str, dict[str, str]]:
+        execution = None if self.movements is None else self.movements.execution
+        if self.movements is None or execution is None:
+            return DiagnosticStatus.OK, "waiting for a request", {}
+        reference = execution.reference
+        values = {"stage": execution.stage.value, "frames": ", ".join(self.movements.frames)}
+        if reference is not None:
+            values["phase"] = f"{reference.phase:.3f}"
+        silence = 1e-9 * (self._steady.now().nanoseconds - self._received_ns)
+        if silence > TRACKER_TIMEOUT:
+            return DiagnosticStatus.ERROR, f"no task parameters for {silence:.1f} s: is frame_tracker alive?", values
+        missing = [name for name in execution.retrieval.frame_names if name not in self.movements.frames]
+        if missing:
+            return DiagnosticStatus.WARN, f"reproducing without {listed(missing)}", values
+        return DiagnosticStatus.OK, "reproducing", values
+
+
+def main() -> int:
+    return run(ReproductionNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,313 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`train`: recorded demonstrations in, a model file and its figures out. Needs no running ROS."""
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from tpgmm_core import TPGMM
+from tpgmm_core.common.text import one_line
+from tpgmm_core.retrieval.recipe import Recipe
+from tpgmm_core.retrieval.ways import WAYS
+from tpgmm_ros.models.kinematic_recipe import WAY, KinematicRecipe
+from tpgmm_ros.models.validation import Fold, PathErrors, leave_one_out, mean_errors
+from tpgmm_ros.programs.reporting import format_table, write_report
+from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings
+from tpgmm_ros.runtime.entry import INTERRUPTED
+from tpgmm_ros.task.task_file import DIMENSIONS, MANIFOLD, Task
+
+EXAMPLES = """\
+examples:
+  train --task config/pick_place.yaml --output pick_place.tpgmm bags/
+  train --task config/pick_place.yaml --output pick_place.tpgmm --report out/train demo_1 demo_2 demo_3
+  train --task config/pick_place.yaml --leave-one-out bags/          (only measures, saves no model)
+  train --task config/pick_place.yaml --output decay.tpgmm --retrieval decay bags/
+  train --task config/pick_place.yaml --output few.tpgmm --components 4 --every 5 --skip-bad bags/
+
+exit status: 0 the model was trained and saved; 1 it was not, the reason is on stderr; 2 wrong arguments;
+130 interrupted
+"""
+
+
+class TrainingError(Exception):
+    """Why no model was trained, in words for the user."""
+
+
+@dataclass(frozen=True, slots=True)
+class Training:
+    """A fitted model, and what it was fitted to."""
+
+    model: TPGMM
+    way: str
+    recordings: list[Recording]
+    duration_s: float
+    time_s: float
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; returns its exit status."""
+    options = _parser().parse_args(arguments)
+    if options.output is None and not options.leave_one_out:
+        _parser().error("nothing to do: give --output to save a model, --leave-one-out to measure one, or both")
+    report: dict[str, Any] = {"passed": False}
+    status = 1
+    try:
+        _run(options, report)
+        report["passed"], status = True, 0
+    except (TrainingError, OSError, ValueError, np.linalg.LinAlgError) as error:
+        report["error"] = one_line(error)
+        print(f"error: {report['error']}", file=sys.stderr)
+    except KeyboardInterrupt:
+        report["error"], status = "interrupted", INTERRUPTED
+        print("interrupted, nothing was saved", file=sys.stderr)
+    if options.report is not None:
+        # Written after a failure too: a report of an earlier success must not stand beside it.
+        try:
+            print(f"report: {write_report(options.report, report)}")
+        except OSError as error:
+            print(f"error: the report could not be written: {one_line(error)}", file=sys.stderr)
+            return 1
+    return status
+
+
+def _run(options: argparse.Namespace, report: dict[str, Any]) -> None:
+    if options.output is not None and options.output.is_dir():
+        raise TrainingError(f"{options.output} is a directory; give the name of a model file, such as model.tpgmm")
+    task = Task.load(options.task)
+    recipe = _recipe(task, options)
+    recordings = _read(options, task, report)
+    training = _train(task, recipe, recordings)
+    _summarize(training, task, report)
+    if options.leave_one_out:
+        assert isinstance(recipe, Recipe)  # `_recipe` refused the others
+        report["leave_one_out"] = _validate(task, recipe, recordings)
+    if options.output is not None:
+        options.output.parent.mkdir(parents=True, exist_ok=True)
+        training.model.save(options.output)
+        report["model"] = str(options.output)
+        print(f"model: {options.output}")
+
+
+def _read(options: argparse.Namespace, task: Task, report: dict[str, Any]) -> list[Recording]:
+    bags = find_bags(options.bags)
+    with _bar(total=len(bags), desc="reading bags", unit="bag") as bar:
+        good, bad = read_recordings(bags, task, options.every, progress=lambda _: bar.update())
+    report["bags"] = [
+        {"bag": str(r.path), "samples": len(r.times), "duration_s": r.duration, "notes": list(r.notes)} for r in good
+    ]
+    report["bad_bags"] = [{"bag": str(error.path), "error": str(error)} for error in bad]
+    for recording in good:
+        for note in recording.notes:
+            print(one_line(f"{recording.path}: {note}"), file=sys.stderr)
+        if options.verbose:
+            print(
+                f"{recording.path}: {len(recording.times)} samples, {recording.duration:.2f} s",
+                file=sys.stderr,
+            )
+    for error in bad:
+        print(f"bad bag: {error}", file=sys.stderr)
+    if bad and not options.skip_bad:
+        raise TrainingError(
+            f"{len(bad)} of {len(bags)} bags are bad, nothing was trained; mend or leave out the bags "
+            "named above, or train on the others with --skip-bad"
+        )
+    if not good:
+        raise TrainingError(f"none of the {len(bags)} bags could be used")
+    return good
+
+
+def _recipe(task: Task, options: argparse.Namespace) -> Recipe | KinematicRecipe:
+    settings = dict(task.model)
+    if options.components is not None:
+        settings["n_components"] = options.components
+    if options.seed is not None:
+        settings["random_state"] = options.seed
+    if task.kinematic is None:
+        return Recipe.of(settings, options.retrieval)
+    for option in ("retrieval", "leave_one_out"):
+        if getattr(options, option):
+            raise TrainingError(
+                f"--{option.replace('_', '-')} is for models of poses; the task {task.name!r} names kinematic frames"
+            )
+    return KinematicRecipe(task.kinematic, settings)
+
+
+def _train(task: Task, recipe: Recipe | KinematicRecipe, recordings: list[Recording]) -> Training:
+    demonstrations, duration = align(recordings)
+    start = time.perf_counter()
+    with _bar(total=recipe.max_iter, desc="EM", unit="iteration") as bar:
+
+        def progress(iteration: int, log_likelihood: float) -> None:
+            bar.set_postfix_str(f"log-likelihood {log_likelihood:.4f}", refresh=False)
+            bar.update()
+
+        if isinstance(recipe, KinematicRecipe):
+            model, way = recipe.learn(recordings, duration, progress), WAY
+        else:
+            model, way = recipe.learn(demonstrations, MANIFOLD, DIMENSIONS, progress), recipe.way.name
+    elapsed = time.perf_counter() - start
+    if not np.isfinite(model.log_likelihood_):
+        raise TrainingError(
+            "the log-likelihood is not finite; raise reg_covar in the task file, or use fewer components"
+        )
+    model.metadata_ |= {
+        "task": task.name,
+        "base_frame": task.base_frame,
+        "movement": task.movement,
+        "endpoint": task.endpoint,
+        "demonstrations": len(recordings),
+        "samples": sum(len(recording.times) for recording in recordings),
+    }
+    return Training(model, way, recordings, duration, elapsed)
+
+
+def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
+    model, durations = training.model, [recording.duration for recording in training.recordings]
+    report |= {
+        "task": task.name,
+        "frames": list(task.frames),
+        "retrieval": training.way,
+        "demonstrations": len(durations),
+        "samples": sum(len(recording.times) for recording in training.recordings),
+        "duration_s": training.duration_s,
+        "duration_min_s": min(durations),
+        "duration_max_s": max(durations),
+        "components": int(model.n_components),
+        "iterations": int(model.n_iter_),
+        "converged": bool(model.converged_),
+        "log_likelihood": float(model.log_likelihood_),
+        "training_time_s": training.time_s,
+    }
+    hint = "" if report["converged"] else " (not converged: raise max_iter)"
+    rows = {
+        "task": f"{task.name} (frames: {', '.join(task.frames)})",
+        "retrieval": report["retrieval"],
+        "demonstrations": report["demonstrations"],
+        "samples": report["samples"],
+        "duration": f"{training.duration_s:.2f} s (from {min(durations):.2f} to {max(durations):.2f} s)",
+        "components": report["components"],
+        "iterations": f"{report['iterations']}{hint}",
+        "log-likelihood": f"{report['log_likelihood']:.4f} per sample",
+        "training time": f"{training.time_s:.2f} s",
+    }
+    print(format_table(("what", "value"), rows.items()))
+
+
+def _validate(task: Task, recipe: Recipe, recordings: list[Recording]) -> dict[str, Any]:
+    anchor = list(task.topics or task.frames)[-1]
+    folds: list[Fold] = []
+    with _bar(total=len(recordings), desc="leave one out", unit="demonstration") as bar:
+        for fold in leave_one_out(recordings, lambda demonstrations: recipe.learn(demonstrations, MANIFOLD), anchor):
+            folds.append(fold)
+            bar.update()
+    mean = mean_errors([fold.model for fold in folds])
+    mean_nearest = mean_errors([fold.nearest for fold in folds])
+
+    columns = ("RMSE m", "end m", "mean deg", "end deg")
+    rows = [(fold.recording.path.name, *_cells(fold.model), *_cells(fold.nearest)) for fold in folds]
+    rows.append(("mean", *_cells(mean), *_cells(mean_nearest)))
+    print(f"\nleave one out: the model, and the nearest demonstration moved with the frame {anchor!r} (n.)")
+    print(format_table(("left out", *columns, *(f"n. {column}" for column in columns)), rows))
+    print("\nmean position error in each tenth of the movement, m")
+    print(
+        format_table(
+            ("", *(f"{tenth}0 %" for tenth in range(1, 11))),
+            [
+                (name, *(f"{value:.3f}" for value in errors.position_by_tenth_m))
+                for name, errors in (("model", mean), ("nearest", mean_nearest))
+            ],
+        )
+    )
+    return {
+        "anchor": anchor,
+        "mean": asdict(mean),
+        "mean_nearest": asdict(mean_nearest),
+        "folds": [
+            {
+                "bag": str(fold.recording.path),
+                "iterations": fold.iterations,
+                **asdict(fold.model),
+                "nearest": asdict(fold.nearest),
+            }
+            for fold in folds
+        ],
+    }
+
+
+def _cells(errors: PathErrors) -> tuple[str, ...]:
+    return (
+        f"{errors.position_rmse_m:.3f}",
+        f"{errors.position_end_m:.3f}",
+        f"{errors.orientation_mean_deg:.1f}",
+        f"{errors.orientation_end_deg:.1f}",
+    )
+
+
+def _bar(**settings: Any) -> "tqdm[Any]":
+    """Progress bar on stderr; silent when that is no terminal."""
+    return tqdm(disable=None, file=sys.stderr, leave=True, **settings)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="train",
+        description="Train a task-parameterized Gaussian mixture model from recorded demonstrations.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "bags",
+        metavar="BAG",
+        nargs="+",
+        type=Path,
+        help="rosbag2 (MCAP, sqlite3) or ROS 1 bag, or a directory with several bags",
+    )
+    parser.add_argument("--task", required=True, type=Path, help="task file: topics, frames and settings of the model")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="where the model is saved, such as task.tpgmm")
+    parser.add_argument(
+        "--components",
+        type=_positive,
+        metavar="K",
+        help="number of Gaussians, instead of n_components of the task file",
+    )
+    parser.add_argument(
+        "--retrieval",
+        choices=WAYS,
+        metavar="WAY",
+        help=f"what the model is for, instead of retrieval of the task file: {', '.join(WAYS)}",
+    )
+    parser.add_argument("--seed", type=int, help="seed of random choices, instead of random_state of the task file")
+    parser.add_argument(
+        "--every",
+        type=_positive,
+        default=1,
+        metavar="N",
+        help="use every N-th sample of the movement (default: all)",
+    )
+    parser.add_argument(
+        "--leave-one-out",
+        action="store_true",
+        help="reproduce each demonstration with a model of the others, and print the errors",
+    )
+    parser.add_argument("--report", type=Path, metavar="DIR", help="write report.json into this directory")
+    parser.add_argument("--skip-bad", action="store_true", help="train on the good bags when some are bad")
+    parser.add_argument("-v", "--verbose", action="store_true", help="say what each bag holds")
+    return parser
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least 1")
+    return number
+
+
+if __name__ == "__main__":
+    sys.exit(main())

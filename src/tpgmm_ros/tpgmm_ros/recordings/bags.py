@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags to demonstrations: one clock, every frame at every sample of the movement, one common duration."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core import Demonstration, Frame
+from tpgmm_core.geometry import quaternion
+from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds
+from tpgmm_ros.recordings.joint_streams import JointStream, read_joint_stream
+from tpgmm_ros.recordings.pose_arrays import read_pose_array
+from tpgmm_ros.recordings.pose_streams import PoseStream, read_pose_streams
+from tpgmm_ros.task.task_file import PoseArraySpec, Task
+
+__all__ = [
+    "BagError",
+    "Recording",
+    "align",
+    "find_bags",
+    "read_demonstration",
+    "read_demonstrations",
+    "read_recording",
+    "read_recordings",
+]
+
+MIN_SAMPLES = 10
+"""Fewer samples of a movement are no demonstration of one."""
+
+START_TOLERANCE_S = 0.5
+"""Topics start in any order when a recorder is switched on: a frame seen so soon was there all along."""
+
+_CLOCK_AHEAD_S = 1.0
+_CLOCK_BEHIND_S = 3600.0
+"""A stamp may be old (a latched pose), but not from the future or from another clock (simulated time)."""
+
+_STORAGE_SUFFIXES = (".mcap", ".db3")
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What one bag holds of a task, sampled where the movement was.
+
+    Attributes:
+        path: the bag.
+        times: (T,) s from the first sample, strictly increasing.
+        movement: (T, 7) poses of what is demonstrated, in the base frame: x, y, z in m, qx, qy, qz, qw.
+        frames: poses (T, 7) of every frame of the task: the latest observation at or before each sample.
+        visible: masks (T,), False where a frame had not been seen yet.
+        notes: what was put right or left out while reading, in words.
+        configurations: (T, n) positions of the task's joints, rad and m; None for tasks that name none.
+    """
+
+    path: Path
+    times: Array
+    movement: Array
+    frames: dict[str, Array]
+    visible: dict[str, NDArray[np.bool_]]
+    notes: tuple[str, ...] = ()
+    configurations: Array | None = None
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample in s."""
+        return float(self.times[-1])
+
+    def to_demonstration(self, duration: float | None = None) -> Demonstration:
+        """Demonstration on "R1 x R3 x S3": rows [time, x, y, z, qx, qy, qz, qw]; frames leave time as it is.
+
+        With a `duration` (s), time is stretched linearly to it.
+        """
+        times = self.times if duration is None else self.times * (duration / self.duration)
+        return Demonstration(
+            times=times,
+            data=np.column_stack([times, self.movement]),
+            frames={name: _frame(poses).with_time() for name, poses in self.frames.items()},
+            visible=self.visible,
+        )
+
+
+def _frame(poses: Array) -> Frame:
+    """Frame of poses (T, 7); one constant map where the pose never changes."""
+    if (poses == poses[0]).all():
+        return Frame.from_pose(poses[0, :3], poses[0, 3:])
+    return Frame.from_pose(poses[:, :3], poses[:, 3:])
+
+
+def find_bags(paths: Iterable[str | Path]) -> list[Path]:
+    """Bags among the given paths: each is a bag, or a directory with bags directly inside (in order of name).
+
+    Raises:
+        BagError: a path does not exist, or is neither.
+    """
+    bags: list[Path] = []
+    for path in map(Path, paths):
+        if not path.exists():
+            raise BagError(path, "does not exist; expected a bag, or a directory of bags")
+        found = [path] if _is_bag(path) else sorted(filter(_is_bag, path.iterdir())) if path.is_dir() else []
+        if not found:
+            raise BagError(
+                path,
+                "is no bag and holds none; expected a rosbag2 directory (metadata.yaml and .mcap "
+                "or .db3), a .bag, .mcap or .db3 file, or a directory of such bags",
+            )
+        bags += (bag for bag in found if bag not in bags)
+    return bags
+
+
+def _is_bag(path: Path) -> bool:
+    if path.is_dir():
+        # Without its metadata.yaml it is a bag all the same: a damaged one, which the reader will name.
+        return (path / "metadata.yaml").exists() or any(child.suffix in _STORAGE_SUFFIXES for child in path.iterdir())
+    return path.suffix in (".bag", *_STORAGE_SUFFIXES)
+
+
+def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
+    """Read one bag, as `Task.recordings` says it was recorded: PoseStamped on topics, or one PoseArray.
+
+    Of PoseStamped, times are the header stamps when those of all topics are sane (not zero, never backwards, of
+    one clock), else the times of the recorder for all topics; a note says when. Messages that repeat a stamp are
+    dropped, and counted in a note. A frame holds its latest pose, however long ago that was seen. Before its first
+    observation a frame is not visible, unless that observation comes within 0.5 s of the first sample: then
+    the frame counts as seen from the start. Joints are interpolated between their messages. Of a PoseArray, times are
+    the numbers of the poses times `period`, and frames stand still.
+
+    Args:
+        path: a bag.
+        task: names the topics, the frames and the base frame.
+        every: keep every n-th sample of the movement, and the last one.
+
+    Raises:
+        BagError: anything that is wrong with the bag.
+    """
+    path = Path(path)
+    recording = _from_streams(path, task) if task.recordings is None else _from_pose_array(path, task, task.recordings)
+    if len(recording.times) < MIN_SAMPLES:
+        raise BagError(
+            path,
+            f"the movement has {len(recording.times)} samples, expected at least {MIN_SAMPLES}; "
+            "record the whole movement",
+        )
+    return recording if every == 1 else _thinned(recording, every)
+
+
+def _thinned(recording: Recording, every: int) -> Recording:
+    """Every n-th sample, and the last one."""
+    last = len(recording.times) - 1
+    kept = np.unique(np.append(np.arange(0, last + 1, every), last))
+    return replace(
+        recording,
+        times=recording.times[kept],
+        movement=recording.movement[kept],
+        frames={name: poses[kept] for name, poses in recording.frames.items()},
+        visible={name: seen[kept] for name, seen in recording.visible.items()},
+        configurations=None if recording.configurations is None else recording.configurations[kept],
+    )
+
+
+def _from_pose_array(path: Path, task: Task, spec: PoseArraySpec) -> Recording:
+    movement, places = read_pose_array(path, spec, list(task.topics), task.base_frame)
+    places |= {name: np.array(frame.pose) for name, frame in task.frames.items() if frame.pose is not None}
+    T = len(movement)
+    notes = []
+    if T > 1 and (movement[:, 3:] == quaternion.IDENTITY).all():
+        notes.append("every orientation is 0 0 0 1: none was recorded; what a model says of it means nothing")
+    return Recording(
+        path,
+        spec.period * np.arange(T, dtype=float),
+        movement,
+        {name: np.tile(places[name], (T, 1)) for name in task.frames},
+        {name: np.ones(T, bool) for name in task.frames},
+        tuple(notes),
+    )
+
+
+def _from_streams(path: Path, task: Task) -> Recording:
+    streams = read_pose_streams(path, [task.movement, *task.topics.values()], task.base_frame)
+    joints = None
+    if task.kinematic is not None:
+        joints = read_joint_stream(path, task.kinematic.joint_states, task.kinematic.joint_names())
+    stamped: list[PoseStream | JointStream] = [*streams.values(), *([] if joints is None else [joints])]
+    complaint = _complaint_about_stamps(streams[task.movement], stamped)
+    notes = [f"{complaint}: times of the recorder used"] if complaint else []
+    series: dict[str, tuple[Nanoseconds, Array]] = {}
+    for topic, stream in streams.items():
+        ns = stream.recorded if complaint else stream.stamps
+        fresh = np.diff(ns, prepend=ns[0] - 1) > 0
+        if not fresh.all():
+            notes.append(f"{stream.topic}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
+        series[topic] = ns[fresh], stream.poses[fresh]
+
+    ns, movement = series[task.movement]
+    frames: dict[str, Array] = {}
+    visible: dict[str, NDArray[np.bool_]] = {}
+    for name, spec in task.frames.items():
+        if spec.topic is None:
+            frames[name], visible[name] = np.tile(np.array(spec.pose), (len(ns), 1)), np.ones(len(ns), bool)
+            continue
+        frames[name], visible[name] = _hold(*series[spec.topic], ns)
+        if not visible[name].any():
+            raise BagError(
+                path,
+                f"{streams[spec.topic].topic} was first seen after the movement had ended; publish the "
+                f"frame {name!r} before the demonstration starts",
+            )
+        unseen = np.count_nonzero(~visible[name])
+        if unseen:
+            notes.append(f"{name}: not seen in the first {unseen} of {len(ns)} samples")
+    configurations = None if joints is None else _configurations(path, joints, ns, bool(complaint))
+    return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes), configurations)
+
+
+def _configurations(path: Path, joints: JointStream, at: Nanoseconds, by_recorder: bool) -> Array:
+    """Positions (T, n) of joints at these times (T,), ns."""
+    seen = joints.recorded if by_recorder else joints.stamps
+    missed = 1e-9 * max(seen[0] - at[0], at[-1] - seen[-1])
+    if missed > START_TOLERANCE_S:
+        raise BagError(path, f"{joints.topic} does not cover the movement, by {missed:.1f} s; record both all the time")
+    return joints.at(seen, at)
+
+
+def _complaint_about_stamps(movement: PoseStream, streams: Iterable[PoseStream | JointStream]) -> str | None:
+    """What forbids to use the header stamps of a bag, or None."""
+    if movement.stamps[0] == movement.stamps[-1]:
+        return f"{movement.topic} has stamps that never change"
+    for stream in streams:
+        if (stream.stamps <= 0).any():
+            return f"{stream.topic} has stamps of zero"
+        if (np.diff(stream.stamps) < 0).any():
+            return f"{stream.topic} has stamps that run backwards"
+        ahead = (np.median(stream.stamps - stream.recorded) - np.median(movement.stamps - movement.recorded)) * 1e-9
+        if not -_CLOCK_BEHIND_S < ahead < _CLOCK_AHEAD_S:
+            return f"{stream.topic} is stamped {ahead:+.1f} s away from {movement.topic}"
+    return None
+
+
+def _hold(seen: Nanoseconds, poses: Array, at: Nanoseconds) -> tuple[Array, NDArray[np.bool_]]:
+    """Latest of the poses (S, 7) seen (S,) at or before each time (T,): poses (T, 7), and mask (T,) where."""
+    latest = np.searchsorted(seen, at, side="right") - 1
+    visible = latest >= 0
+    if seen[0] - at[0] <= START_TOLERANCE_S * 1e9:
+        visible[:] = True
+    return poses[np.maximum(latest, 0)], visible
+
+
+def read_recordings(
+    paths: Sequence[str | Path], task: Task, every: int = 1, progress: Callable[[Path], None] | None = None
+) -> tuple[list[Recording], list[BagError]]:
+    """Read several bags: the good ones, and what is wrong with the others; calls `progress` after each."""
+    good: list[Recording] = []
+    bad: list[BagError] = []
+    for path in map(Path, paths):
+        try:
+            good.append(read_recording(path, task, every))
+        except BagError as error:
+            bad.append(error)
+        if progress is not None:
+            progress(path)
+    return good, bad
+
+
+def align(recordings: Sequence[Recording]) -> tuple[list[Demonstration], float]:
+    """Demonstrations with their times stretched linearly to the mean duration, and that duration in s.
+
+    Raises:
+        ValueError: there are no recordings.
+    """
+    if not recordings:
+        raise ValueError("there are no recordings to align; expected at least one")
+    duration = float(np.mean([recording.duration for recording in recordings]))
+    return [recording.to_demonstration(duration) for recording in recordings], duration
+
+
+def read_demonstration(path: str | Path, task: Task) -> Demonstration:
+    """Read one bag as a demonstration with its own duration; see `read_recording`."""
+    return read_recording(path, task).to_demonstration()
+
+
+def read_demonstrations(
+    paths: Sequence[str | Path], task: Task, progress: Callable[[Path], None] | None = None
+) -> tuple[list[Demonstration], float]:
+    """Read bags as demonstrations of one duration: their mean, in s, returned too. See `read_recording`.
+
+    Raises:
+        BagError: the first bad bag; the others stand in its notes.
+    """
+    good, bad = read_recordings(paths, task, progress=progress)
+    if bad:
+        for other in bad[1:]:
+            bad[0].add_note(str(other))
+        raise bad[0]
+    return align(good)

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A topic of JointState out of one bag: positions of chosen joints, by name."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tpgmm_core.observation.joint_states import JointStateAssembler, JointStateError
+from tpgmm_core.observation.streams import RESTARTED_AFTER, SECOND, Stamp, StreamWatch
+from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds, read_messages
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+@dataclass(frozen=True, slots=True)
+class JointStream:
+    """What the topic holds, in the order of the recorder.
+
+    Attributes:
+        topic: the topic's name in the bag.
+        stamps: (T,) header stamps in ns.
+        recorded: (T,) times at which the recorder received the messages, in ns.
+        positions: (T, n), rad or m.
+    """
+
+    topic: str
+    stamps: Nanoseconds
+    recorded: Nanoseconds
+    positions: Array
+
+    def at(self, seen: Nanoseconds, times: Nanoseconds) -> Array:
+        """Positions (S, n) at times (S,), linear between those seen at (T,) times that never decrease, ns."""
+        return np.column_stack([np.interp(times, seen, column) for column in self.positions.T])
+
+
+def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> JointStream:
+    """Read positions of joints (n), in this order, from messages as the robot's drivers have published them.
+
+    They become states as they do while a robot runs (`tpgmm_core.observation.joint_states`): a message may hold more
+    joints, fewer, or others, in any order. A state has the times of its last message where these are the recorder's.
+
+    Raises:
+        BagError: the bag is damaged or incomplete, the topic is absent, empty or of another type, some joint never
+            came, or a message names a joint twice, or has a position of one that is not finite.
+    """
+    several = read_messages(path, [topic], JOINT_STATE)[topic]
+    assembler, watch = JointStateAssembler(joints, ["position"]), StreamWatch()
+    states: list[tuple[int, int, Array]] = []
+    for i, (recorded, message) in enumerate(zip(several.recorded.tolist(), several.messages, strict=True)):
+        stamp_ns = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
+        try:
+            sample = assembler.take(list(message.name), [message.position], stamp_ns)
+        except JointStateError as error:
+            raise BagError(path, f"{several.topic}: {error}, in message {i}; record it again") from error
+        # overtaken ones are left out; what runs backwards for good, or never changes, is for others to judge
+        if sample is None or watch.judge(sample.stamp_ns, recorded, 0, RESTARTED_AFTER, math.inf) is Stamp.OLD:
+            continue
+        watch.accept(sample.stamp_ns, recorded)
+        states.append((sample.stamp_ns, recorded, sample.values[0]))
+    if not states:
+        raise BagError(
+            path,
+            f"{several.topic} never has all joints of the task: {assembler.incomplete()}. "
+            "Record all their drivers, or correct the task file",
+        )
+    stamps, at, positions = zip(*states, strict=True)
+    return JointStream(several.topic, np.array(stamps, np.int64), np.array(at, np.int64), np.array(positions))

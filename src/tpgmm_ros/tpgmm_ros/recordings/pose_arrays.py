@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Movements recorded as one PoseArray per bag, without stamps, with the frames in a file beside the bags.
+
+demo_1.bag:                                        # name of the bag
+  start:                                           # name of the frame
+    position: [0.32, 0.03, 0.50]                   # m, in the frame of the recorded poses
+    orientation_xyzw: [0.0, 0.0, 0.0, 1.0]
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from tpgmm_core.common.safe_yaml import YamlError, load_yaml
+from tpgmm_ros.recordings.bag_messages import Array, BagError, checked_poses, read_messages
+from tpgmm_ros.task.task_file import PoseArraySpec
+from tpgmm_ros.task.yaml_sections import Section, a_quaternion, numbers
+
+POSE_ARRAY = "geometry_msgs/msg/PoseArray"
+
+
+def read_pose_array(
+    path: Path, spec: PoseArraySpec, frames: Iterable[str], base_frame: str
+) -> tuple[Array, dict[str, Array]]:
+    """Poses (T, 7) of the movement that a bag holds, and those (7,) of the frames that the file holds for this bag.
+
+    Raises:
+        BagError: the bag cannot be read, does not hold one PoseArray with good poses in `base_frame`, or the file of
+            frames does not tell each frame of this bag.
+    """
+    found = read_messages(path, [spec.pose_array], POSE_ARRAY)[spec.pose_array]
+    if len(found.messages) != 1:
+        raise BagError(
+            path,
+            f"{found.topic} holds {len(found.messages)} messages, expected one PoseArray, which is the whole movement; "
+            "record each demonstration into a bag of its own",
+        )
+    message = found.messages[0]
+    if not message.poses:
+        raise BagError(path, f"the PoseArray on {found.topic} is empty; record the whole movement")
+    movement = checked_poses(path, found.topic, message.poses, [message.header.frame_id], base_frame)
+    return movement, _places(path, spec.frames, frames)
+
+
+def _places(path: Path, file_name: str, frames: Iterable[str]) -> dict[str, Array]:
+    file = path.parent / file_name
+    try:
+        bag = Section(str(file), "", load_yaml(file, "the frames of each bag")).section(path.name)
+        places = {}
+        for name in frames:
+            pose = bag.section(name)
+            pose.refuse_others("position", "orientation_xyzw")
+            position = pose.required("position", numbers(3))
+            places[name] = np.array([*position, *pose.required("orientation_xyzw", a_quaternion)])
+    except YamlError as error:
+        raise BagError(path, f"its frames are not known: {error}") from None
+    return places

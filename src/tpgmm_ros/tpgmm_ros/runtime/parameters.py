@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Node parameters with a description and a range; a bad value is refused as a whole, with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from tpgmm_core.common.settings import setting_of
+from tpgmm_core.common.text import one_line
+
+
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """One parameter.
+
+    default: its type is the parameter's type.
+    lower, upper: inclusive bounds of a number.
+    fixed: read at start only; a change while running is refused.
+    """
+
+    name: str
+    default: bool | int | float | str | list[str]
+    description: str
+    lower: float | None = None
+    upper: float | None = None
+    fixed: bool = False
+
+    def descriptor(self) -> ParameterDescriptor:
+        descriptor = ParameterDescriptor(name=self.name, description=self.description, read_only=self.fixed)
+        if self.lower is not None and self.upper is not None:
+            if isinstance(self.default, int):
+                descriptor.integer_range = [IntegerRange(from_value=int(self.lower), to_value=int(self.upper), step=0)]
+            else:
+                descriptor.floating_point_range = [
+                    FloatingPointRange(from_value=self.lower, to_value=self.upper, step=0.0)
+                ]
+        return descriptor
+
+    def help(self) -> str:
+        """Meaning, default and range in a line."""
+        known = f"default {self.default!r}"
+        if self.lower is not None and self.upper is not None:
+            known += f", {self.lower:g} to {self.upper:g}"
+        return f"{self.description} ({known}{', fixed' if self.fixed else ''})"
+
+
+def declared_of(config: type) -> list[Declared]:
+    """One parameter for each setting of a dataclass (see ``tpgmm_core.common.settings``)."""
+    return [
+        Declared(item.name, known.default, known.description, known.lower, known.upper)
+        for item, known in ((item, setting_of(item)) for item in fields(config))
+    ]
+
+
+def fill[ConfigT](config: type[ConfigT], values: Mapping[str, Any]) -> ConfigT:
+    """A dataclass from the values of its fields' names. Raises ValueError: from the dataclass."""
+    return config(**{item.name: values[item.name] for item in fields(config)})  # type: ignore[arg-type]
+
+
+class Parameters:
+    """The declared parameters of a node and their present values, ``parameters["name"]``.
+
+    Args:
+        node: the node.
+        declared: what it takes.
+        check: called with all values as they would be after a change; a ``ValueError`` from it refuses the whole set
+            of changes, with its text as the reason.
+        changed: called after values have changed.
+
+    Raises:
+        rclpy.exceptions.InvalidParameterValueException: a value given at start is out of its range.
+        ValueError: from ``check``, for the values given at start.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        declared: Sequence[Declared],
+        check: Callable[[Mapping[str, Any]], object] | None = None,
+        changed: Callable[[], None] | None = None,
+    ) -> None:
+        for item in declared:
+            node.declare_parameter(item.name, item.default, item.descriptor())
+        self._values: dict[str, Any] = {item.name: node.get_parameter(item.name).value for item in declared}
+        self._check = check
+        self._changed = changed
+        if check is not None:
+            check(self._values)
+        node.add_on_set_parameters_callback(self._refuse)
+        node.add_post_set_parameters_callback(self._take)
+
+    def file(self, name: str) -> str:
+        """The value of a parameter that names a file.
+
+        Raises:
+            ValueError: it is not set.
+        """
+        value = str(self[name])
+        if not value:
+            raise ValueError(f"the parameter {name} is not set: give it the path of a file (-p {name}:=PATH)")
+        return value
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
+
+    def fill[ConfigT](self, config: type[ConfigT]) -> ConfigT:
+        """A dataclass whose fields are parameters of the same names. Raises ValueError: from the dataclass."""
+        return fill(config, self._values)
+
+    def _refuse(self, parameters: list[Parameter]) -> SetParametersResult:
+        changed = {**self._values, **{item.name: item.value for item in parameters if item.name in self._values}}
+        try:
+            if self._check is not None:
+                self._check(changed)
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=one_line(error))
+        return SetParametersResult(successful=True)
+
+    def _take(self, parameters: list[Parameter]) -> None:
+        for item in parameters:
+            if item.name in self._values:
+                self._values[item.name] = item.value
+        if self._changed is not None:
+            self._changed()

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes as processes of their own: start, bring up, watch, end. For the programs that run a whole graph."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.executors import Executor
+from rclpy.node import Node
+from rclpy.task import Future
+
+#: For nodes that run in real time, so that what else the machine does costs no ticks; where it is not permitted, the
+#: nodes say so in their logs and go on.
+REALTIME_PRIORITY = 20
+
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_LIBC = ctypes.CDLL(None)  # looked up here: between fork and exec there is no time for it
+
+
+class GraphError(RuntimeError):
+    """A node did not start, did not answer, or ended on its own."""
+
+
+class GraphTimeoutError(GraphError):
+    """What was waited for did not come in time, and no process ended: on a busy machine, perhaps it would have."""
+
+
+def end_with_parent() -> None:
+    """To be called in a child process: it gets SIGTERM when the thread that started it ends, also by SIGKILL (Linux).
+
+    Nodes that are left behind go on publishing, and whoever takes their ROS domain next meets them.
+    """
+    if sys.platform == "linux":
+        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+class NodeProcesses:
+    """Starts node processes and ends every one of them, whatever happens in between.
+
+    Args:
+        log_directory: one log file per node is written here; the end of it is shown when a node fails.
+        environment: further environment variables, such as ROS_DOMAIN_ID.
+    """
+
+    def __init__(self, log_directory: Path, environment: Mapping[str, str] | None = None) -> None:
+        self.log_directory = log_directory
+        log_directory.mkdir(parents=True, exist_ok=True)
+        self._environment = {**os.environ, **(environment or {})}
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, executable: str, **parameters: bool | float | str | Path) -> None:
+        """Start ``executable`` (a node of this package) with parameters."""
+        command = [sys.executable, "-m", f"tpgmm_ros.nodes.{executable}", "--ros-args"]
+        for key, value in parameters.items():
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            command += ["-p", f"{key}:={text}"]
+        with (self.log_directory / f"{executable}.log").open("wb") as log:
+            # A session of its own: the terminal's Ctrl-C reaches this program only, which then ends the nodes in order.
+            self._processes[executable] = subprocess.Popen(
+                command,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                start_new_session=True,
+                preexec_fn=end_with_parent,
+            )
+
+    def check(self) -> None:
+        """Raises GraphError: a process ended on its own."""
+        for name, process in self._processes.items():
+            status = process.poll()
+            if status is not None:
+                raise GraphError(f"{name} ended with status {status}; its last words:\n{self.last_words(name)}")
+
+    def pid(self, name: str) -> int:
+        """Process id of a node that was started."""
+        return self._processes[name].pid
+
+    def kill(self, name: str) -> None:
+        """End a node as a crash would, by SIGKILL; it may be started again."""
+        process = self._processes.pop(name)
+        process.kill()
+        process.wait()
+
+    def last_words(self, name: str, lines: int = 15) -> str:
+        text = (self.log_directory / f"{name}.log").read_text(errors="replace")
+        return "\n".join(text.splitlines()[-lines:])
+
+    def stop(self, timeout: float = 5.0) -> None:
+        """End all, in the reverse order of their start: SIGTERM, and SIGKILL for whoever does not follow."""
+        for process in reversed(self._processes.values()):
+            if process.poll() is None:
+                process.send_signal(signal.SIGTERM)
+        deadline = time.monotonic() + timeout
+        for process in self._processes.values():
+            try:
+                process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        self._processes.clear()
+
+    def __enter__(self) -> NodeProcesses:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+
+class Graph:
+    """What a program needs to deal with running nodes: wait for conditions, call services, bring nodes up.
+
+    Args:
+        node: the program's own node.
+        executor: the executor that serves it.
+        processes: checked while waiting, so that a node that died ends the waiting at once.
+    """
+
+    def __init__(self, node: Node, executor: Executor, processes: NodeProcesses) -> None:
+        self.node = node
+        self.executor = executor
+        self.processes = processes
+
+    def wait_for(self, condition: Callable[[], bool], timeout: float, what: str) -> None:
+        """Serve the node until ``condition()`` holds.
+
+        Raises:
+            GraphTimeoutError: it does not within ``timeout`` seconds of steady time.
+            GraphError: a process ended.
+        """
+        deadline = time.monotonic() + timeout
+        while not condition():
+            self.executor.spin_once(timeout_sec=0.02)
+            self.processes.check()
+            if time.monotonic() > deadline:
+                raise GraphTimeoutError(f"waited {timeout:g} s for {what} in vain; see {self.processes.log_directory}")
+
+    def result(self, future: Future, timeout: float, what: str) -> Any:
+        """What a future (of a service or an action) comes to. Raises GraphError like `wait_for`."""
+        self.wait_for(future.done, timeout, what)
+        return future.result()
+
+    def bring_up(self, name: str, timeout: float = 30.0) -> None:
+        """Configure and activate a lifecycle node.
+
+        Raises:
+            GraphError: it does not appear, or refuses.
+        """
+        client = self.node.create_client(ChangeState, f"{name}/change_state")
+        self.wait_for(client.service_is_ready, timeout, f"{name} to appear")
+        for label, transition in (
+            ("configure", Transition.TRANSITION_CONFIGURE),
+            ("activate", Transition.TRANSITION_ACTIVATE),
+        ):
+            request = ChangeState.Request(transition=Transition(id=transition))
+            if not self.result(client.call_async(request), timeout, f"{name} to {label}").success:
+                raise GraphError(f"{name} refused to {label}; its last words:\n{self.processes.last_words(name)}")
+        self.node.destroy_client(client)

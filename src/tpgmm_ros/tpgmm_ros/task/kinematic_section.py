@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The part `kinematic` of a task file: frames that move with the robot, named next to the frames of objects.
+
+    kinematic:
+      robot: baxter.yaml                     # robot file, from this file
+      joints: [left_arm, right_arm]          # groups or joints: the configuration, in this order
+      joint_states: joint_states             # optional: JointState topic
+      tasks:                                 # what of which point matters, and from where it is seen
+        bar: {point: right, part: pose, relative_to: left}              # another point of the robot
+        left: {point: left, relative_to: left_target, aim: object}      # a frame of the task
+        right: {point: right, relative_to: right_target, aim: object}
+      hierarchies:                           # candidates: levels, most important first
+        left before right: [bar, left, right]
+        right before left: [bar, right, left]
+        together: [bar, [left, right]]
+      postures: [[], [bar, left, right]]     # optional: of all joints, of what these tasks leave free
+      threshold: 0.05                        # optional: of the damping near singularities
+
+The model is then over configurations, and its frames are those of `tpgmm_core.kinematics`.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tpgmm_core.common.text import listed, shown
+from tpgmm_core.kinematics.frames import JointSpace, KinematicFrame, NullSpace, PreviousConfiguration
+from tpgmm_core.kinematics.hierarchy import Level, hierarchy_frames, level_names
+from tpgmm_core.kinematics.inverse import THRESHOLD
+from tpgmm_core.kinematics.moving import MovingFrames
+from tpgmm_core.kinematics.tasks import Task
+from tpgmm_core.kinematics.urdf import UrdfKinematics
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_ros.task.yaml_sections import Section, a_choice, a_name, a_number, a_topic
+
+PREVIOUS = "previous"
+"""Name of the frame about the step before, which every such model has: it damps the steps."""
+
+
+@dataclass(frozen=True, slots=True)
+class KinematicSpec:
+    """What the section says, checked as far as that goes without the robot.
+
+    Attributes:
+        robot: the robot file.
+        joints: groups of the robot file, or joints by name, in the order of the configuration.
+        joint_states: relative topic of the JointState.
+        objects: names of the task's frames.
+        tasks: name → task.
+        aims: names of the tasks that aim at the objects that they are relative to, whatever was demonstrated.
+        hierarchies: name → levels, most important first, each a task or several of equal rank.
+        postures: for each posture the tasks that it is below; none for the posture of all joints.
+        threshold: of the damping, m/rad and rad/rad.
+    """
+
+    robot: Path
+    joints: tuple[str, ...]
+    joint_states: str
+    objects: frozenset[str]
+    tasks: dict[str, Task]
+    aims: frozenset[str]
+    hierarchies: dict[str, tuple[Level, ...]]
+    postures: tuple[tuple[str, ...], ...] = ()
+    threshold: float = THRESHOLD
+
+    @classmethod
+    def of(cls, section: Section, objects: Collection[str]) -> KinematicSpec:
+        """Read the section; `objects` are the frames of the task.
+
+        Raises:
+            YamlError: anything that does not describe kinematic frames.
+        """
+        section.refuse_others("robot", "joints", "joint_states", "tasks", "hierarchies", "postures", "threshold")
+        tasks, aims = _tasks(section.section("tasks"), objects)
+        return cls(
+            robot=Path(section.source).parent / section.required("robot", _path),
+            joints=section.required("joints", _names),
+            joint_states=section.required("joint_states", a_topic)
+            if "joint_states" in section.values
+            else "joint_states",
+            objects=frozenset(objects),
+            tasks=tasks,
+            aims=aims,
+            hierarchies=_hierarchies(section.section("hierarchies"), tasks),
+            postures=_postures(section, tasks) if "postures" in section.values else (),
+            threshold=section.required("threshold", a_number(1e-6)) if "threshold" in section.values else THRESHOLD,
+        )
+
+    @property
+    def description(self) -> str:
+        """What the frames of a model mean, as text: models are for the tasks that they were learned from."""
+        tasks = {
+            name: [task.point, task.part, task.relative_to, "object" if name in self.aims else "learned"]
+            for name, task in self.tasks.items()
+        }
+        levels = {name: list(hierarchy) for name, hierarchy in self.hierarchies.items()}
+        return json.dumps([self.joints, tasks, levels, self.postures, self.threshold])
+
+    @property
+    def candidates(self) -> dict[str, KinematicFrame]:
+        """The frames by name: a level as `kinematics.hierarchy` calls it, "posture", "posture below ..."."""
+        frames = hierarchy_frames(self.tasks, self.hierarchies)
+        for above in self.postures:
+            tasks = tuple(self.tasks[name] for name in above)
+            frames[level_names([*above, "posture"])[-1]] = NullSpace(tasks) if tasks else JointSpace()
+        frames[PREVIOUS] = PreviousConfiguration()
+        return frames
+
+    @property
+    def aiming(self) -> list[str]:
+        """Those of the candidates that aim at their objects, with all of their tasks."""
+        names = [PREVIOUS]
+        for hierarchy in self.hierarchies.values():
+            for level, name in zip(hierarchy, level_names(hierarchy), strict=True):
+                if name not in names and self.aims.issuperset([level] if isinstance(level, str) else level):
+                    names.append(name)
+        return names
+
+    def joint_names(self) -> tuple[str, ...]:
+        """The joints of a configuration. Raises ValueError and OSError like `frames`."""
+        return self._kinematics().joint_names
+
+    def frames(self) -> MovingFrames:
+        """The candidates on the robot, for one user.
+
+        Raises:
+            ValueError: the robot file is none, or the robot has no such joints or points.
+            OSError: it cannot be read.
+        """
+        return MovingFrames(self._kinematics(), self.candidates, self.threshold)
+
+    def _kinematics(self) -> UrdfKinematics:
+        robot = _robot(self.robot)
+        observers = {task.relative_to for task in self.tasks.values() if task.relative_to is not None}
+        unclear = [name for name in observers if (name in self.objects) == (name in robot.endpoints)]
+        if unclear:
+            raise ValueError(
+                f"tasks are relative to {listed(sorted(unclear))}; expected either a frame of the task "
+                f"({', '.join(sorted(self.objects))}) or another end point of the robot ({', '.join(robot.endpoints)})"
+            )
+        points = {task.point for task in self.tasks.values()} | (observers - self.objects)
+        return UrdfKinematics(robot, self.joints, sorted(points))
+
+
+@functools.lru_cache(maxsize=4)
+def _robot(path: Path) -> RobotModel:
+    return RobotModel.from_file(path)
+
+
+def _tasks(section: Section, objects: Collection[str]) -> tuple[dict[str, Task], frozenset[str]]:
+    if not section.values:
+        raise section.error("is empty: name at least one task, such as 'left: {point: left, relative_to: object}'")
+    tasks, aims = {}, set()
+    for name in section.values:
+        try:
+            a_name(name)
+        except ValueError as error:
+            raise section.error(f"has the task name {shown(name)}, expected {error}") from None
+        entry = section.section(name)
+        entry.refuse_others("point", "part", "relative_to", "aim")
+        point, values = entry.required("point", a_name), entry.values
+        part: Any = "position"
+        if "part" in values:
+            part = entry.required("part", a_choice("position", "orientation", "pose"))
+        relative_to = entry.required("relative_to", a_name) if "relative_to" in values else None
+        if relative_to == point:
+            raise entry.error(
+                f"sees the point {shown(point)} from itself; expected a frame of the task or another point"
+            )
+        if "aim" in values and entry.required("aim", a_choice("object", "learned")) == "object":
+            if relative_to not in objects:
+                raise entry.error(
+                    f"aims at its object and is relative to {shown(relative_to)}; expected one of the task's frames: "
+                    + ", ".join(objects)
+                )
+            aims.add(name)
+        tasks[name] = Task(point, part, relative_to)
+    return tasks, frozenset(aims)
+
+
+def _hierarchies(section: Section, tasks: Collection[str]) -> dict[str, tuple[Level, ...]]:
+    if not section.values:
+        raise section.error("is empty: name at least one hierarchy, such as 'left before right: [left, right]'")
+    return {name: section.required(name, lambda value: _levels(value, tasks)) for name in section.values}
+
+
+def _levels(value: Any, tasks: Collection[str]) -> tuple[Level, ...]:
+    expected = ValueError(
+        f"levels, most important first, each one of the tasks {', '.join(tasks)} or a list of some, and each task once"
+    )
+    if not isinstance(value, list) or not value:
+        raise expected
+    used = [task for level in value for task in (level if isinstance(level, list) else [level])]
+    if not all(isinstance(task, str) and task in tasks for task in used) or len(set(used)) < len(used) or [] in value:
+        raise expected
+    return tuple(tuple(level) if isinstance(level, list) else level for level in value)
+
+
+def _postures(section: Section, tasks: Collection[str]) -> tuple[tuple[str, ...], ...]:
+    def read(value: Any) -> tuple[tuple[str, ...], ...]:
+        expected = ValueError(f"a list of lists of tasks that are above a posture, some of {', '.join(tasks)} or none")
+        if not isinstance(value, list) or not all(isinstance(above, list) for above in value):
+            raise expected
+        if not all(isinstance(task, str) and task in tasks for above in value for task in above):
+            raise expected
+        return tuple(tuple(above) for above in value)
+
+    postures: tuple[tuple[str, ...], ...] = section.required("postures", read)
+    return postures
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    names = value if isinstance(value, list) else [value]
+    if not names or not all(isinstance(name, str) and name for name in names):
+        raise ValueError("joints or groups of joints of the robot file, such as [left_arm, right_arm]")
+    return tuple(names)
+
+
+def _path(value: Any) -> str:
+    if not isinstance(value, str) or not value:
+        raise ValueError("the path of a robot file, from this file")
+    return value

@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The task file: what is demonstrated, which frames it is seen from, and how the model is learned.
+
+    name: pick_place
+    base_frame: base                         # every pose is expressed in it
+    movement: endpoint/left/pose             # PoseStamped topic of what is demonstrated and reproduced
+    endpoint: left                           # the end point of the robot that follows it
+    frames:
+      object: {topic: object/pose}           # observed
+      robot: {pose: [0, 0, 0, 0, 0, 0, 1]}   # fixed: x y z (m), qx qy qz qw, in base_frame
+    tracking: {visible_timeout: 0.25}        # optional, s
+    model: {n_components: 10, init: time}    # optional: the way of retrieval, arguments of its estimator
+    kinematic: {...}                         # optional: frames that move with the robot, see `kinematic_task`
+
+Reading a task file executes nothing and needs no ROS.
+"""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from tpgmm_core import TPGMM
+from tpgmm_core.common.safe_yaml import YamlError, load_yaml, parse_yaml
+from tpgmm_core.common.settings import configured
+from tpgmm_core.common.text import shown
+from tpgmm_core.learning.covariance.structure import STRUCTURES
+from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_core.retrieval.encodings import ENCODINGS
+from tpgmm_core.retrieval.recipe import Recipe
+from tpgmm_core.retrieval.ways import WAYS
+from tpgmm_ros.task.kinematic_section import KinematicSpec
+from tpgmm_ros.task.yaml_sections import (
+    Section,
+    a_choice,
+    a_name,
+    a_number,
+    a_quaternion,
+    a_topic,
+    an_integer,
+    is_name,
+    numbers,
+)
+
+MANIFOLD = "R1 x R3 x S3"
+"""What a task file describes: time, position, orientation. 8 ambient numbers, 7 tangent numbers."""
+
+DIMENSIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+"""Names of the ambient numbers, in their order."""
+
+
+class TaskError(ValueError):
+    """A task file that cannot be used; the text names the file, the key, and what was expected."""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskFrameSpec:
+    """One task frame: observed on a topic, or fixed in the base frame. Exactly one of the two is set.
+
+    Attributes:
+        name: name of the frame, as in the model.
+        topic: relative topic of its PoseStamped, or None.
+        pose: fixed pose (x, y, z in m, qx, qy, qz, qw, unit quaternion) in the base frame, or None.
+    """
+
+    name: str
+    topic: str | None = None
+    pose: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PoseArraySpec:
+    """Recordings whose movement is one PoseArray per bag, and whose frames stand in a file.
+
+    Attributes:
+        pose_array: relative topic of the PoseArray.
+        period: time from one pose to the next, s: a PoseArray does not tell.
+        frames: name of the file beside the bags that holds the constant pose of each observed frame in each bag.
+    """
+
+    pose_array: str
+    period: float
+    frames: str
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What a task file says, checked.
+
+    Attributes:
+        name: name of the task.
+        base_frame: frame_id in which all poses are expressed.
+        movement: relative topic of the PoseStamped that is demonstrated and reproduced.
+        endpoint: end point of the robot that follows the movement.
+        frames: task frames by name, in the order of the file.
+        tracking: settings of the frame tracker in s; their names and ranges are the tracker's to check.
+        model: `retrieval`, options of what it encodes, arguments of its estimator: what `Recipe.of` takes.
+        recordings: how demonstrations were recorded where that is not as PoseStamped on the topics above.
+        kinematic: where the model is over configurations of the robot: its frames, and what they are seen from.
+    """
+
+    name: str
+    base_frame: str
+    movement: str
+    endpoint: str
+    frames: dict[str, TaskFrameSpec]
+    tracking: dict[str, float] = field(default_factory=dict)
+    model: dict[str, Any] = field(default_factory=dict)
+    recordings: PoseArraySpec | None = None
+    kinematic: KinematicSpec | None = None
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Task":
+        """Read a task file.
+
+        Raises:
+            TaskError: the file is missing, is no YAML, or does not describe a task.
+        """
+        path = Path(path)
+        try:
+            return cls._of(Section(str(path), "", load_yaml(path, "a task file")))
+        except YamlError as error:
+            raise TaskError(str(error)) from None
+
+    @classmethod
+    def from_text(cls, text: str, source: str = "task") -> "Task":
+        """Read a task from YAML text; `source` is what errors call it.
+
+        Raises:
+            TaskError: the text is no YAML, or does not describe a task.
+        """
+        try:
+            return cls._of(Section(source, "", parse_yaml(text, source)))
+        except YamlError as error:
+            raise TaskError(str(error)) from None
+
+    @classmethod
+    def _of(cls, top: Section) -> "Task":
+        top.refuse_others(
+            "name", "base_frame", "movement", "endpoint", "frames", "kinematic", "recordings", "tracking", "model"
+        )
+        movement = top.required("movement", a_topic)
+        frames, is_kinematic = _frames(top.section("frames"), movement), "kinematic" in top.values
+        if is_kinematic and "recordings" in top.values:
+            raise top.error("has 'recordings' and 'kinematic'; a PoseArray holds no joints: leave one of them out")
+        return cls(
+            name=top.required("name", a_name),
+            base_frame=top.required("base_frame", _frame_id),
+            movement=movement,
+            endpoint=top.required("endpoint", a_name),
+            frames=frames,
+            tracking=_tracking(top.section("tracking", optional=True)),
+            model=_model(top.section("model", optional=True), is_kinematic),
+            recordings=_recordings(top.section("recordings")) if "recordings" in top.values else None,
+            kinematic=KinematicSpec.of(top.section("kinematic"), frames) if is_kinematic else None,
+        )
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Topics of the observed frames by frame name."""
+        return {name: spec.topic for name, spec in self.frames.items() if spec.topic is not None}
+
+
+def _frames(section: Section, movement: str) -> dict[str, TaskFrameSpec]:
+    if not section.values:
+        raise section.error("is empty: name at least one frame, such as 'object: {topic: object/pose}'")
+    taken = {movement: "the movement"}
+    frames: dict[str, TaskFrameSpec] = {}
+    for name in section.values:
+        if not is_name(name):
+            raise section.error(f"has the frame name {shown(name)}: use letters, digits and underscores")
+        entry = section.section(name)
+        entry.refuse_others("topic", "pose")
+        if len(entry.values) != 1:
+            raise entry.error("needs either 'topic' (observed) or 'pose' (fixed), and not both")
+        if "pose" in entry.values:
+            frames[name] = TaskFrameSpec(name, pose=entry.required("pose", _pose))
+            continue
+        topic = entry.required("topic", a_topic)
+        if topic in taken:
+            raise entry.error(
+                f"has the topic {shown(topic)}, which is already that of {taken[topic]}: "
+                "each frame has a topic of its own"
+            )
+        taken[topic] = f"the frame {name!r}"
+        frames[name] = TaskFrameSpec(name, topic=topic)
+    return frames
+
+
+def _recordings(section: Section) -> PoseArraySpec:
+    section.refuse_others("pose_array", "period", "frames")
+    return PoseArraySpec(
+        pose_array=section.required("pose_array", a_topic),
+        period=section.required("period", _period),
+        frames=section.required("frames", _file_name),
+    )
+
+
+def _tracking(section: Section) -> dict[str, float]:
+    values = {key: section.required(key, a_number(0.0)) for key in section.values}
+    try:
+        configured(TrackingConfig, values)
+    except ValueError as error:
+        raise section.error(str(error)) from error
+    return values
+
+
+def _model(section: Section, is_kinematic: bool) -> dict[str, Any]:
+    readers: dict[str, Callable[[Any], Any]] = {
+        "retrieval": a_choice(*WAYS),
+        "n_components": an_integer(1),
+        "init": a_choice("time", "kmeans", "bins"),
+        "reg_covar": a_number(0.0),
+        "tol": a_number(0.0),
+        "max_iter": an_integer(1),
+        "random_state": an_integer(0),
+        "regularization": a_choice("add", "prior"),
+        "n_init": an_integer(1),
+        "covariance": a_choice(*STRUCTURES),
+        "n_factors": an_integer(1),
+        "max_duration": an_integer(1),
+        **{item.name: a_number() for encoding in ENCODINGS.values() for item in fields(encoding)},
+    }
+    if is_kinematic:  # one way leads from such models to movements, and it needs the covariances as they are
+        readers = {key: readers[key] for key in inspect.signature(TPGMM).parameters if key in readers}
+        del readers["covariance"]
+    section.refuse_others(*readers)
+    values = {key: section.required(key, readers[key]) for key in section.values}
+    try:
+        Recipe.of(values)
+    except ValueError as error:
+        raise section.error(f"does not fit together: {error}") from error
+    return values
+
+
+def _frame_id(value: Any) -> str:
+    if not isinstance(value, str) or not value or value.startswith("/") or value.split() != [value]:
+        raise ValueError("the frame_id of the poses, without a leading slash")
+    return value
+
+
+def _period(value: Any) -> float:
+    try:
+        return a_number(1e-6)(value)
+    except ValueError:
+        raise ValueError("the time from one pose to the next in s, such as 0.02") from None
+
+
+def _pose(value: Any) -> tuple[float, ...]:
+    try:
+        pose = numbers(7)(value)
+        return (*pose[:3], *a_quaternion(list(pose[3:])))
+    except ValueError:
+        raise ValueError("seven finite numbers: x y z (m) qx qy qz qw, with a quaternion of norm 1") from None
+
+
+def _file_name(value: Any) -> str:
+    if not isinstance(value, str) or value != Path(value).name or not value:
+        raise ValueError("the name of a file that lies beside the bags, such as frames.yaml")
+    return value

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""YAML that people write: read key by key, with errors that say where and what was expected.
+
+Unknown keys are refused.
+"""
+
+import difflib
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from tpgmm_core.common.safe_yaml import YamlError
+from tpgmm_core.common.text import one_line, shown
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_TOPIC = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_QUATERNION_TOLERANCE = 1e-3
+"""How far from 1 the norm of a written quaternion may be: three or four digits are what people type."""
+
+
+class Section:
+    """One mapping of the file, and where it stands there, so that errors can say so."""
+
+    def __init__(self, source: str, where: str, values: Any) -> None:
+        self.source, self.where = source, where
+        if not isinstance(values, Mapping):
+            raise self.error(f"is {shown(values)}, expected a mapping of keys to values")
+        for key in values:
+            if not isinstance(key, str):
+                raise self.error(
+                    f"has the key {shown(key)}, expected a word "
+                    "(YAML reads bare on, off, yes, no and numbers as other things: quote them)"
+                )
+        self.values: Mapping[str, Any] = values
+
+    def error(self, text: str) -> YamlError:
+        return YamlError(f"{self.source}: {f"'{one_line(self.where)}'" if self.where else 'the file'} {text}")
+
+    def path(self, key: str) -> str:
+        return f"{self.where}.{key}" if self.where else key
+
+    def refuse_others(self, *known: str) -> None:
+        for key in self.values:
+            if key not in known:
+                close = difflib.get_close_matches(key, known, n=1)
+                hint = f"; did you mean {close[0]!r}?" if close else ""
+                raise self.error(f"has the unknown key {shown(key)}, expected {', '.join(known)}{hint}")
+
+    def required(self, key: str, read: Callable[[Any], Any]) -> Any:
+        if key not in self.values:
+            raise self.error(f"lacks the key '{key}'")
+        try:
+            return read(self.values[key])
+        except ValueError as error:
+            found = shown(self.values[key])
+            raise YamlError(f"{self.source}: '{one_line(self.path(key))}' is {found}, expected {error}") from None
+
+    def section(self, key: str, optional: bool = False) -> "Section":
+        if key not in self.values and not optional:
+            raise self.error(f"lacks the key '{key}'")
+        return Section(self.source, self.path(key), self.values.get(key, {}))
+
+
+# Readers turn one YAML value into what a program needs, or raise ValueError(what was expected).
+
+
+def is_name(text: str) -> bool:
+    """Letters, digits and underscores, no digit first."""
+    return _NAME.fullmatch(text) is not None
+
+
+def a_name(value: Any) -> str:
+    if not isinstance(value, str) or not is_name(value):
+        raise ValueError("a name of letters, digits and underscores")
+    return value
+
+
+def a_topic(value: Any) -> str:
+    if not isinstance(value, str) or not _TOPIC.fullmatch(value):
+        raise ValueError("a relative topic such as object/pose (no leading slash, so that namespaces work)")
+    return value
+
+
+def a_number(least: float = -math.inf) -> Callable[[Any], float]:
+    def read(value: Any) -> float:
+        what = "a finite number" + (f" of at least {least:g}" if math.isfinite(least) else "")
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(what)
+        try:
+            number = float(value)
+        except OverflowError:
+            raise ValueError(what) from None
+        if not math.isfinite(number) or number < least:
+            raise ValueError(what)
+        return number
+
+    return read
+
+
+def numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
+    def read(value: Any) -> tuple[float, ...]:
+        if not isinstance(value, list) or len(value) != count:
+            raise ValueError(f"{count} finite numbers")
+        try:
+            return tuple(a_number()(number) for number in value)
+        except ValueError:
+            raise ValueError(f"{count} finite numbers") from None
+
+    return read
+
+
+def a_quaternion(value: Any) -> tuple[float, ...]:
+    try:
+        quaternion = numbers(4)(value)
+    except ValueError:
+        quaternion = (0.0,)
+    norm = math.hypot(*quaternion)
+    if abs(norm - 1.0) > _QUATERNION_TOLERANCE:
+        raise ValueError("four finite numbers qx qy qz qw of norm 1")
+    return tuple(number / norm for number in quaternion)
+
+
+def an_integer(least: int) -> Callable[[Any], int]:
+    def read(value: Any) -> int:
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value < 2**32:
+            raise ValueError(f"a whole number of at least {least}")
+        return value
+
+    return read
+
+
+def a_choice(*choices: str) -> Callable[[Any], str]:
+    def read(value: Any) -> str:
+        if not isinstance(value, str) or value not in choices:
+            raise ValueError("one of " + ", ".join(choices))
+        return value
+
+    return read
