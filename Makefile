@@ -27,62 +27,62 @@ DATA ?= ../shared/data
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup dev lint format test properties faults fuzz determinism seeds soak demo bags results figures figure5 figure6 bench scaling stress colcon lock clean
+.PHONY: help setup dev lint format test properties faults fuzz determinism seeds soak demo bags results figures figure5 figure6 bench scaling stress colcon docs reference lock clean
 
-help: ## list the targets
-	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
+help: ## list all targets
+	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
 
-setup: $(DONE)/packages $(DONE)/kernels ## what running needs: virtual environment, ROS wheels, interface package, kernels
+setup: $(DONE)/packages $(DONE)/kernels ## install what running needs: virtual environment, ROS wheels, interface package, compiled kernels
 
-dev: setup $(DONE)/requirements-dev ## the same, and what developing needs: ruff, mypy, pytest, colcon
+dev: setup $(DONE)/requirements-dev ## install what running and developing need: also ruff, mypy, pytest, colcon
 
-lint: dev ## style and types: ruff, mypy
+lint: dev ## check style and types: ruff, mypy
 	$(PYTHON) -m ruff check
 	$(PYTHON) -m ruff format --check
 	$(call say,mypy (a minute; seconds from then on))
 	@$(call progress,mypy) $(PYTHON) -m mypy
 
-format: dev ## bring the code into the project's style
+format: dev ## format the code in the project's style
 	$(PYTHON) -m ruff check --fix
 	$(PYTHON) -m ruff format
 
-test: lint ## lint, then all tests
+test: lint ## run lint, then all tests
 	$(PYTHON) -m pytest
 
-properties: dev ## no sequence of inputs makes a torque or a rate beyond its limit: 10 000 sequences (`make test`: some)
+properties: dev ## try 10 000 sequences of inputs: no torque and no rate exceeds its limit (`make test` tries fewer)
 	TPGMM_PROPERTY_SEQUENCES=10000 $(PYTHON) -m pytest --timeout 3600 src/tpgmm_core/test/test_controller_properties.py
 
-fuzz: dev ## untrusted files and messages: refused in words, or sound; 20 000 of each kind (`make test`: some)
+fuzz: dev ## try 20 000 untrusted files and messages of each kind: valid, or refused with the reason (`make test` tries fewer)
 	TPGMM_FUZZ_EXAMPLES=20000 $(PYTHON) -m pytest --timeout 7200 src/tpgmm_core/test/test_fuzz_model_file.py \
 		src/tpgmm_core/test/test_fuzz_robot_file.py src/tpgmm_core/test/test_file_bombs.py src/tpgmm_ros/test/test_fuzz_messages.py \
 		test/test_fuzz_nodes.py
 
-determinism: setup ## the demo in lockstep, twice at 1 kHz and at 500 Hz: equal, bit by bit? how fast? out/determinism/ (SEED=7)
+determinism: setup ## run the demo in lockstep twice at 1 kHz and twice at 500 Hz and compare, bit by bit: out/determinism/ (SEED=7)
 	PYTHONPATH=. $(PYTHON) benchmarks/determinism.py --seed $(SEED)
 
-seeds: setup ## the demo in lockstep in many situations (SEEDS=1001-1030): passed, or the seed and the cause: out/seeds/
+seeds: setup ## run the demo in lockstep in many situations and list failures with their causes: out/seeds/ (SEEDS=1001-1030)
 	PYTHONPATH=. $(PYTHON) benchmarks/seeds.py --seeds $(SEEDS)
 
-soak: setup ## 30 minutes of simulated time with random faults (MINUTES=5 for less): tasks, memory: out/soak/
+soak: setup ## run 30 minutes of simulated time with random faults, watch tasks and memory: out/soak/ (MINUTES=5 for less)
 	PYTHONPATH=. $(PYTHON) benchmarks/soak.py --minutes $(MINUTES) --seed $(SEED)
 
-faults: dev ## make every fault happen to the running nodes and see what they do: out/faults/ (10 minutes)
+faults: dev ## make every known fault happen to the running nodes and check what they do: out/faults/ (10 minutes)
 	PYTHONPATH=.:test $(PYTHON) -m faults
 
-demo: setup ## train, start the nodes, do the task: out/demo/ (SEED=7 for another situation)
+demo: setup ## train a model, start the nodes, do the task, report: out/demo/ (SEED=7 for another situation)
 	$(DEMOS)/demo --seed $(SEED)
 
 bags: setup ## record the demonstrations in bags/ again
 	rm -rf bags/pick_place
 	$(DEMOS)/scripted_lessons --perception exact --output bags/pick_place
 
-results: setup ## the numbers of docs/results.md: leave-one-out on real demonstrations (DATA=directory of the data sets)
+results: setup ## compute the numbers of docs/reference/results.md: leave-one-out on real demonstrations (DATA=directory of the data sets)
 	$(PROGRAMS)/train --task config/baxter_valve.yaml --leave-one-out --report out/results/baxter_valve \
 		$(DATA)/baxter_valve
 	PYTHONPATH=. $(PYTHON) benchmarks/valve_selection.py --data $(DATA)/baxter_valve
 	PYTHONPATH=. $(PYTHON) benchmarks/retrieval_table.py --data $(DATA)
 
-figures: setup ## figures 1, 3 and 4 of the paper, extrapolation, weights of frames, in out/ (DATA=directory of the data sets)
+figures: setup ## draw figures 1, 3 and 4 of the paper, extrapolation, weights of frames: out/ (DATA=directory of the data sets)
 	PYTHONPATH=. $(PYTHON) examples/figure1.py --data $(DATA)/pbdlib
 	PYTHONPATH=. $(PYTHON) examples/figure3.py --data $(DATA)/pbdlib
 	PYTHONPATH=. $(PYTHON) examples/extrapolation.py --data $(DATA)/pbdlib
@@ -90,37 +90,45 @@ figures: setup ## figures 1, 3 and 4 of the paper, extrapolation, weights of fra
 	PYTHONPATH=. $(PYTHON) examples/figure1d.py
 	PYTHONPATH=. $(PYTHON) examples/frame_weights.py
 
-figure5: setup ## figure 5 of the paper: cup and sugar held by two hands that are pushed, in out/figure5/ (20 minutes; SEED=7 for other pushes)
+figure5: setup ## figure 5 of the paper, a cup and a sugar cube in two hands that are pushed: out/figure5/ (20 minutes; SEED=7 for other pushes)
 	$(DEMOS)/figure5 --seed $(SEED)
 
-figure6: setup ## figure 6 of the paper: priorities learned by a planar robot with two hands, in out/figure6/ and out/kinematic_relevance/
+figure6: setup ## figure 6 of the paper, priorities of two hands of a planar robot: out/figure6/, out/kinematic_relevance/
 	PYTHONPATH=. $(PYTHON) examples/figure6.py
 	PYTHONPATH=. $(PYTHON) examples/kinematic_relevance.py
 
 BENCHMARKS := em reproduction_step retrieval_step lqr control simulator loop latency kinematic_frames
-bench: setup ## benchmarks: tables, and JSON in out/bench/ (wants two idle cores)
+bench: setup ## run the benchmarks: tables, and JSON in out/bench/ (needs two idle cores)
 	@for name in $(BENCHMARKS); do PYTHONPATH=. $(PYTHON) benchmarks/$$name.py; done
 
-scaling: setup ## benchmarks of learning: 100 dimensions; time and memory up to a million samples: out/high_dimension/, out/scaling/
+scaling: setup ## run the benchmarks of learning, 100 dimensions and a million samples: out/high_dimension/, out/scaling/
 	PYTHONPATH=. $(PYTHON) benchmarks/high_dimension.py
 	PYTHONPATH=. $(PYTHON) benchmarks/scaling.py
 
-lock: $(DONE)/requirements-dev ## resolve requirements*.in into requirements*.txt; what is locked stays while it fits (UPGRADE=1: the newest)
+SPHINX := $(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going -d out/docs/doctrees -c docs
+docs: setup $(DONE)/requirements-docs ## make a site of the pages, with the API: out/docs/html/index.html (2 minutes)
+	@mkdir -p out/docs && rm -rf out/docs/source && cp -a docs out/docs/source
+	$(SPHINX) out/docs/source out/docs/html
+
+reference: setup ## write the reference pages of nodes, topics, messages and programs from the sources
+	$(PYTHON) tools/reference_pages.py
+
+lock: $(DONE)/requirements-dev ## resolve requirements*.in into requirements*.txt, keep locked versions that still fit (UPGRADE=1: take the newest)
 	tools/lock $(BIN)/uv $(if $(UPGRADE),--upgrade)
 
-stress: setup ## nodes at 1 kHz beside peers that come and go and do not fit: does one stand still? out/executor_stress/ (MINUTES=10)
+stress: setup ## run nodes at 1 kHz while incompatible peers come and go, check that none stops: out/executor_stress/ (MINUTES=10)
 	PYTHONPATH=. $(PYTHON) benchmarks/executor_stress.py --minutes $(MINUTES)
 
 # As on a full installation, beside what the other targets build. TESTS="-k frame" for some tests only
 COLCON := PATH="$(CURDIR)/$(BIN):$$PATH" AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" CMAKE_PREFIX_PATH="$(CURDIR)/$(VENV)" \
 	$(BIN)/colcon --log-base out/colcon/log
 COLCON_PLACES := --base-paths src --build-base out/colcon/build --install-base out/colcon/install
-colcon: dev ## the packages as colcon builds and tests them: out/colcon/ (15 minutes; TESTS="-k frame": some tests)
+colcon: dev ## build and test the packages with colcon: out/colcon/ (15 minutes; TESTS="-k frame" for some tests)
 	$(COLCON) build --metas colcon.meta $(COLCON_PLACES)
 	$(COLCON) test $(COLCON_PLACES) --executor sequential --event-handlers console_direct+ --return-code-on-test-failure \
 		--packages-select tpgmm_core tpgmm_ros tpgmm_demos $(if $(TESTS),--pytest-args $(TESTS))
 
-clean: ## remove everything that the other targets made
+clean: ## remove everything that the other targets have made
 	rm -rf $(VENV) out .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find src test benchmarks examples tools -name __pycache__ -prune -exec rm -rf {} +
 
@@ -144,6 +152,11 @@ $(DONE)/requirements: requirements.txt tools/install_requirements.py tools/reloc
 $(DONE)/requirements-dev: requirements-dev.txt $(DONE)/requirements
 	$(call say,what developing needs beside it: 50 wheels (some 20 seconds))
 	@$(PYTHON) tools/install_requirements.py requirements-dev.txt
+	@touch $@
+
+$(DONE)/requirements-docs: requirements-docs.txt $(DONE)/requirements
+	$(call say,what the site needs: 31 wheels (some 20 seconds))
+	@$(PYTHON) tools/install_requirements.py requirements-docs.txt
 	@touch $@
 
 # The wheels make the environment a ROS prefix. What is built here joins them, so that every process of the environment

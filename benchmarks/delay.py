@@ -2,7 +2,7 @@
 """How late joint states may be: a simulated step of the hand for ever later ones, for each robot and precision.
 
 For each the computed delay margin of the gains, the delay from which on the arm swings where the controller is not told
-of it, and what it does where it is: the table of docs/your-robot.md.
+of it, and what it does where it is: the table of docs/explanation/delays.md.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docs/results.md says of generalisation is measured as it says: situations, shares of the way, the choice."""
+"""What docs/reference/results.md says of generalisation holds: situations, shares of the way, the choice."""
 
 from pathlib import Path
 

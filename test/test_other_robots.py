@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/your-robot.md as it stands, with real processes; and the poses of robots whose drivers publish joints alone."""
+"""docs/how-to/your-robot.md as it stands, with real processes; poses of robots whose drivers publish joints alone."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
 from tpgmm_ros.programs import check_robot
 
-PAGE = (ROOT / "docs" / "your-robot.md").read_text()
+PAGE = (ROOT / "docs" / "how-to" / "your-robot.md").read_text()
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 #: The page's nodes in lockstep, so that a busy machine gives the same, and with few steps, so that it gets there.
 LOCKSTEP = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of docs/results.md that others have given, to all digits given."""
+"""The numbers of docs/reference/results.md that others have given, to all digits given."""
 
 from pathlib import Path
 

@@ -111,8 +111,15 @@ def test_running_needs_nothing_of_what_developing_needs() -> None:
     assert not running.keys() & DEVELOPING
 
 
+def test_the_site_needs_what_fits_beside_the_other_lists() -> None:
+    running, developing, site = (locked(f"requirements{end}.txt") for end in ("", "-dev", "-docs"))
+    assert "sphinx" in site and not {"sphinx", "furo"} & (running.keys() | developing.keys())
+    assert not running.keys() & site.keys()
+    assert {name: developing[name] for name in site.keys() & developing.keys()}.items() <= site.items()
+
+
 def test_locks_hold_hashes_and_no_addresses() -> None:
-    for name in ("requirements.txt", "requirements-dev.txt"):
+    for name in ("requirements.txt", "requirements-dev.txt", "requirements-docs.txt"):
         text = (REPOSITORY / name).read_text()
         assert "://" not in text
         assert len(re.findall(r"--hash=sha256:", text)) >= len(locked(name)) > 0

@@ -13,7 +13,9 @@ DOCS = Path(__file__).parents[3] / "docs"
 
 
 @pytest.mark.skipif(not DOCS.exists(), reason="the package is tested without the repository's docs/")
-@pytest.mark.parametrize("name", ["control.md", "learning.md", "priorities.md", "retrieval.md"])
+@pytest.mark.parametrize(
+    "name", ["explanation/control.md", "explanation/priorities.md", "how-to/learning.md", "how-to/retrieval.md"]
+)
 def test_the_examples_of_a_page_run_as_they_stand(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     page = DOCS / name

@@ -17,6 +17,7 @@ from tpgmm_core.kinematics.tasks import compile_kernels
 from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
+from tpgmm_core.observation.pose_filter import PoseFilter
 from tpgmm_core.retrieval.dynamical_system import StableDynamics
 from tpgmm_core.retrieval.regression import RegressThenProduct
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
@@ -43,6 +44,7 @@ def warm_up(tell: Callable[[str], None] = lambda words: None) -> None:
     Adapter(model).condition([0.5])
     mixture.condition([0], [0.5])
     RegressThenProduct(model)
+    PoseFilter.compile_kernels()
     POSE.exp(pose[0], POSE.log(pose[0], pose[1]))
     tell("dynamical systems")
     moving = np.concatenate([pose, rng.normal(size=(40, 6))], axis=1)

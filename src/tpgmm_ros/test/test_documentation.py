@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/interfaces.md says of parameters what the nodes say of them; docs/architecture.md knows all modules."""
+"""The pages of nodes say of parameters what the nodes say of them; docs/architecture.md knows all modules."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from tpgmm_ros.runtime.parameters import Declared
 
 ROOT = Path(__file__).resolve().parents[3]
-PAGE = ROOT / "docs" / "interfaces.md"
+PAGES = ROOT / "docs" / "reference" / "nodes"
 NODES = [
     "frame_tracker",
     "reproduction",
@@ -34,11 +34,15 @@ def row_of(item: Declared) -> str:
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_each_parameter_of_a_node_stands_in_its_table_as_the_node_declares_it(node: str) -> None:
+def test_each_parameter_of_a_node_stands_on_its_page_as_the_node_declares_it(node: str) -> None:
     declared: list[Declared] = importlib.import_module(f"tpgmm_ros.nodes.{node}").PARAMETERS
-    section = PAGE.read_text().split("## Parameters", 1)[-1].split(f"### {node}\n", 1)[1].split("\n##", 1)[0]
+    section = (PAGES / f"{node}.md").read_text().split("## Parameters\n", 1)[1].split("\n##", 1)[0]
     rows = [line for line in section.splitlines() if re.match(r"\| `", line)]
     assert rows == [row_of(item) for item in declared]
+
+
+def test_there_is_a_page_for_each_node_and_no_other() -> None:
+    assert {path.stem for path in PAGES.glob("*.md")} == set(NODES)
 
 
 # -- the table of modules

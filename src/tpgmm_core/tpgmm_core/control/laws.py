@@ -191,7 +191,7 @@ def _predictive(robot: RobotModel, endpoint: str, joints: Joints, settings: LawS
     return PredictiveLaw(robot, arm, endpoint, settings.joint, plan=settings.plan, submit=submit)
 
 
-#: The laws of minimal intervention control; docs/control.md says which to choose.
+#: The laws of minimal intervention control; docs/how-to/choose-a-law.md says which to choose.
 LAWS: Mapping[str, Callable[[RobotModel, str, Joints, LawSettings, Submit[Any]], _Law]] = {
     "infinite_horizon": _still,
     "finite_horizon": _receding_horizon,

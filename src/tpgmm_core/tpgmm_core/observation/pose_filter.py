@@ -72,6 +72,13 @@ class PoseFilter:
         for part in self._parts:
             part.forget()
 
+    @classmethod
+    def compile_kernels(cls) -> None:
+        """Take in as many poses as it needs to act, so that none that matters waits for the compiler."""
+        poses, rest = cls(1.0), [0.0, 0.0, 0.0, 1.0]
+        for i, place in enumerate(1e-3 * np.random.default_rng(0).normal(size=(2 * FEWEST, 3))):
+            poses.observe([*place, *rest], i)
+
     @property
     def noise(self) -> tuple[float, float]:
         """Standard deviations in the direction that trembles most, m and rad; 0 where none is known."""

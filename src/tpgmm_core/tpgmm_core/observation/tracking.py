@@ -117,6 +117,8 @@ class FrameTracker:
             self._tracks[name] = _Track(fixed=True, filter=PoseFilter(0.0), pose=checked, confidence=1.0)
         if not self._tracks:
             raise ValueError("no frames to track: name at least one")
+        if memory > 0.0:
+            PoseFilter.compile_kernels()
         self._updated_ns: int | None = None
 
     @property
