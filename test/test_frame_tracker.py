@@ -294,3 +294,39 @@ def test_in_lockstep_a_tick_waits_for_perception_and_takes_what_it_saw_earlier(
         assert left.b[0] == place[0], "what was seen belongs to the tick that it answers"
         known = answer(tick + late // 3)
         assert conversions.time_to_ns(frame_of(known, "left").stamp) == tick - late
+
+
+@pytest.mark.parametrize("filter_time", [0.0, 1.0])
+def test_noisy_poses_are_averaged_over_the_time_that_the_parameter_says(
+    filter_time: float, ros_node: Node, start_process: StartProcess, tmp_path: Path
+) -> None:
+    task = write_task(tmp_path / "task.yaml", ("object",))
+    process = start_process("frame_tracker", *ros_arguments(task_file=task, filter_time=filter_time))
+    inbox = Inbox(ros_node, TaskParameters, "task_parameters", ALL_LATCHED)
+    publisher = ros_node.create_publisher(PoseStamped, "object/pose", STREAM)
+    random, sent = np.random.default_rng(0), dict[int, np.ndarray]()
+    errors: dict[int, np.ndarray] = {}
+
+    def see() -> None:
+        pose, stamp = GOOD.copy(), ros_node.get_clock().now().nanoseconds
+        pose[:3] += 2e-3 * random.normal(size=3)
+        sent[stamp] = pose
+        publisher.publish(conversions.pose_stamped(pose, stamp, "base"))
+
+    def has_seen_enough() -> bool:
+        for message in inbox.messages:
+            frame = frame_of(message, "object")
+            stamp = conversions.time_to_ns(frame.stamp)
+            if stamp in sent:
+                errors[stamp] = np.array(frame.b)[:3] - sent[stamp][:3]
+        inbox.messages.clear()
+        return len(errors) > 60
+
+    timer = ros_node.create_timer(0.02, see)
+    spin_until(ros_node, has_seen_enough, message="frames that are seen", processes=(process,))
+    ros_node.destroy_timer(timer)
+    last = [errors[stamp] for stamp in sorted(errors)][-20:]
+    if filter_time == 0.0:
+        np.testing.assert_array_equal(last, 0.0)
+    else:
+        assert np.std(last) > 1e-3, "what goes out is not the pose that came, which is 2 mm off"
