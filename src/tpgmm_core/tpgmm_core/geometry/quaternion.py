@@ -16,6 +16,10 @@ IDENTITY: Array = np.array([0.0, 0.0, 0.0, 1.0])
 IDENTITY.setflags(write=False)
 
 
+#: Of the length of a unit quaternion.
+_ROUNDING = 4.0 * np.finfo(float).eps
+
+
 def multiply(p: ArrayLike, q: ArrayLike) -> Array:
     """Hamilton product p ⊗ q (first q, then p), shape (..., 4)."""
     p, q = np.asarray(p, dtype=float), np.asarray(q, dtype=float)
@@ -38,12 +42,15 @@ def conjugate(q: ArrayLike) -> Array:
 
 
 def normalize(q: ArrayLike) -> Array:
-    """q / |q|, shape (..., 4). Raises ValueError for zero or non-finite quaternions."""
+    """q / |q|, shape (..., 4); one that is of unit length up to rounding stays as it is, bit by bit.
+
+    So what was normalised, written and read is the same. Raises ValueError for zero or non-finite quaternions.
+    """
     q = np.asarray(q, dtype=float)
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     if not (np.all(np.isfinite(norm)) and np.all(norm > 1e-9)):
         raise ValueError(f"a quaternion needs a finite norm above zero to be an orientation, got norm {norm.min()}")
-    return q / norm
+    return np.where(np.abs(norm - 1.0) <= _ROUNDING, q, q / norm)
 
 
 def exp(rotation_vector: ArrayLike) -> Array:
