@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -251,6 +252,27 @@ def test_a_node_that_cannot_start_keeps_all_from_starting(ros_domain: int) -> No
     command = [executable("compose"), *LOOP, *ros_arguments(task_file=TASK_FILE, autostart=True)]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert ended.returncode == 1 and "robot_file" in ended.stderr and "Traceback" not in ended.stderr
+
+
+def test_a_process_takes_the_cores_and_the_memory_that_its_parameters_say(
+    ros_node: Node, start_process: StartProcess
+) -> None:
+    core = min(os.sched_getaffinity(0))
+    given = {"task_file": TASK_FILE, "reproduction:cpu_cores": f"'{core}'", "frame_tracker:lock_memory": True}
+    process = start_process("compose", "frame_tracker", "reproduction", *ros_arguments(**given))
+    spin_until(ros_node, lambda: "reproduction" in ros_node.get_node_names(), processes=(process,))
+    threads = list(Path(f"/proc/{process.pid}/task").iterdir())
+    spin_until(ros_node, lambda: all(os.sched_getaffinity(int(item.name)) == {core} for item in threads))
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    locked = int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmLck:")))
+    assert locked > 1000 or "memory is not locked" in process.output
+
+
+@pytest.mark.parametrize("cores", ["999", "a", "1-", "3-x", "-1"])
+def test_cores_that_there_are_not_keep_a_node_from_starting(cores: str, ros_domain: int) -> None:
+    command = [executable("frame_tracker"), *ros_arguments(task_file=TASK_FILE), "-p", f"cpu_cores:='{cores}'"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 1 and "cpu_cores" in ended.stderr and "Traceback" not in ended.stderr
 
 
 def test_joint_names_are_those_of_the_robot(loop: Loop) -> None:
