@@ -25,8 +25,9 @@ from domain_coordinator import domain_id
 from rclpy.experimental import EventsExecutor
 from sensor_msgs.msg import JointState
 
+from tpgmm_core.common.report import format_table
 from tpgmm_ros.messages.qos import STREAM
-from tpgmm_ros.programs.reporting import format_table, write_report
+from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.runtime.processes import Graph, GraphError, NodeProcesses, end_with_parent
 from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
 from tpgmm_ros.runtime.resources import config_file

@@ -20,9 +20,10 @@ import time  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from benchmarks.report import Row, write_report  # noqa: E402
+from benchmarks.report import write_report  # noqa: E402
 from benchmarks.reproduction_step import percentiles  # noqa: E402
 from tpgmm_core import Frame  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.geometry.quaternion import exp, multiply  # noqa: E402
 from tpgmm_core.retrieval.methods import METHODS, make_retrieval  # noqa: E402

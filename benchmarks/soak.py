@@ -28,10 +28,11 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from benchmarks.soak_world import SoakWorld
+from tpgmm_core.common.report import format_table
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.srv import LoadModel
 from tpgmm_ros.programs import train
-from tpgmm_ros.programs.reporting import format_table, write_report
+from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.runtime.processes import Graph, GraphError, NodeProcesses
 from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
 from tpgmm_ros.runtime.resources import config_file

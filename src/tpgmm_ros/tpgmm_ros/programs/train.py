@@ -14,12 +14,13 @@ from tqdm import tqdm
 
 from tpgmm_core import TPGMM
 from tpgmm_core.common.old_names import current_name
+from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import one_line
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_ros.models.kinematic_recipe import METHOD, KinematicRecipe
 from tpgmm_ros.models.validation import Fold, PathErrors, cross_validate, mean_errors
-from tpgmm_ros.programs.reporting import format_table, write_report
+from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings
 from tpgmm_ros.runtime.entry import INTERRUPTED
 from tpgmm_ros.task.task_file import DIMENSIONS, MANIFOLD, Task
