@@ -169,6 +169,5 @@ def load_model(path: str | PathLike[str]) -> TPGMM:
 
     Raises ModelFileError for a file that is damaged or no model, OSError for one that cannot be read.
     """
-    kind = model_file.read(path).kind
-    known = (method.estimator for method in METHODS.values() if method.estimator.__name__ == kind)
-    return next(known, TPGMM).load(path)
+    kinds = {method.estimator.__name__: method.estimator for method in METHODS.values()}
+    return model_file.read_as(path, lambda contents: kinds.get(contents.header.kind, TPGMM).from_contents(contents))
