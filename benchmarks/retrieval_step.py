@@ -29,7 +29,8 @@ from tpgmm_core.geometry.quaternion import exp, multiply  # noqa: E402
 from tpgmm_core.retrieval.methods import METHODS, make_retrieval  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_ros.recordings.bags import align, find_bags, read_recordings  # noqa: E402
-from tpgmm_ros.task.task_file import MANIFOLD, Task  # noqa: E402
+from tpgmm_ros.task.state_space import MANIFOLD  # noqa: E402
+from tpgmm_ros.task.task_file import Task  # noqa: E402
 
 STEPS = 1000
 

@@ -38,7 +38,8 @@ from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_core.retrieval.trajectory import TrajectoryModel  # noqa: E402
 from tpgmm_ros.models.validation import reproduce, without_frames  # noqa: E402
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings  # noqa: E402
-from tpgmm_ros.task.task_file import MANIFOLD, Task  # noqa: E402
+from tpgmm_ros.task.state_space import MANIFOLD  # noqa: E402
+from tpgmm_ros.task.task_file import Task  # noqa: E402
 
 WITHOUT_FRAMES = "no frames"
 FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
