@@ -32,6 +32,7 @@ from typing import Any, ClassVar
 from tpgmm_core import TPGMM
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
+from tpgmm_core.common.yaml_sections import Section, a_choice, a_name, a_number, a_topic
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.kinematics.frames import JointSpace, KinematicFrame, NullSpace, PreviousConfiguration
 from tpgmm_core.kinematics.hierarchy import Level, hierarchy_frames, level_names
@@ -45,7 +46,6 @@ from tpgmm_core.retrieval.methods import RetrievalMethod
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.task.state_space import DIMENSIONS, MANIFOLD
-from tpgmm_ros.task.yaml_sections import Section, a_choice, a_name, a_number, a_topic
 
 PREVIOUS = "previous"
 """Name of the frame about the step before, which every such model has: it damps the steps."""

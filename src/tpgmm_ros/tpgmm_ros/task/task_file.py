@@ -21,16 +21,10 @@ from pathlib import Path
 from typing import Any
 
 from tpgmm_core.common.old_names import current_name
-from tpgmm_core.common.safe_yaml import YamlError, load_yaml, parse_yaml
+from tpgmm_core.common.safe_yaml import YamlError
 from tpgmm_core.common.settings import configured
 from tpgmm_core.common.text import shown
-from tpgmm_core.learning.covariance.structure import STRUCTURES
-from tpgmm_core.observation.tracking import TrackingConfig
-from tpgmm_core.retrieval.encodings import ENCODINGS
-from tpgmm_core.retrieval.methods import METHODS
-from tpgmm_ros.task.kinematic_section import KinematicSpec
-from tpgmm_ros.task.state_space import PoseSpace, StateSpace
-from tpgmm_ros.task.yaml_sections import (
+from tpgmm_core.common.yaml_sections import (
     Section,
     a_choice,
     a_name,
@@ -41,6 +35,12 @@ from tpgmm_ros.task.yaml_sections import (
     is_name,
     numbers,
 )
+from tpgmm_core.learning.covariance.structure import STRUCTURES
+from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_core.retrieval.encodings import ENCODINGS
+from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_ros.task.kinematic_section import KinematicSpec
+from tpgmm_ros.task.state_space import PoseSpace, StateSpace
 
 
 class TaskError(ValueError):
@@ -110,9 +110,8 @@ class Task:
         Raises:
             TaskError: the file is missing, is no YAML, or does not describe a task.
         """
-        path = Path(path)
         try:
-            return cls._of(Section(str(path), "", load_yaml(path, "a task file")))
+            return cls._of(Section.load(Path(path), "a task file"))
         except YamlError as error:
             raise TaskError(str(error)) from None
 
@@ -124,7 +123,7 @@ class Task:
             TaskError: the text is no YAML, or does not describe a task.
         """
         try:
-            return cls._of(Section(source, "", parse_yaml(text, source)))
+            return cls._of(Section.from_text(text, source))
         except YamlError as error:
             raise TaskError(str(error)) from None
 
