@@ -139,7 +139,10 @@ class Continuity:
 
     def gaussian(self, mean: Array, covariance: Array, ahead: float = 0.0) -> Gaussian:
         """The reference, mean and covariance, where the course says `mean` and `covariance`."""
-        return Gaussian(self.mean(mean, ahead), self.covariance(covariance, ahead), self.manifold)
+        mean, covariance = np.array(self.mean(mean, ahead)), np.array(self.covariance(covariance, ahead))
+        if math.isfinite(mean.sum() + covariance.sum()):
+            return Gaussian._made(mean, covariance, self.manifold)
+        return Gaussian(mean, covariance, self.manifold)  # says what is wrong
 
     def _after(self, seconds: float) -> Array:
         """Offset and swing together, (n,), after a time."""

@@ -30,7 +30,15 @@ from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.programs import train
 from tpgmm_ros.programs.reporting import run_with_report, write_report
 from tpgmm_ros.runtime.entry import INTERRUPTED
-from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph, GraphError, GraphTimeoutError, open_graph, own_domain
+from tpgmm_ros.runtime.processes import (
+    REALTIME_PRIORITY,
+    Graph,
+    GraphError,
+    GraphTimeoutError,
+    Value,
+    open_graph,
+    own_domain,
+)
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task
 
@@ -116,12 +124,19 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
 def _start(graph: Graph, arguments: argparse.Namespace, model_file: Path) -> None:
     """All nodes but the simulator."""
     processes, simulated = graph.processes, arguments.lockstep
-    both = {"use_sim_time": simulated, "realtime_priority": _priority(arguments)}
-    lockstep = {"lockstep_rate": 100.0, "start_timeout": 60.0} if simulated else {}
-    processes.start("frame_tracker", task_file=arguments.task, lockstep=simulated, **both)
-    answering = {"joint_state_rate": arguments.rate, **both}
-    processes.start("reproduction", task_file=arguments.task, model_file=model_file, **lockstep, **answering)
-    processes.start("impedance_controller", robot_file=arguments.robot, lockstep=simulated, **answering)
+    both: dict[str, Value] = {"use_sim_time": simulated, "realtime_priority": _priority(arguments)}
+    answering: dict[str, Value] = {"joint_state_rate": arguments.rate, **both}
+    waiting: dict[str, Value] = {"lockstep_rate": 100.0, "start_timeout": 60.0} if simulated else {}
+    nodes: dict[str, dict[str, Value]] = {
+        "frame_tracker": {"task_file": arguments.task, "lockstep": simulated, **both},
+        "reproduction": {"task_file": arguments.task, "model_file": model_file, **waiting, **answering},
+        "impedance_controller": {"robot_file": arguments.robot, "lockstep": simulated, **answering},
+    }
+    if arguments.separate:
+        for name, parameters in nodes.items():
+            processes.start(name, **parameters)
+    else:
+        processes.start_together("from_pose_to_torque", nodes)
     graph.bring_up("impedance_controller", START_TIMEOUT[simulated])
     graph.bring_up("reproduction", START_TIMEOUT[simulated])
 
@@ -196,6 +211,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--lockstep", action="store_true", help="as fast as possible on simulated time, not in real time"
+    )
+    parser.add_argument(
+        "--separate",
+        action="store_true",
+        help="each node in a process of its own, not those of the robot's loop in one",
     )
     parser.add_argument(
         "--rate", type=float, default=1000.0, help="of joint states and torques, Hz, 100 to 2000 (default: %(default)s)"

@@ -17,8 +17,8 @@ from tpgmm_core.observation.streams import RESTARTED_AFTER, Leader, Stamp, Strea
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointStates, MessageError
 from tpgmm_ros.messages.qos import STATES
+from tpgmm_ros.runtime.local_topics import waiting_messages
 from tpgmm_ros.runtime.parameters import Declared
-from tpgmm_ros.runtime.rclpy_workarounds import waiting
 from tpgmm_ros.runtime.timing import clock_trouble
 
 SPREAD = Declared(
@@ -78,7 +78,7 @@ class JointStateStream:
         self._subscription = node.create_subscription(JointState, topic, self._take_all, STATES)
 
     def _take_all(self, message: JointState) -> None:
-        heard = [item for item in map(self.take, [message, *waiting(self._subscription)]) if item is not None]
+        heard = [item for item in map(self.take, [message, *waiting_messages(self._subscription)]) if item is not None]
         if heard:
             newest = heard[-1]
             restarted = any(item.kind is Stamp.RESTARTED for item in heard)

@@ -9,6 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from rclpy.node import Node
 
+from tpgmm_ros.runtime.composition import guarded
 from tpgmm_ros.runtime.scheduling import yield_realtime
 
 _SWITCH_INTERVAL = 2e-4
@@ -38,7 +39,7 @@ class Background:
         def hand_over(job: Future[ResultT]) -> None:
             executor = self._node.executor
             if executor is not None:
-                executor.create_task(finish, job)
+                executor.create_task(guarded(self._node, finish), job)
 
         self._pool.submit(work).add_done_callback(hand_over)
 

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -33,6 +33,10 @@ REALTIME_PRIORITY = 20
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _LIBC = ctypes.CDLL(None)  # looked up here: between fork and exec there is no time for it
+
+
+type Value = bool | float | str | Path
+"""Of a parameter."""
 
 
 class GraphError(RuntimeError):
@@ -65,16 +69,23 @@ class NodeProcesses:
         log_directory.mkdir(parents=True, exist_ok=True)
         self._environment = {**os.environ, **(environment or {})}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._shared: dict[str, str] = {}  # node -> the process that it shares
 
-    def start(self, executable: str, **parameters: bool | float | str | Path) -> None:
+    def start(self, executable: str, **parameters: Value) -> None:
         """Start ``executable`` (a node of this package) with parameters."""
-        command = [sys.executable, "-m", f"tpgmm_ros.nodes.{executable}", "--ros-args"]
-        for key, value in parameters.items():
-            text = str(value).lower() if isinstance(value, bool) else str(value)
-            command += ["-p", f"{key}:={text}"]
-        with (self.log_directory / f"{executable}.log").open("wb") as log:
+        self._start(executable, [f"tpgmm_ros.nodes.{executable}"], _given(parameters))
+
+    def start_together(self, name: str, nodes: Mapping[str, Mapping[str, Value]]) -> None:
+        """Start nodes in one process, each with parameters, in the order of the data. The process has a name too."""
+        given = [item for node, parameters in nodes.items() for item in _given(parameters, f"{node}:")]
+        self._start(name, ["tpgmm_ros.programs.compose", *nodes], given)
+        self._shared |= dict.fromkeys(nodes, name)
+
+    def _start(self, name: str, module: Sequence[str], parameters: Sequence[str]) -> None:
+        command = [sys.executable, "-m", *module, "--ros-args", *parameters]
+        with (self.log_directory / f"{name}.log").open("wb") as log:
             # A session of its own: the terminal's Ctrl-C reaches this program only, which then ends the nodes in order.
-            self._processes[executable] = subprocess.Popen(
+            self._processes[name] = subprocess.Popen(
                 command,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -101,7 +112,8 @@ class NodeProcesses:
         process.wait()
 
     def log_tail(self, name: str, lines: int = 15) -> str:
-        text = (self.log_directory / f"{name}.log").read_text(errors="replace")
+        """The end of what a node, or the process that it shares, has written."""
+        text = (self.log_directory / f"{self._shared.get(name, name)}.log").read_text(errors="replace")
         return "\n".join(text.splitlines()[-lines:])
 
     def stop(self, timeout: float = 5.0) -> None:
@@ -125,6 +137,15 @@ class NodeProcesses:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.stop()
+
+
+def _given(parameters: Mapping[str, Value], node: str = "") -> list[str]:
+    """Parameters as arguments of ROS."""
+    arguments = []
+    for key, value in parameters.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        arguments += ["-p", f"{node}{key}:={text}"]
+    return arguments
 
 
 class Graph:
