@@ -22,12 +22,12 @@ from tpgmm_core.learning.estimation import initialization
 from tpgmm_core.learning.estimation.compiled_em import (
     Estimate,
     MixtureParameters,
-    Progress,
     Workspace,
     expectation_maximisation,
 )
 from tpgmm_core.learning.estimation.em import expectation
 from tpgmm_core.learning.estimation.emissions import Emissions
+from tpgmm_core.learning.estimation.iteration import Progress
 from tpgmm_core.learning.estimation.structured_em import fit_structure
 from tpgmm_core.learning.estimator import Estimator
 from tpgmm_core.model.adaptation import Adapter

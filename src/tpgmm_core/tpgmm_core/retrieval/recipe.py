@@ -13,7 +13,7 @@ import numpy as np
 from tpgmm_core.common.settings import configured
 from tpgmm_core.common.text import listed
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.estimation.compiled_em import Progress
+from tpgmm_core.learning.estimation.iteration import Progress
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.encodings import Encoding
