@@ -102,7 +102,7 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
             result = _ask(graph, recording, START_TIMEOUT[lockstep])
         outcome = _outcome(graph, recording, world, result, END_TIMEOUT[lockstep])
         took = time.monotonic() - begun
-    recorder.destroy_node()
+        recorder.destroy_node()
     report = evaluate(recording, world, robot.effort_limits, outcome, arguments.lockstep)
     assert world.started_ns is not None
     report["rate_hz"] = arguments.rate
