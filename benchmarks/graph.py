@@ -4,19 +4,15 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import rclpy
-from domain_coordinator import domain_id
 from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionClient
 from rclpy.clock import Clock, ClockType
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 
 from tpgmm_demos.scene.pick_place import random_placement
@@ -24,8 +20,7 @@ from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
 from tpgmm_ros.programs import train
-from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph, NodeProcesses
-from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph, open_graph, own_domain
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task
 
@@ -74,26 +69,17 @@ class Scene:
 def running(blend_time: float = 0.15) -> Iterator[Scene]:
     """All four nodes, up and active, on a ROS domain of their own; `blend_time` is that of `reproduction`, s."""
     task_file, robot_file = config_file("pick_place.yaml"), config_file("baxter.yaml")
-    with tempfile.TemporaryDirectory() as name, domain_id() as domain:
+    with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
         model_file = directory / "model.tpgmm"
         if train.main(["--task", str(task_file), "--output", str(model_file), str(BAGS)]) != 0:
             raise RuntimeError(f"no model from {BAGS}: see above for the reason")
-        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", ROS_LOG_DIR=name)
-        init_rclpy(args=[])
-        node = Node("benchmark")
-        executor = EventsExecutor()
-        executor.add_node(node)
-        with NodeProcesses(directory / "log") as processes:
-            graph = Graph(node, executor, processes)
-            first = {"realtime_priority": REALTIME_PRIORITY}
-            processes.start("frame_tracker", task_file=task_file, **first)
-            processes.start("reproduction", task_file=task_file, model_file=model_file, blend_time=blend_time, **first)
-            processes.start("impedance_controller", robot_file=robot_file, **first)
-            processes.start("baxter_simulator", robot_file=robot_file, **first)
+        with own_domain(ros_log=directory), open_graph("benchmark", directory / "log") as graph:
+            start, first = graph.processes.start, {"realtime_priority": REALTIME_PRIORITY}
+            start("frame_tracker", task_file=task_file, **first)
+            start("reproduction", task_file=task_file, model_file=model_file, blend_time=blend_time, **first)
+            start("impedance_controller", robot_file=robot_file, **first)
+            start("baxter_simulator", robot_file=robot_file, **first)
             graph.bring_up("impedance_controller", START_TIMEOUT)
             graph.bring_up("reproduction", START_TIMEOUT)
-            yield Scene(node, graph, Task.load(task_file))
-        executor.remove_node(node)
-        node.destroy_node()
-        rclpy.shutdown()
+            yield Scene(graph.node, graph, Task.load(task_file))

@@ -9,9 +9,10 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_demos.scene.perception import Camera, CameraConfig
-from tpgmm_demos.scene.pick_place import Array, random_placement
+from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.lockstep import nothing_seen
 from tpgmm_ros.messages.qos import STREAM

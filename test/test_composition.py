@@ -263,9 +263,12 @@ def test_a_process_takes_the_cores_and_the_memory_that_its_parameters_say(
     spin_until(ros_node, lambda: "reproduction" in ros_node.get_node_names(), processes=(process,))
     threads = list(Path(f"/proc/{process.pid}/task").iterdir())
     spin_until(ros_node, lambda: all(os.sched_getaffinity(int(item.name)) == {core} for item in threads))
-    status = Path(f"/proc/{process.pid}/status").read_text()
-    locked = int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmLck:")))
-    assert locked > 1000 or "memory is not locked" in process.output
+
+    def is_locked() -> bool:
+        status = Path(f"/proc/{process.pid}/status").read_text()
+        return int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmLck:"))) > 1000
+
+    spin_until(ros_node, lambda: is_locked() or "memory is not locked" in process.output, processes=(process,))
 
 
 @pytest.mark.parametrize("cores", ["999", "a", "1-", "3-x", "-1"])

@@ -29,7 +29,8 @@ from tpgmm_msgs.msg import Reference, TaskParameters
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
 from tpgmm_ros.recordings.bags import align, find_bags, read_recordings
-from tpgmm_ros.task.task_file import DIMENSIONS, MANIFOLD, Task
+from tpgmm_ros.task.state_space import DIMENSIONS, MANIFOLD
+from tpgmm_ros.task.task_file import Task
 
 STEP = 0.02
 RATE = 30.0

@@ -194,7 +194,9 @@ def test_names_that_yaml_reads_as_numbers_are_to_be_quoted(tmp_path: Path) -> No
     groups, home = {"all": ["turn", 1]}, {"turn": 0.0, 1: 0.2}
     assert "quote names that look like something else" in refusal(tmp_path, urdf, changes={"joint_groups": groups})
     quoted = {"joint_groups": {"all": ["turn", "1"]}, "friction": None}
-    assert "a name in home must be a text, got 1; quote it" in refusal(tmp_path, urdf, changes={**quoted, "home": home})
+    assert "'home' has the key 1, expected a word (YAML reads bare on" in refusal(
+        tmp_path, urdf, changes={**quoted, "home": home}
+    )
     assert refusal(tmp_path, urdf, changes={**quoted, "home": {"turn": 0.0, "1": 0.2}}) == ""
 
 

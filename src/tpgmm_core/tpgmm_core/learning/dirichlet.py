@@ -18,7 +18,8 @@ from scipy.special import betaln, digamma, gammaln
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation import initialization
-from tpgmm_core.learning.estimation.compiled_em import MIN_ITERATIONS, Estimate, MixtureParameters, Progress, Workspace
+from tpgmm_core.learning.estimation.compiled_em import Estimate, MixtureParameters, Workspace
+from tpgmm_core.learning.estimation.iteration import Progress, iterate
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.samples import Samples
 
@@ -111,13 +112,19 @@ class DirichletTPGMM(TPGMM):
 
     def _climb(self, posterior: _Posterior, objectives: list[float], max_iter: int, progress: Progress | None) -> bool:
         """Iterate until the bound hardly rises; its course is added to objectives. Returns whether it came to that."""
-        for iteration in range(1, max_iter + 1):
-            objectives.append(posterior.iterate())
+        before = len(objectives)
+
+        def step() -> tuple[float, float]:
+            bound = posterior.iterate()
+            return bound, bound
+
+        def told(iteration: int, bound: float) -> None:
             if progress is not None:
-                progress(len(objectives), objectives[-1])
-            if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < self.tol:
-                return True
-        return False
+                progress(before + iteration, bound)
+
+        course = iterate(step, tol=self.tol, max_iter=max_iter, progress=told)
+        objectives += course.objectives.tolist()
+        return course.converged
 
     def _delete(self, posterior: _Posterior, objectives: list[float]) -> bool:
         """Take one component away where the bound is higher without it (Hughes and Sudderth, NeurIPS 2013): small

@@ -10,7 +10,7 @@ import numpy as np
 from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.estimation import initialization
-from tpgmm_core.learning.estimation.compiled_em import Progress
+from tpgmm_core.learning.estimation.iteration import Progress
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.samples import Samples
 

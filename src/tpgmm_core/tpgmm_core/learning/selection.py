@@ -18,6 +18,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from tpgmm_core.common.report import format_table
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning import criteria
 from tpgmm_core.model.demonstration import Demonstration
@@ -165,22 +166,16 @@ class SelectionTable:
     def __str__(self) -> str:
         """A table; * marks the best row."""
         best = self.best if any(row.error is None for row in self.rows) else None
-        head = ["", "structure", "K", "parameters", "log-likelihood", "held out", "+-", "BIC", "AIC", "fit s"]
-        lines = [head]
+        head = ["", "structure", "K", "parameters", "log-likelihood", "held out", "+-", "BIC", "AIC", "fit s", ""]
+        lines = []
         for row in self.rows:
             numbers = (row.log_likelihood, row.held_out, row.held_out_error)
             cells = ["-" if v is None or not np.isfinite(v) else f"{v:.3f}" for v in numbers]
             cells += ["-" if not np.isfinite(v) else f"{v:.0f}" for v in (row.bic, row.aic)]
             cells += ["-" if not np.isfinite(row.fit_time_s) else f"{row.fit_time_s:.3f}"]
             mark = "*" if row is best else ""
-            lines.append([mark, row.structure, str(row.n_components), str(row.n_parameters), *cells])
-        widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
-        errors = ["", *(row.error or "" for row in self.rows)]
-        text = []
-        for line, error in zip(lines, errors, strict=True):
-            aligned = [c.ljust(w) if i < 2 else c.rjust(w) for i, (c, w) in enumerate(zip(line, widths, strict=True))]
-            text.append("  ".join([*aligned, error]).rstrip())
-        return "\n".join(text)
+            lines.append([mark, row.structure, row.n_components, row.n_parameters, *cells, row.error or ""])
+        return format_table(head, lines)
 
     def plot(self, path: str | PathLike[str]) -> None:
         """Picture of the criterion over K, a line for each structure, written to `path` (needs matplotlib).

@@ -22,12 +22,12 @@ from tpgmm_core.learning.estimation import initialization
 from tpgmm_core.learning.estimation.compiled_em import (
     Estimate,
     MixtureParameters,
-    Progress,
     Workspace,
     expectation_maximisation,
 )
 from tpgmm_core.learning.estimation.em import expectation
 from tpgmm_core.learning.estimation.emissions import Emissions
+from tpgmm_core.learning.estimation.iteration import Progress
 from tpgmm_core.learning.estimation.structured_em import fit_structure
 from tpgmm_core.learning.estimator import Estimator
 from tpgmm_core.model.adaptation import Adapter
@@ -313,20 +313,26 @@ class TPGMM(Estimator):
         """Write a model file: see `model_file`."""
         self._check_fitted()
         settings = {k: v for k, v in self.get_params().items() if v is None or isinstance(v, str | int | float)}
-        settings["manifold"] = str(self.manifold)
-        contents = model_file.ModelContents(
+        structure = self.emissions_.structure
+        is_full = structure.name == "full"
+        header = model_file.ModelHeader(
+            kind=type(self).__name__,
+            frames=self.frame_names_,
             manifold=self.manifold_,
+            dimensions=self.dimensions_,
+            converged=self.converged_,
+            settings=settings | {"manifold": str(self.manifold)},
+            metadata=self.metadata_,
+            structure=None if is_full else structure,
+        )
+        contents = model_file.ModelContents(
+            header=header,
             priors=self.priors_,
             means=self.means_,
             covariances=self.covariances_,
             log_likelihoods=self.log_likelihoods_,
             objectives=self.objectives_,
-            converged=self.converged_,
-            settings=settings,
-            dimensions=self.dimensions_,
-            metadata=self.metadata_,
-            frames=None if self.emissions_.structure.name == "full" else self.emissions_.frames,
-            kind=type(self).__name__,
+            frames=None if is_full else self.emissions_.frames,
             more=self._more_arrays(),
         )
         model_file.write(path, contents)
@@ -337,31 +343,38 @@ class TPGMM(Estimator):
 
         `TPGMM.load` reads all kinds, as the mixture of their components.
         """
-        contents = model_file.read(path)
-        known = {k: v for k, v in contents.settings.items() if k in cls._parameter_names()}
+        return model_file.read_as(path, cls.from_contents)
+
+    @classmethod
+    def from_contents(cls, contents: model_file.ModelContents) -> Self:
+        """Make the model that a file holds.
+
+        Raises ModelFileError for another kind of model, and for arrays that do not fit it.
+        """
+        header = contents.header
+        if cls is not TPGMM and header.kind != cls.__name__:
+            raise model_file.ModelFileError(f"holds a model of the kind {header.kind}, no {cls.__name__}")
+        known = {k: v for k, v in header.settings.items() if k in cls._parameter_names()}
         parameters = MixtureParameters(contents.priors, contents.means, contents.covariances)
         model = cls(**known)  # type: ignore[arg-type]
         emissions = None
-        if contents.frames is not None:
-            structure = next(iter(contents.frames.values())).structure
-            options = {f.name: getattr(structure, f.name) for f in fields(Structure)[4:]}
+        if header.structure is not None and contents.frames is not None:
+            options = {f.name: getattr(header.structure, f.name) for f in fields(Structure)[4:]}
             model.covariance_options = {k: v for k, v in options.items() if v != getattr(Structure(), k)} or None
-            manifolds = {name: view_manifold(contents.manifold, m.shape[1]) for name, m in contents.means.items()}
-            emissions = Emissions(structure, manifolds, contents.means, contents.frames)
+            manifolds = {name: view_manifold(header.manifold, m.shape[1]) for name, m in contents.means.items()}
+            emissions = Emissions(header.structure, manifolds, contents.means, contents.frames)
         model._learned(
-            Estimate(parameters, contents.log_likelihoods, contents.objectives, contents.converged),
-            contents.manifold,
+            Estimate(parameters, contents.log_likelihoods, contents.objectives, header.converged),
+            header.manifold,
             emissions,
         )
-        model.dimensions_ = contents.dimensions
-        model.metadata_ = dict(contents.metadata)
+        model.dimensions_ = header.dimensions
+        model.metadata_ = dict(header.metadata)
         if cls is not TPGMM:
-            if contents.kind != cls.__name__:
-                raise model_file.ModelFileError(f"{path} holds a model of the kind {contents.kind}, no {cls.__name__}")
             try:
                 model._restore(contents.more)
             except (LookupError, ValueError, TypeError) as error:  # what arrays of any shape may lead to
-                raise model_file.ModelFileError(f"{path}: {error}") from error
+                raise model_file.ModelFileError(str(error)) from error
         return model
 
     def _more_arrays(self) -> dict[str, Array]:

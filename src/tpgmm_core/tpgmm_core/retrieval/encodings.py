@@ -55,6 +55,9 @@ class Encoding(ABC):
         Raises ValueError for a demonstration that cannot be encoded, with the reason.
         """
 
+    def finish(self, model: TPGMM) -> None:  # noqa: B027  (most have nothing to add)
+        """Set what is known ahead of all demonstrations, in a model that was just fitted."""
+
     @abstractmethod
     def manifold(self, manifold: Manifold) -> Manifold:
         """Space of the model's data, from that of the demonstrations."""

@@ -120,7 +120,7 @@ def method_of(model: TPGMM) -> RetrievalMethod:
 
 def make_retrieval(
     model: TPGMM,
-    method: str | None = None,
+    method: str | RetrievalMethod | None = None,
     *,
     duration: float | None = None,
     phase: str = "clock",
@@ -131,14 +131,14 @@ def make_retrieval(
 ) -> Retrieval:
     """A movement that a loop can step through.
 
-    method : one of METHODS; what the model was learned for where None
+    method : one of METHODS by name, or one that was made for a robot; what the model was learned for where None
     duration : of the movement, s; as demonstrated where None
     phase : one of PHASES: what the model's time follows; for the methods that are a function of time
     speed, horizon_steps, horizon_time_step (s), blend_time (s) : as for `Reproduction`
 
     Raises ValueError for a model that does not suit the method, and for settings that it cannot have, with the reason.
     """
-    chosen = method_of(model) if method is None else method_named(method)
+    chosen = method_named(method) if isinstance(method, str) else method or method_of(model)
     chosen.check(model)
     if phase not in PHASES:
         raise ValueError(f"there is no phase {shown(phase)}; known are {', '.join(PHASES)}")
@@ -169,6 +169,5 @@ def load_model(path: str | PathLike[str]) -> TPGMM:
 
     Raises ModelFileError for a file that is damaged or no model, OSError for one that cannot be read.
     """
-    kind = model_file.read(path).kind
-    known = (method.estimator for method in METHODS.values() if method.estimator.__name__ == kind)
-    return next(known, TPGMM).load(path)
+    kinds = {method.estimator.__name__: method.estimator for method in METHODS.values()}
+    return model_file.read_as(path, lambda contents: kinds.get(contents.header.kind, TPGMM).from_contents(contents))

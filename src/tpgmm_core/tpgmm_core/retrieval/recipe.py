@@ -13,7 +13,7 @@ import numpy as np
 from tpgmm_core.common.settings import configured
 from tpgmm_core.common.text import listed
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.estimation.compiled_em import Progress
+from tpgmm_core.learning.estimation.iteration import Progress
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.encodings import Encoding
@@ -78,7 +78,14 @@ class Recipe:
         """
         space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold)
         model = self.method.estimator(**self.arguments, manifold=self.encoding.manifold(space))
-        model.fit([self.encoding.encode(demonstration, space) for demonstration in demonstrations], progress)
+        encoded = []
+        for i, demonstration in enumerate(demonstrations):
+            try:
+                encoded.append(self.encoding.encode(demonstration, space))
+            except ValueError as error:
+                raise ValueError(f"demonstration {i}: {error}") from error
+        model.fit(encoded, progress)
+        self.encoding.finish(model)
         if dimensions is not None:
             model.dimensions_ = self.encoding.dimensions(dimensions, space)
         model.metadata_ = {

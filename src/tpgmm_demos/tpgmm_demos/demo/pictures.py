@@ -17,11 +17,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 
 from tpgmm_core import GaussianMixture
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.observation.tracking import FrameStatus
 from tpgmm_demos.demo.recording import RunRecord
 from tpgmm_demos.demo.world import World
-from tpgmm_demos.scene.pick_place import Array, hand_at
+from tpgmm_demos.scene.pick_place import hand_at
 
 #: Both with y to the left, as the robot sees it: the two share this axis.
 _SIDES = {"from above": (1, 0), "from behind the robot": (1, 2)}

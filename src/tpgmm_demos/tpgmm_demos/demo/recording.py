@@ -17,7 +17,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-from tpgmm_demos.scene.pick_place import Array
+from tpgmm_core.common.types import Array
 from tpgmm_msgs.msg import Reference, TaskParameters
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointReader

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from tpgmm_core.common.report import format_table
+from tpgmm_core.geometry.pose import pose_error
 from tpgmm_demos.demo.causes import cause_of_failure
 from tpgmm_demos.demo.recording import RunRecord, Series
 from tpgmm_demos.demo.world import World
-from tpgmm_demos.scene.pick_place import pose_error
-from tpgmm_ros.programs.reporting import format_table
 
 NODES = ("reproduction", "impedance_controller", "baxter_simulator")
 

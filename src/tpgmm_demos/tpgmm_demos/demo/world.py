@@ -9,9 +9,11 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.geometry.pose import pose_error
 from tpgmm_demos.scene.perception import Camera
-from tpgmm_demos.scene.pick_place import Array, Grasp, Placement, hand_at, pose_error
+from tpgmm_demos.scene.pick_place import Grasp, Placement, hand_at
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.lockstep import nothing_seen
 from tpgmm_ros.messages.qos import STREAM

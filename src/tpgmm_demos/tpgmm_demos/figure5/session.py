@@ -15,15 +15,13 @@ from pathlib import Path
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
-from rclpy.executors import Executor
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointReader
 from tpgmm_ros.messages.qos import STREAM
-from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph, NodeProcesses
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph
 
 Array = NDArray[np.float64]
 
@@ -89,14 +87,12 @@ class Segment:
 class Session:
     """The running graph; `run` lets time pass.
 
-    node, executor : the program's own, which nobody else serves meanwhile
+    graph : with the program's own node, which nobody else serves meanwhile
     lockstep : simulated time, as fast as all can; else real time
     """
 
-    def __init__(
-        self, node: Node, executor: Executor, processes: NodeProcesses, robot: RobotModel, lockstep: bool
-    ) -> None:
-        self.graph = Graph(node, executor, processes)
+    def __init__(self, graph: Graph, robot: RobotModel, lockstep: bool) -> None:
+        self.graph, node = graph, graph.node
         self.robot, self.lockstep = robot, lockstep
         self.data = robot.create_data()
         self._frames: dict[str, int] = {}

@@ -12,8 +12,9 @@ from typing import Protocol
 
 import numpy as np
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
-from tpgmm_demos.scene.pick_place import CLEARANCE, Array, Placement, hand_at
+from tpgmm_demos.scene.pick_place import CLEARANCE, Placement, hand_at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from tpgmm_core import TPGMM, Demonstration, Frame
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.pose import compose, inverse
 from tpgmm_core.retrieval.methods import make_retrieval, method_named, method_of
 from tpgmm_ros.recordings.bag_messages import Array
 from tpgmm_ros.recordings.bags import Recording, align
@@ -159,9 +160,7 @@ def replay_nearest(others: Sequence[Recording], situation: Recording, anchor: st
     phase = situation.times / situation.duration * other.duration
     index = np.abs(other.times[:, None] - phase).argmin(axis=0)
     here, there, moved = situation.frames[anchor], other.frames[anchor][index], other.movement[index]
-    turn = quaternion.multiply(here[:, 3:], quaternion.conjugate(there[:, 3:]))
-    lever = (quaternion.rotation_matrix(turn) @ (moved[:, :3] - there[:, :3])[..., None])[..., 0]
-    return np.hstack([here[:, :3] + lever, quaternion.multiply(turn, moved[:, 3:])])
+    return compose(compose(here, inverse(there)), moved)
 
 
 def path_errors(path: Array, shown: Array) -> PathErrors:

@@ -154,10 +154,8 @@ class Movements:
                 raise ValueError("no model is loaded: name a model file in the goal, or set the parameter model_file")
             retrieval = make_task_retrieval(chosen, task, method, duration=duration or None, **settings)
             frames, weights = those_of(retrieval, known)
-            knows_robot = state is not None or task.kinematic is None
-            if (
-                frames and knows_robot
-            ):  # a rehearsal: what cannot be adapted to the situation is refused before anything depends on it
+            if frames and not (state is None and task.space.needs_state):
+                # a rehearsal: what cannot be adapted to the situation is refused before anything depends on it
                 retrieval.start(0, state)
                 retrieval.step(0, frames, state, weights)
             return chosen, retrieval

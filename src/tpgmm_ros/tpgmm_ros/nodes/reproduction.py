@@ -20,6 +20,8 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from visualization_msgs.msg import MarkerArray
 
 from tpgmm_core.common.text import listed, shown
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.observation.streams import Stamp
 from tpgmm_core.observation.tracking import check_pose
@@ -34,7 +36,7 @@ from tpgmm_ros.messages.lockstep import Barrier
 from tpgmm_ros.messages.markers import Scene
 from tpgmm_ros.messages.qos import LATCHED, STREAM
 from tpgmm_ros.messages.values import StampedFrames, StampedReference
-from tpgmm_ros.models.task_model import known_frames, load_task_model, state_dimensions
+from tpgmm_ros.models.task_model import known_frames, load_task_model
 from tpgmm_ros.nodes.controller_words import ControllerWords
 from tpgmm_ros.nodes.joint_states import MAX_FUTURE, SPREAD, Heard, JointStateStream
 from tpgmm_ros.nodes.movements import Movements
@@ -125,7 +127,7 @@ class ReproductionNode(ManagedNode):
             self.task = Task.load(self.parameters.file("task_file"))
             model_file = self.parameters["model_file"]
             model = load_task_model(model_file, self.task) if model_file else None
-            self._dimensions = state_dimensions(self.task)
+            joints, self._dimensions = self.task.space.joints(), self.task.space.state_dimensions()
         except (ValueError, OSError) as error:
             return self.refuse(error)
         self._references = self.create_lifecycle_publisher(ReferenceMessage, "reference", STREAM)
@@ -142,13 +144,12 @@ class ReproductionNode(ManagedNode):
                 lambda: self._step(self.get_clock().now().nanoseconds),
                 clock=loop_clock(self),
             )
-        kinematic = self.task.kinematic
         self._joint_states = JointStateStream(
             self,
-            "joint_states" if kinematic is None else kinematic.joint_states,
+            self.task.space.joint_states,
             self._take_joint_state,
-            None if kinematic is None else self._dimensions,
-            () if kinematic is None else ("position",),
+            joints or None,
+            ("position",),
             self.parameters[SPREAD.name],
             lambda: self.parameters[MAX_FUTURE.name],
         )
@@ -208,8 +209,8 @@ class ReproductionNode(ManagedNode):
             self._barrier.came("task_parameters", stamp_ns)
 
     def _take_joint_state(self, heard: Heard) -> None:
-        if self.task.kinematic is not None and self.movements is not None:
-            self.movements.state = heard.values[0]
+        for positions in heard.values:  # none where no joint is known
+            self._take_state(self.task.space.of_joints(positions))
         if self.parameters["rate"] > 0.0:  # a timer gives the beat
             return
         if self._barrier is not None:
@@ -223,10 +224,14 @@ class ReproductionNode(ManagedNode):
         pose, reason = check_pose(conversions.pose_to_array(message.pose))
         if pose is None:
             self.get_logger().error(f"pose of the robot refused: {reason}", throttle_duration_sec=1.0)
-        elif self.movements is not None and self.task.kinematic is None:
-            self.movements.state = pose
+        else:
+            self._take_state(self.task.space.of_pose(pose))
         if self._barrier is not None:
             self._barrier.came("pose", conversions.time_to_ns(message.header.stamp))
+
+    def _take_state(self, state: Array | None) -> None:
+        if state is not None and self.movements is not None:
+            self.movements.state = state
 
     # -- one step -----------------------------------------------------------------------------------------------------
 
@@ -265,7 +270,7 @@ class ReproductionNode(ManagedNode):
         frame_id = self.task.base_frame
         if self._is_due("feedback", stamp_ns, FEEDBACK_PERIOD_NS):
             movements.goals.tell(reference.phase, reference.frames)
-        if self.task.kinematic is not None:  # no poses, and no Gaussians of poses to be shown
+        if reference.gaussian.manifold != POSE:  # what is shown are poses, and Gaussians of poses
             return
         if self._is_due("pose", stamp_ns, POSE_PERIOD_NS):
             self._reference_poses.publish(conversions.pose_with_covariance(reference.gaussian, stamp_ns, frame_id))

@@ -68,15 +68,17 @@ class Recording:
         return float(self.times[-1])
 
     def to_demonstration(self, duration: float | None = None) -> Demonstration:
-        """Demonstration on "R1 x R3 x S3": rows [time, x, y, z, qx, qy, qz, qw]; frames leave time as it is.
+        """Demonstration of [time, pose], and of configurations where there are some, which frames leave as they are.
 
         With a `duration` (s), time is stretched linearly to it.
         """
         times = self.times if duration is None else self.times * (duration / self.duration)
+        joints = np.empty((len(times), 0)) if self.configurations is None else self.configurations
+        same = [Frame(np.eye(joints.shape[1]), np.zeros(joints.shape[1]))] if joints.size else []
         return Demonstration(
             times=times,
-            data=np.column_stack([times, self.movement]),
-            frames={name: _frame(poses).with_time() for name, poses in self.frames.items()},
+            data=np.column_stack([times, self.movement, joints]),
+            frames={name: Frame.stacked([_frame(poses), *same]).with_time() for name, poses in self.frames.items()},
             visible=self.visible,
         )
 
@@ -178,9 +180,8 @@ def _from_pose_array(path: Path, task: Task, spec: PoseArraySpec) -> Recording:
 
 def _from_streams(path: Path, task: Task) -> Recording:
     streams = read_pose_streams(path, [task.movement, *task.topics.values()], task.base_frame)
-    joints = None
-    if task.kinematic is not None:
-        joints = read_joint_stream(path, task.kinematic.joint_states, task.kinematic.joint_names())
+    names = task.space.joints()
+    joints = read_joint_stream(path, task.space.joint_states, names) if names else None
     stamped: list[PoseStream | JointStream] = [*streams.values(), *([] if joints is None else [joints])]
     problem = _problem_of_stamps(streams[task.movement], stamped)
     notes = [f"{problem}: times of the recorder used"] if problem else []

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tpgmm_core.common.safe_yaml import YamlError, load_yaml
+from tpgmm_core.common.safe_yaml import YamlError
+from tpgmm_core.common.yaml_sections import Section, a_quaternion, numbers
 from tpgmm_ros.recordings.bag_messages import Array, BagError, checked_poses, read_messages
 from tpgmm_ros.task.task_file import PoseArraySpec
-from tpgmm_ros.task.yaml_sections import Section, a_quaternion, numbers
 
 POSE_ARRAY = "geometry_msgs/msg/PoseArray"
 
@@ -46,7 +46,7 @@ def read_pose_array(
 def _places(path: Path, file_name: str, frames: Iterable[str]) -> dict[str, Array]:
     file = path.parent / file_name
     try:
-        bag = Section(str(file), "", load_yaml(file, "the frames of each bag")).section(path.name)
+        bag = Section.load(file, "the frames of each bag").section(path.name)
         places = {}
         for name in frames:
             pose = bag.section(name)

@@ -9,16 +9,23 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import rclpy
+from domain_coordinator import domain_id
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import Executor
+from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.task import Future
+
+from tpgmm_ros.runtime.executor import init
 
 #: For nodes that run in real time, so that what else the machine does costs no ticks; where it is not permitted, the
 #: nodes say so in their logs and go on.
@@ -192,3 +199,43 @@ class Graph:
             if not self.result(client.call_async(request), timeout, f"{name} to {label}").success:
                 raise GraphError(f"{name} refused to {label}; the end of its log:\n{self.processes.log_tail(name)}")
         self.node.destroy_client(client)
+
+
+@contextmanager
+def own_domain(domain: int | None = None, ros_log: Path | None = None) -> Iterator[None]:
+    """rclpy on a ROS domain that nobody else on this machine uses, and that no other machine sees.
+
+    Args:
+        domain: in place of a free one, for those who want to watch.
+        ros_log: directory of the log files that ROS writes; where it usually writes them without.
+    """
+    with ExitStack() as stack:
+        if domain is None:
+            domain = stack.enter_context(domain_id())
+            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        os.environ["ROS_DOMAIN_ID"] = str(domain)
+        if ros_log is not None:
+            os.environ["ROS_LOG_DIR"] = str(ros_log)
+        init([])
+        stack.callback(rclpy.try_shutdown)
+        yield
+
+
+@contextmanager
+def open_graph(name: str, log_directory: Path, use_sim_time: bool = False) -> Iterator[Graph]:
+    """A program's own node, and processes that end with it, within `own_domain`.
+
+    Args:
+        name: of the node.
+        log_directory: see `NodeProcesses`.
+        use_sim_time: whether the node's clock is the simulated one.
+    """
+    node = Node(name, parameter_overrides=[Parameter("use_sim_time", value=use_sim_time)])
+    executor = EventsExecutor()
+    executor.add_node(node)
+    try:
+        with NodeProcesses(log_directory) as processes:
+            yield Graph(node, executor, processes)
+    finally:
+        executor.remove_node(node)
+        node.destroy_node()

@@ -3,28 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.estimation import kernels_em
+from tpgmm_core.learning.estimation.iteration import Progress, iterate
 from tpgmm_core.model.samples import Samples
-
-__all__ = [
-    "MIN_ITERATIONS",
-    "Estimate",
-    "MixtureParameters",
-    "Progress",
-    "Samples",
-    "Workspace",
-    "expectation_maximisation",
-]
-
-MIN_ITERATIONS = 5  # the gain of the first iterations may be small on a plateau
-
-Progress = Callable[[int, float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,21 +58,15 @@ def expectation_maximisation(
     K = len(start.priors)
     added = reg_covar if regularization == "add" else 0.0
     prior_scatter = 0.0 if regularization == "add" else reg_covar * samples.n_samples / K
-    log_likelihoods: list[float] = []
-    objectives: list[float] = []
-    converged = False
     state.factorise()
-    for iteration in range(1, max_iter + 1):
+
+    def step() -> tuple[float, float]:
         log_likelihood, objective, failed = state.iterate(added, prior_scatter)
         state.check(failed)
-        log_likelihoods.append(log_likelihood)
-        objectives.append(objective)
-        if progress is not None:
-            progress(iteration, log_likelihood)
-        if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < tol:
-            converged = True
-            break
-    return Estimate(state.parameters(), np.array(log_likelihoods), np.array(objectives), converged)
+        return log_likelihood, objective
+
+    course = iterate(step, tol=tol, max_iter=max_iter, progress=progress)
+    return Estimate(state.parameters(), *course)
 
 
 class Workspace:

@@ -11,9 +11,10 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.estimation import kernels_em
-from tpgmm_core.learning.estimation.compiled_em import MixtureParameters, Samples, Workspace
+from tpgmm_core.learning.estimation.compiled_em import MixtureParameters, Workspace
 from tpgmm_core.learning.estimation.emissions import Emissions, Moments
 from tpgmm_core.learning.estimation.kernels_em import EMPTY
+from tpgmm_core.model.samples import Samples
 
 MAX_DIM = 20
 """Most tangent dimensions of a frame for which this is used."""

@@ -12,10 +12,11 @@ from tpgmm_core.learning.covariance.deep_mfa import DeepFactorAnalyzers, divided
 from tpgmm_core.learning.covariance.factor_analyzers import FactorAnalyzers
 from tpgmm_core.learning.covariance.structure import Structure
 from tpgmm_core.learning.estimation import initialization
-from tpgmm_core.learning.estimation.compiled_em import Progress, Samples
 from tpgmm_core.learning.estimation.em import MixtureEstimate, expectation, fit_mixture
 from tpgmm_core.learning.estimation.emissions import Emissions
 from tpgmm_core.learning.estimation.initialization import Labels
+from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.model.samples import Samples
 
 
 def fit_deep_mixture(

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.learning.estimation.compiled_em import MIN_ITERATIONS, Estimate, MixtureParameters, Progress, Samples
+from tpgmm_core.learning.estimation.compiled_em import Estimate, MixtureParameters
 from tpgmm_core.learning.estimation.compiled_moments import CompiledMoments
 from tpgmm_core.learning.estimation.emissions import Emissions, Moments
+from tpgmm_core.learning.estimation.iteration import Progress, iterate
+from tpgmm_core.model.samples import Samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,18 +64,12 @@ def fit_mixture(
 
     gathered = CompiledMoments(samples, priors, emissions) if CompiledMoments.suits(emissions) else by_numpy
     N = samples.n_samples
-    log_likelihoods: list[float] = []
-    objectives: list[float] = []
-    converged = False
-    for iteration in range(1, max_iter + 1):
+
+    def step() -> tuple[float, float]:
+        nonlocal priors, emissions
         log_likelihood, counts, moments = gathered(priors, emissions)
-        log_likelihoods.append(log_likelihood / N)
-        objectives.append((log_likelihood - emissions.penalty()) / N)
-        priors = counts / N
-        emissions = emissions.updated(moments)
-        if progress is not None:
-            progress(iteration, log_likelihoods[-1])
-        if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < tol:
-            converged = True
-            break
-    return MixtureEstimate(priors, emissions, np.array(log_likelihoods), np.array(objectives), converged)
+        penalty, priors, emissions = emissions.penalty(), counts / N, emissions.updated(moments)
+        return log_likelihood / N, (log_likelihood - penalty) / N
+
+    course = iterate(step, tol=tol, max_iter=max_iter, progress=progress)
+    return MixtureEstimate(priors, emissions, *course)

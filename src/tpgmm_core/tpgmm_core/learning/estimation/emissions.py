@@ -18,9 +18,9 @@ from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.covariance.structure import Covariances, Structure
 from tpgmm_core.learning.covariance.structures import covariances_class
 from tpgmm_core.learning.estimation import initialization
-from tpgmm_core.learning.estimation.compiled_em import Samples
 from tpgmm_core.learning.estimation.initialization import Labels
 from tpgmm_core.learning.estimation.kernels_em import EMPTY, NEGLIGIBLE
+from tpgmm_core.model.samples import Samples
 
 CHUNK_NUMBERS = 1 << 18
 """Numbers in the largest temporary array: samples are worked on in chunks, so that memory stays bounded."""

@@ -8,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from tpgmm_core.learning.covariance.structure import Structure
-from tpgmm_core.learning.estimation.compiled_em import MixtureParameters, Progress, Samples
+from tpgmm_core.learning.estimation.compiled_em import MixtureParameters
 from tpgmm_core.learning.estimation.deep_em import fit_deep_mixture
 from tpgmm_core.learning.estimation.em import MixtureEstimate, fit_mixture
 from tpgmm_core.learning.estimation.emissions import Emissions
+from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.model.samples import Samples
 
 
 def fit_structure(

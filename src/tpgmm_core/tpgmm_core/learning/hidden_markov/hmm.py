@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.estimation.compiled_em import MIN_ITERATIONS, Estimate, MixtureParameters, Progress
+from tpgmm_core.learning.estimation.compiled_em import Estimate, MixtureParameters
 from tpgmm_core.learning.estimation.em import expectation
 from tpgmm_core.learning.estimation.emissions import Emissions
+from tpgmm_core.learning.estimation.iteration import Progress, iterate
 from tpgmm_core.learning.estimation.structured_em import start_emissions
 from tpgmm_core.learning.hidden_markov.markov import MarkovChain, SemiMarkovChain
 from tpgmm_core.learning.tpgmm import TPGMM
@@ -48,26 +49,20 @@ def fit_chain(
     definiteness, and for a demonstration that the chain cannot produce.
     """
     N = samples.n_samples
-    log_likelihoods: list[float] = []
-    objectives: list[float] = []
-    converged = False
     priors = np.zeros(emissions.n_components)
-    for iteration in range(1, max_iter + 1):
+
+    def step() -> tuple[float, float]:
+        nonlocal chain, emissions, priors
         found = chain.posteriors(emissions.log_density(samples), samples.lengths)
-        log_likelihoods.append(found.log_likelihood / N)
-        objectives.append((found.log_likelihood - emissions.penalty() + chain.log_prior) / N)
+        objective = (found.log_likelihood - emissions.penalty() + chain.log_prior) / N
         priors = found.responsibilities.sum(axis=0)
         chain = chain.maximised(found)
         emissions = emissions.maximised(samples, found.responsibilities)
-        if progress is not None:
-            progress(iteration, log_likelihoods[-1])
-        if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < tol:
-            converged = True
-            break
+        return found.log_likelihood / N, objective
+
+    course = iterate(step, tol=tol, max_iter=max_iter, progress=progress)
     parameters = MixtureParameters(priors / priors.sum(), emissions.means, emissions.covariances)
-    return ChainEstimate(
-        parameters, np.array(log_likelihoods), np.array(objectives), converged, chain=chain, emissions=emissions
-    )
+    return ChainEstimate(parameters, *course, chain=chain, emissions=emissions)
 
 
 class TPHMM(TPGMM):

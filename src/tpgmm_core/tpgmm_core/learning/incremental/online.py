@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.estimation.compiled_em import Progress
 from tpgmm_core.learning.estimation.em import MixtureEstimate
 from tpgmm_core.learning.estimation.emissions import Emissions
+from tpgmm_core.learning.estimation.iteration import Progress
 from tpgmm_core.learning.incremental.component_birth import new_components
 from tpgmm_core.learning.incremental.sufficient_statistics import SufficientStatistics, fit_cells
 from tpgmm_core.learning.tpgmm import TPGMM

@@ -22,9 +22,9 @@ from scipy.special import logsumexp
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.estimation.compiled_em import MIN_ITERATIONS, Progress
 from tpgmm_core.learning.estimation.em import MixtureEstimate
 from tpgmm_core.learning.estimation.emissions import Emissions, Moments
+from tpgmm_core.learning.estimation.iteration import Progress, iterate
 from tpgmm_core.learning.estimation.kernels_em import EMPTY, NEGLIGIBLE
 from tpgmm_core.model.samples import Samples
 
@@ -188,23 +188,19 @@ def fit_cells(
     Raises ValueError when a covariance loses its definiteness.
     """
     N = cells.n_samples
-    log_likelihoods: list[float] = []
-    objectives: list[float] = []
-    converged = False
-    for iteration in range(1, max_iter + 1):
+
+    def step() -> tuple[float, float]:
+        nonlocal priors, emissions
         log_joint = cells.log_densities(emissions) + np.log(np.maximum(priors, np.finfo(float).tiny))
         each = logsumexp(log_joint, axis=1)
-        log_likelihoods.append(float(cells.counts @ each) / N)
-        objectives.append(log_likelihoods[-1] - emissions.penalty() / N)
+        bound, penalty = float(cells.counts @ each) / N, emissions.penalty() / N
         responsibilities = np.exp(log_joint - each[:, None])
         priors = cells.counts @ responsibilities / N
         emissions = emissions.updated(cells.moments(emissions, responsibilities))
-        if progress is not None:
-            progress(iteration, log_likelihoods[-1])
-        if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < tol:
-            converged = True
-            break
-    return MixtureEstimate(priors, emissions, np.array(log_likelihoods), np.array(objectives), converged)
+        return bound, bound - penalty
+
+    course = iterate(step, tol=tol, max_iter=max_iter, progress=progress)
+    return MixtureEstimate(priors, emissions, *course)
 
 
 def _moments(manifold: Manifold, parts: Moments, weights: Array, base: Array) -> Moments:
