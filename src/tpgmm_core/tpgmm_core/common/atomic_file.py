@@ -22,11 +22,16 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[Path], Any])
 
     Parameters
     ----------
-    path : the file; its directory must be there
-    write : writes into the file of the name that it is given, which is there already
+    path
+        the file; its directory must be there
+    write
+        writes into the file of the name that it is given, which is there already
 
-    Raises OSError, which names `path`: it is no regular file or must not be written, its directory must not be written
-    or is not there, or the disk refuses.
+    Raises
+    ------
+    OSError
+        which names `path`: it is no regular file or must not be written, its directory must not be written or is not
+        there, or the disk refuses
     """
     place = Path(os.path.realpath(path))
     try:

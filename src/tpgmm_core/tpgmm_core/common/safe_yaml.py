@@ -28,7 +28,10 @@ class YamlError(ValueError):
 def load_yaml(path: Path, what: str) -> Any:
     """What a YAML file holds; `what` is what errors say was expected, such as "a task file".
 
-    Raises YamlError for a file that cannot be read, is no regular file, is too large, or is no YAML.
+    Raises
+    ------
+    YamlError
+        for a file that cannot be read, is no regular file, is too large, or is no YAML
     """
     try:
         if path.exists() and not path.is_file():  # to open a pipe would wait for its other end
@@ -49,7 +52,10 @@ def load_yaml(path: Path, what: str) -> Any:
 def parse_yaml(text: str, source: str) -> Any:
     """What YAML text says: mappings, lists, texts, numbers, dates; `source` is what errors call it.
 
-    Raises YamlError where it is no YAML, is nested too deeply, or holds aliases or doubled keys.
+    Raises
+    ------
+    YamlError
+        where it is no YAML, is nested too deeply, or holds aliases or doubled keys
     """
     try:
         return yaml.load(text, Loader=_Loader)

@@ -42,8 +42,10 @@ def setting_of(item: Field[Any]) -> Setting:
 def configured[ConfigT](config: type[ConfigT], values: Mapping[str, Any]) -> ConfigT:
     """A dataclass of settings with some of them given by name, as files give them.
 
-    Raises:
-        ValueError: an unknown name, or a value out of its range.
+    Raises
+    ------
+    ValueError
+        an unknown name, or a value out of its range.
     """
     known = [item.name for item in fields(config)]  # type: ignore[arg-type]
     unknown = [name for name in values if name not in known]

@@ -25,8 +25,10 @@ def shown(value: Any, limit: int = NAME_LIMIT) -> str:
 
     Parameters
     ----------
-    value : anything
-    limit : characters of it that are shown
+    value
+        anything
+    limit
+        characters of it that are shown
     """
     if isinstance(value, str | bytes):
         value = value[: limit + 1]  # what is not shown need not be escaped

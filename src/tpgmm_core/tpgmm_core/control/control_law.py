@@ -27,9 +27,14 @@ if TYPE_CHECKING:
 class Loop:
     """What is known of the loop that a state comes by and its torques leave by.
 
-    age : of the state, s, by which the robot has moved on
-    delay : from what the joints do to the torques that answer it, s; feedback must bear it
-    hindered : the robot does not get where the reference is: it is not to be pulled further than a little
+    Parameters
+    ----------
+    age
+        of the state, s, by which the robot has moved on
+    delay
+        from what the joints do to the torques that answer it, s; feedback must bear it
+    hindered
+        the robot does not get where the reference is: it is not to be pulled further than a little
     """
 
     age: float = 0.0
@@ -44,12 +49,20 @@ AT_ONCE = Loop()
 class DynamicState:
     """A state of the robot with its dynamics; the arrays are overwritten when the next moment is made.
 
-    q, v : (nv,), rad and rad/s (m and m/s for prismatic joints), finite
-    inertia : (nv, nv), joint-space inertia M(q), symmetric, C-contiguous
-    inverse : (nv, nv), M^-1; NaN where M cannot be inverted
-    nonlinear : (nv,), gravity, Coriolis and centrifugal torques, N m (N), where the robot is by now
-    data : kinematics at q and v
-    loop : how the state came
+    Parameters
+    ----------
+    q, v
+        (nv,), rad and rad/s (m and m/s for prismatic joints), finite
+    inertia
+        (nv, nv), joint-space inertia M(q), symmetric, C-contiguous
+    inverse
+        (nv, nv), M^-1; NaN where M cannot be inverted
+    nonlinear
+        (nv,), gravity, Coriolis and centrifugal torques, N m (N), where the robot is by now
+    data
+        kinematics at q and v
+    loop
+        how the state came
     """
 
     q: Array
@@ -78,8 +91,14 @@ class DynamicState:
 class Lag:
     """How far the robot is from what it was asked for.
 
-    distance, angle : m and rad, of a hand; angle : rad (m), the largest one of the joints, for references of joints
-    joint : which one that is; empty for a hand
+    Parameters
+    ----------
+    distance, angle
+        m and rad, of a hand
+    angle
+        rad (m), the largest one of the joints, for references of joints
+    joint
+        which one that is; empty for a hand
     """
 
     distance: float
@@ -108,19 +127,32 @@ class Lag:
 class LawTorques:
     """What a law asks for.
 
-    tau : (nv,), the sum of the terms, N m (N), in model order
-    terms : name -> (nv,); "feedforward" is what a law adds whatever the error is, each law names its others
-    error : from the robot to the reference, in the tangent space of the reference; zero without reference
-    stiffness, damping : (n, n), what the robot shows to the outside, N/m and N m/rad, N s/m and N m s/rad;
-        zero without reference
-    jacobian : (n, nv), the velocity of what has this stiffness, by the joints' velocities
-    blend : 0 (gravity compensation) to 1 (the reference has full hold)
-    saturated : whether the law itself asked for less than its error did, since the motors are too weak
-    reason : why no torques could be computed, tau then means nothing; empty when all is well
-    lag : how far the robot is from what was asked for, while the law leads up to that, too; None without reference
-    delay_margin : delay of the loop, s, at which the gains that the reference asks for become unstable
-    share : of their rates, 0 to 1, that the delay of the loop leaves: K_P by its square, K_V by itself
-    moves, asked : how fast what is controlled moves, and the reference, 1/s; metres count by the characteristic length
+    Parameters
+    ----------
+    tau
+        (nv,), the sum of the terms, N m (N), in model order
+    terms
+        name -> (nv,); "feedforward" is what a law adds whatever the error is, each law names its others
+    error
+        from the robot to the reference, in the tangent space of the reference; zero without reference
+    stiffness, damping
+        (n, n), what the robot shows to the outside, N/m and N m/rad, N s/m and N m s/rad; zero without reference
+    jacobian
+        (n, nv), the velocity of what has this stiffness, by the joints' velocities
+    blend
+        0 (gravity compensation) to 1 (the reference has full hold)
+    saturated
+        whether the law itself asked for less than its error did, since the motors are too weak
+    reason
+        why no torques could be computed, tau then means nothing; empty when all is well
+    lag
+        how far the robot is from what was asked for, while the law leads up to that, too; None without reference
+    delay_margin
+        delay of the loop, s, at which the gains that the reference asks for become unstable
+    share
+        of their rates, 0 to 1, that the delay of the loop leaves: K_P by its square, K_V by itself
+    moves, asked
+        how fast what is controlled moves, and the reference, 1/s; metres count by the characteristic length
     """
 
     tau: Array
@@ -173,9 +205,15 @@ class ControlLaw[TargetT](Protocol):
     def target(self, reference: Reference, moving: bool) -> TargetT:
         """What the law makes of a reference, once for all steps that follow it.
 
-        moving : False for a reference that is held: what moves comes to rest.
+        Parameters
+        ----------
+        moving
+            False for a reference that is held: what moves comes to rest
 
-        Raises ValueError for a reference that this law cannot follow; the text says why.
+        Raises
+        ------
+        ValueError
+            for a reference that this law cannot follow; the text says why
         """
 
     def step(self, moment: DynamicState, target: TargetT | None, dt: float) -> LawTorques:

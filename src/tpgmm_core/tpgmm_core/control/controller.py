@@ -22,11 +22,18 @@ REST_TIME = 0.05
 class TorqueCommand:
     """Torques that may leave.
 
-    tau : (nv,), N m (N), in model order
-    q, v : (nv,), the state that they answer to
-    law : what the law asked for; None under the safe torque, gravity compensation with damping
-    actions : what the pipeline did beside passing a torque on, of `torque_pipeline.ACTIONS`
-    reason : why there was no use for the state, or for the law; empty when all is well
+    Parameters
+    ----------
+    tau
+        (nv,), N m (N), in model order
+    q, v
+        (nv,), the state that they answer to
+    law
+        what the law asked for; None under the safe torque, gravity compensation with damping
+    actions
+        what the pipeline did beside passing a torque on, of `torque_pipeline.ACTIONS`
+    reason
+        why there was no use for the state, or for the law; empty when all is well
     """
 
     tau: Array
@@ -95,10 +102,17 @@ class Controller[TargetT]:
     ) -> TorqueCommand | None:
         """Torques for positions q and velocities v (nv,), dt s after the last ones; `loop` says how late they are.
 
-        brakes : no law is asked: gravity compensation with damping, at this state. The law starts anew afterwards.
-
         A state that is not finite, or that the law cannot compute with, gives what `rest` gives, and the reason.
-        Raises ValueError for arrays of the wrong shape.
+
+        Parameters
+        ----------
+        brakes
+            no law is asked: gravity compensation with damping, at this state. The law starts anew afterwards.
+
+        Raises
+        ------
+        ValueError
+            for arrays of the wrong shape
         """
         q, v = np.ascontiguousarray(q, dtype=np.float64), np.ascontiguousarray(v, dtype=np.float64)
         if q.shape != (self.robot.nv,) or v.shape != (self.robot.nv,):

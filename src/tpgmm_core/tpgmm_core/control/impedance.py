@@ -145,8 +145,10 @@ class ImpedanceLaw:
     def target(self, reference: Reference, moving: bool) -> PoseTarget:
         """What the law makes of a reference: the pose, its gains, and the velocity if it is moving.
 
-        Raises ValueError for a reference that is no pose, not finite, or whose covariance is not positive
-        definite.
+        Raises
+        ------
+        ValueError
+            for a reference that is no pose, not finite, or whose covariance is not positive definite
         """
         manifold = str(reference.gaussian.manifold)
         if manifold != POSE_MANIFOLD:
@@ -155,7 +157,13 @@ class ImpedanceLaw:
         return self.pose_target(PoseReference(reference.gaussian.mean, reference.gaussian.covariance, twist))
 
     def pose_target(self, reference: PoseReference) -> PoseTarget:
-        """A pose with the gains that the LQR gives it. Raises ValueError for values that cannot be used."""
+        """A pose with the gains that the LQR gives it.
+
+        Raises
+        ------
+        ValueError
+            for values that cannot be used
+        """
         parts = (reference.pose, reference.covariance.ravel(), reference.twist, reference.acceleration)
         if not finite(np.concatenate(parts)):
             raise ValueError("the reference is not finite")

@@ -64,7 +64,10 @@ class JointImpedanceConfig(LawConfig):
 class JointTarget:
     """A reference that was found good: positions and velocities (n,), rad and rad/s, and the precision (n, n).
 
-    accelerations : (n,), rad/s^2, that the reference has; None for none
+    Parameters
+    ----------
+    accelerations
+        (n,), rad/s^2, that the reference has; None for none
     """
 
     positions: Array
@@ -77,10 +80,16 @@ class JointTarget:
 class JointGains:
     """What leads to a target, from where gains have got to. In the coordinates L^T q of the inertia M = L L^T:
 
-    damping : (n, n), D in joint coordinates, N m s/rad
-    ratio : (n, n), C of K = D L^-T C L^-1 D; I / 2 for the infinite horizon, which makes the damping ratio 1 / sqrt(2)
-    push : (n,), accelerations of these coordinates beside what follows the reference
-    rate, firmness : bounds of the eigenvalues of K_V = L^-1 D L^-T (1/s) and of C, which say what delay they bear
+    Parameters
+    ----------
+    damping
+        (n, n), D in joint coordinates, N m s/rad
+    ratio
+        (n, n), C of K = D L^-T C L^-1 D; I / 2 for the infinite horizon, which makes the damping ratio 1 / sqrt(2)
+    push
+        (n,), accelerations of these coordinates beside what follows the reference
+    rate, firmness
+        bounds of the eigenvalues of K_V = L^-1 D L^-T (1/s) and of C, which say what delay they bear
     """
 
     damping: Array
@@ -151,7 +160,10 @@ class JointImpedanceLaw:
     def target(self, reference: Reference, moving: bool) -> JointTarget:
         """What the law makes of a reference: positions, velocities if it is moving, and the precision.
 
-        Raises ValueError for a reference that is not over these joints, not finite, or without an inverse covariance.
+        Raises
+        ------
+        ValueError
+            for a reference that is not over these joints, not finite, or without an inverse covariance
         """
         gaussian, n = reference.gaussian, len(self._joints)
         if not gaussian.manifold.is_euclidean or gaussian.manifold.dim != n:

@@ -112,7 +112,10 @@ class ReferenceLaw:
     def target(self, reference: Reference, moving: bool) -> LawTarget:
         """What the law of the reference's kind makes of it.
 
-        Raises ValueError for a reference that is neither of a pose nor of joints of the robot, and as that law does.
+        Raises
+        ------
+        ValueError
+            for a reference that is neither of a pose nor of joints of the robot, and as that law does
         """
         law = self._law_of(self._joints_of(reference))
         return LawTarget(law, law.target(reference, moving))

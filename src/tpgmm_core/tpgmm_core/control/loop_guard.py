@@ -41,9 +41,11 @@ NEARLY_ALL = 0.95
 class LoopGuard:
     """See the module.
 
-    age : how late states are
-    share, tolerated : of the gains' rates that are left (1 without reference), and the age of states (s) that all of
-        them bear; infinite without reference
+    Parameters
+    ----------
+    age
+        how late states are share, tolerated : of the gains' rates that are left (1 without reference), and the age of
+        states (s) that all of them bear; infinite without reference
     """
 
     def __init__(self, robot: RobotModel, timeouts: Timeouts, closed_elsewhere: bool = False) -> None:

@@ -35,11 +35,18 @@ CALM, CALM_TIME = 0.05, 1.0
 def count_swings(v: Array, speed_limits: Array, dt: float, counts: bool, swings: Array) -> tuple[int, bool]:
     """Update the swings (n, 6) of n joints by their velocities v (n,), dt s later.
 
-    Returns the joint of an alarm, or -1, and whether all joints are calm.
+    Parameters
+    ----------
+    swings
+        for each joint the sign of its half-swing, its peak speed, its time; the peak of the one before; how many have
+        not died out; the peak of the first of them
+    counts
+        whether this half-swing may count at all
 
-    swings : for each joint the sign of its half-swing, its peak speed, its time; the peak of the one before; how many
-        have not died out; the peak of the first of them
-    counts : whether this half-swing may count at all
+    Returns
+    -------
+    tuple[int, bool]
+        the joint of an alarm, or -1, and whether all joints are calm
     """
     alarm, calm = -1, True
     for i in range(len(v)):
@@ -92,7 +99,10 @@ class SwingWatch:
     def step(self, v: Array, moves: float, asked: float, dt: float) -> bool:
         """Velocities v (nv,), dt s after the last ones. Whether a joint swings more and more.
 
-        moves, asked : how fast the hand moves, and the reference, 1/s
+        Parameters
+        ----------
+        moves, asked
+            how fast the hand moves, and the reference, 1/s
         """
         self._asked = max(asked, self._asked * math.exp(-dt / REMEMBERED))
         unasked = moves + NO_MOTION >= FOLLOWS * self._asked

@@ -15,11 +15,19 @@ from tpgmm_core.control.delay_margin import delay_margin
 class PoseReference:
     """Where the hand should be, how surely, and how it moves; all in base axes.
 
-    pose : (7,), x, y, z, qx, qy, qz, qw
-    covariance : (6, 6), position (m), then rotation vector about the fixed axes (rad)
-    twist, acceleration : (6,), linear then angular; zero if not given
+    Parameters
+    ----------
+    pose
+        (7,), x, y, z, qx, qy, qz, qw
+    covariance
+        (6, 6), position (m), then rotation vector about the fixed axes (rad)
+    twist, acceleration
+        (6,), linear then angular; zero if not given
 
-    Raises ValueError for wrong shapes; values are judged by `ImpedanceLaw.pose_target`.
+    Raises
+    ------
+    ValueError
+        for wrong shapes; values are judged by `ImpedanceLaw.pose_target`
     """
 
     pose: Array
@@ -39,8 +47,12 @@ class PoseReference:
 class PoseTarget:
     """A reference that was found good, and its gains.
 
-    K_V : (6, 6), 1/s
-    ratio : (6, 6), C of K_P = K_V C K_V: I / 2 for the infinite-horizon LQR. Gains that follow by way of K_V and C stay
+    Parameters
+    ----------
+    K_V
+        (6, 6), 1/s
+    ratio
+        (6, 6), C of K_P = K_V C K_V: I / 2 for the infinite-horizon LQR. Gains that follow by way of K_V and C stay
         definite, and keep the damping ratio where C stays
     """
 

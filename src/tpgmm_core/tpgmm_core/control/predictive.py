@@ -44,9 +44,14 @@ _LINEAR_WEIGHT, _INVERSE_QUADRATIC_WEIGHT = 1e3, 1e-6
 class JointLimits:
     """What the joints can do; an infinite limit is none.
 
-    torque : (n,), N m, > 0, both ways; hard
-    velocity : (n,), rad/s, > 0, both ways; soft
-    lower, upper : (n,), rad; soft
+    Parameters
+    ----------
+    torque
+        (n,), N m, > 0, both ways; hard
+    velocity
+        (n,), rad/s, > 0, both ways; soft
+    lower, upper
+        (n,), rad; soft
     """
 
     torque: Array
@@ -68,9 +73,14 @@ class JointLimits:
 class JointReference:
     """Where the joints are to be at the ends of the steps of the horizon, and how much it matters.
 
-    positions : (N, n), rad
-    precisions : (N, n, n), symmetric semidefinite, 1/rad^2 (the cost per s)
-    velocities : (N, n), rad/s, and velocity_precisions : (N, n, n); None where velocities are free
+    Parameters
+    ----------
+    positions
+        (N, n), rad
+    precisions
+        (N, n, n), symmetric semidefinite, 1/rad^2 (the cost per s)
+    velocities
+        (N, n), rad/s, and velocity_precisions : (N, n, n); None where velocities are free
     """
 
     positions: Array
@@ -83,13 +93,22 @@ class JointReference:
 class PredictivePlan:
     """What to do now, and what is expected to come of it.
 
-    torque : (n,), N m, within its limits: feedforward of the first step
-    accelerations : (N, n), rad/s^2, over the steps; positions, velocities : (N, n), at their ends
-    stiffness, damping : (n, n), 1/s^2 and 1/s: the feedback around the plan until the next one, as an acceleration
-        `K_P (q_plan - q) + K_V (v_plan - v)`; the gains of the finite-horizon LQR with the same costs
-    status : "optimal", or "softened" where a soft limit is exceeded, or "fallback" where the solver did not finish: the
-        law without limits, its torque cut to its limits
-    excess : by how much soft limits are exceeded at most, rad or rad/s
+    Parameters
+    ----------
+    torque
+        (n,), N m, within its limits: feedforward of the first step
+    accelerations
+        (N, n), rad/s^2, over the steps
+    positions, velocities
+        (N, n), at their ends
+    stiffness, damping
+        (n, n), 1/s^2 and 1/s: the feedback around the plan until the next one, as an acceleration `K_P (q_plan - q) +
+        K_V (v_plan - v)`; the gains of the finite-horizon LQR with the same costs
+    status
+        "optimal", or "softened" where a soft limit is exceeded, or "fallback" where the solver did not finish: the law
+        without limits, its torque cut to its limits
+    excess
+        by how much soft limits are exceeded at most, rad or rad/s
     """
 
     torque: Array
@@ -105,13 +124,23 @@ class PredictivePlan:
 class PredictiveController:
     """Solves the problem of the horizon again and again, without memory from one time to the next.
 
-    time_steps : (N,), s, the steps of the horizon; they may grow along it
-    limits : of the n joints
-    control_cost : scalar > 0 or (n,), of accelerations, per s
-    max_iterations : of the solver, each of which adds or removes one active limit
+    The constructor solves one problem, so that no later one waits for the compiler.
 
-    The constructor solves one problem, so that no later one waits for the compiler. Raises ValueError for steps or
-    costs that are not positive.
+    Parameters
+    ----------
+    time_steps
+        (N,), s, the steps of the horizon; they may grow along it
+    limits
+        of the n joints
+    control_cost
+        scalar > 0 or (n,), of accelerations, per s
+    max_iterations
+        of the solver, each of which adds or removes one active limit
+
+    Raises
+    ------
+    ValueError
+        for steps or costs that are not positive
     """
 
     def __init__(
@@ -160,11 +189,21 @@ class PredictiveController:
     ) -> PredictivePlan:
         """The best plan from positions q and velocities v (n,).
 
-        reference : at `times`
-        inertia : M, (n, n) or for each step (N, n, n); bias : h, (n,) or (N, n): Coriolis, gravity, friction
+        A problem whose limits cannot be kept is no error.
 
-        Raises ValueError for shapes that do not fit and values that are not finite. A problem whose limits cannot be
-        kept is no error.
+        Parameters
+        ----------
+        reference
+            at `times`
+        inertia
+            M, (n, n) or for each step (N, n, n)
+        bias
+            h, (n,) or (N, n): Coriolis, gravity, friction
+
+        Raises
+        ------
+        ValueError
+            for shapes that do not fit and values that are not finite
         """
         N, n = len(self.time_steps), len(self.limits.torque)
         x0, Q, r, M, h = self._checked(q, v, reference, inertia, bias)

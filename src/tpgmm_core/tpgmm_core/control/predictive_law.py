@@ -54,7 +54,10 @@ class PredictiveTarget:
 class _Problem:
     """All that a plan is made from; `jacobian` (6, n) and `pose` (7,) of the hand are None for references of joints.
 
-    share : of the rates of the feedback, for the delay of the loop: planning again from late states is feedback too
+    Parameters
+    ----------
+    share
+        of the rates of the feedback, for the delay of the loop: planning again from late states is feedback too
     """
 
     q: Array
@@ -80,9 +83,14 @@ class _Planned:
 class PredictiveLaw(JointImpedanceLaw):
     """See the module. Its terms are those of `JointImpedanceLaw`; "feedback" holds what the plan asks for.
 
-    joints : as for `JointImpedanceLaw`
-    endpoint : the end point, moved by these joints, whose poses it follows; None: it follows references of the joints
-    submit : where plans are made; `at_once` waits for them
+    Parameters
+    ----------
+    joints
+        as for `JointImpedanceLaw`
+    endpoint
+        the end point, moved by these joints, whose poses it follows; None: it follows references of the joints
+    submit
+        where plans are made; `at_once` waits for them
     """
 
     def __init__(
@@ -146,7 +154,10 @@ class PredictiveLaw(JointImpedanceLaw):
     def target(self, reference: Reference, moving: bool) -> PredictiveTarget:  # type: ignore[override]
         """Where to be, and how firmly, along the horizon; for ever as now without one, or if it is not moving.
 
-        Raises ValueError for a reference of another kind, not finite, or without an inverse covariance.
+        Raises
+        ------
+        ValueError
+            for a reference of another kind, not finite, or without an inverse covariance
         """
         if self.endpoint is None:
             super().target(reference, moving)

@@ -35,8 +35,12 @@ class RecedingHorizonPoseTarget(PoseTarget):
 class RecedingHorizonImpedanceLaw(ImpedanceLaw):
     """See the module; parameters and terms are those of `ImpedanceLaw`.
 
-    plan : parameters of planning
-    risk_sensitive : whether it is; then a reference may come without a horizon, whose Gaussian goes on for ever
+    Parameters
+    ----------
+    plan
+        parameters of planning
+    risk_sensitive
+        whether it is; then a reference may come without a horizon, whose Gaussian goes on for ever
     """
 
     def __init__(
@@ -61,7 +65,13 @@ class RecedingHorizonImpedanceLaw(ImpedanceLaw):
         self._push = np.zeros(6)
 
     def target(self, reference: Reference, moving: bool) -> PoseTarget:
-        """As `ImpedanceLaw.target`, with what comes. Raises ValueError also for a reference without a horizon."""
+        """As `ImpedanceLaw.target`, with what comes.
+
+        Raises
+        ------
+        ValueError
+            also for a reference without a horizon
+        """
         here = super().target(reference, moving)
         check_horizon(reference, needed=not self.risk_sensitive)
         course = (reference.gaussian, *reference.horizon) if moving else (reference.gaussian,)

@@ -33,8 +33,12 @@ class RecedingHorizonJointTarget(JointTarget):
 class RecedingHorizonJointImpedanceLaw(JointImpedanceLaw):
     """See the module; parameters and terms are those of `JointImpedanceLaw`.
 
-    plan : parameters of planning
-    risk_sensitive : whether it is; then a reference may come without a horizon, whose Gaussian goes on for ever
+    Parameters
+    ----------
+    plan
+        parameters of planning
+    risk_sensitive
+        whether it is; then a reference may come without a horizon, whose Gaussian goes on for ever
     """
 
     def __init__(
@@ -58,7 +62,13 @@ class RecedingHorizonJointImpedanceLaw(JointImpedanceLaw):
         self._planned: JointGains | None = None
 
     def target(self, reference: Reference, moving: bool) -> JointTarget:
-        """As `JointImpedanceLaw.target`, with what comes. Raises ValueError also for a reference without a horizon."""
+        """As `JointImpedanceLaw.target`, with what comes.
+
+        Raises
+        ------
+        ValueError
+            also for a reference without a horizon
+        """
         here = super().target(reference, moving)
         check_horizon(reference, needed=not self.risk_sensitive)
         course = (reference.gaussian, *reference.horizon) if moving else (reference.gaussian,)

@@ -92,7 +92,10 @@ class SupervisedController[TargetT]:
     def take_reference(self, reference: Reference, stamp_ns: int, now_ns: int, clock_ns: int) -> None:
         """A reference to follow from now on. One that is not newer than the last is passed over, and so ages.
 
-        Raises ValueError for a reference that is refused; the last good one ages.
+        Raises
+        ------
+        ValueError
+            for a reference that is refused; the last good one ages
         """
         timeouts = self.timeouts
         kind = self._references.judge(stamp_ns, now_ns, clock_ns, timeouts.reference_timeout, timeouts.max_future)

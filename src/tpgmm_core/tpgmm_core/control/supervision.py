@@ -56,11 +56,18 @@ class Timeouts:
 class Inputs:
     """What is known of the inputs at one time.
 
-    state_age : s since the last good joint state; None: never one
-    state_fault : why the newest joint state was refused; empty when it was good
-    reference_age : s since the last good reference, by arrival or by stamp, whichever is more; None: never one
-    reference_fault : why the newest reference was refused; empty when it was good
-    state_trouble : what came instead of a joint state: joints that are missing, stamps that stand still
+    Parameters
+    ----------
+    state_age
+        s since the last good joint state; None: never one
+    state_fault
+        why the newest joint state was refused; empty when it was good
+    reference_age
+        s since the last good reference, by arrival or by stamp, whichever is more; None: never one
+    reference_fault
+        why the newest reference was refused; empty when it was good
+    state_trouble
+        what came instead of a joint state: joints that are missing, stamps that stand still
     """
 
     state_age: float | None
@@ -109,9 +116,12 @@ def decide(inputs: Inputs, timeouts: Timeouts) -> Decision:
 def slow_states(period: float, source: str, timeouts: Timeouts, max_time_step: float) -> list[str]:
     """What has to be set for joint states that come every `period` s, in words; nothing where all is well.
 
-    source : where the period is known from, in a word
-
     Only told, not done: how long a robot may go on without being seen is for those to say who know the robot.
+
+    Parameters
+    ----------
+    source
+        where the period is known from, in a word
     """
     least = {
         "joint_state_timeout": (timeouts.joint_state_timeout, STATES_WITHIN_TIMEOUT * period),

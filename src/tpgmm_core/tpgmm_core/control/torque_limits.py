@@ -67,7 +67,10 @@ def clamp_at_limits(
     lower, upper, max_speed, effort (n,) : limits of positions, speeds and torques
     approach_rate, bandwidth : 1/s
 
-    Returns whether a torque was changed.
+    Returns
+    -------
+    bool
+        whether a torque was changed
     """
     changed = False
     for i in range(len(tau)):

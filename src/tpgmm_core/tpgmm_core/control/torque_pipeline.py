@@ -201,10 +201,17 @@ class TorquePipeline:
     def step(self, wanted: Array | None, moment: DynamicState, dt: float) -> tuple[Array, int]:
         """Torques (nv,) that may leave, and the bits of what was done to those wanted (see `ACTIONS`).
 
-        wanted : (nv,), what the law asks for; None: the safe torque, into which all is blended at once
-        dt : s since the last step; a pause counts as `max_time_step`, NaN and steps backwards as none
+        Parameters
+        ----------
+        wanted
+            (nv,), what the law asks for; None: the safe torque, into which all is blended at once
+        dt
+            s since the last step; a pause counts as `max_time_step`, NaN and steps backwards as none
 
-        Raises ValueError for a torque of the wrong shape.
+        Raises
+        ------
+        ValueError
+            for a torque of the wrong shape
         """
         limits, robot = self.limits, self.robot
         dt = self.time_step(dt)

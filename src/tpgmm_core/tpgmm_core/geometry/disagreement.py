@@ -41,7 +41,8 @@ def disagreement(gaussians: Mapping[str, Located]) -> str:
 
     Parameters
     ----------
-    gaussians : by names that the text calls them by, at least two, on one manifold with S³ factors
+    gaussians
+        by names that the text calls them by, at least two, on one manifold with S³ factors
     """
     found: tuple[float, str] = (-1.0, "")
     for (first, a), (second, b) in itertools.combinations(gaussians.items(), 2):
@@ -58,8 +59,10 @@ def no_product(what: str, views: Mapping[str, Located]) -> ValueError:
 
     Parameters
     ----------
-    what : whose product it is
-    views : what the frames say of it, in the common frame
+    what
+        whose product it is
+    views
+        what the frames say of it, in the common frame
     """
     return ValueError(
         f"the frames do not agree on {what}; {disagreement(views)}. Bring the frames closer to demonstrated "

@@ -18,16 +18,23 @@ from tpgmm_core.geometry import quaternion
 class Frame:
     """Task parameters of one frame: xi = A x + b.
 
+    When one of them varies with time and the other does not, the constant one is repeated. A frame is a value: it keeps
+    copies, which are not to be written to, and two frames are equal when their numbers are.
+
     Parameters
     ----------
-    A : shape (D, D_j), or (T, D, D_j) when it changes with time; any matrix
-    b : shape (D,), or (T, D)
-    inverse : shape (D_j, D), or (T, D_j, D) as A: how the frame sees xi - b, where that is not A^+. A damped A (near
+    A
+        shape (D, D_j), or (T, D, D_j) when it changes with time; any matrix
+    b
+        shape (D,), or (T, D)
+    inverse
+        shape (D_j, D), or (T, D_j, D) as A: how the frame sees xi - b, where that is not A^+. A damped A (near
         singularities) has no bounded pseudo-inverse that is continuous; it brings the one that is meant
 
-    When one of them varies with time and the other does not, the constant one is repeated. A frame is a value: it
-    keeps copies, which are not to be written to, and two frames are equal when their numbers are.
-    Raises ValueError for shapes that do not fit and for non-finite numbers.
+    Raises
+    ------
+    ValueError
+        for shapes that do not fit and for non-finite numbers
     """
 
     A: Array
@@ -98,8 +105,12 @@ class Frame:
         """One frame for data that lie side by side, each seen from its own frame: A = blkdiag(A_1, A_2, ...).
 
         For two hands, poses [left, right] on "R3 x S3 x R3 x S3", and an object that both are seen from:
-        `Frame.stacked([pose, pose])` with `pose = Frame.from_pose(...)`. Raises ValueError for no frames, and for
-        frames of different numbers of time steps.
+        `Frame.stacked([pose, pose])` with `pose = Frame.from_pose(...)`.
+
+        Raises
+        ------
+        ValueError
+            for no frames, and for frames of different numbers of time steps
         """
         steps = {len(frame.A) for frame in frames if frame.is_time_varying}
         if not frames or len(steps) > 1:

@@ -23,11 +23,17 @@ class Gaussian:
 
     Parameters
     ----------
-    mean : shape (D,), D ambient coordinates (quaternions are normalised)
-    covariance : shape (D_tangent, D_tangent), symmetric; rotations in rad² about the fixed axes
-    manifold : the space; None means R^D
+    mean
+        shape (D,), D ambient coordinates (quaternions are normalised)
+    covariance
+        shape (D_tangent, D_tangent), symmetric; rotations in rad² about the fixed axes
+    manifold
+        the space; None means R^D
 
-    Raises ValueError for wrong shapes, non-finite numbers or an unsymmetric covariance.
+    Raises
+    ------
+    ValueError
+        for wrong shapes, non-finite numbers or an unsymmetric covariance
     """
 
     mean: Array
@@ -70,7 +76,13 @@ class Gaussian:
 
     @property
     def precision(self) -> Array:
-        """Inverse covariance (D_tangent, D_tangent). Raises ValueError when the covariance is singular."""
+        """Inverse covariance (D_tangent, D_tangent).
+
+        Raises
+        ------
+        ValueError
+            when the covariance is singular
+        """
         inverse_factor = np.linalg.inv(self._cholesky())
         return inverse_factor.T @ inverse_factor
 
@@ -83,8 +95,12 @@ class Gaussian:
     def transform(self, frame: Frame) -> Gaussian:
         """Image under xi = A x + b: N(A mu + b, A Sigma A^T), Eqs. (1) and (2).
 
-        On S³ the covariance turns with the frame. Raises ValueError for a frame that varies with time or does
-        not fit.
+        On S³ the covariance turns with the frame.
+
+        Raises
+        ------
+        ValueError
+            for a frame that varies with time or does not fit
         """
         if frame.is_time_varying:
             raise ValueError("the frame varies with time: choose one time step with frame.at(t_index)")
@@ -108,8 +124,11 @@ class Gaussian:
         orientations agree to some tenths of a rad, dozens anywhere, at most 100 (`kernels_product.fuse`). The
         covariance is the inverse of the Gauss-Newton Hessian there, in the fixed axes.
 
-        Raises ValueError for an empty sequence, different manifolds, singular covariances, or orientations so
-        contradictory that the steps do not converge.
+        Raises
+        ------
+        ValueError
+            for an empty sequence, different manifolds, singular covariances, or orientations so contradictory that the
+            steps do not converge
         """
         if not gaussians or any(g.manifold != gaussians[0].manifold for g in gaussians):
             raise ValueError("a product takes one or more Gaussians, all on the same manifold")
@@ -165,8 +184,15 @@ set_mean, set_covariance, set_manifold = (vars(Gaussian)[n].__set__ for n in ("m
 class Gaussians(Sequence[Gaussian]):
     """T Gaussians on one space, such as those of a movement at T times: a sequence, kept as two arrays.
 
-    mean : shape (T, D); covariance : shape (T, D_tangent, D_tangent); manifold : the space. Both arrays are read-only.
-    `gaussians[i]` and iteration give each `Gaussian`, `gaussians[a:b]` some of them.
+    Parameters
+    ----------
+    mean
+        shape (T, D)
+    covariance
+        shape (T, D_tangent, D_tangent)
+    manifold
+        the space. Both arrays are read-only. `gaussians[i]` and iteration give each `Gaussian`, `gaussians[a:b]` some
+        of them.
     """
 
     mean: Array

@@ -51,7 +51,10 @@ class Manifold:
     def parse(cls, text: str, dim: int | None = None) -> Manifold:
         """Manifold of a text such as "R1 x R3 x S3", or "euclidean", which is R^dim.
 
-        Raises ValueError when the text is not understood, or has not `dim` ambient dimensions (where given).
+        Raises
+        ------
+        ValueError
+            when the text is not understood, or has not `dim` ambient dimensions (where given)
         """
         if len(text) > MAX_TEXT:
             raise ValueError(f"a manifold is a text of at most {MAX_TEXT} characters, got {len(text)}")
@@ -199,9 +202,13 @@ class Manifold:
     def tangent_map(self, A: ArrayLike) -> Array:
         """How an ambient frame matrix A (..., D, D_j) acts on tangent vectors, (..., D_tangent, D_j_tangent).
 
-        A quaternion block L(q) becomes the rotation R(q), whatever the point; Euclidean blocks stay.
-        On a Euclidean manifold A may have any number of columns. Raises ValueError when the block of an S³
-        factor is not L(q), or when A mixes it with other coordinates.
+        A quaternion block L(q) becomes the rotation R(q), whatever the point; Euclidean blocks stay. On a Euclidean
+        manifold A may have any number of columns.
+
+        Raises
+        ------
+        ValueError
+            when the block of an S³ factor is not L(q), or when A mixes it with other coordinates
         """
         A = np.asarray(A, dtype=float)
         if self.is_euclidean:
@@ -232,13 +239,22 @@ class Manifold:
         return tangent
 
     def tangent_indices(self, dims: Sequence[int]) -> NDArray[np.intp]:
-        """Tangent indices that belong to the ambient indices `dims`. Raises like `subset`."""
+        """Tangent indices that belong to the ambient indices `dims`.
+
+        Raises
+        ------
+        ValueError
+            like `subset`
+        """
         return self._select(dims)[1]
 
     def subset(self, dims: Sequence[int]) -> Manifold:
         """Manifold of the ambient indices `dims`, in their order.
 
-        Raises ValueError for indices out of range or repeated, and when a quaternion would be split.
+        Raises
+        ------
+        ValueError
+            for indices out of range or repeated, and when a quaternion would be split
         """
         return Manifold(self._select(dims)[0])
 
@@ -283,8 +299,12 @@ class Manifold:
 class Split:
     """Dimensions of a manifold that are given and those that are free, as regression takes them.
 
-    given, free : the manifolds of both
-    plan : the same as `kernels_condition.plan_parts` reads it
+    Parameters
+    ----------
+    given, free
+        the manifolds of both
+    plan
+        the same as `kernels_condition.plan_parts` reads it
     """
 
     given: Manifold
@@ -293,8 +313,13 @@ class Split:
 
 
 def split(manifold: Manifold, dims: tuple[int, ...]) -> Split:
-    """The dimensions `dims` are given, the others free. Raises ValueError like `Manifold.subset`, and where no
-    dimension is left."""
+    """The dimensions `dims` are given, the others free.
+
+    Raises
+    ------
+    ValueError
+        like `Manifold.subset`, and where no dimension is left
+    """
     rest = manifold.rest(dims)
     given, free = manifold.subset(dims), manifold.subset(rest)
     sizes = [given.tangent_dim, free.tangent_dim, given.dim, free.dim, len(given.spheres), len(free.spheres)]

@@ -22,12 +22,19 @@ class GaussianMixture:
 
     Parameters
     ----------
-    priors : shape (K,), positive, summing to 1
-    means : shape (K, D), ambient coordinates
-    covariances : shape (K, D_tangent, D_tangent), each in the tangent space at its mean
-    manifold : the space; None means R^D
+    priors
+        shape (K,), positive, summing to 1
+    means
+        shape (K, D), ambient coordinates
+    covariances
+        shape (K, D_tangent, D_tangent), each in the tangent space at its mean
+    manifold
+        the space; None means R^D
 
-    Raises ValueError for shapes that do not fit.
+    Raises
+    ------
+    ValueError
+        for shapes that do not fit
     """
 
     priors: Array
@@ -103,12 +110,16 @@ class GaussianMixture:
 
         Parameters
         ----------
-        dims : distinct ambient dimensions; the four numbers of a quaternion go together
-        values : shape (len(dims),) for one Gaussian, or (T, len(dims)) for T at once, such as `times[:, None]`
+        dims
+            distinct ambient dimensions; the four numbers of a quaternion go together
+        values
+            shape (len(dims),) for one Gaussian, or (T, len(dims)) for T at once, such as `times[:, None]`
 
         Returns
         -------
-        The `Gaussian` of the other dimensions, in their order; `Gaussians`, a sequence of T, for values (T, len(dims))
+        Gaussian | Gaussians
+            The `Gaussian` of the other dimensions, in their order; `Gaussians`, a sequence of T, for values (T,
+            len(dims))
 
         Raises
         ------

@@ -38,7 +38,13 @@ def conjugate(q: ArrayLike) -> Array:
 
 
 def normalize(q: ArrayLike) -> Array:
-    """q / |q|, shape (..., 4). Raises ValueError for zero or non-finite quaternions."""
+    """q / |q|, shape (..., 4).
+
+    Raises
+    ------
+    ValueError
+        for zero or non-finite quaternions
+    """
     q = np.asarray(q, dtype=float)
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     if not (np.all(np.isfinite(norm)) and np.all(norm > 1e-9)):
@@ -93,7 +99,10 @@ def roll_pitch_yaw(q: ArrayLike) -> Array:
 def from_matrix(R: ArrayLike) -> Array:
     """Unit quaternion (..., 4), w >= 0, of a rotation matrix (..., 3, 3).
 
-    Raises ValueError when R is not a rotation (orthogonal with determinant +1, to 1e-6).
+    Raises
+    ------
+    ValueError
+        when R is not a rotation (orthogonal with determinant +1, to 1e-6)
     """
     R = np.asarray(R, dtype=float)
     if R.shape[-2:] != (3, 3):

@@ -15,8 +15,12 @@ from tpgmm_core.common.types import Array
 class Kinematics(Protocol):
     """Places of named points of a robot, and how the joints move them.
 
-    n_joints : length n of configurations q, rad or m
-    points : the names
+    Parameters
+    ----------
+    n_joints
+        length n of configurations q, rad or m
+    points
+        the names
     """
 
     @property
@@ -38,11 +42,19 @@ class Kinematics(Protocol):
 class PlanarRobot:
     """Links that turn in a plane, as a tree: every joint turns all that follows it.
 
-    lengths : (n,) of the links, m; joint i turns link i
-    points : name → the joints from the base to that point, in order
-    base_angle : direction of the first link at q = 0, rad; about the axis out of the plane, zero along x
+    Parameters
+    ----------
+    lengths
+        (n,) of the links, m; joint i turns link i
+    points
+        name → the joints from the base to that point, in order
+    base_angle
+        direction of the first link at q = 0, rad; about the axis out of the plane, zero along x
 
-    Raises ValueError for lengths that are not positive, and points without joints, or with unknown ones.
+    Raises
+    ------
+    ValueError
+        for lengths that are not positive, and points without joints, or with unknown ones
     """
 
     def __init__(self, lengths: Sequence[float], points: Mapping[str, Sequence[int]], base_angle: float = 0.0) -> None:

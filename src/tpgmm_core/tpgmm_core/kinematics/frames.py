@@ -30,14 +30,23 @@ from tpgmm_core.kinematics.tasks import KinematicState, KinematicTask, Kinematic
 class KinematicFrame(Protocol):
     """A map into configuration space that changes with each step.
 
-    objects : names of the objects that it needs
+    Parameters
+    ----------
+    objects
+        names of the objects that it needs
     """
 
     @property
     def objects(self) -> frozenset[str]: ...
 
     def at(self, moment: KinematicState) -> Frame:
-        """The map at one step, A (n, m), b (n,), inverse (m, n). Raises ValueError for objects that are not there."""
+        """The map at one step, A (n, m), b (n,), inverse (m, n).
+
+        Raises
+        ------
+        ValueError
+            for objects that are not there
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,8 +123,11 @@ class SecondaryTaskSpace:
     A = N J^+ A^O, b = q_{t-1} + N J^+ (b^O - x_{t-1}), N of all tasks above together (the hierarchy of Siciliano and
     Slotine 1991, of any depth).
 
-    least_error : (J N)^+ takes the place of N J^+, and J N sees. Where the tasks can be met, both lead there. Where
-        they cannot, this one leads to the least error e, where N J^T e = 0; N J^+ leads to N J^T (J J^T)^-1 e = 0.
+    Parameters
+    ----------
+    least_error
+        (J N)^+ takes the place of N J^+, and J N sees. Where the tasks can be met, both lead there. Where they cannot,
+        this one leads to the least error e, where N J^T e = 0; N J^+ leads to N J^T (J J^T)^-1 e = 0.
     """
 
     tasks: KinematicTasks

@@ -33,12 +33,20 @@ from tpgmm_core.robot.model import RobotModel
 class HandTask:
     """What was learned of one hand.
 
-    model : one component on "R3 x S3"
-    endpoint : the hand, an end point of the robot
-    places : for each frame of the model the end point that it is fixed to, or its constant pose (7,)
-        [x, y, z, qx, qy, qz, qw] in the base frame, m
+    Parameters
+    ----------
+    model
+        one component on "R3 x S3"
+    endpoint
+        the hand, an end point of the robot
+    places
+        for each frame of the model the end point that it is fixed to, or its constant pose (7,) [x, y, z, qx, qy, qz,
+        qw] in the base frame, m
 
-    Raises ValueError for another kind of model, frames without a place, and a frame that is the hand itself.
+    Raises
+    ------
+    ValueError
+        for another kind of model, frames without a place, and a frame that is the hand itself
     """
 
     model: TPGMM
@@ -73,11 +81,18 @@ class _View:
 class HandTasks:
     """Tasks that hold at once, each by a weight from 0 (not at all) to 1, as Gaussians over some joints.
 
-    joints : groups of the robot file or joints by name, in the order of the Gaussian
-    rest_deviation : standard deviation of each joint about the rest posture, rad: a Gaussian by Eq. (7) that was not
-        taught, so weak that it decides only what no task does. Without it a push would move the arms for ever
+    Parameters
+    ----------
+    joints
+        groups of the robot file or joints by name, in the order of the Gaussian
+    rest_deviation
+        standard deviation of each joint about the rest posture, rad: a Gaussian by Eq. (7) that was not taught, so weak
+        that it decides only what no task does. Without it a push would move the arms for ever
 
-    Raises ValueError for unknown end points and joints, and a deviation that is not positive.
+    Raises
+    ------
+    ValueError
+        for unknown end points and joints, and a deviation that is not positive
     """
 
     def __init__(
@@ -102,8 +117,12 @@ class HandTasks:
     def at(self, q: Array, rest: Array, weights: Mapping[str, float] | None = None) -> Gaussian:
         """Where the tasks want the joints to be, and how much each direction matters, about the positions q (nv,).
 
-        rest : (nv,), the rest posture
-        weights : by task, 0 to 1: precisions are scaled by them; 1 where not named
+        Parameters
+        ----------
+        rest
+            (nv,), the rest posture
+        weights
+            by task, 0 to 1: precisions are scaled by them; 1 where not named
         """
         self._data.update(q)
         poses = {name: self._data.pose(name) for name in self._used}
@@ -130,11 +149,15 @@ class HandTasks:
 class ActiveTasks:
     """Which of the tasks hold at present: each takes hold, and lets go, over a time.
 
-    tasks : all of them; none holds at first
-    blend_time : s
-
     The rest posture is that in which the robot is when the first task takes hold. While none holds, the robot is free:
     what nothing constrains stays where it is.
+
+    Parameters
+    ----------
+    tasks
+        all of them; none holds at first
+    blend_time
+        s
     """
 
     def __init__(self, tasks: HandTasks, blend_time: float = 0.5) -> None:
@@ -150,7 +173,13 @@ class ActiveTasks:
             raise ValueError(f"there are no tasks {unknown}; there are {list(self.tasks.names)}")
 
     def choose(self, names: Collection[str]) -> None:
-        """The tasks that are to hold from now on. Raises ValueError like `check`."""
+        """The tasks that are to hold from now on.
+
+        Raises
+        ------
+        ValueError
+            like `check`
+        """
         self.check(names)
         self._chosen = frozenset(names)
 

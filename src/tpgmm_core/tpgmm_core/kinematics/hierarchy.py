@@ -36,11 +36,19 @@ def hierarchy_frames(
 ) -> dict[str, KinematicFrame]:
     """The frames of all levels of all candidates, by `level_names`.
 
-    tasks : name → Task
-    hierarchies : name → levels, each the name of a task, or names of tasks of equal rank
-    least_error : of lower levels, see `SecondaryTaskSpace`
+    Parameters
+    ----------
+    tasks
+        name → Task
+    hierarchies
+        name → levels, each the name of a task, or names of tasks of equal rank
+    least_error
+        of lower levels, see `SecondaryTaskSpace`
 
-    Raises ValueError for unknown tasks, levels without one, and a task that a hierarchy has twice.
+    Raises
+    ------
+    ValueError
+        for unknown tasks, levels without one, and a task that a hierarchy has twice
     """
     frames: dict[str, KinematicFrame] = {}
     for name, hierarchy in hierarchies.items():

@@ -27,12 +27,19 @@ def to_joint_space(
 
     Parameters
     ----------
-    precisions : of each task (D_i, D_i), symmetric, semidefinite allowed
-    jacobians : of each task (D_i, n)
-    errors : of each task (D_i,), `x_ref - x`, on manifolds `log_x(x_ref)`, in the axes of the Jacobian
-    q : (n,)
+    precisions
+        of each task (D_i, D_i), symmetric, semidefinite allowed
+    jacobians
+        of each task (D_i, n)
+    errors
+        of each task (D_i,), `x_ref - x`, on manifolds `log_x(x_ref)`, in the axes of the Jacobian
+    q
+        (n,)
 
-    Raises ValueError for no task, shapes that do not fit, and values that are not finite.
+    Raises
+    ------
+    ValueError
+        for no task, shapes that do not fit, and values that are not finite
     """
     where = np.asarray(q, dtype=np.float64)
     n = len(where)

@@ -35,13 +35,23 @@ class KinematicMovement:
     to the product at `max_joint_speed` at most, all joints together. It stands for one moment and has no horizon, since
     nobody knows where objects go. Objects are the frames that it asks for: poses over [time, pose], as a loop has them.
 
-    model : as for `ConfigurationProduct`
-    frames : at least the model's; for this movement alone
-    duration : s; as the model's metadata say where None. A model that is not over time goes on afterwards as before
-    max_joint_speed : rad/s
-    leash : rad, of the joint that is farthest away
+    Parameters
+    ----------
+    model
+        as for `ConfigurationProduct`
+    frames
+        at least the model's; for this movement alone
+    duration
+        s; as the model's metadata say where None. A model that is not over time goes on afterwards as before
+    max_joint_speed
+        rad/s
+    leash
+        rad, of the joint that is farthest away
 
-    Raises ValueError like `ConfigurationProduct`, and for a time, a speed or a leash that is not positive.
+    Raises
+    ------
+    ValueError
+        like `ConfigurationProduct`, and for a time, a speed or a leash that is not positive
     """
 
     def __init__(
@@ -115,7 +125,13 @@ class KinematicMovement:
         state: Array | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> Reference:
-        """See `Retrieval.step`. Raises ValueError also while no state (n,), rad or m, was ever given."""
+        """See `Retrieval.step`.
+
+        Raises
+        ------
+        ValueError
+            also while no state (n,), rad or m, was ever given
+        """
         if self._last_ns is None:
             raise ValueError("the movement has not been started: call start(time_ns)")
         q = self._q if state is None else state

@@ -34,12 +34,21 @@ SHORTEST_STEP = STEP**2 / PERSISTENCE
 class MovingFrames:
     """The candidate frames of a robot.
 
-    kinematics : the robot; keeps the configuration it was asked for last, hence not for two threads at once
-    candidates : name → frame
-    threshold : singular values of Jacobians below it are damped, see `kinematics.inverse`
+    The constructor makes sure that everything is compiled, so that no step waits for the compiler.
 
-    The constructor makes sure that everything is compiled, so that no step waits for the compiler. Raises ValueError
-    for no candidates, and a threshold that is not positive.
+    Parameters
+    ----------
+    kinematics
+        the robot; keeps the configuration it was asked for last, hence not for two threads at once
+    candidates
+        name → frame
+    threshold
+        singular values of Jacobians below it are damped, see `kinematics.inverse`
+
+    Raises
+    ------
+    ValueError
+        for no candidates, and a threshold that is not positive
     """
 
     kinematics: Kinematics
@@ -65,10 +74,17 @@ class MovingFrames:
     def at(self, q: ArrayLike, objects: Mapping[str, Frame] | None = None, stride: float = 1.0) -> dict[str, Frame]:
         """All frames about the configuration q_{t-1} (n,), with the objects as they are now.
 
-        objects : name → Frame of a position or a pose. Frames whose objects are not there are left out
-        stride : how long the step is, in STEPs
+        Parameters
+        ----------
+        objects
+            name → Frame of a position or a pose. Frames whose objects are not there are left out
+        stride
+            how long the step is, in STEPs
 
-        Raises ValueError for a configuration that does not fit the robot or is not finite, and when no frame is left.
+        Raises
+        ------
+        ValueError
+            for a configuration that does not fit the robot or is not finite, and when no frame is left
         """
         q = np.array(q, dtype=float)
         if q.shape != (self.kinematics.n_joints,) or not np.all(np.isfinite(q)):
@@ -91,11 +107,22 @@ class MovingFrames:
     ) -> Demonstration:
         """What all frames saw of a movement: its data are configurations, its frames move with them.
 
-        times : (T,), s; configurations : (T, n), rad; objects : name → Frame, constant or with T steps. The frames of
-        each sample are those about the sample before; of the first one, about itself.
-        with_time : time becomes the first dimension of data and frames
+        Parameters
+        ----------
+        times
+            (T,), s
+        configurations
+            (T, n), rad
+        objects
+            name → Frame, constant or with T steps. The frames of each sample are those about the sample before; of the
+            first one, about itself.
+        with_time
+            time becomes the first dimension of data and frames
 
-        Raises ValueError like `at` and `Demonstration`, for objects that are not there, and times that do not increase.
+        Raises
+        ------
+        ValueError
+            like `at` and `Demonstration`, for objects that are not there, and times that do not increase
         """
         data, times = np.asarray(configurations, dtype=float), np.asarray(times, dtype=float)
         objects = objects or {}
@@ -128,9 +155,6 @@ def _stacked(frames: Sequence[Frame]) -> Frame:
 class ConfigurationProduct:
     """A model of kinematic frames, retrieved: their product at each step, in configuration space.
 
-    model : fitted to `MovingFrames.demonstration`s, over time as the first dimension or with one component
-    frames : at least the model's
-
     activations (K,) : weights of the components in the last step
 
     What no frame constrains stays at the configuration of the step before. How fast it goes depends neither on the
@@ -139,8 +163,17 @@ class ConfigurationProduct:
     With variances in proportion to dt, steps are implicit Euler steps of a flow towards what the other frames say; in
     proportion to dt², steps that are short would lead nowhere, and if they were constant, there at once.
 
-    Raises ValueError for a model of other
-    frames, and a timeless mixture, which does not say when which component counts.
+    Parameters
+    ----------
+    model
+        fitted to `MovingFrames.demonstration`s, over time as the first dimension or with one component
+    frames
+        at least the model's
+
+    Raises
+    ------
+    ValueError
+        for a model of other frames, and a timeless mixture, which does not say when which component counts
     """
 
     def __init__(self, model: TPGMM, frames: MovingFrames) -> None:
@@ -172,12 +205,20 @@ class ConfigurationProduct:
     ) -> Gaussian:
         """Where to be next (n,), and how much each direction matters, from the configuration q (n,) of the step before.
 
-        objects, weights : as they are now; a frame whose objects are not there contributes nothing
-        time : s, of a model over time
-        dt : s, length of the step. The covariance is that of SHORTEST_STEP for all, so that what a controller makes of
+        Parameters
+        ----------
+        objects, weights
+            as they are now; a frame whose objects are not there contributes nothing
+        time
+            s, of a model over time
+        dt
+            s, length of the step. The covariance is that of SHORTEST_STEP for all, so that what a controller makes of
             it does not depend on the rate
 
-        Raises ValueError like `MovingFrames.at`, and for a time too many or missing.
+        Raises
+        ------
+        ValueError
+            like `MovingFrames.at`, and for a time too many or missing
         """
         if (time is None) == self.over_time:
             raise ValueError(f"the model is {'' if self.over_time else 'not '}over time, got time = {time!r}")

@@ -20,10 +20,16 @@ def target_object_origins(model: TPGMM, frames: Collection[str], over_time: bool
     """Let a fitted model aim at the origins of some frames: each component's mean there becomes zero, and what it
     was is counted as deviation, Sigma + mu mu^T. Of one Gaussian this is the maximum of the likelihood with that mean.
 
-    over_time : the first dimension is time, which keeps its mean and its variance; deviations then do not depend on it
-        within a component
+    Parameters
+    ----------
+    over_time
+        the first dimension is time, which keeps its mean and its variance; deviations then do not depend on it within a
+        component
 
-    Raises ValueError for frames that the model has not, and a model whose covariances have a structure.
+    Raises
+    ------
+    ValueError
+        for frames that the model has not, and a model whose covariances have a structure
     """
     unknown = sorted(set(frames) - set(model.frame_names_))
     if unknown:

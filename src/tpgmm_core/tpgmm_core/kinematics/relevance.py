@@ -21,9 +21,13 @@ def directions_determined(
     unit, so that frames over joints, positions and turns can be compared, and adds up to n, or to the number of
     directions that any frame constrains.
 
-    model, frames : over configurations, without time; or model over time and frames without it, at a time, s, by
-        regression in each frame
-    component : of a model without time
+    Parameters
+    ----------
+    model, frames
+        over configurations, without time; or model over time and frames without it, at a time, s, by regression in each
+        frame
+    component
+        of a model without time
     """
     precisions = {}
     for name, frame in frames.items():

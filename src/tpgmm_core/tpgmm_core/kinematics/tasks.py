@@ -23,13 +23,18 @@ _PARTS = ("position", "orientation", "pose")
 class KinematicTask:
     """What of a point of the robot matters.
 
-    point : name of the point
-    part : its position (m), its orientation, as the rotation vector (rad) about the fixed axes from the orientation
-        that it is seen from, or both in this order
-    relative_to : the object that it is seen from, in the object's axes; the world where None. Another point of the
-        robot is an object too, one that moves with the joints: what two hands hold between them. In the world a turn
-        by pi is where rotation vectors jump: an orientation far from that of the world's axes is better seen from
-        an object, which may be one that never moves
+    Parameters
+    ----------
+    point
+        name of the point
+    part
+        its position (m), its orientation, as the rotation vector (rad) about the fixed axes from the orientation that
+        it is seen from, or both in this order
+    relative_to
+        the object that it is seen from, in the object's axes; the world where None. Another point of the robot is an
+        object too, one that moves with the joints: what two hands hold between them. In the world a turn by pi is where
+        rotation vectors jump: an orientation far from that of the world's axes is better seen from an object, which may
+        be one that never moves
     """
 
     point: str
@@ -47,9 +52,14 @@ KinematicTasks = tuple[KinematicTask, ...]
 class View(NamedTuple):
     """Tasks at one step, one below the other, m numbers in all.
 
-    J : (m, n), with xdot = J qdot, about the world's axes
-    A : (m, m), axes of the objects that the tasks are relative to: A^O of Eq. (9)
-    offset : (m,), b^O - x of Eq. (9), from the points to the objects
+    Parameters
+    ----------
+    J
+        (m, n), with xdot = J qdot, about the world's axes
+    A
+        (m, m), axes of the objects that the tasks are relative to: A^O of Eq. (9)
+    offset
+        (m,), b^O - x of Eq. (9), from the points to the objects
     """
 
     J: Array
@@ -60,11 +70,18 @@ class View(NamedTuple):
 class KinematicState:
     """Where the robot and the objects are at one step; works out once what several frames of this step share.
 
-    kinematics : the robot; is brought to q
-    q : (n,), configuration of the step before, q_{t-1}
-    objects : name → Frame of a position (m, m) or of a pose (7, 7) (`Frame.from_pose`)
-    threshold : of the damping, see `inverse.THRESHOLD`
-    stride : of the step, in units of `moving.STEP`: how far joints go is seen as if it were 1
+    Parameters
+    ----------
+    kinematics
+        the robot; is brought to q
+    q
+        (n,), configuration of the step before, q_{t-1}
+    objects
+        name → Frame of a position (m, m) or of a pose (7, 7) (`Frame.from_pose`)
+    threshold
+        of the damping, see `inverse.THRESHOLD`
+    stride
+        of the step, in units of `moving.STEP`: how far joints go is seen as if it were 1
     """
 
     def __init__(
@@ -85,7 +102,13 @@ class KinematicState:
         self._null_spaces: dict[KinematicTasks, Array] = {}
 
     def view(self, tasks: KinematicTasks) -> View:
-        """The tasks as they are now. Raises ValueError for unknown points, and objects that are not there."""
+        """The tasks as they are now.
+
+        Raises
+        ------
+        ValueError
+            for unknown points, and objects that are not there
+        """
         views = [self._view(task) for task in tasks]
         if len(views) == 1:
             return views[0]

@@ -15,14 +15,25 @@ from tpgmm_core.robot.model import RobotModel
 class UrdfKinematics:
     """Some joints of a robot; the others stand still.
 
-    robot : the robot; may be shared
-    joints : a group of the robot file, or several groups and joints by name; their order is the order in q
-    points : end points of the robot file, or frames of the URDF; or names for such; the end points where None
-    posture : (nv,), where the other joints are, rad and m; the robot's home where None
+    Poses and Jacobians are in the robot's base frame.
 
-    joint_names : in the order of q
+    Parameters
+    ----------
+    robot
+        the robot; may be shared
+    joints
+        a group of the robot file, or several groups and joints by name; their order is the order in q
+    points
+        end points of the robot file, or frames of the URDF; or names for such; the end points where None
+    posture
+        (nv,), where the other joints are, rad and m; the robot's home where None
+    joint_names
+        in the order of q
 
-    Poses and Jacobians are in the robot's base frame. Raises ValueError for unknown names, and no joints.
+    Raises
+    ------
+    ValueError
+        for unknown names, and no joints
     """
 
     def __init__(

@@ -14,7 +14,17 @@ import math
 def bic(log_likelihood: float, n_parameters: int, n_samples: int) -> float:
     """Bayesian information criterion, -2 log L + n_parameters log N (Schwarz, 1978).
 
-    log_likelihood : of all samples together, log L; n_samples : N. Raises ValueError for N < 1.
+    Parameters
+    ----------
+    log_likelihood
+        of all samples together, log L
+    n_samples
+        N
+
+    Raises
+    ------
+    ValueError
+        for N < 1
     """
     if n_samples < 1:
         raise ValueError(f"a criterion needs at least one sample, got {n_samples}")
@@ -24,6 +34,9 @@ def bic(log_likelihood: float, n_parameters: int, n_samples: int) -> float:
 def aic(log_likelihood: float, n_parameters: int) -> float:
     """Akaike's information criterion, -2 log L + 2 n_parameters (Akaike, 1974).
 
-    log_likelihood : of all samples together, log L.
+    Parameters
+    ----------
+    log_likelihood
+        of all samples together, log L
     """
     return -2.0 * log_likelihood + 2.0 * n_parameters

@@ -289,7 +289,10 @@ def _divergence(
 ) -> tuple[Array, float]:
     """E[log|Lambda|] (T,), and the summed divergence of Normal-Wishart distributions from their prior.
 
-    offset : (T, n) from the means to the prior's mean; nu of the prior is n.
+    Parameters
+    ----------
+    offset
+        (T, n) from the means to the prior's mean; nu of the prior is n
     """
     i = np.arange(n)
     log_Psi = np.linalg.slogdet(Psi)[1]

@@ -74,8 +74,13 @@ class DPMeans(Estimator):
         self.manifold = manifold
 
     def fit(self, demonstrations: Sequence[Demonstration]) -> Self:
-        """Cluster the samples of demonstrations, projected into their frames by Eq. (4). Raises ValueError like
-        `TPGMM.fit`."""
+        """Cluster the samples of demonstrations, projected into their frames by Eq. (4).
+
+        Raises
+        ------
+        ValueError
+            like `TPGMM.fit`
+        """
         self._check_parameters()
         return self._fit(Samples.from_demonstrations(demonstrations, self.manifold))
 

@@ -26,7 +26,13 @@ class Estimator:
         return {name: getattr(self, name) for name in self._parameter_names()}
 
     def set_params(self, **params: Any) -> Self:
-        """Set constructor arguments by name. Raises ValueError for an unknown one, and then sets none."""
+        """Set constructor arguments by name.
+
+        Raises
+        ------
+        ValueError
+            for an unknown one, and then sets none
+        """
         known = self._parameter_names()
         for name in params:
             if name not in known:

@@ -72,8 +72,10 @@ class ModelContents:
 def write(path: str | PathLike[str], contents: ModelContents) -> None:
     """Write a model file, replacing an older one only when the new one is complete.
 
-    Raises ValueError when the metadata hold something else than texts and finite numbers, OSError when the
-    disk refuses.
+    Raises
+    ------
+    ValueError
+        when the metadata hold something else than texts and finite numbers, OSError when the disk refuses
     """
     _check_metadata(contents.metadata)
     names = list(contents.means)
@@ -114,8 +116,10 @@ def write(path: str | PathLike[str], contents: ModelContents) -> None:
 def read(path: str | PathLike[str]) -> ModelContents:
     """Read a model file.
 
-    Raises ModelFileError for anything but a complete model file of a known version, FileNotFoundError where
-    there is none.
+    Raises
+    ------
+    ModelFileError
+        for anything but a complete model file of a known version, FileNotFoundError where there is none
     """
     try:
         arrays = _arrays(path)

@@ -51,7 +51,12 @@ FoldProgress = Callable[[int, int], None]
 class HeldOut:
     """Log-likelihood of demonstrations under models of the others.
 
-    per_demonstration : shape (M,), per sample of each; lengths : shape (M,), samples of each
+    Parameters
+    ----------
+    per_demonstration
+        shape (M,), per sample of each
+    lengths
+        shape (M,), samples of each
     """
 
     per_demonstration: Array
@@ -73,8 +78,15 @@ def leave_one_out(
 ) -> HeldOut:
     """Log-likelihood of each demonstration under a model of all others.
 
-    estimator : how to fit; it is not changed. progress : called with (folds done, folds). Raises ValueError for
-    fewer than two demonstrations, and what `fit` raises, with the fold.
+    Parameters
+    ----------
+    estimator
+        how to fit; it is not changed. progress : called with (folds done, folds).
+
+    Raises
+    ------
+    ValueError
+        for fewer than two demonstrations, and what `fit` raises, with the fold
     """
     demonstrations = list(demonstrations)
     if len(demonstrations) < 2:
@@ -138,8 +150,13 @@ class SelectionTable:
 
     @property
     def best(self) -> Candidate:
-        """The row that the criterion prefers; of equals, that with fewer parameters. Raises ValueError when no
-        candidate could be fitted."""
+        """The row that the criterion prefers; of equals, that with fewer parameters.
+
+        Raises
+        ------
+        ValueError
+            when no candidate could be fitted
+        """
         good = [row for row in self.rows if row.error is None]
         if not good:
             raise ValueError(f"no candidate could be fitted; the first says: {self.rows[0].error}")
@@ -226,12 +243,19 @@ def select_model(
 ) -> SelectionTable:
     """Fit all candidates and compare them.
 
-    candidates : estimators, which are not changed; or name → estimator. criterion : "leave-one-out", the held-out
-    log-likelihood, which fits each candidate once more for each demonstration; "bic" or "aic". progress : called
-    with (fits done, fits). clock : s, measures fit_time_s.
+    A candidate that cannot be fitted gets a row with the reason.
 
-    A candidate that cannot be fitted gets a row with the reason. Raises ValueError for an unknown criterion, for
-    no candidates, and for too few demonstrations.
+    Parameters
+    ----------
+    candidates
+        estimators, which are not changed; or name → estimator. criterion : "leave-one-out", the held-out log-
+        likelihood, which fits each candidate once more for each demonstration; "bic" or "aic". progress : called with
+        (fits done, fits). clock : s, measures fit_time_s.
+
+    Raises
+    ------
+    ValueError
+        for an unknown criterion, for no candidates, and for too few demonstrations
     """
     if criterion not in CRITERIA:
         raise ValueError(f"the criterion is one of {', '.join(CRITERIA)}, got {criterion!r}")

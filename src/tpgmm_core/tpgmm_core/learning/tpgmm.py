@@ -115,8 +115,13 @@ class TPGMM(Estimator):
     def fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
         """Learn from demonstrations, projected into their frames by Eq. (4).
 
-        progress is called with (iteration, log-likelihood per sample). Raises ValueError for demonstrations
-        that do not agree in dimensions or frames, and for data that the constructor arguments do not fit.
+        progress is called with (iteration, log-likelihood per sample).
+
+        Raises
+        ------
+        ValueError
+            for demonstrations that do not agree in dimensions or frames, and for data that the constructor arguments do
+            not fit
         """
         self._check_parameters()
         return self._fit(Samples.from_demonstrations(demonstrations, self.manifold), progress)
@@ -129,9 +134,18 @@ class TPGMM(Estimator):
     ) -> Self:
         """Learn from data that was already observed from each frame.
 
-        X : name → shape (N, D_j); visible : name → mask (N,), always seen where not named. For init="time"
-        the time is the first dimension of the first frame; for "bins" all samples are one demonstration.
-        Raises ValueError for shapes that do not fit.
+        Parameters
+        ----------
+        X
+            name → shape (N, D_j)
+        visible
+            name → mask (N,), always seen where not named. For init="time" the time is the first dimension of the first
+            frame; for "bins" all samples are one demonstration.
+
+        Raises
+        ------
+        ValueError
+            for shapes that do not fit
         """
         self._check_parameters()
         return self._fit(Samples.from_projected(X, visible, self.manifold), progress)
@@ -290,8 +304,12 @@ class TPGMM(Estimator):
     def score(self, demonstrations: Sequence[Demonstration]) -> float:
         """Log-likelihood per sample of demonstrations, also of such as the model was not fitted to.
 
-        Frames that were not seen are no factor. Raises ValueError for demonstrations whose frames or dimensions
-        are not those of the model.
+        Frames that were not seen are no factor.
+
+        Raises
+        ------
+        ValueError
+            for demonstrations whose frames or dimensions are not those of the model
         """
         samples = self._samples(demonstrations)
         if self.emissions_.structure.name != "full":
@@ -333,9 +351,14 @@ class TPGMM(Estimator):
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:
-        """Read a model file. Raises ModelFileError when it is damaged, no model file, or holds another kind of model.
+        """Read a model file.
 
         `TPGMM.load` reads all kinds, as the mixture of their components.
+
+        Raises
+        ------
+        ModelFileError
+            when it is damaged, no model file, or holds another kind of model
         """
         contents = model_file.read(path)
         known = {k: v for k, v in contents.settings.items() if k in cls._parameter_names()}

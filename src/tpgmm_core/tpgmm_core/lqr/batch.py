@@ -23,8 +23,12 @@ from tpgmm_core.lqr.finite_horizon import checked_problem
 class Condensed:
     """States as functions of the first state and the stacked controls u (T m,).
 
-    free : (T + 1, n, n)
-    forced : (T + 1, n, T m); zeros where controls come later than the state
+    Parameters
+    ----------
+    free
+        (T + 1, n, n)
+    forced
+        (T + 1, n, T m); zeros where controls come later than the state
     """
 
     free: Array
@@ -37,7 +41,16 @@ class Condensed:
     def objective(self, state_costs: Array, control_costs: Array, x0: Array, references: Array) -> tuple[Array, Array]:
         """H (T m, T m) and f (T m,) of the cost `u^T H u + 2 f^T u + const`.
 
-        state_costs : (T + 1, n, n); control_costs : (T, m, m); x0 : (n,); references : (T + 1, n)
+        Parameters
+        ----------
+        state_costs
+            (T + 1, n, n)
+        control_costs
+            (T, m, m)
+        x0
+            (n,)
+        references
+            (T + 1, n)
         """
         n, size = self.forced.shape[1:]
         weighed = (state_costs @ self.forced).reshape(-1, size)
@@ -52,8 +65,12 @@ class Condensed:
 class BatchLaw:
     """The best controls from any first state: `u = feedforward - gain x[0]`; `finite_horizon` in one piece.
 
-    feedforward : (T, m)
-    gain : (T, m, n)
+    Parameters
+    ----------
+    feedforward
+        (T, m)
+    gain
+        (T, m, n)
     """
 
     feedforward: Array

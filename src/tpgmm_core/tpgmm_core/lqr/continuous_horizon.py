@@ -32,17 +32,25 @@ def continuous_horizon_gains(
 
     Parameters
     ----------
-    A : (n, n) or (T, n, n); B : (n, m) or (T, n, m)
-    state_costs : (T + 1, n, n), symmetric semidefinite: Q per s over each interval, then the terminal cost
-    control_cost : scalar > 0, (m, m) or (T, m, m), R per s
-    references : (T + 1, n), over each interval, then at the end
-    time_step : s, of an interval
-    noise : (n, n), W, covariance that the state gains per s; None means none
-    risk : theta, in 1 over the unit of the cost, as in `finite_horizon`
+    A
+        (n, n) or (T, n, n); B : (n, m) or (T, n, m)
+    state_costs
+        (T + 1, n, n), symmetric semidefinite: Q per s over each interval, then the terminal cost
+    control_cost
+        scalar > 0, (m, m) or (T, m, m), R per s
+    references
+        (T + 1, n), over each interval, then at the end
+    time_step
+        s, of an interval
+    noise
+        (n, n), W, covariance that the state gains per s; None means none
+    risk
+        theta, in 1 over the unit of the cost, as in `finite_horizon`
 
     Raises
     ------
-    ValueError : as `finite_horizon_gains`, and for a time step that is not positive.
+    ValueError
+        as `finite_horizon_gains`, and for a time step that is not positive.
     """
     A, B, Q, R, r = checked_problem(A, B, state_costs, control_cost, references)
     (T, n), m = (len(Q) - 1, A.shape[1]), B.shape[2]

@@ -26,8 +26,12 @@ NEGATIVE_EIGENVALUE_TOLERANCE = 1e-9
 class Gains:
     """Gains of `u = stiffness (x_ref - x) + damping (xdot_ref - xdot)`, u an acceleration.
 
-    stiffness : (..., D, D), K_P in 1/s^2
-    damping : (..., D, D), K_V in 1/s
+    Parameters
+    ----------
+    stiffness
+        (..., D, D), K_P in 1/s^2
+    damping
+        (..., D, D), K_V in 1/s
     """
 
     stiffness: Array
@@ -49,15 +53,18 @@ def double_integrator_gains(
 
     Parameters
     ----------
-    precision : (..., D, D), symmetric, semidefinite allowed (a direction without cost gets `min_stiffness`)
-    control_cost : scalar r > 0, or (D,) the diagonal of R, all > 0
-    min_stiffness, max_stiffness : bounds of the eigenvalues of K_P, in 1/s^2. What no frame constrains needs
-        a weak floor (or a push carries the arm away for ever), what varied hardly at all needs a ceiling (or
-        delays make the loop unstable).
+    precision
+        (..., D, D), symmetric, semidefinite allowed (a direction without cost gets `min_stiffness`)
+    control_cost
+        scalar r > 0, or (D,) the diagonal of R, all > 0
+    min_stiffness, max_stiffness
+        bounds of the eigenvalues of K_P, in 1/s^2. What no frame constrains needs a weak floor (or a push carries the
+        arm away for ever), what varied hardly at all needs a ceiling (or delays make the loop unstable).
 
     Raises
     ------
-    ValueError : precision not square, not finite or indefinite; control cost not positive; bounds out of
+    ValueError
+        precision not square, not finite or indefinite; control cost not positive; bounds out of
         order.
     """
     Q = np.asarray(precision, dtype=np.float64)
@@ -108,15 +115,20 @@ def riccati_gains(
 
     Parameters
     ----------
-    position_cost : (D, D), symmetric positive definite
-    velocity_cost : (D, D), symmetric positive semidefinite
-    control_cost : scalar > 0 or (D, D) symmetric positive definite
-    time_step : s, of a controller whose accelerations are constant over each step; None for continuous time. Costs are
-        per s in both cases, so that short steps have the gains of continuous time
+    position_cost
+        (D, D), symmetric positive definite
+    velocity_cost
+        (D, D), symmetric positive semidefinite
+    control_cost
+        scalar > 0 or (D, D) symmetric positive definite
+    time_step
+        s, of a controller whose accelerations are constant over each step; None for continuous time. Costs are per s in
+        both cases, so that short steps have the gains of continuous time
 
     Raises
     ------
-    ValueError : shapes that do not fit, costs for which no stabilising solution exists, a time step that is not
+    ValueError
+        shapes that do not fit, costs for which no stabilising solution exists, a time step that is not
         positive.
     """
     Qx, Qv = np.atleast_2d(np.asarray(position_cost, float)), np.atleast_2d(np.asarray(velocity_cost, float))
@@ -140,7 +152,10 @@ def riccati_gains(
 def double_integrator(dimensions: int, time_step: float) -> tuple[Array, Array]:
     """A (2D, 2D) and B (2D, D) of `[x, xdot]` under accelerations that are constant over each time step (s).
 
-    Raises ValueError for a time step that is not positive.
+    Raises
+    ------
+    ValueError
+        for a time step that is not positive
     """
     if not 0.0 < time_step < np.inf:
         raise ValueError(f"a time step is positive and finite, in s; got {time_step}")

@@ -28,8 +28,12 @@ from tpgmm_core.lqr.riccati import square_root
 class FiniteHorizonGains:
     """The control law `u[t] = feedforward[t] - gains[t] x[t]`.
 
-    gains : (T, m, n)
-    feedforward : (T, m)
+    Parameters
+    ----------
+    gains
+        (T, m, n)
+    feedforward
+        (T, m)
     """
 
     gains: Array
@@ -65,17 +69,25 @@ def finite_horizon_gains(
 
     Parameters
     ----------
-    A : (n, n), or (T, n, n) for a system that varies
-    B : (n, m) or (T, n, m)
-    state_costs : (T + 1, n, n), Q, symmetric, semidefinite allowed; the last one is the terminal cost
-    control_cost : scalar > 0, or (m, m) or (T, m, m) symmetric positive definite, R
-    references : (T + 1, n), r
-    noise : (n, n) or (T, n, n), W, symmetric semidefinite: covariance that each step adds to the state; None means none
-    risk : theta, in 1 over the unit of the cost: 0 is LQR, above it, costs that vary count more (risk-averse)
+    A
+        (n, n), or (T, n, n) for a system that varies
+    B
+        (n, m) or (T, n, m)
+    state_costs
+        (T + 1, n, n), Q, symmetric, semidefinite allowed; the last one is the terminal cost
+    control_cost
+        scalar > 0, or (m, m) or (T, m, m) symmetric positive definite, R
+    references
+        (T + 1, n), r
+    noise
+        (n, n) or (T, n, n), W, symmetric semidefinite: covariance that each step adds to the state; None means none
+    risk
+        theta, in 1 over the unit of the cost: 0 is LQR, above it, costs that vary count more (risk-averse)
 
     Raises
     ------
-    ValueError : shapes that do not fit, values that are not finite, a control cost that is not positive definite, a
+    ValueError
+        shapes that do not fit, values that are not finite, a control cost that is not positive definite, a
         risk so large that the expectation is infinite from some step on (the breakdown).
     """
     A, B, Q, R, r = checked_problem(A, B, state_costs, control_cost, references)

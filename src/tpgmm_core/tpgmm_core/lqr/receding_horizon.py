@@ -37,8 +37,12 @@ _LONGEST = 3.0
 class RecedingHorizonGains:
     """`u = stiffness (r - x) + damping (rdot - xdot) + acceleration`, u an acceleration, at the beginning of a horizon.
 
-    stiffness, damping : (n, n), K_P in 1/s^2 and K_V in 1/s; K_V is symmetric
-    acceleration : (n,), feedforward: what is coming, beside following the first line; zero where that goes on for ever
+    Parameters
+    ----------
+    stiffness, damping
+        (n, n), K_P in 1/s^2 and K_V in 1/s; K_V is symmetric
+    acceleration
+        (n,), feedforward: what is coming, beside following the first line; zero where that goes on for ever
     """
 
     stiffness: Array
@@ -59,13 +63,24 @@ def receding_horizon_gains(
 ) -> RecedingHorizonGains:
     """Gains at the first of T Gaussians, of state `[x, xdot]` under accelerations whose cost is `control_cost` I.
 
-    positions : (T, n), T >= 1; covariances : (T, n, n), symmetric positive definite
-    time_step : s, between them; any number for a single one
-    min_stiffness, max_stiffness : bounds of (Q / r)^(1/2), the stiffness that each Gaussian has for itself, in 1/s^2
-    risk_share, risk_stiffness : see the module
+    Parameters
+    ----------
+    positions
+        (T, n), T >= 1
+    covariances
+        (T, n, n), symmetric positive definite
+    time_step
+        s, between them; any number for a single one
+    min_stiffness, max_stiffness
+        bounds of (Q / r)^(1/2), the stiffness that each Gaussian has for itself, in 1/s^2
+    risk_share, risk_stiffness
+        see the module
 
-    Raises ValueError for shapes that do not fit, values that are not finite, and costs, steps and bounds that are not
-    positive or out of order.
+    Raises
+    ------
+    ValueError
+        for shapes that do not fit, values that are not finite, and costs, steps and bounds that are not positive or out
+        of order
     """
     x, S = np.array(positions, dtype=np.float64, order="C"), np.array(covariances, dtype=np.float64, order="C")
     if x.ndim != 2 or not x.size or S.shape != (*x.shape, x.shape[1]):

@@ -82,13 +82,21 @@ class Adapter:
     ) -> GaussianMixture:
         """The mixture with means and covariances of Eq. (6), in the space that the frames map to.
 
-        frames : any of the model's frames by name, at least one; those that are missing contribute nothing
-        state : shape (D,), where the robot is; zeros (and no turn) where None. A direction that no frame
-            constrains stays there, with UNCONSTRAINED_VARIANCE
-        weights : how far each frame is trusted, 0 to 1; 1 where not named
+        Parameters
+        ----------
+        frames
+            any of the model's frames by name, at least one; those that are missing contribute nothing
+        state
+            shape (D,), where the robot is; zeros (and no turn) where None. A direction that no frame constrains stays
+            there, with UNCONSTRAINED_VARIANCE
+        weights
+            how far each frame is trusted, 0 to 1; 1 where not named
 
-        Raises ValueError for unknown names, matrices that do not fit, time-varying frames, weights outside 0..1, and
-        orientations so contradictory that their product does not converge (`kernels_product.fuse`).
+        Raises
+        ------
+        ValueError
+            for unknown names, matrices that do not fit, time-varying frames, weights outside 0..1, and orientations so
+            contradictory that their product does not converge (`kernels_product.fuse`)
         """
         self._take(frames, state, weights)
         means, covariances = np.empty(self._means_out.shape), np.empty(self._covariances_out.shape)
@@ -120,8 +128,16 @@ class Adapter:
     ) -> tuple[Array, Array, Array]:
         """One step of a reproduction: adapt, then regression on the first dimension at times (H,).
 
-        Returns means (H, D - 1), covariances (H, n - 1, n - 1) and the components' activations (K,) at the
-        first of the times, the same as `adapt(...).condition([0], [t])`. Raises like `adapt`.
+        Returns
+        -------
+        tuple[Array, Array, Array]
+            means (H, D - 1), covariances (H, n - 1, n - 1) and the components' activations (K,) at the first of the
+            times, the same as `adapt(...).condition([0], [t])`
+
+        Raises
+        ------
+        ValueError
+            like `adapt`
         """
         self._take(frames, state, weights)
         times = np.array(times, dtype=float)  # of one type for the compiled code, whatever comes

@@ -19,13 +19,20 @@ class Demonstration:
 
     Parameters
     ----------
-    times : shape (T,), s, strictly increasing
-    data : shape (T, D), in the common frame; all that the model is to encode (time first where it is wanted)
-    frames : name → Frame, constant or with T time steps
-    visible : name → mask (T,), False where the frame was not seen; frames not named were always seen.
-        Where a time-varying frame is not seen its A and b may hold anything finite.
+    times
+        shape (T,), s, strictly increasing
+    data
+        shape (T, D), in the common frame; all that the model is to encode (time first where it is wanted)
+    frames
+        name → Frame, constant or with T time steps
+    visible
+        name → mask (T,), False where the frame was not seen; frames not named were always seen. Where a time-varying
+        frame is not seen its A and b may hold anything finite.
 
-    Raises ValueError that says what does not fit.
+    Raises
+    ------
+    ValueError
+        that says what does not fit
     """
 
     times: Array

@@ -17,11 +17,18 @@ from tpgmm_core.model.fitted import FittedModel
 class FrameBuffer:
     """Which frames of a model are there, how far each is trusted, and where the robot is.
 
-    manifold : that the frames map to; on R^D it follows the frames
-    sizes : (P, 2), ambient and tangent dimensions D_j, n_j of the data that each frame sees
-    A, b, weights : (P, D, D_max), (P, D), (P,); a frame that is not there has the weight 0
-    inverses, has_inverse : (P, D_max, D), (P,); what frames bring in place of A^+, and which do
-    state : (D,), where the robot is; zeros (and no turn) where it is not known
+    Parameters
+    ----------
+    manifold
+        that the frames map to; on R^D it follows the frames
+    sizes
+        (P, 2), ambient and tangent dimensions D_j, n_j of the data that each frame sees
+    A, b, weights
+        (P, D, D_max), (P, D), (P,); a frame that is not there has the weight 0
+    inverses, has_inverse
+        (P, D_max, D), (P,); what frames bring in place of A^+, and which do
+    state
+        (D,), where the robot is; zeros (and no turn) where it is not known
     """
 
     manifold: Manifold

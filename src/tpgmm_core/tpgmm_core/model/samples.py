@@ -19,12 +19,20 @@ from tpgmm_core.model.demonstration import Demonstration
 class Samples:
     """What all frames saw.
 
-    manifolds : name → manifold of the frame's view
-    X : name → shape (N, D_j), finite
-    seen : shape (P, N)
-    times : shape (N,), s
-    lengths : samples per demonstration
-    manifold : space of the data; where not given, the largest of the views
+    Parameters
+    ----------
+    manifolds
+        name → manifold of the frame's view
+    X
+        name → shape (N, D_j), finite
+    seen
+        shape (P, N)
+    times
+        shape (N,), s
+    lengths
+        samples per demonstration
+    manifold
+        space of the data; where not given, the largest of the views
     """
 
     manifolds: Mapping[str, Manifold]
@@ -49,8 +57,15 @@ class Samples:
     ) -> Self:
         """Demonstrations, projected into their frames by Eq. (4), on the space of their data.
 
-        may_be_unseen : frames may be hidden all the time, as where a model is only tested. Raises ValueError for
-        demonstrations that do not agree in dimensions or frames, and for data that do not fit the manifold.
+        Parameters
+        ----------
+        may_be_unseen
+            frames may be hidden all the time, as where a model is only tested
+
+        Raises
+        ------
+        ValueError
+            for demonstrations that do not agree in dimensions or frames, and for data that do not fit the manifold
         """
         demonstrations = list(demonstrations)
         if not demonstrations:
@@ -80,8 +95,17 @@ class Samples:
     ) -> Self:
         """Data that was already observed from each frame, as one demonstration.
 
-        X : name → shape (N, D_j); visible : name → mask (N,), always seen where not named. The time is the
-        first dimension of the first frame. Raises ValueError for shapes that do not fit.
+        Parameters
+        ----------
+        X
+            name → shape (N, D_j)
+        visible
+            name → mask (N,), always seen where not named. The time is the first dimension of the first frame.
+
+        Raises
+        ------
+        ValueError
+            for shapes that do not fit
         """
         if not X:
             raise ValueError("fit_projected needs the data of at least one frame")

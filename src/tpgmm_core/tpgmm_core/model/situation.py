@@ -23,9 +23,12 @@ class Situation:
 
     Parameters
     ----------
-    frames : those that are known, by name
-    weights : how far each frame is trusted, 0 to 1; fully where not named, hence the same as where 1 is said
-    state : shape (D,), where the robot is, as far as that is known
+    frames
+        those that are known, by name
+    weights
+        how far each frame is trusted, 0 to 1; fully where not named, hence the same as where 1 is said
+    state
+        shape (D,), where the robot is, as far as that is known
     """
 
     frames: Mapping[str, Frame]

@@ -32,8 +32,12 @@ class JointStateError(ValueError):
 class JointSample:
     """One state.
 
-    stamp_ns : of its oldest part, ns
-    values : one (n,) for each field, in the order of the joints
+    Parameters
+    ----------
+    stamp_ns
+        of its oldest part, ns
+    values
+        one (n,) for each field, in the order of the joints
     """
 
     stamp_ns: int
@@ -45,8 +49,10 @@ class JointColumns:
 
     Parameters
     ----------
-    joints : n names, in the order in which values are wanted
-    fields : what each column of a message is called
+    joints
+        n names, in the order in which values are wanted
+    fields
+        what each column of a message is called
     """
 
     def __init__(self, joints: Sequence[str], fields: Sequence[str]) -> None:
@@ -62,8 +68,10 @@ class JointColumns:
 
         Parameters
         ----------
-        names : of the message's joints
-        columns : as many numbers as names, for each field
+        names
+            of the message's joints
+        columns
+            as many numbers as names, for each field
 
         Raises
         ------
@@ -111,8 +119,10 @@ class JointStateAssembler:
 
     Parameters
     ----------
-    joints, fields : as for `JointColumns`
-    max_spread : the parts of one state may be this far apart, s
+    joints, fields
+        as for `JointColumns`
+    max_spread
+        the parts of one state may be this far apart, s
     """
 
     def __init__(self, joints: Sequence[str], fields: Sequence[str], max_spread: float = MAX_SPREAD) -> None:

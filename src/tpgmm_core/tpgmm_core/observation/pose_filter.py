@@ -55,9 +55,9 @@ class PoseFilter:
 
     Parameters
     ----------
-    memory : float
-        How long an observation counts at most, s; 0 passes on what comes. Observations that are further apart are not
-        averaged, and after so long a gap everything begins anew.
+    memory
+        float How long an observation counts at most, s; 0 passes on what comes. Observations that are further apart are
+        not averaged, and after so long a gap everything begins anew.
     """
 
     def __init__(self, memory: float) -> None:
@@ -96,10 +96,10 @@ class PoseFilter:
 
         Parameters
         ----------
-        pose : array-like, shape (7,)
-            ``[x, y, z, qx, qy, qz, qw]``, m, with a unit quaternion.
-        stamp_ns : int
-            When it was seen, ns. A stamp that is not newer than the last one begins anew.
+        pose
+            array-like, shape (7,) ``[x, y, z, qx, qy, qz, qw]``, m, with a unit quaternion
+        stamp_ns
+            int When it was seen, ns. A stamp that is not newer than the last one begins anew.
 
         Returns
         -------
@@ -155,8 +155,12 @@ class _Part:
 def learn(seen: Array, windows: NDArray[np.int64], known: Array) -> None:
     """The noise, from the longest window of those that show it, the shortest being the newest `FEWEST` observations.
 
-    seen : (N, 3), newest first, the first at the origin
-    known : [variance, from how many], changed
+    Parameters
+    ----------
+    seen
+        (N, 3), newest first, the first at the origin
+    known
+        [variance, from how many], changed
     """
     longest, variance, k = 0, 0.0, 0
     differ, squares, fourths, spread = 0, 0.0, 0.0, 0.0

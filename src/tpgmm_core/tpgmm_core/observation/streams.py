@@ -57,8 +57,12 @@ class StreamWatch:
     def judge(self, stamp_ns: int, now_ns: int, clock_ns: int, timeout: float, max_future: float) -> Stamp:
         """What a message with this stamp is; it counts as the last one only if it is then accepted.
 
-        timeout : after which the last message is stale, s. Only then an older stamp is a clock that jumped.
-        clock_ns : 0 while that clock is not known, in which case no stamp is called future.
+        Parameters
+        ----------
+        timeout
+            after which the last message is stale, s. Only then an older stamp is a clock that jumped.
+        clock_ns
+            0 while that clock is not known, in which case no stamp is called future
         """
         if clock_ns > 0 and stamp_ns - clock_ns > max_future * SECOND:
             return Stamp.FUTURE
@@ -84,8 +88,10 @@ class RateMeter:
 
     Parameters
     ----------
-    size : intervals that are remembered
-    enough : of them, before anything is said
+    size
+        intervals that are remembered
+    enough
+        of them, before anything is said
     """
 
     def __init__(self, size: int = 64, enough: int = 16) -> None:
@@ -130,7 +136,8 @@ class Leader:
 
     Parameters
     ----------
-    patience : who is silent for this long no longer leads, s
+    patience
+        who is silent for this long no longer leads, s
     """
 
     def __init__(self, patience: float = 0.5) -> None:

@@ -66,9 +66,14 @@ class TrackingConfig:
 class TrackedFrame:
     """One frame as it is known at one moment.
 
-    pose: ``[x, y, z, qx, qy, qz, qw]`` in the base frame, m, filtered; None as long as it was never seen.
-    confidence: 0..1, 0 where MISSING.
-    stamp_ns: ROS time of the observation that the pose comes from, ns.
+    Parameters
+    ----------
+    pose
+        ``[x, y, z, qx, qy, qz, qw]`` in the base frame, m, filtered; None as long as it was never seen
+    confidence
+        0..1, 0 where MISSING
+    stamp_ns
+        ROS time of the observation that the pose comes from, ns
     """
 
     name: str
@@ -92,13 +97,19 @@ class _Track:
 class FrameTracker:
     """Observations in, statuses and confidences out.
 
-    Args:
-        frames: names of the frames to track.
-        fixed: poses of the frames that never move and are never lost, e.g. the robot's own base.
-        config: the timeouts.
+    Parameters
+    ----------
+    frames
+        names of the frames to track
+    fixed
+        poses of the frames that never move and are never lost, e.g. the robot's own base.
+    config
+        the timeouts
 
-    Raises:
-        ValueError: no frames, or a fixed pose that is none.
+    Raises
+    ------
+    ValueError
+        no frames, or a fixed pose that is none.
     """
 
     def __init__(
@@ -132,18 +143,28 @@ class FrameTracker:
     def observe(self, name: str, pose: ArrayLike, stamp_ns: int, now_ns: int, steady_ns: int) -> str | None:
         """Take in one observation.
 
-        Args:
-            name: the frame.
-            pose: ``[x, y, z, qx, qy, qz, qw]`` in the base frame; the quaternion may have any non-zero length.
-            stamp_ns: when it was seen, ROS time.
-            now_ns: ROS time at arrival.
-            steady_ns: steady time at arrival.
+        Parameters
+        ----------
+        name
+            the frame
+        pose
+            ``[x, y, z, qx, qy, qz, qw]`` in the base frame; the quaternion may have any non-zero length
+        stamp_ns
+            when it was seen, ROS time
+        now_ns
+            ROS time at arrival
+        steady_ns
+            steady time at arrival
 
-        Returns:
-            None if it was taken, else why not; what was known before stays as it was.
+        Returns
+        -------
+        str | None
+            None if it was taken, else why not; what was known before stays as it was
 
-        Raises:
-            KeyError: an unknown frame.
+        Raises
+        ------
+        KeyError
+            an unknown frame.
         """
         track = self._tracks[name]
         checked, reason = check_pose(pose)
@@ -157,8 +178,10 @@ class FrameTracker:
     def refuse(self, name: str, reason: str) -> str:
         """Count an observation that is not taken; returns the reason with the frame's name.
 
-        Args:
-            reason: its kind, ":", and the details.
+        Parameters
+        ----------
+        reason
+            its kind, ":", and the details
         """
         kind = reason.split(":", 1)[0]
         refused = self._tracks[name].refused
@@ -218,8 +241,10 @@ class FrameTracker:
 def check_pose(pose: ArrayLike) -> tuple[NDArray[np.float64] | None, str]:
     """The pose with its quaternion at unit length, or None and the reason why it is no pose.
 
-    Args:
-        pose: ``[x, y, z, qx, qy, qz, qw]``.
+    Parameters
+    ----------
+    pose
+        ``[x, y, z, qx, qy, qz, qw]``
     """
     checked = np.array(pose, dtype=np.float64)
     if checked.shape != (7,):

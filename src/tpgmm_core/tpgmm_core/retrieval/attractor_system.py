@@ -29,13 +29,24 @@ _SECOND = 1_000_000_000
 class AttractorSystem(ABC):
     """A `Retrieval` whose scaled time is in units of the duration; only forwards.
 
-    model : fitted; manifold : of the references
-    duration : s, of the movement at speed 1; as demonstrated (`metadata_["duration_s"]`) where None. May be set at any
-        time: like a new speed it is taken over with `blend_time` as time constant
-    horizon_steps, horizon_time_step : how many Gaussians ahead each reference holds, and their distance in time, s
-    blend_time : time constant with which what changes at once is taken over, s
+    Parameters
+    ----------
+    model
+        fitted
+    manifold
+        of the references
+    duration
+        s, of the movement at speed 1; as demonstrated (`metadata_["duration_s"]`) where None. May be set at any time:
+        like a new speed it is taken over with `blend_time` as time constant
+    horizon_steps, horizon_time_step
+        how many Gaussians ahead each reference holds, and their distance in time, s
+    blend_time
+        time constant with which what changes at once is taken over, s
 
-    Raises ValueError for times that are not positive.
+    Raises
+    ------
+    ValueError
+        for times that are not positive
     """
 
     def __init__(
@@ -103,9 +114,15 @@ class AttractorSystem(ABC):
     def start(self, time_ns: int, state: ArrayLike | None = None, phase: float = 0.0) -> None:
         """Begin at this time, ns, at rest: see `Retrieval.start`.
 
-        state : (D,), where to begin; None: where the robot is at the first step, or else where demonstrations began
+        Parameters
+        ----------
+        state
+            (D,), where to begin; None: where the robot is at the first step, or else where demonstrations began
 
-        Raises ValueError for a state that is not on the manifold, and a phase that is not 0 to 1.
+        Raises
+        ------
+        ValueError
+            for a state that is not on the manifold, and a phase that is not 0 to 1
         """
         if not 0.0 <= phase <= 1.0:
             raise ValueError(f"the phase to begin at is 0 to 1, got {phase!r}")

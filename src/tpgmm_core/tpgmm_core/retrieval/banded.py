@@ -55,10 +55,13 @@ def solve_band(factor: Array, x: Array) -> None:
 def inverse_band(factor: Array, inverse: Array) -> None:
     """Entries of Z = (L L^T)^-1 within the band of the factor L of `cholesky_band` (Takahashi et al. 1973).
 
-    inverse : shape (N, 2 w + 1), what is written: Z[i, j], |i - j| <= w, at [i, w - i + j]
-
     L^T Z = L^-1 is lower triangular with 1 / L[j, j] on its diagonal, so that from the last column to the first each
     entry of Z follows from later ones of the band.
+
+    Parameters
+    ----------
+    inverse
+        shape (N, 2 w + 1), what is written: Z[i, j], |i - j| <= w, at [i, w - i + j]
     """
     N, w = factor.shape[0], factor.shape[1] - 1
     column, found = np.empty(w), np.empty(w)

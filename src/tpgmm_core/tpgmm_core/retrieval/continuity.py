@@ -41,10 +41,14 @@ _SECOND = 1_000_000_000
 class Continuity:
     """What is left, at present, of a reference's former course.
 
-    manifold : of the references
-    time_constant : with which it dies out, s
-
-    moments : (M,), s from now, where `take_over` has to know both courses
+    Parameters
+    ----------
+    manifold
+        of the references
+    time_constant
+        with which it dies out, s
+    moments
+        (M,), s from now, where `take_over` has to know both courses
     """
 
     def __init__(self, manifold: Manifold, time_constant: float) -> None:
@@ -76,11 +80,17 @@ class Continuity:
     ) -> None:
         """Go on as before, in place and velocity.
 
-        former : where the reference would have been, points (D,) at `moments`, or at the first two of them
-        means : where the course has it now, at the same times
-        shown : covariance (n, n) of the last reference
-        covariances, former_covariances : what the course says of it now, and what it said before, (M, n, n) at
-            `moments`. Of the former ones that are not known, nothing is left sooner
+        Parameters
+        ----------
+        former
+            where the reference would have been, points (D,) at `moments`, or at the first two of them
+        means
+            where the course has it now, at the same times
+        shown
+            covariance (n, n) of the last reference
+        covariances, former_covariances
+            what the course says of it now, and what it said before, (M, n, n) at `moments`. Of the former ones that are
+            not known, nothing is left sooner
         """
         apart = [self.manifold.log(mean, one) for mean, one in zip(means, former, strict=True)]
         changes = [there - self._after(s) for s, there in zip(self.moments.tolist(), apart, strict=False)]
@@ -99,8 +109,11 @@ class Continuity:
     def _time_of_swing(self, changes: Sequence[Array]) -> float:
         """Time constant, s, with which the swing leads no farther than the courses are apart within `time_constant`.
 
-        changes : (n,) each, by how much the courses are apart, at `moments`. A swing that goes on already counts by its
-        share of the velocity.
+        Parameters
+        ----------
+        changes
+            (n,) each, by how much the courses are apart, at `moments`. A swing that goes on already counts by its share
+            of the velocity.
         """
         change = (changes[1] - changes[0]) / MOMENT
         size = float(np.linalg.norm(change))
@@ -153,11 +166,19 @@ class Continuity:
 class Continued:
     """A `Retrieval` that takes over from another one while the robot moves, whatever both are.
 
-    retrieval : the new one, started
-    former, former_ns : the last reference of the former one, and its time, ns
-    time_constant : with which the difference dies out, s
+    Parameters
+    ----------
+    retrieval
+        the new one, started
+    former, former_ns
+        the last reference of the former one, and its time, ns
+    time_constant
+        with which the difference dies out, s
 
-    Raises ValueError when the references are on different manifolds.
+    Raises
+    ------
+    ValueError
+        when the references are on different manifolds
     """
 
     def __init__(self, retrieval: Retrieval, former: Reference, former_ns: int, time_constant: float) -> None:

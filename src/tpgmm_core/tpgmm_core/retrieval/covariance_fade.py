@@ -30,7 +30,12 @@ class CovarianceFade:
     A ratio that holds for a moment only, as when one component takes over from another a little later, dies out as fast
     as it would have passed by itself.
 
-    time_constant : s, of what lasts; n : size of the covariances
+    Parameters
+    ----------
+    time_constant
+        s, of what lasts
+    n
+        size of the covariances
     """
 
     def __init__(self, n: int, time_constant: float) -> None:
@@ -60,8 +65,11 @@ class CovarianceFade:
     def take_over(self, shown: Array, present: Array, lasts: float = 1.0) -> None:
         """Go on from what is shown, where the course now says `present`; both (n, n). What is singular is let go.
 
-        lasts : the share of the time constant with which the difference of both courses dies out; what is left of
-            former ones counts by its size
+        Parameters
+        ----------
+        lasts
+            the share of the time constant with which the difference of both courses dies out; what is left of former
+            ones counts by its size
         """
         shown, present = np.array(shown, order="C"), np.array(present, order="C")  # as compiled: not read-only
         left = self._largest

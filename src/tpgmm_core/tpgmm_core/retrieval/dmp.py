@@ -44,11 +44,18 @@ MAX_STEPS = 200
 class DmpParameters:
     """The numbers that encoding and reproduction have in common.
 
-    decay_rate : s falls to exp(-decay_rate) within the duration
-    stiffness : of the spring, per duration²; what is left of an error after the time t is about
-        exp(-sqrt(stiffness) t / duration)
+    Parameters
+    ----------
+    decay_rate
+        s falls to exp(-decay_rate) within the duration
+    stiffness
+        of the spring, per duration²; what is left of an error after the time t is about exp(-sqrt(stiffness) t /
+        duration)
 
-    Raises ValueError for numbers that are not positive and finite.
+    Raises
+    ------
+    ValueError
+        for numbers that are not positive and finite
     """
 
     decay_rate: float = 3.0
@@ -62,13 +69,23 @@ class DmpParameters:
     ) -> Demonstration:
         """What the attractor did in a demonstration, [s, attractor] in place of [time, data], in the same frames.
 
-        demonstration : data (T, 1 + d): time, then positions or poses; manifold : space of all of data, time included
-        window : samples of the parabolas that velocity and acceleration are taken from; at most as many as there are
-
         The attractor is y = exp_x((z' + 2 sqrt(stiffness) z) / stiffness) with times in units of the duration. Frames
         may move; what the robot did is seen from where they were. The last attractor is where the demonstration ended:
-        the goal, also of a movement that was not at rest yet. Raises ValueError for less than three samples, and
-        frames that change time.
+        the goal, also of a movement that was not at rest yet.
+
+        Parameters
+        ----------
+        demonstration
+            data (T, 1 + d): time, then positions or poses
+        manifold
+            space of all of data, time included
+        window
+            samples of the parabolas that velocity and acceleration are taken from; at most as many as there are
+
+        Raises
+        ------
+        ValueError
+            for less than three samples, and frames that change time
         """
         space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold, demonstration.data.shape[1])
         data_space = space.subset(range(1, space.dim))
@@ -86,20 +103,28 @@ class DmpParameters:
 class DynamicMovementPrimitive(AttractorSystem):
     """Reproduces a model of the attractor over the decay term.
 
-    model : fitted to what `parameters.encode` returns; init="bins" of `TPGMM` suits, since s is not even in time. Other
-        parameters as for `AttractorSystem`
-    goal_from : phase from where on the attractor passes over to the goal, smoothly; at 1 the model has the last word
-    wait_distance : m, or the unit of the data; an angle counts as its arc at metres_per_radian. With the robot that far
-        from the reference the movement goes on at half of its pace, by 1 / (1 + (distance / wait_distance)²): a robot
-        that is held makes it wait ("phase stopping", Ijspeert et al. 2013)
-
     - The phase is the time in durations, 1 when s has come to its end. s stays there, and the spring settles, so that
       the system converges to `goal`, whatever happened before. Within the movement (`start`), too, it begins at rest.
     - The spring is solved exactly for an attractor that stays during a step (on S³ in the tangent space at the
       position), hence stable for steps of any length.
     - The covariance of a reference is that of the attractor.
 
-    Raises ValueError for a model without s, and numbers that are not positive.
+    Parameters
+    ----------
+    model
+        fitted to what `parameters.encode` returns; init="bins" of `TPGMM` suits, since s is not even in time. Other
+        parameters as for `AttractorSystem`
+    goal_from
+        phase from where on the attractor passes over to the goal, smoothly; at 1 the model has the last word
+    wait_distance
+        m, or the unit of the data; an angle counts as its arc at metres_per_radian. With the robot that far from the
+        reference the movement goes on at half of its pace, by 1 / (1 + (distance / wait_distance)²): a robot that is
+        held makes it wait ("phase stopping", Ijspeert et al. 2013)
+
+    Raises
+    ------
+    ValueError
+        for a model without s, and numbers that are not positive
     """
 
     def __init__(

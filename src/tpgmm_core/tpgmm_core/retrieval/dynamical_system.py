@@ -70,12 +70,22 @@ def with_velocity(
 ) -> Demonstration:
     """The demonstration as [x, v] in place of [time, x], for an `EndpointTPGMM` that `StableDynamics` retrieves from.
 
-    demonstration : data (T, 1 + D): time, then positions or poses; manifold : space of all of data, time included
-    window : samples of the parabolas that velocities are taken from; at most as many as there are
-
     Data become (T, D + n), on the manifold of x and R^n: "R1 x R3 x S3" gives "R3 x S3 x R6". Velocities are per s, on
-    S³ about the fixed axes; frames see them as vectors (`frame_with_derivatives`). Raises ValueError for less than
-    three samples, and frames that change time or do not fit the manifold.
+    S³ about the fixed axes; frames see them as vectors (`frame_with_derivatives`).
+
+    Parameters
+    ----------
+    demonstration
+        data (T, 1 + D): time, then positions or poses
+    manifold
+        space of all of data, time included
+    window
+        samples of the parabolas that velocities are taken from; at most as many as there are
+
+    Raises
+    ------
+    ValueError
+        for less than three samples, and frames that change time or do not fit the manifold
     """
     space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold, demonstration.data.shape[1])
     points = space.subset(range(1, space.dim))
@@ -87,7 +97,13 @@ def with_velocity(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Convergence:
-    """How a system comes to its goal. Raises ValueError for a value out of its range."""
+    """How a system comes to its goal.
+
+    Raises
+    ------
+    ValueError
+        for a value out of its range
+    """
 
     rate: float = setting(
         2.0, 0.1, 20.0, "Rate of convergence: the goal is reached within about 3 / rate durations at the latest"
@@ -108,9 +124,6 @@ class Convergence:
 class StableDynamics(AttractorSystem):
     """Reproduces a model over [x, v], by a system that converges to `goal`, wherever it is: see the module.
 
-    model : fitted to what `with_velocity` returns; other parameters as for `AttractorSystem`
-    convergence : how it comes to its goal
-
     - The covariance of a reference is that of the positions in the active components: little matters along the
       movement, more across it. Near the goal it passes over to that of the demonstrations' ends.
     - The phase is the share of the way that is done, 1 - d / (the largest d since the start); 1 within
@@ -125,7 +138,17 @@ class StableDynamics(AttractorSystem):
     Attributes of the last step: velocity, regressed : (n,) per s at speed 1 and the demonstrated duration, with and
     without the correction (on the way to the former, too fast a velocity is shortened first).
 
-    Raises ValueError for a model that is not over [x, v].
+    Parameters
+    ----------
+    model
+        fitted to what `with_velocity` returns; other parameters as for `AttractorSystem`
+    convergence
+        how it comes to its goal
+
+    Raises
+    ------
+    ValueError
+        for a model that is not over [x, v]
     """
 
     def __init__(
@@ -226,7 +249,10 @@ class StableDynamics(AttractorSystem):
     def _take_velocity(self, seconds: float, astray: Array | float = 0.0) -> None:
         """`velocity` and `regressed` where the system is now; what of a change is too fast goes into the offset.
 
-        astray : (n,), how far the last step has led from where the former velocity would have led
+        Parameters
+        ----------
+        astray
+            (n,), how far the last step has led from where the former velocity would have led
         """
         former = self.velocity.copy()
         kernels.stable_velocity(self._x, max(self._radius, 1e-300), *self._system, self.velocity, np.empty(len(former)))

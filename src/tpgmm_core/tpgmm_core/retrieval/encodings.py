@@ -32,11 +32,19 @@ _KEY = "encoding"
 class Encoding(ABC):
     """What a model learns of demonstrations; its fields are numbers (see `settings`).
 
-    name : in files
-    init : where EM had better start from, where that is not the estimator's own default (see `TPGMM`)
-    description : what the rows of the model's data hold
+    Parameters
+    ----------
+    name
+        in files
+    init
+        where EM had better start from, where that is not the estimator's own default (see `TPGMM`)
+    description
+        what the rows of the model's data hold
 
-    Raises ValueError for a number out of its range.
+    Raises
+    ------
+    ValueError
+        for a number out of its range
     """
 
     name: ClassVar[str]
@@ -50,9 +58,17 @@ class Encoding(ABC):
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
         """What a model is fitted to.
 
-        demonstration : data (T, D): time, s, then a point; manifold : space of all of it, time included
+        Parameters
+        ----------
+        demonstration
+            data (T, D): time, s, then a point
+        manifold
+            space of all of it, time included
 
-        Raises ValueError for a demonstration that cannot be encoded, with the reason.
+        Raises
+        ------
+        ValueError
+            for a demonstration that cannot be encoded, with the reason
         """
 
     @abstractmethod
@@ -168,7 +184,10 @@ ENCODINGS: dict[str, type[Encoding]] = {
 def encoding_of(model: TPGMM) -> Encoding:
     """What a model has learned of its demonstrations, as its metadata say; [time, data] where they say nothing.
 
-    Raises ValueError for an encoding that is not known, or options that do not fit it.
+    Raises
+    ------
+    ValueError
+        for an encoding that is not known, or options that do not fit it
     """
     metadata: Mapping[str, str | float] = model.metadata_
     name = current_name(str(metadata.get(_KEY, TimeEncoding.name)))

@@ -84,9 +84,12 @@ class Outcome:
 class Execution:
     """Steps a retrieval from the request to its end.
 
-    Args:
-        retrieval: a fresh one of the model that was asked for.
-        config: what counts as begun and as done.
+    Parameters
+    ----------
+    retrieval
+        a fresh one of the model that was asked for
+    config
+        what counts as begun and as done
     """
 
     def __init__(self, retrieval: Retrieval, config: ExecutionConfig | None = None) -> None:
@@ -113,9 +116,12 @@ class Execution:
     ) -> Reference | None:
         """The reference at a time (ns), None before the movement may begin or while no frame is known.
 
-        Args:
-            frames, weights: as ``Retrieval.step`` takes them.
-            pose: where the robot is, as far as that is known: (7,), or its configuration (n,) in movements of joints.
+        Parameters
+        ----------
+        frames, weights
+            as ``Retrieval.step`` takes them
+        pose
+            where the robot is, as far as that is known: (7,), or its configuration (n,) in movements of joints
         """
         if self._asked_ns is None:
             self._asked_ns = time_ns
@@ -150,13 +156,19 @@ class Execution:
     def take_over(self, retrieval: Retrieval, pose: Array | None = None, blend_time: float = 0.15) -> None:
         """Go on with another retrieval, at the same share of the movement and without a jump of the reference.
 
-        Args:
-            retrieval: a fresh one, of another model or another method.
-            pose: as for ``step``.
-            blend_time: time constant with which the difference of the references dies out, s.
+        Parameters
+        ----------
+        retrieval
+            a fresh one, of another model or another method
+        pose
+            as for ``step``
+        blend_time
+            time constant with which the difference of the references dies out, s
 
-        Raises:
-            ValueError: its references are on another manifold; what was going on goes on.
+        Raises
+        ------
+        ValueError
+            its references are on another manifold; what was going on goes on.
         """
         if self.reference is not None:
             continued = Continued(retrieval, self.reference, self._reference_ns, blend_time)

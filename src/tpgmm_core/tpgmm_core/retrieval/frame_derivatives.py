@@ -14,11 +14,17 @@ from tpgmm_core.model.kernels_adapt import tangent_matrix
 def frame_with_derivatives(frame: Frame, manifold: Manifold, orders: int = 1) -> Frame:
     """The frame for [x, derivatives of x], of a frame for points x (D,) on a manifold.
 
-    orders : how many derivatives (n,) each, tangent vectors, on S³ about the fixed axes. A derivative is seen as the
-        vector that it is, turned with the frame: A = blkdiag(A_x, A_tangent, ...), b = [b_x, 0, ...], for poses
-        blkdiag(R, L(q), R, R). A frame that moves sees what moved in the world, not relative to itself.
+    Parameters
+    ----------
+    orders
+        how many derivatives (n,) each, tangent vectors, on S³ about the fixed axes. A derivative is seen as the vector
+        that it is, turned with the frame: A = blkdiag(A_x, A_tangent, ...), b = [b_x, 0, ...], for poses blkdiag(R,
+        L(q), R, R). A frame that moves sees what moved in the world, not relative to itself.
 
-    Raises ValueError for a frame that does not fit the manifold.
+    Raises
+    ------
+    ValueError
+        for a frame that does not fit the manifold
     """
     A, inverse = (
         None if M is None else block_diagonal(M, *[_tangent_map(M, manifold)] * orders)

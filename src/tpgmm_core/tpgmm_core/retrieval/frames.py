@@ -14,7 +14,10 @@ from tpgmm_core.model.frame_buffer import FrameBuffer
 def without_time(frames: Mapping[str, Frame]) -> dict[str, Frame]:
     """The frames' maps of the data alone.
 
-    Raises ValueError for a frame that changes the first dimension or mixes it with others.
+    Raises
+    ------
+    ValueError
+        for a frame that changes the first dimension or mixes it with others
     """
     return {name: _without_time(name, frame) for name, frame in frames.items()}
 

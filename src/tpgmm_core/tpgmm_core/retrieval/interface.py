@@ -27,11 +27,17 @@ from tpgmm_core.model.reference import Reference
 class Retrieval(Protocol):
     """A movement that is being reproduced.
 
-    manifold : of the references, without time
-    frame_names : the frames that the model was learned from
-    duration : of the whole movement at speed 1, s
-    speed : 1 as learned, 0 pauses, less than 0 goes back; may be set at any time, and is taken over without a jump.
-        Setting raises ValueError for a speed that is not finite or that this method cannot go
+    Parameters
+    ----------
+    manifold
+        of the references, without time
+    frame_names
+        the frames that the model was learned from
+    duration
+        of the whole movement at speed 1, s
+    speed
+        1 as learned, 0 pauses, less than 0 goes back; may be set at any time, and is taken over without a jump. Setting
+        raises ValueError for a speed that is not finite or that this method cannot go
     """
 
     @property
@@ -52,8 +58,11 @@ class Retrieval(Protocol):
     def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
         """Begin at this time, ns, from where the robot is (D,); what was going on is forgotten.
 
-        phase : share of the movement that is done already, 0 to 1: where to go on when another method, or another
-            model, takes over while the robot moves. What is handed on then is kept without a jump by
+        Parameters
+        ----------
+        phase
+            share of the movement that is done already, 0 to 1: where to go on when another method, or another model,
+            takes over while the robot moves. What is handed on then is kept without a jump by
             `tpgmm_core.retrieval.continuity.Continued`, for all methods alike
         """
 
@@ -66,34 +75,54 @@ class Retrieval(Protocol):
     ) -> Reference:
         """The reference at a time.
 
-        time_ns : on the clock that `start` was given
-        frames : those that are known, by name, at least one. What counts as a change is another value: see
+        Parameters
+        ----------
+        time_ns
+            on the clock that `start` was given
+        frames
+            those that are known, by name, at least one. What counts as a change is another value: see
             `tpgmm_core.model.situation.Situation`
-        state : (D,), where the robot is, as far as that is known
-        weights : how far each frame is trusted, 0 to 1; fully where not named
+        state
+            (D,), where the robot is, as far as that is known
+        weights
+            how far each frame is trusted, 0 to 1; fully where not named
 
-        Raises ValueError for no frames, unknown ones, or when `start` was never called.
+        Raises
+        ------
+        ValueError
+            for no frames, unknown ones, or when `start` was never called
         """
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
         """The next n Gaussians, dt (s) apart, the first one dt after the last step, should the frames stay.
 
-        Raises ValueError when there was no step yet.
+        Raises
+        ------
+        ValueError
+            when there was no step yet
         """
 
     def mixture(self) -> GaussianMixture:
         """The model in the situation of the last step, over all that it encodes.
 
-        Raises ValueError when there was no step yet.
+        Raises
+        ------
+        ValueError
+            when there was no step yet
         """
 
 
 class TimeParametrized(Protocol):
     """A movement as a function of the model's time, in one situation.
 
-    manifold : of the data, without time
-    frame_names : the frames that the model was learned from
-    duration : of the model's time, s
+    Parameters
+    ----------
+    manifold
+        of the data, without time
+    frame_names
+        the frames that the model was learned from
+    duration
+        of the model's time, s
     """
 
     @property
@@ -123,7 +152,10 @@ class TimeParametrized(Protocol):
 def demonstrated_duration(model: TPGMM) -> float:
     """How long the demonstrations of a model took on average, s.
 
-    Raises ValueError when the model's metadata do not say.
+    Raises
+    ------
+    ValueError
+        when the model's metadata do not say
     """
     duration = model.metadata_.get("duration_s")
     if not isinstance(duration, int | float) or not duration > 0.0:

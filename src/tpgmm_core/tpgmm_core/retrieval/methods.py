@@ -46,12 +46,19 @@ SEMI_MARKOV_SAMPLES = 200
 class RetrievalMethod:
     """A retrieval method.
 
-    name : in files and parameters
-    encoding : what its models encode
-    options : of the encoding, where they are other than its own defaults
-    estimator : the class that its models have to be of
-    course : makes the movement as a function of time, which `Reproduction` steps through; or else
-    movement : makes one that has a state of its own, with a duration (s; None: as demonstrated), and the settings of
+    Parameters
+    ----------
+    name
+        in files and parameters
+    encoding
+        what its models encode
+    options
+        of the encoding, where they are other than its own defaults
+    estimator
+        the class that its models have to be of course : makes the movement as a function of time, which `Reproduction`
+        steps through; or else
+    movement
+        makes one that has a state of its own, with a duration (s; None: as demonstrated), and the settings of
         references by name
     """
 
@@ -114,7 +121,13 @@ def method_named(name: str) -> RetrievalMethod:
 
 
 def method_of(model: TPGMM) -> RetrievalMethod:
-    """The method that a model was learned for, as its metadata say. Raises ValueError for one that is not known."""
+    """The method that a model was learned for, as its metadata say.
+
+    Raises
+    ------
+    ValueError
+        for one that is not known
+    """
     return method_named(str(model.metadata_.get(KEY, DEFAULT)))
 
 
@@ -131,12 +144,20 @@ def make_retrieval(
 ) -> Retrieval:
     """A movement that a loop can step through.
 
-    method : one of METHODS; what the model was learned for where None
-    duration : of the movement, s; as demonstrated where None
-    phase : one of PHASES: what the model's time follows; for the methods that are a function of time
-    speed, horizon_steps, horizon_time_step (s), blend_time (s) : as for `Reproduction`
+    Parameters
+    ----------
+    method
+        one of METHODS; what the model was learned for where None
+    duration
+        of the movement, s; as demonstrated where None
+    phase
+        one of PHASES: what the model's time follows; for the methods that are a function of time speed, horizon_steps,
+        horizon_time_step (s), blend_time (s) : as for `Reproduction`
 
-    Raises ValueError for a model that does not suit the method, and for settings that it cannot have, with the reason.
+    Raises
+    ------
+    ValueError
+        for a model that does not suit the method, and for settings that it cannot have, with the reason
     """
     chosen = method_of(model) if method is None else method_named(method)
     chosen.check(model)
@@ -167,7 +188,10 @@ def make_retrieval(
 def load_model(path: str | PathLike[str]) -> TPGMM:
     """The model in a file, of the class that its method needs; `TPGMM.load` reads all as mixtures.
 
-    Raises ModelFileError for a file that is damaged or no model, OSError for one that cannot be read.
+    Raises
+    ------
+    ModelFileError
+        for a file that is damaged or no model, OSError for one that cannot be read
     """
     kind = model_file.read(path).kind
     known = (method.estimator for method in METHODS.values() if method.estimator.__name__ == kind)

@@ -32,11 +32,20 @@ def _usual_distance(dimensions: int) -> float:
 class AdaptedStates:
     """The K states in a situation, as points of the data's manifold, time (and derivatives) left out.
 
-    means : (K, D), in the middle of a state; rates : (K, n), per sample
-    covariances, precisions : (K, n, n), given the time within the state
-    seen : (K, n, n), precisions of where the robot is seen at any time in a state, errors of tracking included
-    tolerance : (n,), standard deviations of the robot about its reference
-    mean_precisions : (n,), of a state of average precision: the same in all directions, of positions and of turns each
+    Parameters
+    ----------
+    means
+        (K, D), in the middle of a state
+    rates
+        (K, n), per sample
+    covariances, precisions
+        (K, n, n), given the time within the state
+    seen
+        (K, n, n), precisions of where the robot is seen at any time in a state, errors of tracking included
+    tolerance
+        (n,), standard deviations of the robot about its reference
+    mean_precisions
+        (n,), of a state of average precision: the same in all directions, of positions and of turns each
     """
 
     manifold: Manifold

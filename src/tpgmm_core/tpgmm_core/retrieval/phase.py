@@ -50,8 +50,12 @@ class ClockPhase:
     def speed(self) -> float:
         """1 as learned, 0 pauses, less than 0 goes back.
 
-        May be set at any time, and is taken over as by a low-pass with SPEED_TIME_CONSTANT. Raises ValueError for one
-        that is not finite or beyond MAX_SPEED.
+        May be set at any time, and is taken over as by a low-pass with SPEED_TIME_CONSTANT.
+
+        Raises
+        ------
+        ValueError
+            for one that is not finite or beyond MAX_SPEED
         """
         return self._time_scaling.target
 

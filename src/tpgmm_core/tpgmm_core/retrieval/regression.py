@@ -37,9 +37,12 @@ from tpgmm_core.retrieval.interface import demonstrated_duration
 class _Regression(ABC):
     """What both orders have in common: all but `situate`, `at` and `mixture` of a `TimeParametrized`.
 
-    model : fitted, with time as the first dimension, s
-
     Raises ValueError for a model without time.
+
+    Parameters
+    ----------
+    model
+        fitted, with time as the first dimension, s
     """
 
     def __init__(self, model: TPGMM, buffer: FrameBuffer) -> None:
@@ -77,11 +80,16 @@ class _Regression(ABC):
     ) -> None:
         """Take this situation.
 
-        frames : over [time, data] (`Frame.with_time`), at least one of the model's
-        state : (D,), where the robot is: what no frame constrains stays there; the origin where None
-        weights : how far each frame is trusted, 0 to 1; fully where not named
-
         Raises ValueError like `Adapter.adapt`, and for frames that change time.
+
+        Parameters
+        ----------
+        frames
+            over [time, data] (`Frame.with_time`), at least one of the model's
+        state
+            (D,), where the robot is: what no frame constrains stays there; the origin where None
+        weights
+            how far each frame is trusted, 0 to 1; fully where not named
         """
 
     @abstractmethod

@@ -33,14 +33,24 @@ _SECOND = 1_000_000_000
 class Reproduction:
     """A `Retrieval` that goes along a `TimeParametrized`.
 
-    course : the movement as a function of the model's time; of a fitted model with time as its first dimension it is
+    Parameters
+    ----------
+    course
+        the movement as a function of the model's time; of a fitted model with time as its first dimension it is
         `AdaptThenRegress`
-    phase : how the model's time advances; with the clock where None. It serves one reproduction
-    duration : how long the movement is to take at speed 1, s; as demonstrated where None
-    horizon_steps, horizon_time_step : how many Gaussians ahead each reference holds, and their distance in time, s
-    blend_time : time constant with which a change of the frames is taken over, s
+    phase
+        how the model's time advances; with the clock where None. It serves one reproduction
+    duration
+        how long the movement is to take at speed 1, s; as demonstrated where None
+    horizon_steps, horizon_time_step
+        how many Gaussians ahead each reference holds, and their distance in time, s
+    blend_time
+        time constant with which a change of the frames is taken over, s
 
-    Raises ValueError for a model that was not learned over time, and a time that is not positive.
+    Raises
+    ------
+    ValueError
+        for a model that was not learned over time, and a time that is not positive
     """
 
     def __init__(
@@ -169,14 +179,26 @@ class Reproduction:
         return means, covariances, activations
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
-        """The next n Gaussians, dt (s) apart, should the frames stay. Raises ValueError when there was no step yet."""
+        """The next n Gaussians, dt (s) apart, should the frames stay.
+
+        Raises
+        ------
+        ValueError
+            when there was no step yet
+        """
         self._require_step()
         ahead = dt * np.arange(1, n + 1, dtype=np.float64)
         means, covariances, _ = self.course.at(self.phase.times(ahead))
         return [self._continuity.gaussian(means[i], covariances[i], s) for i, s in enumerate(ahead.tolist())]
 
     def mixture(self) -> GaussianMixture:
-        """The model in the situation of the last step, time first. Raises ValueError when there was no step yet."""
+        """The model in the situation of the last step, time first.
+
+        Raises
+        ------
+        ValueError
+            when there was no step yet
+        """
         self._require_step()
         return self.course.mixture()
 

@@ -37,24 +37,35 @@ _SECOND = 1e-9
 class SemiMarkovMovement:
     """A `Retrieval` (see `retrieval.interface`) by the states and durations of a `TPHSMM`.
 
-    Args:
-        model: fitted to [time, position or pose], or with `derivatives` to [time, position or pose, velocity,
-            acceleration]; of these, derivatives say only which state a demonstration was in. Its metadata hold
-            "duration_s". No state comes back ("left-right").
-        duration: of the whole movement, s; as demonstrated where None.
-        derivatives: whether the model's data hold them.
-        horizon_steps, horizon_time_step: of the references, s.
-        position_tolerance, orientation_tolerance: standard deviations of the robot about its reference while nothing
-            disturbs it, in units of the data and rad. A robot that is as near as usual to the reference that it was
-            given follows, whatever states expect there. They are added to what a state knows, too.
-        smoothing: time constant with which the reference tracks a state, as a share of a state's mean duration.
-        blend_time: time constant with which a change of speed is taken over, s.
-
     The path does not depend on the speed: all but `blend_time` is counted in samples of the demonstrations. Paused,
     the reference stays where it is, also when frames move. The speed is not negative: durations say how a state goes
     on, not how it came about.
 
-    Raises ValueError for a model that does not suit, and for numbers out of range.
+    Parameters
+    ----------
+    model
+        fitted to [time, position or pose], or with `derivatives` to [time, position or pose, velocity, acceleration];
+        of these, derivatives say only which state a demonstration was in. Its metadata hold "duration_s". No state
+        comes back ("left-right").
+    duration
+        of the whole movement, s; as demonstrated where None
+    derivatives
+        whether the model's data hold them
+    horizon_steps, horizon_time_step
+        of the references, s
+    position_tolerance, orientation_tolerance
+        standard deviations of the robot about its reference while nothing disturbs it, in units of the data and rad. A
+        robot that is as near as usual to the reference that it was given follows, whatever states expect there. They
+        are added to what a state knows, too.
+    smoothing
+        time constant with which the reference tracks a state, as a share of a state's mean duration
+    blend_time
+        time constant with which a change of speed is taken over, s
+
+    Raises
+    ------
+    ValueError
+        for a model that does not suit, and for numbers out of range
     """
 
     def __init__(
@@ -121,7 +132,13 @@ class SemiMarkovMovement:
 
     @property
     def speed(self) -> float:
-        """1 as learned, 0 pauses. Raises ValueError for what is negative or not finite."""
+        """1 as learned, 0 pauses.
+
+        Raises
+        ------
+        ValueError
+            for what is negative or not finite
+        """
         return self._speed
 
     @speed.setter

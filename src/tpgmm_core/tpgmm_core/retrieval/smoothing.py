@@ -36,8 +36,16 @@ NOT_DEFINITE, NOT_CONVERGED = -1, -2
 class Smooth:
     """What `smoothest` found.
 
-    points : (T, D); velocities, accelerations : (T, n), per s and s²; covariances : (T, n, n), in the tangent spaces
-    iterations : steps that were taken
+    Parameters
+    ----------
+    points
+        (T, D)
+    velocities, accelerations
+        (T, n), per s and s²
+    covariances
+        (T, n, n), in the tangent spaces
+    iterations
+        steps that were taken
     """
 
     points: Array
@@ -53,11 +61,6 @@ def smoothest(
 ) -> Smooth:  # fmt: skip
     """Points (T, D) that fit best to what the state at each time says of positions, velocities and accelerations.
 
-    first, weights : of `difference_weights` for the times, windows of three samples
-    means : (K, D + 2 n), what each state says; precisions : (K, 3 n, 3 n), in the tangent space at its position
-    states : (T,), the state that holds at each time; start : (T, D), where to begin; matters on S³ only
-    tolerance : steps shorter than this, relative to the extent of the points and in rad, end the iteration
-
     On R^n the second or third step ends it: squaring differences costs half of the digits, and what the first solution
     leaves over is found without squaring, and solved for again. On S³ steps that do not lower the sum are halved, down
     to LINEAR_STEP; near the solution the factor is kept. What was demonstrated takes 4 to 5 steps, states that
@@ -66,7 +69,25 @@ def smoothest(
     of steps per state to the fourth power: at some hundreds of steps per state they are good to four digits, the points
     to all.
 
-    Raises ValueError when rounding leaves nothing definite, and when MAX_ITERATIONS steps do not end.
+    Parameters
+    ----------
+    first, weights
+        of `difference_weights` for the times, windows of three samples
+    means
+        (K, D + 2 n), what each state says
+    precisions
+        (K, 3 n, 3 n), in the tangent space at its position
+    states
+        (T,), the state that holds at each time
+    start
+        (T, D), where to begin; matters on S³ only
+    tolerance
+        steps shorter than this, relative to the extent of the points and in rad, end the iteration
+
+    Raises
+    ------
+    ValueError
+        when rounding leaves nothing definite, and when MAX_ITERATIONS steps do not end
     """
     points = np.array(start, dtype=float, order="C")
     T, n = len(points), manifold.tangent_dim

@@ -28,17 +28,29 @@ LEAD = 0.5
 class NominalSchedule:
     """How a movement goes on from any place, when nothing disturbs it.
 
-    chain : no state comes back once it has been left, as in "left-right"
+    Parameters
+    ----------
+    chain
+        no state comes back once it has been left, as in "left-right"
+    nominal
+        (K,), expected durations of the states, made such that `total` is whole. (Their likeliest durations are the same
+        where durations are narrow; of a state that some demonstrations hardly visit, they would be 1)
+    following
+        (K,), the likeliest next state, or -1
+    longest
+        (K,), ages at which states are overdue, since the robot is still seen in them: a reference waits then, LEAD of
+        the next state ahead, which leads a free robot out of the state; infinite for the last one
+    after
+        (K,), samples from the end of each state to the end of the movement
+    first
+        the state that the movement begins with
+    total
+        its duration
 
-    nominal : (K,), expected durations of the states, made such that `total` is whole. (Their likeliest durations are
-        the same where durations are narrow; of a state that some demonstrations hardly visit, they would be 1)
-    following : (K,), the likeliest next state, or -1
-    longest : (K,), ages at which states are overdue, since the robot is still seen in them: a reference waits then,
-        LEAD of the next state ahead, which leads a free robot out of the state; infinite for the last one
-    after : (K,), samples from the end of each state to the end of the movement
-    first : the state that the movement begins with; total : its duration
-
-    Raises ValueError for a chain with a state that comes back.
+    Raises
+    ------
+    ValueError
+        for a chain with a state that comes back
     """
 
     def __init__(self, chain: SemiMarkovChain) -> None:

@@ -26,12 +26,20 @@ from tpgmm_core.retrieval.regression import RegressThenProduct
 class SubObjectives:
     """What each of P frames wants of a movement at T times, on n tangent dimensions.
 
-    frames : names, in the order of the axes P
-    means : (T, D), the movement: where the sum of all is least
-    covariances : (T, n, n), of the movement, in the tangent spaces at the means
-    precisions : (T, P, n, n), Lambda_j at the movement, in the unit of the data to the power of -2
-    shares : (T, P, n), of each frame in the objective along each dimension: 0 to 1, the sum over the frames is 1
-    costs : (T, P), what is left of each sub-objective: how far the frames contradict each other, in variances
+    Parameters
+    ----------
+    frames
+        names, in the order of the axes P
+    means
+        (T, D), the movement: where the sum of all is least
+    covariances
+        (T, n, n), of the movement, in the tangent spaces at the means
+    precisions
+        (T, P, n, n), Lambda_j at the movement, in the unit of the data to the power of -2
+    shares
+        (T, P, n), of each frame in the objective along each dimension: 0 to 1, the sum over the frames is 1
+    costs
+        (T, P), what is left of each sub-objective: how far the frames contradict each other, in variances
     """
 
     frames: tuple[str, ...]
@@ -49,9 +57,19 @@ class SubObjectives:
 def sub_objectives(model: TPGMM, times: ArrayLike, frames: Mapping[str, Frame]) -> SubObjectives:
     """The sub-objectives of a model's frames in one situation.
 
-    model : with time as the first dimension; times : (T,), of the model; frames : over [time, data], one or more
+    Parameters
+    ----------
+    model
+        with time as the first dimension
+    times
+        (T,), of the model
+    frames
+        over [time, data], one or more
 
-    Raises ValueError as `RegressThenProduct` and its `retrieve`.
+    Raises
+    ------
+    ValueError
+        as `RegressThenProduct` and its `retrieve`
     """
     retrieval = RegressThenProduct(model)
     movement = retrieval.retrieve(frames, times)

@@ -14,8 +14,14 @@ from tpgmm_core.common.types import Array
 class TimeScaling:
     """Scaled time passes at a rate that follows a target by a first-order low-pass, solved exactly.
 
-    rate : scaled time per s, at present; target : what it approaches; both may be set, the rate by whoever begins anew
-    time_constant : s
+    Parameters
+    ----------
+    rate
+        scaled time per s, at present
+    target
+        what it approaches; both may be set, the rate by whoever begins anew
+    time_constant
+        s
     """
 
     def __init__(self, target: float, time_constant: float) -> None:

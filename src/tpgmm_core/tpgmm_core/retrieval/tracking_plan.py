@@ -18,7 +18,14 @@ from tpgmm_core.lqr.finite_horizon import finite_horizon_gains
 class TrackingPlan:
     """A path of H steps of constant acceleration, in the tangent space at where it begins.
 
-    begin : (D,), a point of the manifold; states : (H + 1, 2 n), [x, x']; accelerations : (H, n)
+    Parameters
+    ----------
+    begin
+        (D,), a point of the manifold
+    states
+        (H + 1, 2 n), [x, x']
+    accelerations
+        (H, n)
     """
 
     manifold: Manifold
@@ -63,8 +70,12 @@ class Planner:
     ) -> TrackingPlan:
         """The path from begin (D,) with velocity (n,) along targets (n_steps + 1, D).
 
-        precisions : (n_steps + 1, n, n), of the targets, moved to the tangent space at begin
-        control_cost : (n, n)
+        Parameters
+        ----------
+        precisions
+            (n_steps + 1, n, n), of the targets, moved to the tangent space at begin
+        control_cost
+            (n, n)
         """
         n = self._manifold.tangent_dim
         self._costs[:, :n, :n] = precisions

@@ -38,10 +38,20 @@ WARM_TOLERANCE = 1e-5
 class Trajectory:
     """A smooth trajectory of T steps on a manifold of D ambient and n tangent dimensions.
 
-    times : (T,), s; states : (T,), the component that held at each; positions : (T, D), signs of quaternions continuous
-    velocities, accelerations : (T, n), the differences of the positions that the model was compared to
-    covariances : (T, n, n), in the tangent spaces at the positions; each takes all other steps into account
-    iterations : Gauss-Newton steps that were taken
+    Parameters
+    ----------
+    times
+        (T,), s
+    states
+        (T,), the component that held at each
+    positions
+        (T, D), signs of quaternions continuous
+    velocities, accelerations
+        (T, n), the differences of the positions that the model was compared to
+    covariances
+        (T, n, n), in the tangent spaces at the positions; each takes all other steps into account
+    iterations
+        Gauss-Newton steps that were taken
     """
 
     times: Array
@@ -62,9 +72,15 @@ class Trajectory:
 class TrajectoryModel:
     """Retrieves whole smooth trajectories from a model of positions, velocities and accelerations.
 
-    model : fitted to what `with_derivatives` returns, on `manifold_with_derivatives`
+    Parameters
+    ----------
+    model
+        fitted to what `with_derivatives` returns, on `manifold_with_derivatives`
 
-    Raises ValueError for a model of other dimensions.
+    Raises
+    ------
+    ValueError
+        for a model of other dimensions
     """
 
     def __init__(self, model: TPGMM) -> None:
@@ -95,13 +111,23 @@ class TrajectoryModel:
     ) -> Trajectory:
         """The trajectory in a situation, in time linear in its length.
 
-        frames : over [time, position] (`Frame.with_time`), at least one of the model's; none moves
-        times : (T,), T >= 3, s, increasing
-        states : (T,), the component that holds at each time; those of `states` where None
-        weights : how far each frame is trusted, 0 to 1; fully where not named
-        state : (D,), where the robot is: what no frame constrains stays there; the origin where None
+        Parameters
+        ----------
+        frames
+            over [time, position] (`Frame.with_time`), at least one of the model's; none moves
+        times
+            (T,), T >= 3, s, increasing
+        states
+            (T,), the component that holds at each time; those of `states` where None
+        weights
+            how far each frame is trusted, 0 to 1; fully where not named
+        state
+            (D,), where the robot is: what no frame constrains stays there; the origin where None
 
-        Raises ValueError like `Adapter.adapt` and `smoothest`, and for times and states that do not fit.
+        Raises
+        ------
+        ValueError
+            like `Adapter.adapt` and `smoothest`, and for times and states that do not fit
         """
         mixture = self.adapt(frames, state, weights)
         times = np.asarray(times, dtype=float)
@@ -159,13 +185,20 @@ class TrajectoryModel:
 class SmoothTrajectory:
     """A trajectory model as a `TimeParametrized`: solved once for each situation, and interpolated between its steps.
 
-    model : as for `TrajectoryModel`, with duration_s in its metadata
-    steps : that a solution has, the first one at time 0 of the model, the last one at its duration
-
     Where frames have moved little, it begins at the former solution, which saves most of the Gauss-Newton steps. What
     it finds depends on the situation alone, but for less than 1e-7 m or rad, and a thousandth of the covariances.
 
-    Raises ValueError as `TrajectoryModel`, for a duration that is not known, and less than three steps.
+    Parameters
+    ----------
+    model
+        as for `TrajectoryModel`, with duration_s in its metadata
+    steps
+        that a solution has, the first one at time 0 of the model, the last one at its duration
+
+    Raises
+    ------
+    ValueError
+        as `TrajectoryModel`, for a duration that is not known, and less than three steps
     """
 
     def __init__(self, model: TPGMM, *, steps: int = 100) -> None:
@@ -208,7 +241,10 @@ class SmoothTrajectory:
     def at(self, times: Array) -> tuple[Array, Array, Array]:
         """Means (H, D), covariances (H, n, n), and the activations (K,) at the first of the model's times (H,), s.
 
-        Raises ValueError before `situate`.
+        Raises
+        ------
+        ValueError
+            before `situate`
         """
         _, smooth = self._solution()
         means, covariances = _interpolated(self._grid, smooth, self.manifold, np.asarray(times, dtype=float))
@@ -217,7 +253,10 @@ class SmoothTrajectory:
     def mixture(self) -> GaussianMixture:
         """The model in this situation, over [time, position, velocity, acceleration].
 
-        Raises ValueError before `situate`.
+        Raises
+        ------
+        ValueError
+            before `situate`
         """
         return self._solution()[0]
 

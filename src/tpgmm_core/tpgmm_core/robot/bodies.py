@@ -26,10 +26,16 @@ ROUGHLY = 1.05
 class Body:
     """What moves with a joint, without what the joints behind it move.
 
-    joint : name of the joint
-    links : names of the URDF's links
-    mass : kg
-    principal : (3,) inertias about the axes through the centre of mass, ascending, kg m²
+    Parameters
+    ----------
+    joint
+        name of the joint
+    links
+        names of the URDF's links
+    mass
+        kg
+    principal
+        (3,) inertias about the axes through the centre of mass, ascending, kg m²
     """
 
     joint: str

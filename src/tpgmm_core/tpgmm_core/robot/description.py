@@ -75,7 +75,13 @@ class RobotDescription:
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> RobotDescription:
-        """Read a robot file. Raises RobotFileError with the file, the key and what was expected."""
+        """Read a robot file.
+
+        Raises
+        ------
+        RobotFileError
+            with the file, the key and what was expected
+        """
         path = Path(path)
         try:
             content = load_yaml(path, "a robot file")
@@ -114,8 +120,13 @@ class RobotDescription:
 def resolve_urdf(reference: str, folder: Path) -> Path:
     """File of `package://NAME/path` (in wheels and ROS workspaces), or of a path in `folder`.
 
-    Raises RobotFileError where there is none, and for a path that leads out of the package or the folder. Links that
-    lie in installed packages are followed, since workspaces are made of them; links in `folder` not out of it.
+    Links that lie in installed packages are followed, since workspaces are made of them; links in `folder` not out of
+    it.
+
+    Raises
+    ------
+    RobotFileError
+        where there is none, and for a path that leads out of the package or the folder
     """
     is_package = reference.startswith(PACKAGE_SCHEME)
     relative = Path(reference.removeprefix(PACKAGE_SCHEME))
@@ -145,9 +156,13 @@ def resolve_urdf(reference: str, folder: Path) -> Path:
 def read_xml(path: Path) -> bytes:
     """The XML of a URDF, without what may stand before it: blank lines, and a byte order mark before these.
 
-    Raises RobotFileError for what its parsers should not be given: no XML, a xacro, too large or too deep, or with a
-    document type, which XML entities need that refer to files or unfold to gigabytes. Meshes are never opened. OSError
-    where the file cannot be read.
+    Meshes are never opened. OSError where the file cannot be read.
+
+    Raises
+    ------
+    RobotFileError
+        for what its parsers should not be given: no XML, a xacro, too large or too deep, or with a document type, which
+        XML entities need that refer to files or unfold to gigabytes
     """
     with path.open("rb") as file:
         content = file.read(MAX_URDF_BYTES + 1)

@@ -40,17 +40,28 @@ class RobotModel:
 
     Attributes
     ----------
-    pinocchio : the Pinocchio model, with the limits of the robot file; do not change it
-    joint_names, joint_units : (nv,) names in model order, and "rad" or "m"
-    base_frame : name of the frame in whose axes poses, Jacobians and wrenches are expressed
-    endpoints : name -> Endpoint(frame, joints)
-    joint_groups : name -> joint names
-    effort_limits, velocity_limits : (nv,), N m and N; rad/s and m/s
-    torque_rates : (nv,), N m/s and N/s, largest changes of torques that the robot takes; infinite where none is given
-    lower_limits, upper_limits : (nv,), rad and m; infinite for joints that may turn for ever
-    viscous_friction, coulomb_friction : (nv,), N m s/rad and N m (N s/m and N for prismatic joints)
-    home : (nv,) posture, rad and m
-    mimics : joint -> what it mimics; those that home does not name are none of the model, they stand where it puts them
+    pinocchio
+        the Pinocchio model, with the limits of the robot file; do not change it
+    joint_names, joint_units
+        (nv,) names in model order, and "rad" or "m"
+    base_frame
+        name of the frame in whose axes poses, Jacobians and wrenches are expressed
+    endpoints
+        name -> Endpoint(frame, joints)
+    joint_groups
+        name -> joint names
+    effort_limits, velocity_limits
+        (nv,), N m and N; rad/s and m/s
+    torque_rates
+        (nv,), N m/s and N/s, largest changes of torques that the robot takes; infinite where none is given
+    lower_limits, upper_limits
+        (nv,), rad and m; infinite for joints that may turn for ever
+    viscous_friction, coulomb_friction
+        (nv,), N m s/rad and N m (N s/m and N for prismatic joints)
+    home
+        (nv,) posture, rad and m
+    mimics
+        joint -> what it mimics; those that home does not name are none of the model, they stand where it puts them
     """
 
     def __init__(self, description: RobotDescription) -> None:
@@ -113,7 +124,13 @@ class RobotModel:
         return UNITS[quantity][is_prismatic]
 
     def indices(self, joints: str | Sequence[str]) -> NDArray[np.intp]:
-        """Places in joint vectors of a group, or of joints by name. Raises ValueError for unknown names."""
+        """Places in joint vectors of a group, or of joints by name.
+
+        Raises
+        ------
+        ValueError
+            for unknown names
+        """
         names = self.joint_groups.get(joints, (joints,)) if isinstance(joints, str) else joints
         unknown = [name for name in names if name not in self._index]
         if unknown:
@@ -122,7 +139,13 @@ class RobotModel:
         return np.array([self._index[name] for name in names], dtype=np.intp)
 
     def frame_id(self, frame: str) -> int:
-        """Pinocchio's index of a frame of the URDF, a link or else a joint. Raises ValueError for an unknown name."""
+        """Pinocchio's index of a frame of the URDF, a link or else a joint.
+
+        Raises
+        ------
+        ValueError
+            for an unknown name
+        """
         if not self.pinocchio.existFrame(frame):
             bodies = [f.name for f in self.pinocchio.frames if f.type == pin.FrameType.BODY]
             raise ValueError(f"the URDF has no frame {shown(frame)}; its links are {listed(bodies, 60)}")
@@ -133,7 +156,10 @@ class RobotModel:
     def ordered(self, names: Sequence[str], values: ArrayLike) -> Array:
         """Values (nv,) in model order from names and values in any order, as in a JointState.
 
-        Raises ValueError when a joint is missing, unknown or named twice, or the lengths differ.
+        Raises
+        ------
+        ValueError
+            when a joint is missing, unknown or named twice, or the lengths differ
         """
         key = tuple(names)
         order = self._orders.get(key)

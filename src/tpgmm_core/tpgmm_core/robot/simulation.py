@@ -38,10 +38,16 @@ NO_WRENCHES: Mapping[str, ArrayLike] = {}
 class RobotState:
     """State of the simulated robot, joints in model order.
 
-    time : s since the start
-    q, v : (nv,), rad and rad/s (m and m/s for prismatic joints)
-    tau : (nv,), the torque that the motors applied in the last step, N m (N)
-    clamped : whether the commanded torque exceeded an effort limit in the last step
+    Parameters
+    ----------
+    time
+        s since the start
+    q, v
+        (nv,), rad and rad/s (m and m/s for prismatic joints)
+    tau
+        (nv,), the torque that the motors applied in the last step, N m (N)
+    clamped
+        whether the commanded torque exceeded an effort limit in the last step
     """
 
     time: float
@@ -90,10 +96,17 @@ class RobotSimulator:
     def step(self, tau: ArrayLike, wrenches: Mapping[str, ArrayLike] = NO_WRENCHES) -> RobotState:
         """Advance by one time step under the commanded torque tau (nv,) and return the new state.
 
-        wrenches : frame of the URDF -> (6,), force in N at the frame's origin and torque in N m, in base axes
+        Torques beyond the effort limits are clamped, and the state says so.
 
-        Raises ValueError, leaving the state as it was, for wrong shapes, values that are not finite and
-        unknown frames. Torques beyond the effort limits are clamped, and the state says so.
+        Parameters
+        ----------
+        wrenches
+            frame of the URDF -> (6,), force in N at the frame's origin and torque in N m, in base axes
+
+        Raises
+        ------
+        ValueError
+            leaving the state as it was, for wrong shapes, values that are not finite and unknown frames
         """
         robot, q, v, dt = self.robot, self.state.q, self.state.v, self.time_step
         command = self._checked(tau, "tau")

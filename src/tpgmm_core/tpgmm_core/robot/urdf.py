@@ -25,9 +25,14 @@ from tpgmm_core.robot.urdf_tree import SINGLE, UrdfTree, read_tree
 class Urdf:
     """What a URDF says.
 
-    model : of nq = nv
-    endless : joints of type `continuous`; they may turn for ever
-    tree : its links and joints, those that are not in the model too
+    Parameters
+    ----------
+    model
+        of nq = nv
+    endless
+        joints of type `continuous`; they may turn for ever
+    tree
+        its links and joints, those that are not in the model too
     """
 
     model: pin.Model
@@ -40,8 +45,11 @@ def read_urdf(path: Path, locked: Mapping[str, float], home: Mapping[str, float]
 
     Joints that mimic others, and are not in `home`, are locked too, where their leader puts them.
 
-    Raises RobotFileError: a file that cannot be read or is no URDF (see `read_tree`), an unknown joint to be locked,
-    joints of more degrees of freedom.
+    Raises
+    ------
+    RobotFileError
+        a file that cannot be read or is no URDF (see `read_tree`), an unknown joint to be locked, joints of more
+        degrees of freedom
     """
     tree = read_tree(path)
     if unknown := [name for name in locked if tree.joints.get(name) is None or _type(tree, name) == "fixed"]:

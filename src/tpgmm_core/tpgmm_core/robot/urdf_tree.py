@@ -47,10 +47,16 @@ class Mimic:
 class UrdfTree:
     """A URDF as XML, without namespaces.
 
-    root : the element `<robot>`
-    joints : name -> `<joint>`
-    parents : link -> the joint that moves it, and the link that this one stands on; not of the root
-    mimics : joint -> what it mimics
+    Parameters
+    ----------
+    root
+        the element `<robot>`
+    joints
+        name -> `<joint>`
+    parents
+        link -> the joint that moves it, and the link that this one stands on; not of the root
+    mimics
+        joint -> what it mimics
     """
 
     root: Element
@@ -70,8 +76,11 @@ class UrdfTree:
 def read_tree(path: Path) -> UrdfTree:
     """Read a URDF.
 
-    Raises RobotFileError: a file that cannot be read or should not be (`read_xml`), another kind of XML, numbers that
-    are none, negative masses, joints and links that are no tree, mimic joints of joints that are not there.
+    Raises
+    ------
+    RobotFileError
+        a file that cannot be read or should not be (`read_xml`), another kind of XML, numbers that are none, negative
+        masses, joints and links that are no tree, mimic joints of joints that are not there
     """
     try:
         root = ElementTree.fromstring(read_xml(path))

@@ -27,9 +27,12 @@ _SPEC_KEY = "kinematic"
 class KinematicRecipe:
     """How a model of kinematic frames is learned.
 
-    Attributes:
-        spec: the frames.
-        arguments: of TPGMM. With one component (the default) the model is about moments; with more it is over time.
+    Attributes
+    ----------
+    spec
+        the frames
+    arguments
+        of TPGMM. With one component (the default) the model is about moments; with more it is over time.
     """
 
     spec: KinematicSpec
@@ -47,10 +50,13 @@ class KinematicRecipe:
     def learn(self, recordings: Sequence[Recording], duration: float, progress: Progress | None = None) -> TPGMM:
         """A model of recordings, whose times are stretched linearly to a duration, s.
 
-        Raises:
-            ValueError: a recording without configurations, an object that was not seen from the start, a robot that
-                does not fit, or what cannot be learned from.
-            OSError: the robot file cannot be read.
+        Raises
+        ------
+        ValueError
+            a recording without configurations, an object that was not seen from the start, a robot that
+            does not fit, or what cannot be learned from.
+        OSError
+            the robot file cannot be read.
         """
         frames, arguments = self.spec.frames(), self._all
         over_time = arguments["n_components"] > 1
@@ -105,9 +111,12 @@ def make_movement(
 ) -> Retrieval:
     """A movement of the model; parameters as for `make_retrieval`, of which it has no `others`.
 
-    Raises:
-        ValueError: another method or phase than this kind of model has, or a model that does not fit.
-        OSError: the robot file cannot be read.
+    Raises
+    ------
+    ValueError
+        another method or phase than this kind of model has, or a model that does not fit.
+    OSError
+        the robot file cannot be read.
     """
     if method is not None or phase != "clock":
         raise ValueError(

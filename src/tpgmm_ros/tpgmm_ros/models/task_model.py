@@ -21,9 +21,12 @@ from tpgmm_ros.task.task_file import DIMENSIONS, MANIFOLD, Task
 def load_task_model(path: str | Path, task: Task) -> TPGMM:
     """A model that fits a task, whatever it encodes of the task's movements.
 
-    Raises:
-        ValueError: the file is no model, or the model is of something else than the task describes.
-        OSError: the file cannot be read.
+    Raises
+    ------
+    ValueError
+        the file is no model, or the model is of something else than the task describes.
+    OSError
+        the file cannot be read.
     """
     model = methods.load_model(path)
     if task.kinematic is not None:
@@ -51,9 +54,12 @@ def load_task_model(path: str | Path, task: Task) -> TPGMM:
 def make_task_retrieval(model: TPGMM, task: Task, method: str | None = None, **settings: Any) -> Retrieval:
     """A movement of a model that fits the task; settings as for `tpgmm_core.retrieval.methods.make_retrieval`.
 
-    Raises:
-        ValueError: a model that does not suit the method, or settings that it cannot have.
-        OSError: the robot file of kinematic frames cannot be read.
+    Raises
+    ------
+    ValueError
+        a model that does not suit the method, or settings that it cannot have.
+    OSError
+        the robot file of kinematic frames cannot be read.
     """
     if task.kinematic is not None:
         return kinematic_recipe.make_movement(model, task.kinematic, method, **settings)
@@ -61,15 +67,23 @@ def make_task_retrieval(model: TPGMM, task: Task, method: str | None = None, **s
 
 
 def state_dimensions(task: Task) -> tuple[str, ...]:
-    """Names of the numbers that references of a task are over. Raises ValueError and OSError for a missing robot."""
+    """Names of the numbers that references of a task are over.
+
+    Raises
+    ------
+    ValueError
+        and OSError for a missing robot
+    """
     return DIMENSIONS[1:] if task.kinematic is None else task.kinematic.joint_names()
 
 
 def known_frames(states: Mapping[str, TaskFrameState]) -> dict[str, tuple[Frame, float]]:
     """Those frames that are not missing, as they act on [time, pose], and how far each is trusted.
 
-    Raises:
-        ValueError: a frame that does not act on poses.
+    Raises
+    ------
+    ValueError
+        a frame that does not act on poses.
     """
     known = {}
     for name, state in states.items():

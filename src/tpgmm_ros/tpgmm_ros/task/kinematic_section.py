@@ -46,16 +46,26 @@ PREVIOUS = "previous"
 class KinematicSpec:
     """What the section says, checked as far as that goes without the robot.
 
-    Attributes:
-        robot: the robot file.
-        joints: groups of the robot file, or joints by name, in the order of the configuration.
-        joint_states: relative topic of the JointState.
-        objects: names of the task's frames.
-        tasks: name → task.
-        aims: names of the tasks that aim at the objects that they are relative to, whatever was demonstrated.
-        hierarchies: name → levels, most important first, each a task or several of equal rank.
-        postures: for each posture the tasks that it is below; none for the posture of all joints.
-        threshold: of the damping, m/rad and rad/rad.
+    Attributes
+    ----------
+    robot
+        the robot file
+    joints
+        groups of the robot file, or joints by name, in the order of the configuration
+    joint_states
+        relative topic of the JointState
+    objects
+        names of the task's frames
+    tasks
+        name → task
+    aims
+        names of the tasks that aim at the objects that they are relative to, whatever was demonstrated
+    hierarchies
+        name → levels, most important first, each a task or several of equal rank
+    postures
+        for each posture the tasks that it is below; none for the posture of all joints
+    threshold
+        of the damping, m/rad and rad/rad
     """
 
     robot: Path
@@ -72,8 +82,10 @@ class KinematicSpec:
     def of(cls, section: Section, objects: Collection[str]) -> KinematicSpec:
         """Read the section; `objects` are the frames of the task.
 
-        Raises:
-            YamlError: anything that does not describe kinematic frames.
+        Raises
+        ------
+        YamlError
+            anything that does not describe kinematic frames.
         """
         section.refuse_others("robot", "joints", "joint_states", "tasks", "hierarchies", "postures", "threshold")
         tasks, aims = _tasks(section.section("tasks"), objects)
@@ -122,15 +134,24 @@ class KinematicSpec:
         return names
 
     def joint_names(self) -> tuple[str, ...]:
-        """The joints of a configuration. Raises ValueError and OSError like `frames`."""
+        """The joints of a configuration.
+
+        Raises
+        ------
+        ValueError
+            and OSError like `frames`
+        """
         return self._kinematics().joint_names
 
     def frames(self) -> MovingFrames:
         """The candidates on the robot, for one user.
 
-        Raises:
-            ValueError: the robot file is none, or the robot has no such joints or points.
-            OSError: it cannot be read.
+        Raises
+        ------
+        ValueError
+            the robot file is none, or the robot has no such joints or points.
+        OSError
+            it cannot be read.
         """
         return MovingFrames(self._kinematics(), self.candidates, self.threshold)
 

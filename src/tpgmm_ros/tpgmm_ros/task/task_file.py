@@ -59,10 +59,14 @@ class TaskError(ValueError):
 class TaskFrameSpec:
     """One task frame: observed on a topic, or fixed in the base frame. Exactly one of the two is set.
 
-    Attributes:
-        name: name of the frame, as in the model.
-        topic: relative topic of its PoseStamped, or None.
-        pose: fixed pose (x, y, z in m, qx, qy, qz, qw, unit quaternion) in the base frame, or None.
+    Attributes
+    ----------
+    name
+        name of the frame, as in the model
+    topic
+        relative topic of its PoseStamped, or None
+    pose
+        fixed pose (x, y, z in m, qx, qy, qz, qw, unit quaternion) in the base frame, or None
     """
 
     name: str
@@ -74,10 +78,14 @@ class TaskFrameSpec:
 class PoseArraySpec:
     """Recordings whose movement is one PoseArray per bag, and whose frames stand in a file.
 
-    Attributes:
-        pose_array: relative topic of the PoseArray.
-        period: time from one pose to the next, s: a PoseArray does not tell.
-        frames: name of the file beside the bags that holds the constant pose of each observed frame in each bag.
+    Attributes
+    ----------
+    pose_array
+        relative topic of the PoseArray
+    period
+        time from one pose to the next, s: a PoseArray does not tell
+    frames
+        name of the file beside the bags that holds the constant pose of each observed frame in each bag
     """
 
     pose_array: str
@@ -89,16 +97,26 @@ class PoseArraySpec:
 class Task:
     """What a task file says, checked.
 
-    Attributes:
-        name: name of the task.
-        base_frame: frame_id in which all poses are expressed.
-        movement: relative topic of the PoseStamped that is demonstrated and reproduced.
-        endpoint: end point of the robot that follows the movement.
-        frames: task frames by name, in the order of the file.
-        tracking: settings of the frame tracker in s; their names and ranges are the tracker's to check.
-        model: `retrieval`, options of what it encodes, arguments of its estimator: what `Recipe.of` takes.
-        recordings: how demonstrations were recorded where that is not as PoseStamped on the topics above.
-        kinematic: where the model is over configurations of the robot: its frames, and what they are seen from.
+    Attributes
+    ----------
+    name
+        name of the task
+    base_frame
+        frame_id in which all poses are expressed
+    movement
+        relative topic of the PoseStamped that is demonstrated and reproduced
+    endpoint
+        end point of the robot that follows the movement
+    frames
+        task frames by name, in the order of the file
+    tracking
+        settings of the frame tracker in s; their names and ranges are the tracker's to check
+    model
+        `retrieval`, options of what it encodes, arguments of its estimator: what `Recipe.of` takes
+    recordings
+        how demonstrations were recorded where that is not as PoseStamped on the topics above
+    kinematic
+        where the model is over configurations of the robot: its frames, and what they are seen from
     """
 
     name: str
@@ -115,8 +133,10 @@ class Task:
     def load(cls, path: str | Path) -> "Task":
         """Read a task file.
 
-        Raises:
-            TaskError: the file is missing, is no YAML, or does not describe a task.
+        Raises
+        ------
+        TaskError
+            the file is missing, is no YAML, or does not describe a task.
         """
         path = Path(path)
         try:
@@ -128,8 +148,10 @@ class Task:
     def from_text(cls, text: str, source: str = "task") -> "Task":
         """Read a task from YAML text; `source` is what errors call it.
 
-        Raises:
-            TaskError: the text is no YAML, or does not describe a task.
+        Raises
+        ------
+        TaskError
+            the text is no YAML, or does not describe a task.
         """
         try:
             return cls._of(Section(source, "", parse_yaml(text, source)))

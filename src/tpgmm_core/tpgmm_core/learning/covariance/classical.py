@@ -24,8 +24,13 @@ def not_definite(k: int) -> ValueError:
 
 
 def inverse_factor(S: Array, k: int) -> Array:
-    """L^-1 (n, n) of S = L L^T (n, n), the covariance of component k. Raises ValueError when S is not definite, or
-    is so by rounding alone."""
+    """L^-1 (n, n) of S = L L^T (n, n), the covariance of component k.
+
+    Raises
+    ------
+    ValueError
+        when S is not definite, or is so by rounding alone
+    """
     try:
         L = np.linalg.cholesky(S)
     except np.linalg.LinAlgError:

@@ -125,8 +125,11 @@ def n_loadings(n: int, d: int) -> int:
 def principal(eigenvalues: Array, axes: Array, d: int, n_columns: int) -> tuple[Array, Array]:
     """Loadings (n, n_columns) along the d < n main axes, and noise (n,), the mean of the other eigenvalues.
 
-    eigenvalues : shape (n,), ascending, with their axes (n, n) as columns; columns behind d are zero. This is the
-    maximum likelihood solution of probabilistic PCA (Tipping and Bishop 1999, Eqs. 7 and 8).
+    Parameters
+    ----------
+    eigenvalues
+        shape (n,), ascending, with their axes (n, n) as columns; columns behind d are zero. This is the maximum
+        likelihood solution of probabilistic PCA (Tipping and Bishop 1999, Eqs. 7 and 8).
     """
     n = len(eigenvalues)
     noise = eigenvalues[: n - d].mean()

@@ -22,17 +22,28 @@ STRUCTURES = ("full", "diag", "spherical", "tied", "mfa", "mppca", "hddc", "semi
 class Structure:
     """Name and settings of a covariance structure; the same for all components and frames.
 
-    name : one of `STRUCTURES`
-    n_factors : d, columns of the loadings of "mfa", "mppca" and the first level of "deep_mfa"; a frame of n
-        dimensions has n - 1 at most. Other structures ignore it
-    reg_covar : variance that the regularisation adds, in squared units of the data
-    regularization : "add" or "prior": see `Emissions.penalty`
-    scree_threshold : "hddc" keeps the dimensions up to the last drop between successive eigenvalues that
-        exceeds this share of the largest drop
-    layers : of "deep_mfa", above the first: pairs of the number of components into which each component of the
-        layer below is divided, and of the columns of their loadings
+    Parameters
+    ----------
+    name
+        one of `STRUCTURES`
+    n_factors
+        d, columns of the loadings of "mfa", "mppca" and the first level of "deep_mfa"; a frame of n dimensions has n -
+        1 at most. Other structures ignore it
+    reg_covar
+        variance that the regularisation adds, in squared units of the data
+    regularization
+        "add" or "prior": see `Emissions.penalty`
+    scree_threshold
+        "hddc" keeps the dimensions up to the last drop between successive eigenvalues that exceeds this share of the
+        largest drop
+    layers
+        of "deep_mfa", above the first: pairs of the number of components into which each component of the layer below
+        is divided, and of the columns of their loadings
 
-    Raises ValueError for values outside their range.
+    Raises
+    ------
+    ValueError
+        for values outside their range
     """
 
     name: str = "full"
@@ -81,14 +92,25 @@ class Covariances(ABC):
     def maximised(self, counts: Array, scatters: Array) -> Self:
         """M-step: raises -1/2 sum_k counts_k (log|Sigma_k| + tr(Sigma_k^-1 S_k)), or keeps it.
 
-        counts : shape (K,); scatters : S, shape (K, n, n), covariances of the weighted samples about the means,
-        regularised. For a component without samples S is its own covariance.
+        Parameters
+        ----------
+        counts
+            shape (K,)
+        scatters
+            S, shape (K, n, n), covariances of the weighted samples about the means, regularised. For a component
+            without samples S is its own covariance.
         """
 
     @classmethod
     @abstractmethod
     def from_arrays(cls, structure: Structure, arrays: Mapping[str, Array]) -> Self:
-        """The inverse of `arrays`. Raises ValueError when they do not fit together."""
+        """The inverse of `arrays`.
+
+        Raises
+        ------
+        ValueError
+            when they do not fit together
+        """
 
     @property
     @abstractmethod

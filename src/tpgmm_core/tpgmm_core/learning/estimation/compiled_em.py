@@ -65,7 +65,10 @@ def expectation_maximisation(
     S³ the M-step takes the mean of the tangent vectors, which is the maximum for isotropic rotations and
     close to it otherwise.
 
-    Raises ValueError when a covariance loses its definiteness.
+    Raises
+    ------
+    ValueError
+        when a covariance loses its definiteness
     """
     state = Workspace(samples, start)
     K = len(start.priors)
@@ -136,7 +139,13 @@ class Workspace:
         return result
 
     def factorise(self) -> None:
-        """Factors and normalisations of the covariances. Raises ValueError for one that is not definite."""
+        """Factors and normalisations of the covariances.
+
+        Raises
+        ------
+        ValueError
+            for one that is not definite
+        """
         self.check(kernels_em.factorise(self.layout, self.covariances, self.factors, self.log_norms))
 
     def check(self, failed: int) -> None:

@@ -31,10 +31,15 @@ def fit_deep_mixture(
 ) -> MixtureEstimate:
     """The first layer, started from priors (K,) and "mfa" emissions, then the `layers` of the structure.
 
-    Each layer is learned by EM on the data's likelihood, in which only the topmost factors' Gaussians and priors
-    move; the objective never falls within a layer. The result has K times the layers' numbers of components, and
-    the course of the last layer. Raises ValueError for S³, where factors would lie in different tangent spaces,
-    and for frames of so few dimensions that a layer has no factors.
+    Each layer is learned by EM on the data's likelihood, in which only the topmost factors' Gaussians and priors move;
+    the objective never falls within a layer. The result has K times the layers' numbers of components, and the course
+    of the last layer.
+
+    Raises
+    ------
+    ValueError
+        for S³, where factors would lie in different tangent spaces, and for frames of so few dimensions that a layer
+        has no factors
     """
     for name, manifold in samples.manifolds.items():
         if not manifold.is_euclidean:

@@ -53,7 +53,11 @@ def fit_mixture(
     """EM from the given start until an iteration gains less than `tol`, at the earliest after 5 iterations.
 
     The objective is the log-likelihood less `Emissions.penalty`, per sample, taken before each M-step.
-    Raises ValueError when a covariance loses its definiteness.
+
+    Raises
+    ------
+    ValueError
+        when a covariance loses its definiteness
     """
 
     def by_numpy(priors: Array, emissions: Emissions) -> tuple[float, Array, dict[str, Moments]]:

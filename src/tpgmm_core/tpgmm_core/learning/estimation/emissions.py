@@ -30,8 +30,15 @@ CHUNK_NUMBERS = 1 << 18
 class Moments:
     """Weighted moments of the samples of one frame: all that an M-step needs of them.
 
-    counts : shape (K,), summed weights; means : shape (K, D_j); scatters : shape (K, n_j, n_j), covariances of
-    the tangent vectors at these means. Where a count is 0, means and scatters mean nothing.
+    Parameters
+    ----------
+    counts
+        shape (K,), summed weights
+    means
+        shape (K, D_j)
+    scatters
+        shape (K, n_j, n_j), covariances of the tangent vectors at these means. Where a count is 0, means and scatters
+        mean nothing.
     """
 
     counts: Array
@@ -43,11 +50,18 @@ class Moments:
 class Emissions:
     """K components seen from P frames, the same structure for all; immutable.
 
-    structure : kind of covariances, with regularisation
-    manifolds : name → space of the frame's view
-    means : name → shape (K, D_j), ambient
-    frames : name → the K covariances of that frame
-    prior_scatter : Psi of the prior exp(-1/2 tr(Psi Sigma^-1)) is prior_scatter I; 0 with "add"
+    Parameters
+    ----------
+    structure
+        kind of covariances, with regularisation
+    manifolds
+        name → space of the frame's view
+    means
+        name → shape (K, D_j), ambient
+    frames
+        name → the K covariances of that frame
+    prior_scatter
+        Psi of the prior exp(-1/2 tr(Psi Sigma^-1)) is prior_scatter I; 0 with "add"
     """
 
     structure: Structure
@@ -146,7 +160,13 @@ class Emissions:
         return replace(self, means=means, frames=frames)
 
     def maximised(self, samples: Samples, responsibilities: Array) -> Emissions:
-        """M-step for responsibilities (N, K). Raises ValueError when a covariance loses its definiteness."""
+        """M-step for responsibilities (N, K).
+
+        Raises
+        ------
+        ValueError
+            when a covariance loses its definiteness
+        """
         return self.updated(self.moments(samples, responsibilities))
 
     def penalty(self) -> float:
@@ -164,7 +184,10 @@ class Emissions:
 def frame_moments(manifold: Manifold, x: Array, weights: Array, base: Array) -> Moments:
     """Moments of x (N, D_j) weighted by (N, K), in bounded memory.
 
-    base : shape (K, D_j), near the means. On S³ the mean is one step along the mean tangent vector at the base.
+    Parameters
+    ----------
+    base
+        shape (K, D_j), near the means. On S³ the mean is one step along the mean tangent vector at the base.
     """
     counts = weights.sum(axis=0)
     share = np.where(counts > EMPTY, counts, 1.0)[:, None]

@@ -27,8 +27,15 @@ def assignments(
 ) -> Labels:
     """The component (N,) of each sample that `init` asks for: "time", "bins", "kmeans", or the labels themselves.
 
-    n_starts : of k-means. Raises ValueError where that leaves a component without samples, and for labels
-    that do not fit.
+    Parameters
+    ----------
+    n_starts
+        of k-means
+
+    Raises
+    ------
+    ValueError
+        where that leaves a component without samples, and for labels that do not fit
     """
     if not isinstance(init, str):
         labels = np.asarray(init)
@@ -57,7 +64,15 @@ def time_bins(times: Array, n_components: int) -> Labels:
     """Bins of equal width between the first and the last time, half-open: samples at the last time are left
     out.
 
-    times : shape (N,), s. Raises ValueError when a bin has no sample.
+    Parameters
+    ----------
+    times
+        shape (N,), s
+
+    Raises
+    ------
+    ValueError
+        when a bin has no sample
     """
     edges = np.linspace(times.min(), times.max(), n_components + 1)
     labels = np.searchsorted(edges, times, side="right") - 1
@@ -80,8 +95,13 @@ def equal_bins(lengths: Sequence[int], n_components: int) -> Labels:
 def joint_points(manifolds: Sequence[Manifold], X: Sequence[Array], seen: NDArray[np.bool_]) -> Array:
     """All frames' views side by side, (N, sum of tangent dimensions), for a joint k-means.
 
-    X : per frame (N, D_j); seen : shape (P, N). Every tangent dimension is scaled to unit variance, since
-    seconds, metres and radians do not compare; a view that was not seen lies at the frame's mean.
+    Parameters
+    ----------
+    X
+        per frame (N, D_j)
+    seen
+        shape (P, N). Every tangent dimension is scaled to unit variance, since seconds, metres and radians do not
+        compare; a view that was not seen lies at the frame's mean.
     """
     views = []
     for manifold, x, mask in zip(manifolds, X, seen, strict=True):
@@ -97,7 +117,15 @@ def kmeans(
 ) -> Labels:
     """k-means from `n_starts` k-means++ starts; the assignment with the smallest sum of squared distances.
 
-    points : shape (N, D). Raises ValueError when there are fewer distinct points than components.
+    Parameters
+    ----------
+    points
+        shape (N, D)
+
+    Raises
+    ------
+    ValueError
+        when there are fewer distinct points than components
     """
     if len(np.unique(points, axis=0)) < n_components:
         raise ValueError(f"the data has fewer distinct samples than the {n_components} components")

@@ -27,9 +27,13 @@ def fit_structure(
 ) -> MixtureEstimate:
     """EM with this structure, with the rules of `fit_mixture`.
 
-    begun : components of `start` as an earlier fit left them, which go on as they are where their structure is
-        the same; others start from the structure's nearest to the covariances of `start`
-    random_state : seed or generator for dividing the components of "deep_mfa"
+    Parameters
+    ----------
+    begun
+        components of `start` as an earlier fit left them, which go on as they are where their structure is the same;
+        others start from the structure's nearest to the covariances of `start`
+    random_state
+        seed or generator for dividing the components of "deep_mfa"
     """
     is_deep = structure.name == "deep_mfa"
     first = replace(structure, name="mfa") if is_deep else structure

@@ -29,10 +29,15 @@ MAX_STEPS = 100  # of Newton's method, which takes about 10
 class Durations:
     """Distributions of the durations of K states, in samples.
 
-    natural : shape (K, 2), eta
-    max_duration : L, the longest duration
-    prior_moments : shape (K, 2), moments of log d and (log d)² of the PRIOR_SEGMENTS segments that count as
-        seen before all others (the conjugate prior)
+    Parameters
+    ----------
+    natural
+        shape (K, 2), eta
+    max_duration
+        L, the longest duration
+    prior_moments
+        shape (K, 2), moments of log d and (log d)² of the PRIOR_SEGMENTS segments that count as seen before all others
+        (the conjugate prior)
     """
 
     natural: Array

@@ -44,8 +44,12 @@ def fit_chain(
     """Baum-Welch over several demonstrations from the given start, with the rules of `fit_mixture`.
 
     The objective is the log-likelihood, less `Emissions.penalty`, plus the prior of the chain, per sample; with
-    regularization "prior" it never falls on Euclidean data. Raises ValueError when a covariance loses its
-    definiteness, and for a demonstration that the chain cannot produce.
+    regularization "prior" it never falls on Euclidean data.
+
+    Raises
+    ------
+    ValueError
+        when a covariance loses its definiteness, and for a demonstration that the chain cannot produce
     """
     N = samples.n_samples
     log_likelihoods: list[float] = []

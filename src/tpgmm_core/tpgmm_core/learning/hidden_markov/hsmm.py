@@ -73,8 +73,12 @@ class TPHSMM(TPHMM):
         """The most probable states and their durations in samples, both (S,), of a movement of n_steps samples.
 
         The maximum of the forward variable when nothing is observed (Yu 2010; Calinon et al., ICRA 2011). The movement
-        ends in a state that nothing follows, where there is one. Raises ValueError when no sequence of states lasts
-        that long.
+        ends in a state that nothing follows, where there is one.
+
+        Raises
+        ------
+        ValueError
+            when no sequence of states lasts that long
         """
         self._check_fitted()
         K = len(self.priors_)

@@ -27,9 +27,14 @@ NEVER = 1e-10  # states that are expected less often than this keep their probab
 class Posteriors:
     """Expected states: what the M-steps need.
 
-    log_likelihood : sum over the demonstrations
-    responsibilities : shape (N, K)
-    starts : shape (K,), transitions : shape (K, K), durations : shape (K, L): expected numbers
+    Parameters
+    ----------
+    log_likelihood
+        sum over the demonstrations
+    responsibilities
+        shape (N, K)
+    starts
+        shape (K,), transitions : shape (K, K), durations : shape (K, L): expected numbers
     """
 
     log_likelihood: float
@@ -43,8 +48,12 @@ class Posteriors:
 class MarkovChain:
     """Hidden Markov chain (Rabiner, 1989).
 
-    start : shape (K,), sums to 1
-    transitions : shape (K, K), rows sum to 1. What is zero stays zero
+    Parameters
+    ----------
+    start
+        shape (K,), sums to 1
+    transitions
+        shape (K, K), rows sum to 1. What is zero stays zero
     """
 
     start: Array
@@ -70,7 +79,13 @@ class MarkovChain:
         return _free(self.start[None]) + _free(self.transitions)
 
     def posteriors(self, log_densities: Array, lengths: Sequence[int]) -> Posteriors:
-        """E-step by forward-backward. Raises ValueError for a demonstration that the chain cannot produce."""
+        """E-step by forward-backward.
+
+        Raises
+        ------
+        ValueError
+            for a demonstration that the chain cannot produce
+        """
         N, K = log_densities.shape
         found = Posteriors(0.0, np.empty((N, K)), np.zeros(K), np.zeros((K, K)), np.zeros((K, 0)))
         total = 0.0
@@ -112,7 +127,13 @@ class MarkovChain:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array], n_states: int) -> MarkovChain:
-        """The inverse of `arrays`. Raises ValueError for arrays that are no chain of so many states."""
+        """The inverse of `arrays`.
+
+        Raises
+        ------
+        ValueError
+            for arrays that are no chain of so many states
+        """
         start, transitions = _checked_probabilities(arrays, n_states)
         return cls(start, transitions)
 
@@ -124,9 +145,14 @@ class MarkovChain:
 class SemiMarkovChain:
     """Hidden semi-Markov chain with explicit durations (Yu, 2010).
 
-    start : shape (K,), sums to 1
-    transitions : shape (K, K), zero diagonal, rows sum to 1, or to 0 for a state that nothing follows
-    durations : of the states' segments, the first and the last of a demonstration included
+    Parameters
+    ----------
+    start
+        shape (K,), sums to 1
+    transitions
+        shape (K, K), zero diagonal, rows sum to 1, or to 0 for a state that nothing follows
+    durations
+        of the states' segments, the first and the last of a demonstration included
     """
 
     start: Array
@@ -154,8 +180,13 @@ class SemiMarkovChain:
         return _free(self.start[None]) + _free(self.transitions) + self.durations.natural.size
 
     def posteriors(self, log_densities: Array, lengths: Sequence[int]) -> Posteriors:
-        """E-step by forward-backward with durations. Raises ValueError for a demonstration that the chain cannot
-        produce."""
+        """E-step by forward-backward with durations.
+
+        Raises
+        ------
+        ValueError
+            for a demonstration that the chain cannot produce
+        """
         N, K = log_densities.shape
         counts = np.zeros((K, self.durations.max_duration))
         found = Posteriors(0.0, np.empty((N, K)), np.zeros(K), np.zeros((K, K)), counts)
@@ -216,7 +247,13 @@ class SemiMarkovChain:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array], n_states: int) -> SemiMarkovChain:
-        """The inverse of `arrays`. Raises ValueError for arrays that are no chain of so many states."""
+        """The inverse of `arrays`.
+
+        Raises
+        ------
+        ValueError
+            for arrays that are no chain of so many states
+        """
         start, transitions = _checked_probabilities(arrays, n_states)
         natural, prior_moments = arrays["durations"], arrays["duration_prior_moments"]
         longest = float(arrays["max_duration"].item())

@@ -93,7 +93,10 @@ class OnlineTPGMM(TPGMM):
     def partial_fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
         """Take in new demonstrations; the first call is `fit`.
 
-        Raises ValueError for demonstrations whose frames or dimensions are not those of the model.
+        Raises
+        ------
+        ValueError
+            for demonstrations whose frames or dimensions are not those of the model
         """
         if not hasattr(self, "cells_"):
             return self.fit(demonstrations, progress)

@@ -35,10 +35,16 @@ PARTS = ("counts", "means", "scatters")  # of moments, in the order of their arg
 class SufficientStatistics:
     """C groups of samples, in the order in which they were shown.
 
-    counts : shape (C,), samples, or their weight
-    demonstrations : shape (C,), which demonstration each is part of; does not decrease
-    frames : name → counts (C,) of the samples that the frame saw, their means (C, D_j) and scatters (C, n_j, n_j)
-    manifolds : name → space of the frame's view
+    Parameters
+    ----------
+    counts
+        shape (C,), samples, or their weight
+    demonstrations
+        shape (C,), which demonstration each is part of; does not decrease
+    frames
+        name → counts (C,) of the samples that the frame saw, their means (C, D_j) and scatters (C, n_j, n_j)
+    manifolds
+        name → space of the frame's view
     """
 
     counts: Array
@@ -66,7 +72,13 @@ class SufficientStatistics:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array], manifolds: Mapping[str, Manifold]) -> SufficientStatistics:
-        """The inverse of `arrays`. Raises ValueError for arrays that do not fit the manifolds."""
+        """The inverse of `arrays`.
+
+        Raises
+        ------
+        ValueError
+            for arrays that do not fit the manifolds
+        """
         counts, demonstrations = arrays["cells"], arrays["cells_demonstrations"]
         C = len(counts)
         frames = {}
@@ -185,7 +197,10 @@ def fit_cells(
 ) -> MixtureEstimate:
     """EM with shared responsibilities from the given start, with the rules of `fit_mixture`; log-likelihoods are F.
 
-    Raises ValueError when a covariance loses its definiteness.
+    Raises
+    ------
+    ValueError
+        when a covariance loses its definiteness
     """
     N = cells.n_samples
     log_likelihoods: list[float] = []
