@@ -26,7 +26,19 @@ class YamlError(ValueError):
 
 
 def load_yaml(path: Path, what: str) -> Any:
-    """What a YAML file holds; `what` is what errors say was expected, such as "a task file".
+    """Read a YAML file.
+
+    Parameters
+    ----------
+    path
+        the file
+    what
+        what errors say was expected, such as "a task file"
+
+    Returns
+    -------
+    Any
+        mappings, lists, texts, numbers and dates, as the file holds them
 
     Raises
     ------
@@ -50,7 +62,14 @@ def load_yaml(path: Path, what: str) -> Any:
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """What YAML text says: mappings, lists, texts, numbers, dates; `source` is what errors call it.
+    """Read YAML text: mappings, lists, texts, numbers, dates.
+
+    Parameters
+    ----------
+    text
+        the YAML
+    source
+        what errors call it
 
     Raises
     ------

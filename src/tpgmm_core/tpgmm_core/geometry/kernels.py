@@ -87,7 +87,7 @@ def quaternion_difference(
 
 @compiled
 def turn(q: Array, wx: float, wy: float, wz: float) -> None:
-    """q ← Exp(w) ⊗ q in place, normalised."""
+    """Turn a quaternion in place: q ← Exp(w) ⊗ q, normalised."""
     angle = math.sqrt(wx * wx + wy * wy + wz * wz)
     factor = 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
     c, x, y, z = math.cos(0.5 * angle), factor * wx, factor * wy, factor * wz

@@ -36,7 +36,10 @@ class Sphere:
 class Manifold:
     """Product of factors, e.g. `Manifold.parse("R1 x R3 x S3")`; immutable.
 
-    `factors` are pairs of kind ("R" or "S") and dimension (any for "R", 3 for "S").
+    Parameters
+    ----------
+    factors
+        pairs of kind ("R" or "S") and dimension (any for "R", 3 for "S")
     """
 
     factors: tuple[tuple[str, int], ...]
@@ -49,7 +52,14 @@ class Manifold:
     @classmethod
     @lru_cache(maxsize=256)  # what a manifold knows of itself is worked out once, not at every message
     def parse(cls, text: str, dim: int | None = None) -> Manifold:
-        """Manifold of a text such as "R1 x R3 x S3", or "euclidean", which is R^dim.
+        """Make the manifold of a text such as "R1 x R3 x S3", or "euclidean", which is R^dim.
+
+        Parameters
+        ----------
+        text
+            factors "R" or "S" with their dimensions, separated by " x "
+        dim
+            number of ambient dimensions that it must have; None: any
 
         Raises
         ------
@@ -76,7 +86,13 @@ class Manifold:
     @classmethod
     @lru_cache(maxsize=256)
     def euclidean(cls, dim: int) -> Manifold:
-        """R^dim."""
+        """R^dim.
+
+        Parameters
+        ----------
+        dim
+            number of dimensions, at least 1
+        """
         return cls((("R", dim),))
 
     def __str__(self) -> str:
@@ -134,7 +150,20 @@ class Manifold:
         return np.array([[s.ambient.start, s.tangent.start] for s in self.spheres], dtype=np.int64).reshape(-1, 2)
 
     def log(self, base: ArrayLike, x: ArrayLike) -> Array:
-        """Tangent vectors (..., tangent_dim) from base (..., dim) to x (..., dim); q and -q agree."""
+        """Tangent vectors from one point to another; q and -q are the same orientation.
+
+        Parameters
+        ----------
+        base
+            points at which the vectors begin, (..., dim)
+        x
+            points that they lead to, (..., dim)
+
+        Returns
+        -------
+        Array
+            shape (..., tangent_dim)
+        """
         base, x = np.asarray(base, dtype=float), np.asarray(x, dtype=float)
         if self.is_euclidean:
             return x - base
@@ -150,7 +179,20 @@ class Manifold:
         return v
 
     def exp(self, base: ArrayLike, v: ArrayLike) -> Array:
-        """Points (..., dim) reached from base (..., dim) along the tangent vectors v (..., tangent_dim)."""
+        """Points that tangent vectors lead to.
+
+        Parameters
+        ----------
+        base
+            points at which the vectors begin, (..., dim)
+        v
+            tangent vectors, (..., tangent_dim)
+
+        Returns
+        -------
+        Array
+            shape (..., dim)
+        """
         base, v = np.asarray(base, dtype=float), np.asarray(v, dtype=float)
         if self.is_euclidean:
             return base + v
@@ -165,11 +207,30 @@ class Manifold:
         return x
 
     def distance(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Length (...,) of the shortest way from x to y (..., dim)."""
+        """Length of the shortest way between points, in the units of the tangent vectors.
+
+        Parameters
+        ----------
+        x, y
+            points, (..., dim)
+
+        Returns
+        -------
+        Array
+            shape (...,)
+        """
         return np.linalg.norm(self.log(x, y), axis=-1)
 
     def mean(self, x: ArrayLike, weights: ArrayLike | None = None) -> Array:
-        """Weighted mean (dim,) of points x (N, dim): where the weighted tangent vectors to the points cancel out."""
+        """Weighted mean (dim,) of points: where the weighted tangent vectors to the points cancel out.
+
+        Parameters
+        ----------
+        x
+            points, (N, dim)
+        weights
+            shape (N,); None: all points count the same
+        """
         x = np.asarray(x, dtype=float)
         w = np.ones(len(x)) if weights is None else np.asarray(weights, dtype=float)
         w = w / w.sum()
@@ -186,9 +247,21 @@ class Manifold:
         return mean
 
     def transport(self, base: ArrayLike, to: ArrayLike) -> Array:
-        """Matrices (..., tangent_dim, tangent_dim) of parallel transport along the shortest way base → to.
+        """Matrices of parallel transport along the shortest way between points.
 
         In fixed axes the transport over a rotation w is the rotation by half of it.
+
+        Parameters
+        ----------
+        base
+            points from which tangent vectors are moved, (..., dim)
+        to
+            points to which they are moved, (..., dim)
+
+        Returns
+        -------
+        Array
+            shape (..., tangent_dim, tangent_dim)
         """
         base, to = np.asarray(base, dtype=float), np.asarray(to, dtype=float)
         shape = np.broadcast_shapes(base.shape[:-1], to.shape[:-1])
@@ -200,10 +273,20 @@ class Manifold:
         return T
 
     def tangent_map(self, A: ArrayLike) -> Array:
-        """How an ambient frame matrix A (..., D, D_j) acts on tangent vectors, (..., D_tangent, D_j_tangent).
+        """How an ambient frame matrix A acts on tangent vectors.
 
         A quaternion block L(q) becomes the rotation R(q), whatever the point; Euclidean blocks stay. On a Euclidean
         manifold A may have any number of columns.
+
+        Parameters
+        ----------
+        A
+            shape (..., D, D_j)
+
+        Returns
+        -------
+        Array
+            shape (..., D_tangent, D_j_tangent)
 
         Raises
         ------
@@ -239,7 +322,12 @@ class Manifold:
         return tangent
 
     def tangent_indices(self, dims: Sequence[int]) -> NDArray[np.intp]:
-        """Tangent indices that belong to the ambient indices `dims`.
+        """Tangent indices of the ambient indices `dims`.
+
+        Parameters
+        ----------
+        dims
+            ambient indices, as for `subset`
 
         Raises
         ------
@@ -249,7 +337,12 @@ class Manifold:
         return self._select(dims)[1]
 
     def subset(self, dims: Sequence[int]) -> Manifold:
-        """Manifold of the ambient indices `dims`, in their order.
+        """Manifold of some of the ambient indices, in their order.
+
+        Parameters
+        ----------
+        dims
+            ambient indices; the four of a quaternion go together
 
         Raises
         ------
@@ -267,7 +360,13 @@ class Manifold:
         return {"factors": self.factors}  # the rest is worked out anew
 
     def rest(self, dims: Sequence[int]) -> list[int]:
-        """The ambient indices that are not in `dims`."""
+        """The ambient indices that are not in `dims`, in their order.
+
+        Parameters
+        ----------
+        dims
+            ambient indices
+        """
         return [i for i in range(self.dim) if i not in set(dims)]
 
     def _select(self, dims: Sequence[int]) -> tuple[tuple[tuple[str, int], ...], NDArray[np.intp]]:
@@ -297,7 +396,7 @@ class Manifold:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Split:
-    """Dimensions of a manifold that are given and those that are free, as regression takes them.
+    """Dimensions of a manifold that are given and those that are free, in the form that regression needs.
 
     Parameters
     ----------
@@ -313,7 +412,14 @@ class Split:
 
 
 def split(manifold: Manifold, dims: tuple[int, ...]) -> Split:
-    """The dimensions `dims` are given, the others free.
+    """Divide a manifold into the dimensions `dims`, which are given, and the others, which are free.
+
+    Parameters
+    ----------
+    manifold
+        the whole space
+    dims
+        ambient dimensions; the four numbers of a quaternion go together
 
     Raises
     ------

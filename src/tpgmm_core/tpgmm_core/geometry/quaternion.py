@@ -38,7 +38,7 @@ def conjugate(q: ArrayLike) -> Array:
 
 
 def normalize(q: ArrayLike) -> Array:
-    """q / |q|, shape (..., 4).
+    """Quaternion of length 1: q / |q|, shape (..., 4).
 
     Raises
     ------
@@ -86,7 +86,7 @@ def rotation_matrix(q: ArrayLike) -> Array:
 def roll_pitch_yaw(q: ArrayLike) -> Array:
     """Turns (3,) about the fixed axes x, then y, then z (REP 103), rad, that make up a unit quaternion (4,).
 
-    Where the pitch is a quarter turn, roll and yaw are the same turn, which is given as roll.
+    Where the pitch is a quarter turn, roll and yaw are about the same axis; the whole turn is then given as roll.
     """
     R = rotation_matrix(q)
     cosine = np.hypot(R[0, 0], R[1, 0])

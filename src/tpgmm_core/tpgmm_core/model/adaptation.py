@@ -30,13 +30,22 @@ changed at all.
 
 
 class Adapter:
-    """A fitted model with its precisions computed ahead; makes the mixture, or regression on it, for new
-    frames.
+    """A fitted model with its precisions computed ahead, which is adapted to new frames again and again.
 
-    In precision form frame j contributes weight_j (A_j^+)^T Lambda_j A_j^+ at A_j mu_j + b_j, for any A: it
-    says nothing about directions outside the range of its A. A frame's own inverse (`Frame.inverse`) takes the place of
-    A_j^+. The constructor makes sure that everything is
-    compiled, so that no later step waits for the compiler.
+    It makes the mixture in a new situation, or regression on it. In precision form frame j contributes weight_j
+    (A_j^+)^T Lambda_j A_j^+ at A_j mu_j + b_j, for any A: it says nothing about directions outside the range of its A.
+    A frame's own inverse (`Frame.inverse`) takes the place of A_j^+. The constructor compiles everything, so that no
+    later step waits for the compiler.
+
+    Parameters
+    ----------
+    model
+        a fitted model, such as `TPGMM`; what is needed of it is copied
+
+    Raises
+    ------
+    ValueError
+        for covariances that are not positive definite
     """
 
     def __init__(self, model: FittedModel) -> None:
@@ -67,7 +76,7 @@ class Adapter:
         return self.buffer.manifold
 
     def _compile(self) -> None:
-        """One step with one frame at the origin."""
+        """Make one step with one frame at the origin."""
         frames = self.buffer.identity_frame()
         self.situate(frames)
         if self.manifold.ambient_of_tangent[0] == 0:
@@ -109,7 +118,18 @@ class Adapter:
         state: ArrayLike | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> None:
-        """As `adapt`, for `condition` and `mixture` to read from; nothing is copied."""
+        """Adapt to a situation without returning it: `condition` and `mixture` then read from it.
+
+        Parameters
+        ----------
+        frames, state, weights
+            as for `adapt`
+
+        Raises
+        ------
+        ValueError
+            like `adapt`
+        """
         self._take(frames, state, weights)
         self._check(kernels_adapt.adapt(*self._inputs(), *self._result()))
 
@@ -126,7 +146,16 @@ class Adapter:
         weights: Mapping[str, float] | None = None,
         state: ArrayLike | None = None,
     ) -> tuple[Array, Array, Array]:
-        """One step of a reproduction: adapt, then regression on the first dimension at times (H,).
+        """One step of a reproduction: adapt, then regression on the first dimension.
+
+        Parameters
+        ----------
+        frames
+            as for `adapt`
+        times
+            shape (H,), values of the first dimension
+        weights, state
+            as for `adapt`
 
         Returns
         -------
@@ -147,7 +176,18 @@ class Adapter:
         return means, covariances, activations[0]
 
     def condition(self, times: ArrayLike) -> tuple[Array, Array, Array]:
-        """Regression at times (H,) in the situation of the last call, without adapting to it again."""
+        """Regression in the situation of the last call, without adapting to it again.
+
+        Parameters
+        ----------
+        times
+            shape (H,), values of the first dimension
+
+        Returns
+        -------
+        tuple[Array, Array, Array]
+            as of `adapt_and_condition`
+        """
         times = np.array(times, dtype=float)
         means, covariances, activations = outputs = self._outputs(len(times))
         kernels_regress.regress_all(
@@ -186,7 +226,7 @@ class Adapter:
             self.buffer.refuse(failed)
 
     def _views(self, k: int) -> dict[str, Gaussian]:
-        """Component k as the frames that are there see it, in the common frame; on S³ these have one manifold."""
+        """Component k as each known frame sees it, in the common frame; on S³ these have one manifold."""
         s, K = self.buffer, len(self.priors)
         views = {}
         for j in np.flatnonzero(s.weights):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Reference`: what a reproduction hands on and a controller follows."""
+"""`Reference`: what a reproduction sends and a controller follows."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Reference:
     horizon
         the Gaussians ahead, the first one ``horizon_time_step`` after this step
     activations
-        (K,), the weights of the components at this time
+        shape (K,), the weights of the components at this time
     frames
-        names of the frames that took part
+        names of the frames that were used
     dimensions
-        names of the mean's coordinates; empty where they go without saying
+        names of the mean's coordinates; empty for a pose
     """
 
     phase: float
