@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Information criteria: what a model's parameters cost it. The smaller, the better.
 
-Both take neighbouring samples for independent, which those of a trajectory are not: they count each sample as
-a new piece of evidence, and so choose too many components. Leave-one-out over demonstrations
-(`tpgmm_core.learning.selection`) does not.
+Both treat neighbouring samples as independent, which those of a trajectory are not: they count each sample as new
+evidence, and so choose too many components. Leave-one-out over demonstrations (`tpgmm_core.learning.selection`) does
+not.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ def bic(log_likelihood: float, n_parameters: int, n_samples: int) -> float:
     ----------
     log_likelihood
         of all samples together, log L
+    n_parameters
+        free parameters of the model
     n_samples
         N
 
@@ -38,5 +40,7 @@ def aic(log_likelihood: float, n_parameters: int) -> float:
     ----------
     log_likelihood
         of all samples together, log L
+    n_parameters
+        free parameters of the model
     """
     return -2.0 * log_likelihood + 2.0 * n_parameters

@@ -5,8 +5,8 @@ A file is a zip archive in numpy's npz format: `model.json` as an array of bytes
 settings, and plain numeric arrays. It is replaced as a whole (`atomic_file`): an
 interrupted save loses nothing.
 
-A file may be untrusted: what it announces is held against limits and against what it holds, before memory is
-taken for it.
+A file may be untrusted: the sizes that it announces are compared with limits and with what it contains, before memory
+is reserved for it.
 """
 
 from __future__ import annotations
@@ -45,14 +45,30 @@ MAX_NUMBERS = MAX_BYTES // 8
 
 
 class ModelFileError(ValueError):
-    """The file is damaged, or no model file, or from a later version."""
+    """The file is damaged, is no model file, or is of a later version."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelContents:
-    """What a model file holds: see the attributes of `TPGMM`. settings are constructor arguments; frames are the
-    covariances in their structure, where it is not "full": then the file holds these, not the dense ones; kind is
-    the class of the estimator, and more the arrays that it has beyond those of `TPGMM`."""
+    """What a model file holds; fields without a description are the attributes of `TPGMM` with the same name.
+
+    Parameters
+    ----------
+    manifold
+        space of the data
+    priors, means, covariances, log_likelihoods, objectives, converged
+        see `TPGMM`
+    settings
+        constructor arguments
+    dimensions, metadata
+        see `TPGMM`
+    frames
+        name → covariances in their structure, where it is not "full": the file then holds these, not the dense ones
+    kind
+        class of the estimator
+    more
+        arrays that this class has beyond those of `TPGMM`
+    """
 
     manifold: Manifold
     priors: Array
@@ -70,12 +86,21 @@ class ModelContents:
 
 
 def write(path: str | PathLike[str], contents: ModelContents) -> None:
-    """Write a model file, replacing an older one only when the new one is complete.
+    """Write a model file; an older one is replaced only when the new one is complete.
+
+    Parameters
+    ----------
+    path
+        the file
+    contents
+        what it will hold
 
     Raises
     ------
     ValueError
-        when the metadata hold something else than texts and finite numbers, OSError when the disk refuses
+        when the metadata hold anything but texts and finite numbers
+    OSError
+        when the file cannot be written
     """
     _check_metadata(contents.metadata)
     names = list(contents.means)
@@ -116,10 +141,17 @@ def write(path: str | PathLike[str], contents: ModelContents) -> None:
 def read(path: str | PathLike[str]) -> ModelContents:
     """Read a model file.
 
+    Parameters
+    ----------
+    path
+        the file
+
     Raises
     ------
     ModelFileError
-        for anything but a complete model file of a known version, FileNotFoundError where there is none
+        for anything but a complete model file of a known version
+    FileNotFoundError
+        where there is none
     """
     try:
         arrays = _arrays(path)

@@ -25,17 +25,25 @@ def assignments(
     random_state: int | np.random.Generator | None,
     n_starts: int = 5,
 ) -> Labels:
-    """The component (N,) of each sample that `init` asks for: "time", "bins", "kmeans", or the labels themselves.
+    """The component (N,) of each sample that `init` stands for.
 
     Parameters
     ----------
+    samples
+        what all frames saw
+    init
+        "time", "bins", "kmeans", or the labels themselves, integers (N,)
+    n_components
+        K
+    random_state
+        seed or generator for k-means
     n_starts
-        of k-means
+        number of starts of k-means
 
     Raises
     ------
     ValueError
-        where that leaves a component without samples, and for labels that do not fit
+        where a component has no samples, and for labels that do not fit
     """
     if not isinstance(init, str):
         labels = np.asarray(init)
@@ -61,13 +69,16 @@ def assignments(
 
 
 def time_bins(times: Array, n_components: int) -> Labels:
-    """Bins of equal width between the first and the last time, half-open: samples at the last time are left
-    out.
+    """Bins of equal width between the first and the last time.
+
+    They are half-open: samples at the last time are left out.
 
     Parameters
     ----------
     times
         shape (N,), s
+    n_components
+        number of bins
 
     Raises
     ------
@@ -95,13 +106,17 @@ def equal_bins(lengths: Sequence[int], n_components: int) -> Labels:
 def joint_points(manifolds: Sequence[Manifold], X: Sequence[Array], seen: NDArray[np.bool_]) -> Array:
     """All frames' views side by side, (N, sum of tangent dimensions), for a joint k-means.
 
+    Every tangent dimension is scaled to unit variance, since seconds, metres and radians do not compare; a view that
+    was not seen lies at the frame's mean.
+
     Parameters
     ----------
+    manifolds
+        space of each frame's view
     X
         per frame (N, D_j)
     seen
-        shape (P, N). Every tangent dimension is scaled to unit variance, since seconds, metres and radians do not
-        compare; a view that was not seen lies at the frame's mean.
+        shape (P, N)
     """
     views = []
     for manifold, x, mask in zip(manifolds, X, seen, strict=True):
@@ -115,12 +130,23 @@ def joint_points(manifolds: Sequence[Manifold], X: Sequence[Array], seen: NDArra
 def kmeans(
     points: Array, n_components: int, random_state: int | np.random.Generator | None, n_starts: int = 5
 ) -> Labels:
-    """k-means from `n_starts` k-means++ starts; the assignment with the smallest sum of squared distances.
+    """k-means from several k-means++ starts; the assignment with the smallest sum of squared distances.
 
     Parameters
     ----------
     points
         shape (N, D)
+    n_components
+        number of clusters
+    random_state
+        seed or generator
+    n_starts
+        number of starts
+
+    Returns
+    -------
+    Labels
+        shape (N,)
 
     Raises
     ------
@@ -153,7 +179,7 @@ def kmeans(
 
 
 def _plus_plus(points: Array, n_components: int, rng: np.random.Generator) -> Array:
-    """Starting centres (K, D), far apart by chance (Arthur and Vassilvitskii, 2007)."""
+    """Random starting centres (K, D), probably far apart (Arthur and Vassilvitskii, 2007)."""
     centres = points[rng.integers(len(points))][None]
     while len(centres) < n_components:
         nearest = _squared_distances(points, centres).min(axis=1)
@@ -168,8 +194,7 @@ def _squared_distances(points: Array, centres: Array) -> Array:
 def moments(
     manifold: Manifold, x: Array, seen: NDArray[np.bool_], labels: Labels, n_components: int, reg_covar: float
 ) -> tuple[Array, Array]:
-    """Means (K, D_j) and unbiased covariances + reg_covar I (K, n, n) of the assigned samples x (N, D_j) of
-    a frame.
+    """Means (K, D_j) and unbiased covariances + reg_covar I (K, n, n) of the samples x (N, D_j) of each label.
 
     A component of which the frame saw nothing starts from all that the frame saw.
     """

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hidden chains of states over demonstrations: a Markov chain, and one whose states last (semi-Markov).
+"""Hidden chains of states over demonstrations: a Markov chain, and a semi-Markov chain with explicit durations.
 
-Both offer the same: what the states of given samples were (`posteriors`, `most_likely`), the M-step from that
+Both offer the same: the states of given samples (`posteriors`, `most_likely`), the M-step from that
 (`maximised`), and how they go on by themselves (`state_probabilities`). They know nothing of Gaussians: samples
 come as log-densities (N, K), demonstrations one after the other, with their lengths.
 """
@@ -34,7 +34,11 @@ class Posteriors:
     responsibilities
         shape (N, K)
     starts
-        shape (K,), transitions : shape (K, K), durations : shape (K, L): expected numbers
+        shape (K,), expected numbers
+    transitions
+        shape (K, K), expected numbers
+    durations
+        shape (K, L), expected numbers; (K, 0) for a Markov chain
     """
 
     log_likelihood: float
@@ -61,7 +65,15 @@ class MarkovChain:
 
     @classmethod
     def of(cls, topology: str | ArrayLike, mean_durations: Array) -> MarkovChain:
-        """A chain to start EM from: see `_structure`; staying is as probable as the durations (K,) have it."""
+        """A chain to start EM from.
+
+        Parameters
+        ----------
+        topology
+            see `_structure`
+        mean_durations
+            shape (K,), samples: they determine the probability of staying in a state
+        """
         start, onwards = _structure(topology, len(mean_durations))
         if not isinstance(topology, str):
             return cls(start, onwards + np.diag(1.0 - onwards.sum(axis=1)))
@@ -70,7 +82,7 @@ class MarkovChain:
 
     @property
     def log_prior(self) -> float:
-        """There is none."""
+        """0: there is no prior."""
         return 0.0
 
     @property
@@ -80,6 +92,13 @@ class MarkovChain:
 
     def posteriors(self, log_densities: Array, lengths: Sequence[int]) -> Posteriors:
         """E-step by forward-backward.
+
+        Parameters
+        ----------
+        log_densities
+            shape (N, K)
+        lengths
+            number of samples of each demonstration
 
         Raises
         ------
@@ -127,12 +146,19 @@ class MarkovChain:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array], n_states: int) -> MarkovChain:
-        """The inverse of `arrays`.
+        """Make a chain from the arrays that `arrays` gave.
+
+        Parameters
+        ----------
+        arrays
+            by name
+        n_states
+            K
 
         Raises
         ------
         ValueError
-            for arrays that are no chain of so many states
+            for arrays that are no chain of K states
         """
         start, transitions = _checked_probabilities(arrays, n_states)
         return cls(start, transitions)
@@ -161,7 +187,17 @@ class SemiMarkovChain:
 
     @classmethod
     def of(cls, topology: str | ArrayLike, mean_durations: Array, max_duration: int) -> SemiMarkovChain:
-        """A chain to start EM from: see `_structure`; durations (K,) in samples."""
+        """A chain to start EM from.
+
+        Parameters
+        ----------
+        topology
+            see `_structure`
+        mean_durations
+            shape (K,), samples
+        max_duration
+            longest duration of a state, samples
+        """
         start, onwards = _structure(topology, len(mean_durations))
         if np.diagonal(onwards).any():
             raise ValueError(
@@ -171,7 +207,7 @@ class SemiMarkovChain:
 
     @property
     def log_prior(self) -> float:
-        """That of the durations."""
+        """Logarithm of the prior of the durations."""
         return self.durations.log_prior
 
     @property
@@ -181,6 +217,13 @@ class SemiMarkovChain:
 
     def posteriors(self, log_densities: Array, lengths: Sequence[int]) -> Posteriors:
         """E-step by forward-backward with durations.
+
+        Parameters
+        ----------
+        log_densities
+            shape (N, K)
+        lengths
+            number of samples of each demonstration
 
         Raises
         ------
@@ -218,8 +261,10 @@ class SemiMarkovChain:
         return states, total
 
     def state_probabilities(self, n_steps: int) -> Array:
-        """Probabilities (n_steps, K) of the states at each step when nothing is observed; a state that nothing
-        follows goes on."""
+        """Probabilities (n_steps, K) of the states at each step when nothing is observed.
+
+        A state that nothing follows goes on.
+        """
         K, L = self.durations.natural.shape[0], self.durations.max_duration
         p = np.exp(self.durations.log_probabilities)
         begins = np.zeros((n_steps + 1, K))
@@ -247,12 +292,19 @@ class SemiMarkovChain:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array], n_states: int) -> SemiMarkovChain:
-        """The inverse of `arrays`.
+        """Make a chain from the arrays that `arrays` gave.
+
+        Parameters
+        ----------
+        arrays
+            by name
+        n_states
+            K
 
         Raises
         ------
         ValueError
-            for arrays that are no chain of so many states
+            for arrays that are no chain of K states
         """
         start, transitions = _checked_probabilities(arrays, n_states)
         natural, prior_moments = arrays["durations"], arrays["duration_prior_moments"]

@@ -54,7 +54,7 @@ class SufficientStatistics:
 
     @classmethod
     def of(cls, samples: Samples, weight: float = 1.0) -> SufficientStatistics:
-        """Every sample a cell of its own, of this weight."""
+        """Make a cell of every sample, each with this weight."""
         frames = {
             name: Moments(weight * seen, x, np.zeros((len(x), *2 * (samples.manifolds[name].tangent_dim,))))
             for (name, x), seen in zip(samples.X.items(), samples.seen, strict=True)
@@ -72,7 +72,14 @@ class SufficientStatistics:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array], manifolds: Mapping[str, Manifold]) -> SufficientStatistics:
-        """The inverse of `arrays`.
+        """Make statistics from the arrays that `arrays` gave.
+
+        Parameters
+        ----------
+        arrays
+            by name
+        manifolds
+            name → space of the frame's view
 
         Raises
         ------
@@ -103,7 +110,7 @@ class SufficientStatistics:
         return float(self.counts.sum())
 
     def followed_by(self, others: SufficientStatistics) -> SufficientStatistics:
-        """The cells of these demonstrations, and then those of others."""
+        """The cells of these demonstrations, followed by those of others."""
         joined = {}
         for name, a in self.frames.items():
             b = others.frames[name]
@@ -121,7 +128,7 @@ class SufficientStatistics:
         )
 
     def coarser(self, size: int) -> SufficientStatistics:
-        """Every `size` cells that follow each other in a demonstration become one."""
+        """Join every `size` cells that follow each other in a demonstration."""
         starts = np.searchsorted(self.demonstrations, self.demonstrations)
         places = (np.arange(len(self.counts)) - starts) // size
         _, first, labels = np.unique(
@@ -178,9 +185,9 @@ class SufficientStatistics:
         }
 
     def bound(self, priors: Array, emissions: Emissions) -> float:
-        """F(theta), nats: the log-likelihood of all the samples is at least this.
+        """F(theta), nats: a lower bound of the log-likelihood of all the samples.
 
-        On S³ up to the curvature over the extent of a cell.
+        On S³ this holds up to the curvature over the extent of a cell.
         """
         log_joint = self.log_densities(emissions) + np.log(np.maximum(priors, np.finfo(float).tiny))
         return float(self.counts @ logsumexp(log_joint, axis=1))
@@ -197,10 +204,21 @@ def fit_cells(
 ) -> MixtureEstimate:
     """EM with shared responsibilities from the given start, with the rules of `fit_mixture`; log-likelihoods are F.
 
+    Parameters
+    ----------
+    cells
+        statistics of the samples
+    priors
+        shape (K,), of the start
+    emissions
+        components of the start
+    tol, max_iter, progress
+        as for `fit_mixture`
+
     Raises
     ------
     ValueError
-        when a covariance loses its definiteness
+        when a covariance is no longer positive definite
     """
     N = cells.n_samples
     log_likelihoods: list[float] = []
@@ -223,8 +241,10 @@ def fit_cells(
 
 
 def _moments(manifold: Manifold, parts: Moments, weights: Array, base: Array) -> Moments:
-    """Moments (K) of parts (C) weighted by (C, K), about means one step along the mean tangent vector from the base
-    (K, D). Scatters move by parallel transport."""
+    """Moments (K) of parts (C) weighted by (C, K).
+
+    The means are one step along the mean tangent vector from the base (K, D). Scatters move by parallel transport.
+    """
     K, n = len(base), manifold.tangent_dim
     counts = np.zeros(K)
     means, scatters = base.copy(), np.zeros((K, n, n))
