@@ -315,7 +315,7 @@ def _divergence(
     normal = 0.5 * (n * (beta_0 / beta - 1.0 - np.log(beta_0 / beta)) + beta_0 * nu * distance)
 
     def log_normaliser(log_Psi: Array, nu: Array) -> Array:
-        """log B(Psi^-1, nu) of Bishop (2006), Eq. B.79."""
+        """Logarithm of B(Psi^-1, nu) of Bishop (2006), Eq. B.79."""
         gammas = gammaln(0.5 * (nu[..., None] - i)).sum(axis=-1)
         return np.asarray(0.5 * nu * log_Psi - 0.5 * nu * n * LOG_2 - 0.25 * n * (n - 1) * LOG_PI - gammas)
 

@@ -235,7 +235,7 @@ class _Flat:
 
     @classmethod
     def fit(cls, view: _View, dimension_penalty: float, former: _Flat | None = None) -> _Flat:
-        """The cheapest subspace: a principal direction is kept where the sum of squares along it exceeds its penalty."""
+        """The cheapest subspace: principal directions along which the squares sum to more than the penalty are kept."""
         x = view.x[view.seen]
         if len(x) == 0:  # of which this frame saw nothing: anything is right
             return cls.point(np.zeros(view.x.shape[1]) if former is None else former.centre)

@@ -64,10 +64,10 @@ def with_derivatives(
     demonstration
         data (T, 1 + D): time, then positions or poses; frames may move
     manifold
-        space of all of data, time included; the model's is `manifold_with_derivatives` of it
+        space of all data, time included; that of the model is `manifold_with_derivatives` of it
     window
-        samples of the parabolas that derivatives are taken from (`difference_weights`), those of the frames too;
-        demonstrations of fewer samples take as many as they have
+        number of samples of the parabolas that derivatives are taken from (`difference_weights`), also those of the
+        frames; at most as many as there are
 
     Raises
     ------
@@ -110,7 +110,7 @@ def standing_frames(frames: Mapping[str, Frame], points: Manifold) -> dict[str, 
 
 
 def _with_motion(frame: Frame, points: Manifold, times: Array, window: int) -> Frame:
-    """The frame over [point, velocity, acceleration], moving as parabolas over windows of samples say; times (T,)."""
+    """The frame over [point, velocity, acceleration], moving as parabolas over windows of samples do; times (T,)."""
     standing = frame_with_derivatives(frame, points, orders=2)
     A, b = standing.A.copy(), standing.b.copy()
     (D, D_j), n = frame.A.shape[-2:], points.tangent_dim

@@ -78,9 +78,9 @@ def with_velocity(
     demonstration
         data (T, 1 + D): time, then positions or poses
     manifold
-        space of all of data, time included
+        space of all data, time included
     window
-        samples of the parabolas that velocities are taken from; at most as many as there are
+        number of samples of the parabolas that velocities are taken from; at most as many as there are
 
     Raises
     ------
@@ -124,26 +124,31 @@ class Convergence:
 class StableDynamics(AttractorSystem):
     """Reproduces a model over [x, v], by a system that converges to `goal`, wherever it is: see the module.
 
-    - The covariance of a reference is that of the positions in the active components: little matters along the
-      movement, more across it. Near the goal it passes over to that of the demonstrations' ends.
+    - The covariance of a reference is that of the positions in the active components: large along the
+      movement, smaller across it. Near the goal it becomes that of the demonstrations' ends.
     - The phase is the share of the way that is done, 1 - d / (the largest d since the start); 1 within
-      `Convergence.arrival`, so that it may fall when the goal moves away. Judged by a goal that follows the one of the
-      situation as a critically damped spring with blend_time: perception trembles.
+      `Convergence.arrival`, so that it may fall when the goal moves away. It is computed from a goal that follows the
+      one of the situation as a critically damped spring with blend_time: perceived poses are noisy.
     - When frames change, the velocity changes at once, and within some mm where one component takes over from another.
       What exceeds the acceleration from rest to top speed within blend_time goes into an offset of the reference, which
-      dies out as a critically damped spring with blend_time. So does the reference start at rest.
-    - A robot that is held has the reference wait for it, at one to two lengths of the leash; one that is pulled away
+      dies out as a critically damped spring with blend_time. In the same way the reference starts at rest.
+    - The reference waits for a robot that is held, at one to two lengths of the leash; a robot that is pulled away
       takes the reference along, by no more than leash_speed. The movement goes on from there.
-
-    Attributes of the last step: velocity, regressed : (n,) per s at speed 1 and the demonstrated duration, with and
-    without the correction (on the way to the former, too fast a velocity is shortened first).
 
     Parameters
     ----------
     model
-        fitted to what `with_velocity` returns; other parameters as for `AttractorSystem`
+        fitted to what `with_velocity` returns
+    duration, horizon_steps, horizon_time_step, blend_time
+        as for `AttractorSystem`
     convergence
         how it comes to its goal
+
+    Attributes
+    ----------
+    velocity, regressed
+        (n,) at the last step, per s at speed 1 and the demonstrated duration, with and without the correction (too fast
+        a velocity is shortened before it is corrected)
 
     Raises
     ------
@@ -178,7 +183,7 @@ class StableDynamics(AttractorSystem):
         self._compile()
 
     def goal(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None = None) -> Gaussian:
-        """Where the movement ends in a situation: the product of what the frames saw of the demonstrations' ends."""
+        """Where the movement ends in a situation: the product of the frames' Gaussians of the demonstrations' ends."""
         return self._end(self._with_derivatives(frames), weights, None, END)
 
     def _end(
@@ -220,7 +225,7 @@ class StableDynamics(AttractorSystem):
         self._take_velocity(0.0)
 
     def _take(self, situation: Situation) -> None:
-        """The mixture and the goal in a situation, prepared for regression."""
+        """Prepare the mixture and the goal of a situation for regression."""
         frames_with_derivatives, weights = self._with_derivatives(situation.frames), situation.weights
         self._adapted = self._adapter.adapt(frames_with_derivatives, self._with_rest(self._x), weights)
         self._goal = self._end(frames_with_derivatives, weights, self._x, END)
@@ -243,16 +248,18 @@ class StableDynamics(AttractorSystem):
         )  # fmt: skip
 
     def _reach(self, at_least: float = 0.0) -> None:
-        """The longest distance since the start."""
+        """The longest distance from the goal since the start."""
         self._longest = self._law[2] = max(self._longest, self.distance, at_least)
 
     def _take_velocity(self, seconds: float, astray: Array | float = 0.0) -> None:
-        """`velocity` and `regressed` where the system is now; what of a change is too fast goes into the offset.
+        """Compute `velocity` and `regressed` where the system is now; too fast a change goes into the offset.
 
         Parameters
         ----------
+        seconds
+            since the last call, s
         astray
-            (n,), how far the last step has led from where the former velocity would have led
+            (n,), distance between where the last step led and where the former velocity would have led
         """
         former = self.velocity.copy()
         kernels.stable_velocity(self._x, max(self._radius, 1e-300), *self._system, self.velocity, np.empty(len(former)))
@@ -276,7 +283,7 @@ class StableDynamics(AttractorSystem):
         self._take_velocity(seconds, self.manifold.log(before, self._x) - scaled * self.velocity)
 
     def _go(self, x: Array, radius: float, scaled: float) -> float:
-        """x goes on by a scaled time, s as demonstrated; the radius then."""
+        """Advance x by a scaled time, s as demonstrated; returns the new radius."""
         n_steps = int(min(max(math.ceil(scaled / (MAX_TIME_STEP * self._model_duration)), 1), MAX_STEPS))
         return float(kernels.go(x, radius, scaled, n_steps, *self._system, np.empty(len(self.velocity))))
 
@@ -322,7 +329,7 @@ class StableDynamics(AttractorSystem):
 
     @property
     def _seen_goal(self) -> Array:
-        """Where the goal is (D,), without its trembling."""
+        """Position of the goal (D,), smoothed."""
         return self.manifold.exp(self._goal.mean, self._goal_offset)
 
     def _phase(self) -> float:

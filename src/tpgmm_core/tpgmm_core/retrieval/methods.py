@@ -53,10 +53,11 @@ class RetrievalMethod:
     encoding
         what its models encode
     options
-        of the encoding, where they are other than its own defaults
+        of the encoding, where they differ from its own defaults
     estimator
-        the class that its models have to be of course : makes the movement as a function of time, which `Reproduction`
-        steps through; or else
+        the class of its models
+    time_parametrized
+        makes the movement as a function of time, which `Reproduction` steps through; or else
     movement
         makes one that has a state of its own, with a duration (s; None: as demonstrated), and the settings of
         references by name
@@ -70,7 +71,13 @@ class RetrievalMethod:
     movement: Callable[..., Retrieval] | None = None
 
     def check(self, model: TPGMM) -> None:
-        """Raises ValueError for a model that this method cannot retrieve from, with the reason and what to do."""
+        """Check that this method can retrieve from a model.
+
+        Raises
+        ------
+        ValueError
+            when it cannot, with the reason and what to do
+        """
         found = encoding_of(model)
         if not isinstance(found, self.encoding):
             raise ValueError(
@@ -113,7 +120,13 @@ METHODS: dict[str, RetrievalMethod] = {
 
 
 def method_named(name: str) -> RetrievalMethod:
-    """Raises ValueError for a name that is none of METHODS, and was none in an earlier version (`old_names`)."""
+    """The method of this name, or of a name that it had in an earlier version (`old_names`).
+
+    Raises
+    ------
+    ValueError
+        for a name that is not known
+    """
     current = current_name(name)
     if current not in METHODS:
         raise ValueError(f"there is no retrieval method {shown(name)}; known are {', '.join(METHODS)}")
@@ -121,7 +134,7 @@ def method_named(name: str) -> RetrievalMethod:
 
 
 def method_of(model: TPGMM) -> RetrievalMethod:
-    """The method that a model was learned for, as its metadata say.
+    """The method that a model was learned for, from its metadata.
 
     Raises
     ------
@@ -142,17 +155,22 @@ def make_retrieval(
     horizon_time_step: float = 0.005,
     blend_time: float = 0.15,
 ) -> Retrieval:
-    """A movement that a loop can step through.
+    """Make a movement that a loop can step through.
 
     Parameters
     ----------
+    model
+        fitted
     method
-        one of METHODS; what the model was learned for where None
+        one of METHODS; None: the one that the model was learned for
     duration
-        of the movement, s; as demonstrated where None
+        of the movement, s; None: as demonstrated
     phase
-        one of PHASES: what the model's time follows; for the methods that are a function of time speed, horizon_steps,
-        horizon_time_step (s), blend_time (s) : as for `Reproduction`
+        one of PHASES: what the model's time follows; for the methods that are a function of time
+    speed
+        1 as learned
+    horizon_steps, horizon_time_step, blend_time
+        as for `Reproduction`, times in s
 
     Raises
     ------
@@ -188,10 +206,17 @@ def make_retrieval(
 def load_model(path: str | PathLike[str]) -> TPGMM:
     """The model in a file, of the class that its method needs; `TPGMM.load` reads all as mixtures.
 
+    Parameters
+    ----------
+    path
+        the file
+
     Raises
     ------
     ModelFileError
-        for a file that is damaged or no model, OSError for one that cannot be read
+        for a file that is damaged or no model
+    OSError
+        for one that cannot be read
     """
     kind = model_file.read(path).kind
     known = (method.estimator for method in METHODS.values() if method.estimator.__name__ == kind)

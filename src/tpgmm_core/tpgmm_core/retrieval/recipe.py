@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Recipe`: how a model is learned from demonstrations, so that a retrieval method can get the movement out of it."""
+"""`Recipe`: how a model is learned from demonstrations, so that a retrieval method can reproduce the movement."""
 
 from __future__ import annotations
 
@@ -40,10 +40,12 @@ class Recipe:
 
     @classmethod
     def of(cls, settings: Mapping[str, Any], method: str | None = None) -> Self:
-        """From settings by name: `retrieval`, options of the encoding, arguments of the estimator.
+        """Make a recipe from settings by name: `retrieval`, options of the encoding, arguments of the estimator.
 
         Parameters
         ----------
+        settings
+            as task files hold them
         method
             in place of `retrieval`
 
@@ -70,7 +72,7 @@ class Recipe:
 
     @property
     def max_iter(self) -> int:
-        """At most this many iterations of EM."""
+        """Largest number of iterations of EM."""
         return int(self.method.estimator(**self.arguments).max_iter)
 
     def learn(
@@ -84,6 +86,8 @@ class Recipe:
 
         Parameters
         ----------
+        demonstrations
+            one or more, with the same frames
         manifold
             space of the demonstrations' data, time included
         dimensions

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned movement, step by step: where to be and how much it matters, for the frames as they are right now.
 
-Frames move, disappear and come back while the movement runs, and each time the course of the movement is another one
-at once. What is handed on does not jump: see `continuity`. While the frames stay, it is exactly what the
-course says.
+Frames move, disappear and come back while the movement runs, and each time the movement is suddenly another one. The
+references do not jump: see `continuity`. While the frames stay, they are exactly those of the movement.
 """
 
 from __future__ import annotations
@@ -31,21 +30,21 @@ _SECOND = 1_000_000_000
 
 
 class Reproduction:
-    """A `Retrieval` that goes along a `TimeParametrized`.
+    """A `Retrieval` that steps through a `TimeParametrized`.
 
     Parameters
     ----------
     course
-        the movement as a function of the model's time; of a fitted model with time as its first dimension it is
+        the movement as a function of the model's time; a fitted model with time as its first dimension stands for its
         `AdaptThenRegress`
     phase
-        how the model's time advances; with the clock where None. It serves one reproduction
+        how the model's time advances, for this reproduction alone; None: with the clock
     duration
-        how long the movement is to take at speed 1, s; as demonstrated where None
+        how long the movement takes at speed 1, s; None: as demonstrated
     horizon_steps, horizon_time_step
         how many Gaussians ahead each reference holds, and their distance in time, s
     blend_time
-        time constant with which a change of the frames is taken over, s
+        time constant with which a change of the frames takes effect, s
 
     Raises
     ------
@@ -98,7 +97,7 @@ class Reproduction:
 
     @property
     def speed(self) -> float:
-        """1 as learned, 0 pauses, less than 0 goes back; see `ClockPhase.speed`."""
+        """Speed: 1 as learned, 0 pauses, less than 0 goes back; see `ClockPhase.speed`."""
         return self.phase.speed
 
     @speed.setter
@@ -106,7 +105,7 @@ class Reproduction:
         self.phase.speed = speed
 
     def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
-        """Begin at this time, ns; whatever was going on is forgotten. See `Retrieval.start`."""
+        """Begin a movement; whatever went on before is forgotten. See `Retrieval.start`."""
         self.phase.start(time_ns, phase)
         self._last_ns = time_ns
         self._state = state
@@ -124,7 +123,7 @@ class Reproduction:
     ) -> Reference:
         """The reference at a time: see `Retrieval.step`.
 
-        A direction that no frame constrains stays where the robot is, hence goes with the state; otherwise the state
+        A direction that no frame constrains stays where the robot is, and so follows the state; otherwise the state
         matters to the phase alone.
         """
         if self._last_ns is None:
@@ -155,9 +154,9 @@ class Reproduction:
         )
 
     def _situate(self, time_ns: int, situation: Situation) -> tuple[Array, Array, Array]:
-        """The course at this time and ahead in a new situation, which begins where the last step was.
+        """The movement now and ahead in a new situation, which begins where the last step was.
 
-        Hence this step is already on the new course.
+        Hence this step already belongs to the new situation.
         """
         moments = self._continuity.moments
         if self._situation is not None:
@@ -179,7 +178,7 @@ class Reproduction:
         return means, covariances, activations
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
-        """The next n Gaussians, dt (s) apart, should the frames stay.
+        """The next n Gaussians, dt (s) apart, if the frames stay.
 
         Raises
         ------

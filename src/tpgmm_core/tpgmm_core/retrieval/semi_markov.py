@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """`SemiMarkovMovement`: a movement from the states of a hidden semi-Markov model, and from where the robot is.
 
-Durations of states say when what is due (Yu 2010; Calinon et al., ICRA 2011), and where the robot is seen says whether
-it is: a robot that is held is waited for, one that is carried ahead is caught up with (`StateFilter`). The reference
-tracks what the states expect from there on (`Planner`). It goes on from where and as fast as it is, whatever states
-and frames do: position and velocity are continuous.
+Durations say when each state is due (Yu 2010; Calinon et al., ICRA 2011), and the position of the robot says whether it
+has come (`StateFilter`): the movement waits for a robot that is held, and catches up with one that is carried ahead.
+The reference tracks what the states expect from there on (`Planner`). It continues from its own position and velocity,
+whatever states and frames do: both are continuous.
 """
 
 from __future__ import annotations
@@ -132,12 +132,12 @@ class SemiMarkovMovement:
 
     @property
     def speed(self) -> float:
-        """1 as learned, 0 pauses.
+        """Speed: 1 as learned, 0 pauses.
 
         Raises
         ------
         ValueError
-            for what is negative or not finite
+            when it is negative or not finite
         """
         return self._speed
 
@@ -205,7 +205,7 @@ class SemiMarkovMovement:
         )
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
-        """The next n Gaussians, dt (s) apart, should frames and robot do as they ought to: see `Retrieval.horizon`."""
+        """The next n Gaussians, dt (s) apart, if the frames stay and the robot follows: see `Retrieval.horizon`."""
         self._check_stepped()
         follower = copy.copy(self._follower)
         result, before = [], 0.0
@@ -217,12 +217,12 @@ class SemiMarkovMovement:
         return result
 
     def mixture(self) -> GaussianMixture:
-        """The states in the situation of the last step, over all that the model encodes."""
+        """The states in the situation of the last step, over all dimensions that the model encodes."""
         self._check_stepped()
         return self._mixture
 
     def _adopt(self, situation: Situation) -> None:
-        """Take a situation over; what no frame constrains stays where the robot, or else the reference, is."""
+        """Change to a situation; what no frame constrains stays where the robot, or else the reference, is."""
         frames, weights, where = situation.frames, situation.weights, situation.state
         if where is None:
             where = self._begin_state if self._situation is None else self._follower.at()
@@ -242,7 +242,10 @@ class SemiMarkovMovement:
         self._situation = situation
 
     def _advance(self, samples: float, state: Array | None, given: Array) -> None:
-        """Go on; at each whole sample, ask where the movement is, from where the robot is of what it was given (D,)."""
+        """Advance; at each whole sample, estimate the state from the robot's position.
+
+        `given` (D,) is the reference that the robot was given.
+        """
         follower = self._follower
         while samples > 0.0:
             part = min(samples, 1.0 - follower.fraction)
@@ -260,7 +263,7 @@ class SemiMarkovMovement:
             follower.arrive(place)
 
     def _follow(self, follower: PathFollower, samples: float) -> None:
-        """Go on without asking."""
+        """Advance without estimating the state."""
         while samples > 0.0:
             part = min(samples, 1.0 - follower.fraction)
             samples -= part
@@ -268,7 +271,7 @@ class SemiMarkovMovement:
                 follower.arrive(self._schedule.onwards(*follower.place, 1.0))
 
     def _samples(self, seconds: float) -> float:
-        """How many samples the movement goes on within a time, while the rate approaches the speed."""
+        """Number of samples by which the movement advances within a time, while the rate approaches the speed."""
         lag = self._blend_time * (1.0 - math.exp(-seconds / self._blend_time))
         return (self._speed * seconds + (self._rate - self._speed) * lag) * self._schedule.total / self._duration
 
@@ -286,7 +289,7 @@ class SemiMarkovMovement:
             raise ValueError("there was no step yet: call start(time_ns) and step(...)")
 
     def _compile(self) -> None:
-        """Two steps, so that no later one waits for the compiler; with one frame, since one contradicts no other."""
+        """Make two steps, so that no later one waits for the compiler; with one frame, which nothing contradicts."""
         name, view = next(iter(self.model.frame_manifolds_.items()))
         size = 1 + point_manifold(view).dim if self._derivatives else view.dim
         D = 1 + self._manifold.dim

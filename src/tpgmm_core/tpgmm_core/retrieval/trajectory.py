@@ -2,8 +2,8 @@
 """Trajectory models with dynamic features (Tokuda et al. 2000; Zen, Tokuda and Kitamura 2007).
 
 Position, velocity and acceleration are learned together. At each time one component, the state, says what all three
-should be, with the precision that it learned; the trajectory is that whose positions, velocities and accelerations
-are all together the most likely, hence smooth although states change at once.
+should be, with the precision that it learned; the trajectory is the one whose positions, velocities and accelerations
+together are the most probable, hence smooth although states change suddenly.
 """
 
 from __future__ import annotations
@@ -43,15 +43,17 @@ class Trajectory:
     times
         (T,), s
     states
-        (T,), the component that held at each
+        (T,), the component at each time
     positions
         (T, D), signs of quaternions continuous
     velocities, accelerations
-        (T, n), the differences of the positions that the model was compared to
+        (T, n), the differences of the positions that were compared with the model
     covariances
         (T, n, n), in the tangent spaces at the positions; each takes all other steps into account
+    manifold
+        of the positions
     iterations
-        Gauss-Newton steps that were taken
+        number of Gauss-Newton steps
     """
 
     times: Array
@@ -92,7 +94,7 @@ class TrajectoryModel:
         self._compile(model)
 
     def _compile(self, model: TPGMM) -> None:
-        """One solution and one interpolation, so that no later one waits for the compiler."""
+        """Compute one solution and one interpolation, so that no later one waits for the compiler."""
         name, view = next(iter(model.frame_manifolds_.items()))
         seen_as_it_is = GaussianMixture(model.priors_, model.means_[name], model.covariances_[name], view)
         manifold = point_manifold(view)
@@ -118,9 +120,9 @@ class TrajectoryModel:
         times
             (T,), T >= 3, s, increasing
         states
-            (T,), the component that holds at each time; those of `states` where None
+            (T,), the component at each time; None: the most active one (`states`)
         weights
-            how far each frame is trusted, 0 to 1; fully where not named
+            how far each frame is trusted, 0 to 1; 1 where not named
         state
             (D,), where the robot is: what no frame constrains stays there; the origin where None
 
@@ -155,7 +157,7 @@ class TrajectoryModel:
         return point_manifold(self._adapter.manifold)
 
     def activations(self, times: Array) -> Array:
-        """Of the components at the model's times (T,), as learned: (T, K), the geometric mean over the frames.
+        """Activations (T, K) of the components at the model's times (T,), as learned: geometric means over the frames.
 
         Not those of the adapted mixture: frames that contradict each other on where a component is move it in time too.
         """
@@ -185,20 +187,20 @@ class TrajectoryModel:
 class SmoothTrajectory:
     """A trajectory model as a `TimeParametrized`: solved once for each situation, and interpolated between its steps.
 
-    Where frames have moved little, it begins at the former solution, which saves most of the Gauss-Newton steps. What
-    it finds depends on the situation alone, but for less than 1e-7 m or rad, and a thousandth of the covariances.
+    Where frames have moved little, the search begins at the former solution, which saves most of the Gauss-Newton
+    steps. The result depends on the situation alone, up to 1e-7 m or rad, and a thousandth of the covariances.
 
     Parameters
     ----------
     model
         as for `TrajectoryModel`, with duration_s in its metadata
     steps
-        that a solution has, the first one at time 0 of the model, the last one at its duration
+        number of steps of a solution, the first one at time 0 of the model, the last one at its duration
 
     Raises
     ------
     ValueError
-        as `TrajectoryModel`, for a duration that is not known, and less than three steps
+        like `TrajectoryModel`, for a duration that is not known, and less than three steps
     """
 
     def __init__(self, model: TPGMM, *, steps: int = 100) -> None:
@@ -239,7 +241,17 @@ class SmoothTrajectory:
         return all(np.max(turn) < WARM_TURN for turn in turns)
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
-        """Means (H, D), covariances (H, n, n), and the activations (K,) at the first of the model's times (H,), s.
+        """The movement at some of the model's times.
+
+        Parameters
+        ----------
+        times
+            (H,), s
+
+        Returns
+        -------
+        tuple[Array, Array, Array]
+            means (H, D), covariances (H, n, n), and the activations (K,) at the first of the times
 
         Raises
         ------

@@ -46,7 +46,7 @@ class Durations:
 
     @classmethod
     def around(cls, means: ArrayLike, max_duration: int) -> Self:
-        """The prior itself: log d has the logarithms of `means` (K,), in samples, as means, and the spread PRIOR_SPREAD."""
+        """The prior itself: log d about the logarithms of `means` (K,), in samples, with the spread PRIOR_SPREAD."""
         centre = np.log(np.clip(np.asarray(means, dtype=float), 1.0, max_duration))
         precision = 1.0 / PRIOR_SPREAD**2
         natural = np.column_stack([precision * centre, np.full_like(centre, -0.5 * precision)])
