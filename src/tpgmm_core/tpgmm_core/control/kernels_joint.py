@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled: the arithmetic of the joint-space laws; what is asked of it and why stands in `joint_impedance.py`."""
+"""Compiled: the arithmetic of the joint-space laws; `joint_impedance.py` says what it computes and why."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def inertia_factor(joints: Indices, M: Array, L: Array, F: Array) -> bool:
 def precision_damping(
     L: Array, F: Array, precision: Array, control_cost: float, min_stiffness: float, max_stiffness: float, D: Array
 ) -> float:
-    """D = L (2 S)^(1/2) L^T, S^2 = F Q F^T / r with the precision Q (n, n).
+    """Damping D = L (2 S)^(1/2) L^T, S^2 = F Q F^T / r with the precision Q (n, n).
 
     Returns the largest eigenvalue of K_V = F D F^T, 1/s; -1 where S cannot be computed with.
 

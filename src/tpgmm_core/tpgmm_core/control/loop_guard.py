@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`LoopGuard`: whether a reference that is there can be followed: in time, without swings, and at all.
+"""`LoopGuard`: whether a valid reference can be followed: in time, without oscillation, and at all.
 
-It knows how late the loop is (`state_age`), notices swings (`oscillation`) and whether the robot gets where it is to be
-(`following`), and turns the decision to follow into one that is true: with its reason, and the way back.
+It knows how late the loop is (`state_age`), notices oscillation (`oscillation`) and whether the robot gets to its
+reference (`following`), and changes a decision to follow where one of them forbids it: with the reason, and the
+condition for following again.
 
 - **Late states.** Laws lower their gains to what the delay permits (`delay_margin`). Below `LEAST_SHARE` of their rates
   nothing useful is left: DAMPING, until the delay has been well below that for a second, or references have stopped.
-- **Swings.** DAMPING until all joints have been calm for a second; then it follows with gains that bear a quarter of
-  the period of what swung, which is the delay that makes damping swing so. That is forgotten within half a minute.
-  What swings for the third time is not tried again before the next activation.
-- **Hindered.** HOLD: pulled by no more than a few centimetres, so that nothing leaps when the obstacle goes; ACTIVE
+- **Swings.** DAMPING until all joints have been calm for a second; then it follows with gains that are stable with a
+  delay of a quarter of the swing's period, which is the delay that makes damping swing like this. After half a minute
+  the gains are the usual ones again. After the third swing it does not try again before the next activation.
+- **Hindered.** HOLD: pulled by no more than a few centimetres, so that nothing jumps when the obstacle goes; ACTIVE
   again once the robot is near its reference.
 """
 
@@ -43,20 +44,31 @@ class LoopGuard:
 
     Parameters
     ----------
+    robot
+        that is controlled
+    timeouts
+        of its inputs
+    closed_elsewhere
+        see `Controller`: the delay of this loop then does not matter to the robot's own feedback
+
+    Attributes
+    ----------
     age
-        how late states are share, tolerated : of the gains' rates that are left (1 without reference), and the age of
-        states (s) that all of them bear; infinite without reference
+        how late states are
+    share
+        of the gains' rates that is left; 1 without reference
+    tolerated
+        the age of states (s) with which all gains are stable; infinite without reference
     """
 
     def __init__(self, robot: RobotModel, timeouts: Timeouts, closed_elsewhere: bool = False) -> None:
-        """closed_elsewhere : see `Controller`: the delay of this loop is then none of the robot's."""
         self._robot, self.timeouts, self._closed_elsewhere = robot, timeouts, closed_elsewhere
         self.age = StateAge()
         self._swings, self._progress = SwingWatch(robot.velocity_limits), ProgressWatch(robot)
         self.forget()
 
     def forget(self) -> None:
-        """A new start."""
+        """Start anew."""
         self.age.forget()
         self._swings.forget()
         self._progress.forget()
@@ -67,20 +79,20 @@ class LoopGuard:
 
     @property
     def delay(self) -> float:
-        """Of the loop, s."""
+        """Delay of the loop, s."""
         return 0.0 if self._closed_elsewhere else self.age.delay(self.timeouts.actuation_delay)
 
     @property
     def swings(self) -> bool:
-        """Whether something swings that is to be braked, whatever references say."""
+        """Whether an oscillation has to be damped, whatever references say."""
         return bool(self._swung)
 
     def loop(self) -> Loop:
-        """What the next torques have to bear."""
+        """The delay and the hindrance that the next torques have to take into account."""
         return Loop(self.age.age or 0.0, self.delay, bool(self._progress.reason))
 
     def judge(self, decision: Decision) -> Decision:
-        """What is true of a decision that inputs alone led to."""
+        """Change a decision that was made from the inputs alone, where the loop requires it."""
         follows = decision.mode in (ControllerMode.ACTIVE, ControllerMode.HOLD)
         if self._swung and self._alarms < MOST_ALARMS and self._swings.calm:
             self._swung = ""
@@ -97,7 +109,17 @@ class LoopGuard:
         return Decision(decision.mode, decision.reason + self._words, decision.sends)
 
     def after(self, command: TorqueCommand, mode: ControllerMode, dt: float) -> None:
-        """Torques that left dt s after the last ones, and in which mode."""
+        """Observe torques that were sent.
+
+        Parameters
+        ----------
+        command
+            the torques
+        mode
+            in which they were sent
+        dt
+            since the last ones, s
+        """
         asked = command.law
         follows = mode in (ControllerMode.ACTIVE, ControllerMode.HOLD)
         moves, wanted = (0.0, 0.0) if asked is None else (asked.moves, asked.asked)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What laws that look ahead have in common: their parameters, when they plan, and where."""
+"""What laws that look ahead share: their parameters, when they plan, and in which thread."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class PlanConfig:
     plan_margin: float = setting(0.06, 0.0, 1.0, "Distance that the predictive law keeps from position limits, rad")
 
     def __post_init__(self) -> None:
-        """Raises ValueError for values out of their range."""
+        """Raise ValueError for values out of their range."""
         check_settings(self)
 
 
@@ -45,7 +45,7 @@ class Planning(Protocol):
 
 
 def at_once[PlanT](work: Callable[[], PlanT]) -> Future[PlanT]:
-    """The `Submit` that waits for the outcome: the same numbers however fast the machine is."""
+    """Do the work now and wait for the result: a `Submit` whose numbers do not depend on the speed of the machine."""
     future: Future[PlanT] = Future()
     try:
         future.set_result(work())
@@ -55,7 +55,7 @@ def at_once[PlanT](work: Callable[[], PlanT]) -> Future[PlanT]:
 
 
 class Schedule:
-    """When to plan, by the time that steps report; the first time at once."""
+    """When to plan, counted in the time of the steps; the first time at once."""
 
     def __init__(self) -> None:
         self._age = float("inf")

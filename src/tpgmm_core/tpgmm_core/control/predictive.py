@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Model predictive control of joints: the finite-horizon LQR of a moving reference, within limits, solved again and
-again as the frames move.
+"""Model predictive control of joints: the finite-horizon LQR of a moving reference, within limits.
 
-The input is the joint acceleration (inverse dynamics): over each step of the horizon it is constant, positions and
-velocities are linear in it, and so are the torques, `tau = M vdot + h`, with the inertia M and the nonlinear effects h
-of a nearby state. Written in the accelerations alone (`batch`) this is a small, dense, strictly convex problem:
+The problem is solved again and again as the frames move. The input is the joint acceleration (inverse dynamics): over
+each step of the horizon it is constant, positions and velocities are linear in it, and so are the torques,
+`tau = M vdot + h`, with the inertia M and the nonlinear effects h of a nearby state. Written in the accelerations alone
+(`batch`) this is a small, dense, strictly convex problem:
 
 - torques are hard limits. With accelerations free, some always keep them, so that a solution always exists;
 - positions and velocities are soft limits: kept where the torques allow it, else exceeded as little as possible. A
   robot that is found beyond a limit, or too fast to stop before it, has a defined answer.
 
-Costs are per second, so that the answer hardly depends on the steps; beyond the horizon the cost of the
-infinite-horizon LQR goes on. DAQP solves it (Arnström, Bemporad and Axehill 2022: a dual active-set method for embedded
+Costs are per second, so that the answer hardly depends on the steps; beyond the horizon the cost is that of the
+infinite-horizon LQR. DAQP solves it (Arnström, Bemporad and Axehill 2022: a dual active-set method for embedded
 control), an optional dependency: only this module needs it.
 """
 
@@ -80,7 +80,9 @@ class JointReference:
     precisions
         (N, n, n), symmetric semidefinite, 1/rad^2 (the cost per s)
     velocities
-        (N, n), rad/s, and velocity_precisions : (N, n, n); None where velocities are free
+        (N, n), rad/s; None where velocities are free
+    velocity_precisions
+        (N, n, n), of the velocities, where there are any
     """
 
     positions: Array
@@ -91,7 +93,7 @@ class JointReference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PredictivePlan:
-    """What to do now, and what is expected to come of it.
+    """What to do now, and how the joints are expected to move.
 
     Parameters
     ----------
@@ -181,18 +183,20 @@ class PredictiveController:
 
     @property
     def times(self) -> Array:
-        """(N,), s from now: the ends of the steps, for which references are given."""
+        """Ends of the steps, for which references are given: (N,), s from now."""
         return np.cumsum(self.time_steps)
 
     def solve(
         self, q: ArrayLike, v: ArrayLike, reference: JointReference, inertia: ArrayLike, bias: ArrayLike
     ) -> PredictivePlan:
-        """The best plan from positions q and velocities v (n,).
+        """The best plan from a state.
 
         A problem whose limits cannot be kept is no error.
 
         Parameters
         ----------
+        q, v
+            (n,), positions and velocities
         reference
             at `times`
         inertia

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`RecedingHorizonImpedanceLaw`: the hand's impedance with the gains of a finite horizon, risk-sensitive if asked for.
+"""`RecedingHorizonImpedanceLaw`: the hand's impedance with the gains of a finite horizon, risk-sensitive if wanted.
 
-What comes counts already: the hand grows stiff before the Gaussians do, and begins to turn before the corner. Gains and
+The future counts already: the hand grows stiff before the Gaussians do, and begins to turn before the corner. Gains and
 feedforward are those of the LQR along the reference's horizon (`lqr.receding_horizon`), `plan_rate` times per
 second; the reference itself is followed at every step. All else is as in `ImpedanceLaw`.
 """
@@ -37,10 +37,12 @@ class RecedingHorizonImpedanceLaw(ImpedanceLaw):
 
     Parameters
     ----------
+    robot, endpoint, config, rest_posture
+        as for `ImpedanceLaw`
     plan
         parameters of planning
     risk_sensitive
-        whether it is; then a reference may come without a horizon, whose Gaussian goes on for ever
+        whether it is; then a reference may come without a horizon, and its Gaussian is used for all times
     """
 
     def __init__(
@@ -58,14 +60,14 @@ class RecedingHorizonImpedanceLaw(ImpedanceLaw):
         receding_horizon_gains(np.zeros((3, 6)), np.tile(np.eye(6), (3, 1, 1)), 0.1, 1.0)  # compiles
 
     def reset(self) -> None:
-        """As `ImpedanceLaw.reset`."""
+        """Forget target, posture and plan."""
         super().reset()
         self._schedule = Schedule()
         self._planned: PoseTarget | None = None
         self._push = np.zeros(6)
 
     def target(self, reference: Reference, moving: bool) -> PoseTarget:
-        """As `ImpedanceLaw.target`, with what comes.
+        """Prepare a reference as `ImpedanceLaw.target`, with its horizon.
 
         Raises
         ------
@@ -116,7 +118,13 @@ class RecedingHorizonImpedanceLaw(ImpedanceLaw):
 
 
 def check_horizon(reference: Reference, needed: bool) -> None:
-    """Raises ValueError for a horizon that cannot be planned with, or for none where it is needed."""
+    """Check the horizon of a reference.
+
+    Raises
+    ------
+    ValueError
+        for one that cannot be planned with, or for none where it is needed
+    """
     if not reference.horizon:
         if needed:
             raise ValueError(

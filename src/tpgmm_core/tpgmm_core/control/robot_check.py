@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a robot file is suspicious, though it can be used; and where the robot's end points get to."""
+"""What is suspicious in a robot file, although it can be used; and the workspace of the robot's end points."""
 
 from __future__ import annotations
 
@@ -27,6 +27,17 @@ def workspace(robot: RobotModel, endpoint: str, postures: int = 3000, random_sta
     """Corners (2, 3) of the box around the positions that an end point has in random postures, m, in the base frame.
 
     The joints of the end point's group take postures within their limits, the others are at home.
+
+    Parameters
+    ----------
+    robot
+        the robot
+    endpoint
+        a name of the robot file
+    postures
+        number of random postures
+    random_state
+        seed
     """
     rng, data, q = np.random.default_rng(random_state), robot.create_data(), robot.home.copy()
     joints = robot.indices(robot.endpoints[endpoint].joints)
@@ -42,7 +53,7 @@ def workspace(robot: RobotModel, endpoint: str, postures: int = 3000, random_sta
 
 
 def suspicions(robot: RobotModel) -> list[str]:
-    """What its author should look at, in words; empty when nothing is suspicious."""
+    """What the author of a robot file should check, in words; empty when nothing is suspicious."""
     return [*_of_joints(robot), *_of_bodies(robot), *_of_groups(robot), *_of_endpoints(robot), *_of_base(robot)]
 
 

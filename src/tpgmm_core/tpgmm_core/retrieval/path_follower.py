@@ -170,7 +170,7 @@ class PathFollower:
         self._planned = 0.0
 
     def _targets(self, since: float) -> tuple[Array, list[int]]:
-        """Positions (PLAN_STEPS + 1, D) that states expect, from so many samples after the place on, and which states."""
+        """Positions (PLAN_STEPS + 1, D) that states expect, from so many samples after the place, and which states."""
         schedule, states = self.schedule, self.states
         state, age = self.place
         if age >= schedule.longest[state]:
