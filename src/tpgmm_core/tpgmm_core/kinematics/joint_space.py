@@ -2,8 +2,8 @@
 """Objectives of tasks as objectives of joints: `(x_ref - x)^T Lambda (x_ref - x)` becomes one of q through Jacobians.
 
 Around the joint positions q the task is `x + J (q' - q)`, so that the sum of the tasks' costs is a quadratic function
-of q'. Where the tasks leave freedom its precision has none: what they do not constrain costs nothing. In joint space,
-all laws of this package follow it as they follow any Gaussian.
+of q'. Directions that the tasks leave free have no precision: they cost nothing. In joint space,
+all laws of control follow it as they follow any Gaussian.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a model found to matter: how many directions of configuration space each of its frames determines."""
+"""Which frames matter in a model: how many directions of configuration space each of them determines."""
 
 from __future__ import annotations
 
@@ -23,9 +23,12 @@ def directions_determined(
 
     Parameters
     ----------
-    model, frames
-        over configurations, without time; or model over time and frames without it, at a time, s, by regression in each
-        frame
+    model
+        over configurations, with or without time
+    frames
+        over configurations, without time
+    time
+        of a model over time, s; the Gaussians are then those of regression in each frame
     component
         of a model without time
     """

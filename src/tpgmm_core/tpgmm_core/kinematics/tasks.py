@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`KinematicTask`: what of which point matters, seen from where; `KinematicState`: robot and objects at one step."""
+"""`KinematicTask`: which part of which point matters, and what it is seen from; `KinematicState`: robot and objects."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PARTS = ("position", "orientation", "pose")
 
 @dataclass(frozen=True, slots=True)
 class KinematicTask:
-    """What of a point of the robot matters.
+    """The part of a point of the robot that matters.
 
     Parameters
     ----------
@@ -32,9 +32,9 @@ class KinematicTask:
         it is seen from, or both in this order
     relative_to
         the object that it is seen from, in the object's axes; the world where None. Another point of the robot is an
-        object too, one that moves with the joints: what two hands hold between them. In the world a turn by pi is where
-        rotation vectors jump: an orientation far from that of the world's axes is better seen from an object, which may
-        be one that never moves
+        object too, one that moves with the joints: so tasks can describe what two hands hold between them. In the
+        world, rotation vectors jump at a turn by pi: an orientation far from that of the world's axes is better seen
+        from an object, which may be one that never moves
     """
 
     point: str
@@ -68,12 +68,12 @@ class View(NamedTuple):
 
 
 class KinematicState:
-    """Where the robot and the objects are at one step; works out once what several frames of this step share.
+    """Where the robot and the objects are at one step; it computes once what several frames of this step share.
 
     Parameters
     ----------
     kinematics
-        the robot; is brought to q
+        the robot; it is moved to q
     q
         (n,), configuration of the step before, q_{t-1}
     objects
@@ -81,7 +81,7 @@ class KinematicState:
     threshold
         of the damping, see `inverse.THRESHOLD`
     stride
-        of the step, in units of `moving.STEP`: how far joints go is seen as if it were 1
+        length of the step, in units of `moving.STEP`: steps of joints are seen divided by it
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class KinematicState:
         Raises
         ------
         ValueError
-            for unknown points, and objects that are not there
+            for unknown points, and objects that are not known
         """
         views = [self._view(task) for task in tasks]
         if len(views) == 1:
@@ -122,7 +122,7 @@ class KinematicState:
         return View(J, A, offset)
 
     def null_space(self, tasks: KinematicTasks) -> Array:
-        """N (n, n): the motions that the tasks do not see, wherever their objects are."""
+        """Projection N (n, n) on motions that the tasks do not see, wherever their objects are."""
         N = self._null_spaces.get(tasks)
         if N is None:
             J = np.concatenate([self._jacobian(task) for task in tasks])
@@ -130,7 +130,7 @@ class KinematicState:
         return N
 
     def _jacobian(self, task: KinematicTask) -> Array:
-        """(m, n): velocity, angular velocity, or both, about the world's axes."""
+        """Jacobian (m, n) of a task: velocity, angular velocity, or both, about the world's axes."""
         J: Array = self._kinematics.jacobian(task.point)
         if task.relative_to is not None and task.relative_to in self._kinematics.points:
             J = J - self._carried(task.point, task.relative_to)
@@ -192,7 +192,7 @@ class KinematicState:
 
 
 def compile_kernels() -> None:
-    """Run what moments and frames call, so that no later step waits for the compiler."""
+    """Run all compiled functions of states and frames, so that no later step waits for the compiler."""
     inverse.null_space(np.eye(1), inverse.THRESHOLD)
     quaternion_difference(0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     inverse_left_jacobian(0.0, 0.0, 0.0, np.empty((3, 3)))

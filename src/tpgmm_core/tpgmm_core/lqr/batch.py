@@ -2,8 +2,8 @@
 """Finite-horizon LQR in batch form: all controls at once, as one least-squares problem.
 
 The states of a linear system are affine in its first state and its controls, `x[t] = free[t] x[0] + forced[t] u`, so
-that the cost of `finite_horizon` is quadratic in u and its minimum one linear solution. It is the form to which
-constraints can be added (`predictive`), and an independent answer for the recursion to agree with. The effort grows
+that the cost of `finite_horizon` is quadratic in u and its minimum one linear solution. Constraints can be added to
+this form (`predictive`), and it is an independent check of the recursion. The effort grows
 with the third power of the number of controls, that of the recursion with the number of steps.
 """
 
@@ -35,11 +35,11 @@ class Condensed:
     forced: Array
 
     def states(self, x0: Array, controls: Array) -> Array:
-        """(T + 1, n), from the first state (n,) and the controls (T m,)."""
+        """States (T + 1, n), from the first state (n,) and the controls (T m,)."""
         return np.asarray(self.free @ x0 + self.forced @ controls)
 
     def objective(self, state_costs: Array, control_costs: Array, x0: Array, references: Array) -> tuple[Array, Array]:
-        """H (T m, T m) and f (T m,) of the cost `u^T H u + 2 f^T u + const`.
+        """Quadratic objective of the controls: H (T m, T m) and f (T m,) of the cost `u^T H u + 2 f^T u + const`.
 
         Parameters
         ----------
@@ -77,7 +77,7 @@ class BatchLaw:
     gain: Array
 
     def controls(self, x0: ArrayLike) -> Array:
-        """(T, m), from the first state (n,)."""
+        """Controls (T, m), from the first state (n,)."""
         return np.asarray(self.feedforward - self.gain @ np.asarray(x0, dtype=np.float64))
 
 

@@ -7,7 +7,7 @@ theta > 0 (risk-averse) also counts the variance of the cost and becomes stiffer
 risk-seeking. Above some theta the expectation is infinite for every controller: no gains exist, and ValueError says so.
 
 Both Riccati equations are solved by structure-preserving doubling (Chu, Fan and Lin 2005), compiled: it converges
-quadratically, and takes a quarter of the time of scipy's Schur form, which has the last word where it does not.
+quadratically, and takes a quarter of the time of scipy's Schur form, which is used where it does not converge.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Regulator:
     gain
         (m, n)
     value
-        (n, n), P: the cost from x on is x^T P x, but for what noise adds whatever x is
+        (n, n), P: the cost from x on is x^T P x, without the part of the noise that does not depend on x
     """
 
     gain: Array
@@ -57,7 +57,9 @@ def continuous_regulator(
     Parameters
     ----------
     A
-        (n, n); B : (n, m)
+        (n, n)
+    B
+        (n, m)
     state_cost
         (n, n), Q, symmetric semidefinite
     control_cost
@@ -70,8 +72,8 @@ def continuous_regulator(
     Raises
     ------
     ValueError
-        shapes that do not fit, values that are not finite, costs for which no stabilising gain exists, a risk
-        beyond the breakdown.
+        for shapes that do not fit, values that are not finite, costs for which no stabilising gain exists, and a risk
+        beyond the breakdown
     """
     A, B, Q, R, W = _checked(A, B, state_cost, control_cost, noise, risk)
     G = B @ np.linalg.solve(R, B.T) - risk * W
@@ -120,7 +122,7 @@ def discrete_regulator(
 
 
 def square_root(covariances: ArrayLike) -> Array:
-    """L (..., n, n) with `L L^T` = covariances (..., n, n), symmetric, semidefinite allowed.
+    """Square root L (..., n, n) with `L L^T` = covariances (..., n, n), symmetric, semidefinite allowed.
 
     Raises
     ------

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of each frame right now: seen, remembered or lost, and how far it is to be trusted.
+"""What is known of each frame right now: seen, remembered or lost, and how far it can be trusted.
 
 A frame that is not seen for a moment keeps its last pose. Its confidence, which scales its precision in the product
 of Gaussians (Eqs. 5, 6), falls to zero slowly and rises slowly, so that a frame that disappears or comes back never
-makes the movement jump. The pose of a frame that trembles is averaged while it is at rest (`pose_filter`).
+makes the movement jump. A noisy pose is averaged while the frame is at rest (`pose_filter`).
 
 Two clocks enter, as arguments: the *stamp* of an observation (ROS time, when the camera saw it) and the *steady* time
 of its arrival. The status follows the steady clock, which no clock step can stall; stamps are checked when they come.
@@ -28,7 +28,7 @@ MAX_NUMBER = 1e8
 
 
 class FrameStatus(enum.IntEnum):
-    """As in ``tpgmm_msgs/TaskFrame``."""
+    """Statuses as in ``tpgmm_msgs/TaskFrame``."""
 
     VISIBLE = 0
     HELD = 1
@@ -58,7 +58,7 @@ class TrackingConfig:
     )
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a value out of its range."""
+        """Raise ValueError for a value out of its range."""
         check_settings(self)
 
 
@@ -68,12 +68,16 @@ class TrackedFrame:
 
     Parameters
     ----------
-    pose
-        ``[x, y, z, qx, qy, qz, qw]`` in the base frame, m, filtered; None as long as it was never seen
+    name
+        of the frame
+    status
+        VISIBLE, HELD or MISSING
     confidence
         0..1, 0 where MISSING
     stamp_ns
         ROS time of the observation that the pose comes from, ns
+    pose
+        ``[x, y, z, qx, qy, qz, qw]`` in the base frame, m, filtered; None as long as it was never seen
     """
 
     name: str
@@ -102,14 +106,14 @@ class FrameTracker:
     frames
         names of the frames to track
     fixed
-        poses of the frames that never move and are never lost, e.g. the robot's own base.
+        poses of the frames that never move and are never lost, e.g. the robot's own base
     config
         the timeouts
 
     Raises
     ------
     ValueError
-        no frames, or a fixed pose that is none.
+        for no frames, or a fixed pose that is invalid
     """
 
     def __init__(
@@ -134,14 +138,15 @@ class FrameTracker:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of the frames that are tracked."""
         return tuple(self._tracks)
 
     def refusals(self, name: str) -> dict[str, int]:
-        """How many observations of a frame were refused so far, by reason."""
+        """Number of refused observations of a frame so far, by reason."""
         return dict(self._tracks[name].refused)
 
     def observe(self, name: str, pose: ArrayLike, stamp_ns: int, now_ns: int, steady_ns: int) -> str | None:
-        """Take in one observation.
+        """Add one observation.
 
         Parameters
         ----------
@@ -159,12 +164,12 @@ class FrameTracker:
         Returns
         -------
         str | None
-            None if it was taken, else why not; what was known before stays as it was
+            None if it was used, else why not; the frame then stays as it was
 
         Raises
         ------
         KeyError
-            an unknown frame.
+            for an unknown frame
         """
         track = self._tracks[name]
         checked, reason = check_pose(pose)
@@ -176,10 +181,12 @@ class FrameTracker:
         return None
 
     def refuse(self, name: str, reason: str) -> str:
-        """Count an observation that is not taken; returns the reason with the frame's name.
+        """Count an observation that is not used; returns the reason with the frame's name.
 
         Parameters
         ----------
+        name
+            the frame
         reason
             its kind, ":", and the details
         """
@@ -211,7 +218,7 @@ class FrameTracker:
         self._updated_ns = None
 
     def update(self, steady_ns: int) -> list[TrackedFrame]:
-        """All frames as they are known at a steady time; call it regularly, confidences move with it."""
+        """All frames as they are known at a steady time; call it regularly, since confidences change with time."""
         elapsed = 0.0 if self._updated_ns is None else max(0.0, (steady_ns - self._updated_ns) / _SECOND)
         first = self._updated_ns is None
         self._updated_ns = steady_ns

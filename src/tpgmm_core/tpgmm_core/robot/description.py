@@ -77,6 +77,11 @@ class RobotDescription:
     def from_file(cls, path: str | os.PathLike[str]) -> RobotDescription:
         """Read a robot file.
 
+        Parameters
+        ----------
+        path
+            the file
+
         Raises
         ------
         RobotFileError
@@ -118,10 +123,16 @@ class RobotDescription:
 
 
 def resolve_urdf(reference: str, folder: Path) -> Path:
-    """File of `package://NAME/path` (in wheels and ROS workspaces), or of a path in `folder`.
+    """Find the file of `package://NAME/path` (in wheels and ROS workspaces), or of a path in `folder`.
 
-    Links that lie in installed packages are followed, since workspaces are made of them; links in `folder` not out of
-    it.
+    Links in installed packages are followed, since workspaces consist of them; links in `folder` only within it.
+
+    Parameters
+    ----------
+    reference
+        as the robot file names it
+    folder
+        of the robot file
 
     Raises
     ------
@@ -154,15 +165,22 @@ def resolve_urdf(reference: str, folder: Path) -> Path:
 
 
 def read_xml(path: Path) -> bytes:
-    """The XML of a URDF, without what may stand before it: blank lines, and a byte order mark before these.
+    """Read the XML of a URDF, without a byte order mark and blank lines before it.
 
-    Meshes are never opened. OSError where the file cannot be read.
+    Meshes are never opened.
+
+    Parameters
+    ----------
+    path
+        the file
 
     Raises
     ------
+    OSError
+        where the file cannot be read
     RobotFileError
-        for what its parsers should not be given: no XML, a xacro, too large or too deep, or with a document type, which
-        XML entities need that refer to files or unfold to gigabytes
+        for what its parsers should not be given: no XML, a xacro, too large or too deep, or with a document type, since
+        XML entities may refer to files or expand to gigabytes
     """
     with path.open("rb") as file:
         content = file.read(MAX_URDF_BYTES + 1)
@@ -276,7 +294,7 @@ def _endpoint(value: Any, name: str, groups: Mapping[str, tuple[str, ...]]) -> E
 def _per_joint(
     content: Mapping[str, Any], key: str, groups: Mapping[str, tuple[str, ...]], allowed: tuple[str, ...]
 ) -> dict[str, dict[str, float]]:
-    """Entries by joint or by group, spread over the joints."""
+    """Entries by joint or by group, copied to each joint."""
     spread: dict[str, dict[str, float]] = {}
     entries = [
         (name, _mapping(value, f"{key} of {one_line(name, 60)}")) for name, value in _items({key: {}, **content}, key)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`RobotModel`: a URDF and a robot file, and its kinematics and dynamics through Pinocchio.
 
-As in Pinocchio the model is constant and the scratch memory is apart: `RobotModel` may be shared, every loop
+As in Pinocchio the model is constant and the scratch memory is separate: `RobotModel` may be shared, every loop
 makes its own `RobotData`. Joint vectors (nv,) are in the order of `joint_names`; messages are brought into
 that order by name.
 """
@@ -36,7 +36,12 @@ AXES = pin.LOCAL_WORLD_ALIGNED
 
 
 class RobotModel:
-    """A robot with a fixed base and joints of one degree of freedom each (nq = nv); those locked are none.
+    """A robot with a fixed base and joints of one degree of freedom each (nq = nv); locked joints are not part of it.
+
+    Parameters
+    ----------
+    description
+        the robot file
 
     Attributes
     ----------
@@ -53,7 +58,7 @@ class RobotModel:
     effort_limits, velocity_limits
         (nv,), N m and N; rad/s and m/s
     torque_rates
-        (nv,), N m/s and N/s, largest changes of torques that the robot takes; infinite where none is given
+        (nv,), N m/s and N/s, largest changes of torques that the robot accepts; infinite where none is given
     lower_limits, upper_limits
         (nv,), rad and m; infinite for joints that may turn for ever
     viscous_friction, coulomb_friction
@@ -61,11 +66,16 @@ class RobotModel:
     home
         (nv,) posture, rad and m
     mimics
-        joint -> what it mimics; those that home does not name are none of the model, they stand where it puts them
+        joint -> what it mimics; those that home does not name are not in the model, their mechanism determines where
+        they are
+
+    Raises
+    ------
+    RobotFileError
+        where the robot file and the URDF do not fit each other
     """
 
     def __init__(self, description: RobotDescription) -> None:
-        """Load the URDF. Raises RobotFileError where the robot file and the URDF do not fit each other."""
         try:
             urdf = read_urdf(description.urdf, description.locked, description.home)
         except RobotFileError as error:
@@ -110,7 +120,18 @@ class RobotModel:
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> RobotModel:
-        """Read a robot file (see `tpgmm_core.robot.description`) and the URDF that it names. Raises RobotFileError."""
+        """Read a robot file (see `tpgmm_core.robot.description`) and the URDF that it names.
+
+        Parameters
+        ----------
+        path
+            of the robot file
+
+        Raises
+        ------
+        RobotFileError
+            for a file that cannot be used, with the reason
+        """
         return cls(RobotDescription.from_file(path))
 
     def create_data(self) -> RobotData:
@@ -118,13 +139,20 @@ class RobotModel:
         return RobotData(self)
 
     def unit(self, joint: str, quantity: str) -> str:
-        """Unit of a joint's "position", "velocity", "effort" or "inertia": those that turn have others than those that
-        slide."""
+        """Unit of a joint's "position", "velocity", "effort" or "inertia".
+
+        It depends on whether the joint turns or slides.
+        """
         is_prismatic = self.pinocchio.joints[self._index[joint] + 1].shortname().startswith("JointModelP")
         return UNITS[quantity][is_prismatic]
 
     def indices(self, joints: str | Sequence[str]) -> NDArray[np.intp]:
-        """Places in joint vectors of a group, or of joints by name.
+        """Indices in joint vectors of a group, or of joints by name.
+
+        Parameters
+        ----------
+        joints
+            a group of the robot file, or names of joints
 
         Raises
         ------
@@ -156,6 +184,13 @@ class RobotModel:
     def ordered(self, names: Sequence[str], values: ArrayLike) -> Array:
         """Values (nv,) in model order from names and values in any order, as in a JointState.
 
+        Parameters
+        ----------
+        names
+            of all joints
+        values
+            one for each name
+
         Raises
         ------
         ValueError
@@ -173,7 +208,7 @@ class RobotModel:
     def unwound(self, q: Array, near: Array) -> Array:
         """Positions (nv,) with those of endless joints at the turn that is nearest to `near` (nv,).
 
-        Many drivers wrap such angles to -pi..pi; what controls by differences of angles must not see the leap.
+        Many drivers wrap such angles to -pi..pi; control by differences of angles must not see the jump.
         """
         if len(self._endless) == 0:
             return q
@@ -240,7 +275,7 @@ class RobotModel:
         return values
 
     def _more_to_say(self, first: str, word: str, values: Array, bound: float) -> str:
-        """Whether it mimics another, and the other joints of which the same is to be said."""
+        """Words about whether a joint mimics another, and about other joints with the same problem."""
         leader = ""
         if first in self.mimics:
             leader = f". It mimics {self.mimics[first].leader}: left out of home, it stands where that puts it"
@@ -318,7 +353,7 @@ class RobotData:
         return self._in_base(pin.getFrameJacobian(self._model, self._data, frame_id, AXES))
 
     def bias_acceleration(self, endpoint: str) -> Array:
-        """`Jdot v` (6,): the acceleration of an end point when no joint accelerates, in base axes."""
+        """Acceleration `Jdot v` (6,) of an end point when no joint accelerates, in base axes."""
         motion = pin.getFrameClassicalAcceleration(self._model, self._data, self._frame_ids[endpoint], AXES)
         return self._in_base(motion.vector)
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """`UrdfTree`: a URDF's XML, read and checked for what its parser would answer with a crash, a guess, or other words.
 
-Editors and exporters leave much before the XML and in its encoding, which changes nothing: a byte order mark, blank
-lines, a default namespace. What cannot be meant (a joint of a link that is not there, a number that is none, a negative
-mass) is refused by its name.
+Editors and exporters add much before the XML and to its encoding that changes nothing: a byte order mark, blank
+lines, a default namespace. What cannot be right (a joint of a link that does not exist, a number that is none, a
+negative mass) is refused by its name.
 """
 
 from __future__ import annotations
@@ -76,11 +76,16 @@ class UrdfTree:
 def read_tree(path: Path) -> UrdfTree:
     """Read a URDF.
 
+    Parameters
+    ----------
+    path
+        the file
+
     Raises
     ------
     RobotFileError
-        a file that cannot be read or should not be (`read_xml`), another kind of XML, numbers that are none, negative
-        masses, joints and links that are no tree, mimic joints of joints that are not there
+        for a file that cannot be read or should not be (`read_xml`), another kind of XML, numbers that are none,
+        negative masses, joints and links that are no tree, and mimic joints of joints that do not exist
     """
     try:
         root = ElementTree.fromstring(read_xml(path))
