@@ -44,7 +44,7 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[Path], Any])
             with draft.open("rb+") as file:
                 os.fsync(file.fileno())
             if former is not None:
-                with contextlib.suppress(PermissionError):  # who may not give a file away owns the new one
+                with contextlib.suppress(PermissionError):  # the new file is then this user's
                     os.chown(draft, former.st_uid, former.st_gid)
                 os.chmod(draft, stat.S_IMODE(former.st_mode))
             os.replace(draft, place)
@@ -65,7 +65,7 @@ def _former(place: Path) -> os.stat_result | None:
         return None
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, "Is a directory", str(place))
-    if not stat.S_ISREG(status.st_mode):  # a file in its place would be no device any more
+    if not stat.S_ISREG(status.st_mode):  # a file in its place would no longer be a device
         raise OSError(errno.EINVAL, "Not a regular file", str(place))
     if not os.access(place, os.W_OK):
         raise PermissionError(errno.EACCES, "Permission denied", str(place))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Untrusted YAML files: read without executing anything, within limits of size and depth.
 
-Aliases are refused, since a page of them unfolds to gigabytes, and so are doubled keys, which make a file say other
+Aliases are refused, since a page of them unfolds to gigabytes, and so are doubled keys, with which a file means other
 things than it seems to.
 """
 
@@ -18,7 +18,7 @@ from tpgmm_core.common.text import one_line, shown
 
 MAX_BYTES = 64 * 1024
 MAX_DEPTH = 20
-"""Mappings and lists within one another. The files of this project have 3."""
+"""Deepest nesting of mappings and lists. The files of this project have 3."""
 
 
 class YamlError(ValueError):

@@ -92,7 +92,7 @@ class DynamicState:
         inverse = np.empty_like(inertia)
         if not invert_inertia(inertia, inverse):
             inverse[:] = np.nan
-        # what carries an arm that stands up would push it over, did it answer where the arm was
+        # torques that carry an upright arm would push it over if they were those of where the arm was
         there = q + loop.age * v if loop.age > 0.0 else q
         return cls(q, v, inertia, inverse, data.nonlinear_effects(there, v), data, loop)
 

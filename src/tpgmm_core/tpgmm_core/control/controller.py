@@ -14,7 +14,7 @@ from tpgmm_core.control.torque_limits import finite
 from tpgmm_core.control.torque_pipeline import TorqueLimits, TorquePipeline, actions
 from tpgmm_core.robot.model import RobotModel
 
-#: A robot under gravity compensation with damping loses its speed about this fast, s.
+#: Time constant with which a robot under gravity compensation with damping loses its speed, s.
 REST_TIME = 0.05
 
 

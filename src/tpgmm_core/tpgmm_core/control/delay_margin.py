@@ -20,9 +20,9 @@ import numpy as np
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.kernels import compiled
 
-#: A loop is made to bear this many times the delay that is known of: half of the phase margin is left.
+#: A loop is made stable for this many times the known delay: half of the phase margin is left.
 DELAY_SAFETY = 2.0
-#: What each bears, times its rate d: pure damping, and critical damping with k = d^2 / 4.
+#: Delay margins times the rate d: of pure damping, and of critical damping with k = d^2 / 4.
 OF_DAMPING, OF_CRITICAL = 0.5 * math.pi, 1.2948
 
 

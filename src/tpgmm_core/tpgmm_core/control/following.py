@@ -17,15 +17,15 @@ from tpgmm_core.robot.model import RobotModel
 
 #: Far from the reference, m and rad; near again below the share of it.
 FAR, FAR_ANGLE, NEAR = 0.05, 0.3, 0.7
-#: Who has not come nearer by a share of the distance, or by so much of `FAR`, for so long (s) gets no nearer.
+#: A robot is stuck when it comes no nearer by this share of the distance, or of `FAR`, for this long (s).
 NEARER, STEP, PATIENCE = 0.05, 0.4, 1.0
-#: A reference that moves (1/s) is followed by what moves at this share of its speed.
+#: A reference that moves (1/s) counts as followed at this share of its speed.
 MOVES, KEEPS_UP = 0.1, 0.5
-#: At a stop: nearer to it than this, rad or m. At its effort limit: above this share.
+#: At a position limit: nearer to it than this, rad or m. At its effort limit: above this share.
 AT_STOP, AT_EFFORT = 0.06, 0.98
 #: Smallest singular value (m, turns by `LENGTH`) below which a hand hardly moves in some direction.
 STRETCHED, LENGTH = 0.05, 0.3
-#: The words are made anew this often, s.
+#: The reason is written anew this often, s.
 NEW_WORDS = 2.0
 
 

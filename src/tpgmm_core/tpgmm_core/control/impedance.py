@@ -38,7 +38,7 @@ from tpgmm_core.robot.model import RobotModel
 POSE_MANIFOLD = "R3 x S3"
 #: The terms of which the torque is the sum, in the order of the rows in `ImpedanceLaw.step`.
 TERMS = ("feedforward", "feedback", "null_space", "hold", "hand_guiding")
-#: A hand that is hindered is pulled no further than this (m, rad), and led at this share of the speed.
+#: The reference of a hindered hand is no farther away than this (m, rad), and moves at this share of the speed.
 LEASH, ANGULAR_LEASH, HINDERED_SPEED = 0.03, 0.2, 0.25
 
 
@@ -320,14 +320,14 @@ class ImpedanceLaw:
         """The target, as far as its speed permits since the last one, or from where the hand is."""
         last, config, reference = self._target, self.config, target.reference
         pose = (hand if last is None else last.reference.pose).copy()
-        # it starts slowly: a reference that the arm does not follow yet would be caught up with in a leap
+        # it starts slowly: otherwise the arm would jump to a reference that it does not follow yet
         reach = self._weight() * dt * (HINDERED_SPEED if self._hindered else self._waits(hand))
         approach(pose, reference.pose, config.max_linear_speed * reach, config.max_angular_speed * reach)
         if self._hindered:
             lead(pose, hand, LEASH, ANGULAR_LEASH, config.max_linear_speed * dt, config.max_angular_speed * dt)
         twist = reference.twist.copy()
         bound_twist(twist, config.max_linear_speed, config.max_angular_speed)
-        # leaps of the stiffness would feed in energy
+        # jumps of the stiffness would add energy
         share = 1.0 if last is None else min(1.0, dt / config.gain_time)
         before = target if last is None else last
         K_V = before.K_V + share * (target.K_V - before.K_V)

@@ -32,7 +32,7 @@ from tpgmm_core.robot.model import RobotModel
 
 #: The terms of which the torque is the sum.
 TERMS = ("feedforward", "feedback", "hold", "hand_guiding")
-#: Joints that are hindered are pulled no further than this (rad or m), to which the pull goes back at that speed (1/s).
+#: The reference of hindered joints is no farther away than this (rad or m), to which it comes back at that speed (1/s).
 LEASH, LEASH_SPEED = 0.1, 0.5
 
 
@@ -232,7 +232,7 @@ class JointImpedanceLaw:
             L, F = np.zeros((n, n)), np.zeros((n, n))
             wanted = self._wanted(self._target, L, F, dt) if inertia_factor(joints, moment.inertia, L, F) else None
             if wanted is not None:
-                # leaps of K would feed in energy
+                # jumps of K would add energy
                 last = wanted if self._gains is None else self._gains
                 self._gains = last.towards(wanted, min(1.0, dt / config.gain_time))
                 margin = self._gains.delay_margin

@@ -232,7 +232,7 @@ def arm_torques(
         sofar[i], limits[i] = given[arm[i]], effort_limits[arm[i]]
         if not (math.isfinite(spring[i]) and math.isfinite(brakes[i]) and math.isfinite(sofar[i])):
             return -1
-    # what brakes goes first: a pull beyond the motors' strength must not take the damping away
+    # damping comes first: a pull beyond the motors' strength must not reduce it
     braking = fit(brakes, sofar, limits)
     for i in range(n):
         sofar[i] += braking * brakes[i]

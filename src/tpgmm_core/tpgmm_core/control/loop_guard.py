@@ -27,15 +27,15 @@ from tpgmm_core.control.state_age import StateAge
 from tpgmm_core.control.supervision import ControllerMode, Decision, Timeouts
 from tpgmm_core.robot.model import RobotModel
 
-#: Gains slower than this share of what the reference asks for follow nothing: K_P is 1/25 of it.
+#: Gains slower than this share of those for the reference cannot follow it: K_P is 1/25 of theirs.
 LEAST_SHARE = 0.2
-#: It is tried again where the delay has been below this share of the longest one that was borne, for so long, s.
+#: It tries again when the delay has been below this share of the longest stable one for this long, s.
 RETRY, RETRY_TIME = 0.75, 1.0
-#: So many alarms, and swings are not tried again.
+#: After this many alarms it does not try again.
 MOST_ALARMS = 3
-#: Words about the share of the gains are made anew where it has changed by this factor.
+#: The sentence about the share of the gains is renewed when it has changed by this factor.
 TOLD_FACTOR = 1.1
-#: A share above this is no news.
+#: A share above this is not worth a sentence.
 NEARLY_ALL = 0.95
 
 

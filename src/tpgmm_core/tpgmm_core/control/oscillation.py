@@ -24,11 +24,11 @@ SLOWEST = 0.5
 DIES_OUT = 0.8
 #: After so many half-swings that have grown by the factor, or so many that have not died out, it is an alarm.
 GROWN_AFTER, GROWTH, ENDLESS_AFTER = 3, 1.5, 6
-#: A joint may swing as long as the hand does no more than this many times what the reference does, ...
+#: A joint may oscillate as long as the hand moves at no more than this many times the reference's speed, ...
 FOLLOWS = 2.0
-#: ... which is remembered for this long, s; motions below (1/s) are none.
+#: ... which is remembered for this long, s; slower motions (1/s) count as none.
 REMEMBERED, NO_MOTION = 0.5, 0.1
-#: Speeds below `CALM` of the limits for so long are calm, s.
+#: Joints are calm after speeds below `CALM` of their limits for this long, s.
 CALM, CALM_TIME = 0.05, 1.0
 
 

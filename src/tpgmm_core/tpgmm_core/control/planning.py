@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 
 from tpgmm_core.common.settings import check_settings, setting
 
-#: Does a piece of work, at once or in another thread, and holds its outcome.
+#: Runs a piece of work, at once or in another thread; the future holds its result.
 type Submit[PlanT] = Callable[[Callable[[], PlanT]], Future[PlanT]]
 
 
@@ -49,7 +49,7 @@ def at_once[PlanT](work: Callable[[], PlanT]) -> Future[PlanT]:
     future: Future[PlanT] = Future()
     try:
         future.set_result(work())
-    except Exception as error:  # whoever asks for the result gets it
+    except Exception as error:  # the caller gets it with the result
         future.set_exception(error)
     return future
 

@@ -244,7 +244,7 @@ class PredictiveLaw(JointImpedanceLaw):
         return None if self._failed else self._planned.gains
 
     def _carried(self, moment: DynamicState) -> Array:
-        return moment.nonlinear  # the plan is one of accelerations: nothing may be left to the robot
+        return moment.nonlinear  # the plan is one of accelerations: it needs all torques of the robot's dynamics
 
     def _rest(self) -> Array:
         return self.robot.home[self._joints]

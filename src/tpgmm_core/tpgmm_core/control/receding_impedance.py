@@ -90,13 +90,13 @@ class RecedingHorizonImpedanceLaw(ImpedanceLaw):
             self._schedule.begun()
             self._planned = self._solve(target)
         planned = self._planned
-        # the feedforward belongs to the gains, and comes as they do
+        # the feedforward belongs to the gains, and is blended in with them
         self._push += min(1.0, dt / self.config.gain_time) * (planned.reference.acceleration - self._push)
         return replace(planned, reference=replace(target.reference, acceleration=self._push.copy()))
 
     def _solve(self, target: RecedingHorizonPoseTarget) -> PoseTarget:
         config, plan = self.config, self.plan
-        # coordinates in which turning costs as moving does
+        # coordinates in which turning costs as much as moving
         scale = np.array([1.0, 1.0, 1.0, *[config.characteristic_length] * 3])
         manifold, here = target.course[0].manifold, target.course[0].mean
         gains = receding_horizon_gains(

@@ -13,13 +13,13 @@ from tpgmm_core.control.impedance import ImpedanceConfig
 from tpgmm_core.robot.bodies import bodies
 from tpgmm_core.robot.model import RobotModel
 
-#: A home that is nearer to a position limit than this share of the range leaves no room to hold the robot there.
+#: A home nearer to a position limit than this share of the range is too close to hold the robot there.
 NEAR_LIMIT = 0.03
-#: Of its effort, what carries a joint's share of the robot at home should leave the rest to move it.
+#: Share of a joint's effort that may be needed to carry the robot at home: the rest is for motion.
 MUCH_EFFORT = 0.7
 #: Smallest singular value of an end point's Jacobian with which it moves freely, m; turns count by a length.
 HARDLY = 0.03
-#: An error that friction alone holds back, rad or m.
+#: Largest error that friction alone may cause, rad or m.
 STUCK = 0.1
 
 

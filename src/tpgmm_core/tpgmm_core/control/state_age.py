@@ -14,11 +14,11 @@ from tpgmm_core.observation.streams import SECOND
 
 #: Time constants, s, with which the age grows and is forgotten; a pause counts as no more than `LONGEST_STEP`.
 GROWS, FORGOTTEN, LONGEST_STEP = 0.02, 1.0, 0.005
-#: Share of a single time between two states in what is taken for the usual one.
+#: Weight of a single interval between two states in the usual one.
 OF_ONE_PERIOD = 0.05
-#: What is longer than so many usual ones is a pause.
+#: An interval longer than this many usual ones is a pause.
 PAUSE = 3.0
-#: What swings alone gave away is forgotten with this time constant, s.
+#: A delay that only swings have shown is forgotten with this time constant, s.
 SUSPICION_TIME = 30.0
 #: No delay is suspected beyond this, s.
 MOST_SUSPECTED = 0.1
@@ -64,7 +64,7 @@ class StateAge:
         self._stamp_ns = stamp_ns
         self.age = None if of_another_clock or clock_ns <= 0 else max(0.0, (clock_ns - stamp_ns) / SECOND)
         if step > 0.0:
-            # a pause is no period: it counts as a few of them, so that a slower rate is still found within some states
+            # a pause is no period: it counts as a few of them, so that a slower rate is found after some states
             usual = min(step, PAUSE * self.period) if self.period > 0.0 else min(step, LONGEST_STEP)
             self.period += (usual - self.period) * (OF_ONE_PERIOD if self.period > 0.0 else 1.0)
             self.suspected *= math.exp(-step / SUSPICION_TIME)

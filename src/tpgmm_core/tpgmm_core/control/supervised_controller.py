@@ -164,7 +164,7 @@ class SupervisedController[TargetT]:
         stale = age is not None and age > timeouts.joint_state_timeout
         if kind is Stamp.REPEATED:
             self._trouble = lambda: standing_still(stamp_ns)
-            return None if stale else self._answer  # once it is stale, `watch` speaks
+            return None if stale else self._answer  # once it is stale, `watch` answers
         if timeouts.max_age > 0.0 and clock_ns > 0 and clock_ns - stamp_ns > timeouts.max_age * SECOND:
             return self.refuse_state(_behind(stamp_ns, clock_ns, timeouts.max_age), stamp_ns, now_ns)
         if kind is Stamp.RESTARTED:
@@ -182,7 +182,7 @@ class SupervisedController[TargetT]:
         guard = self.guard
         command = self.controller.step(q, v, self._target(), dt, guard.loop(), brakes=guard.swings)
         if command is None or command.reason:
-            # a state that reads well and still means nothing
+            # a state that is well-formed and still cannot be right
             self._state_fault = command.reason if command is not None else "the joint state is not finite"
             self.decision = decide(self._inputs(now_ns), timeouts)
         else:
@@ -201,12 +201,12 @@ class SupervisedController[TargetT]:
     def watch(self, now_ns: int) -> Answer | None:
         """What has to be sent when no joint state came: the safe torque for some time, then nothing."""
         timeout = self.timeouts.joint_state_timeout
-        # after a pause of its own it must not call the others silent: what came meanwhile is still to be read
+        # after a pause of this process others are not silent: their messages are still to be read
         self._paused = not self._paused and now_ns - self._watched_ns > timeout * SECOND
         self._watched_ns = now_ns
         age = self._states.age(now_ns)
         if age is None:
-            self.decision = decide(self._inputs(now_ns), self.timeouts)  # what is missing may be another joint by now
+            self.decision = decide(self._inputs(now_ns), self.timeouts)  # by now another joint may be missing
         if self._paused or age is None or age <= timeout:
             return None
         return self._rest(self.stamp_ns, now_ns)
@@ -223,7 +223,7 @@ class SupervisedController[TargetT]:
         command = self.controller.rest(0.0, dt, loop=self.guard.loop())
         return command, command is None or self.controller.at_rest(command)
 
-    # -- what is behind them -------------------------------------------------------------------------------------
+    # -- how they work -------------------------------------------------------------------------------------------
 
     def _rest(self, stamp_ns: int, now_ns: int) -> Answer | None:
         inputs = self._inputs(now_ns)
@@ -238,7 +238,7 @@ class SupervisedController[TargetT]:
         reference_age = self._references.age(now_ns)
         stamp, state_stamp = self._references.stamp_ns, self._states.stamp_ns
         if reference_age is not None and stamp is not None and state_stamp is not None:
-            # what was long on its way is as old as what came long ago
+            # a message that was long on its way is as old as one that came long ago
             reference_age = max(reference_age, 1e-9 * (state_stamp - stamp))
         state_age, trouble = self._states.age(now_ns), ""
         if state_age is None or state_age > self.timeouts.joint_state_timeout:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from tpgmm_core.common.settings import check_settings, setting
 
-#: Fewer joint states than this within `joint_state_timeout`, and one that is late is taken for silence.
+#: With fewer joint states than this within `joint_state_timeout`, a late one counts as silence.
 STATES_WITHIN_TIMEOUT = 3
-#: Nor is a measured rate to be taken too literally.
+#: Tolerance for the measured rate.
 RATE_TOLERANCE = 0.05
 
 

@@ -84,7 +84,7 @@ def clamp_at_limits(
     for i in range(len(tau)):
         to_upper = approach_speed(upper[i] - q[i], max_speed[i], approach_rate) - v[i]
         to_lower = approach_speed(q[i] - lower[i], max_speed[i], approach_rate) + v[i]
-        # twice the effort: at rest, far from the limits, any torque is allowed whatever carries the robot
+        # twice the effort: at rest, far from the limits, any torque is allowed, whatever the robot's weight needs
         reserve_up = 2.0 * effort[i] * max(0.0, 2.0 * to_upper / max_speed[i] - 1.0)
         reserve_down = 2.0 * effort[i] * max(0.0, 2.0 * to_lower / max_speed[i] - 1.0)
         largest = nonlinear[i] + mass[i] * bandwidth * to_upper + reserve_up
@@ -111,7 +111,7 @@ def repel(
         width = min(margin, 0.1 * (upper[i] - lower[i]))
         for sign in (1.0, -1.0):
             distance = q[i] - lower[i] if sign > 0.0 else upper[i] - q[i]
-            # no deeper than the margin: what lies far beyond a limit is not shot back
+            # no deeper than the margin: a joint far beyond a limit is not shot back
             depth = min(width - distance, width)
             if depth > 0.0:
                 push = mass[i] * frequency * (frequency * depth - 2.0 * sign * v[i])

@@ -54,7 +54,7 @@ from tpgmm_core.robot.model import RobotModel
 #: What a step did beside passing a torque on, by the bits of `limit_torques`.
 ACTIONS = ("not finite", "joint limit", "repulsion", "effort or rate", "power")
 NOT_FINITE, AT_LIMIT, REPELLED, BOUNDED, POWER = (1 << i for i in range(len(ACTIONS)))
-#: So much less than the robot's own limit of the rate is kept: rounding must not exceed it.
+#: The robot's own rate limit is kept by this share, so that rounding does not exceed it.
 ROUNDING = 1e-6
 #: A joint's speed towards its limit falls no faster than this share of the rate with which that is enforced.
 GENTLY = 0.25
@@ -162,7 +162,7 @@ def limit_torques(
     if known and limit_power(tau, v, nonlinear, max_power, lowest, highest):
         done |= POWER
     for i in range(n):
-        # numbers so large that the stages overflowed: of the permitted torques the one nearest to none
+        # numbers so large that the stages overflowed: the permitted torque nearest to zero
         if not np.isfinite(tau[i]):
             done |= NOT_FINITE
             tau[i] = min(max(0.0, lowest[i]), highest[i])

@@ -225,7 +225,7 @@ class Gaussian:
         return -0.5 * (np.sum(whitened**2, axis=-1) + log_determinant + n * np.log(2.0 * np.pi))
 
 
-# the setters that a frozen class does not give away
+# setters, which a frozen class does not offer
 set_mean, set_covariance, set_manifold = (vars(Gaussian)[n].__set__ for n in ("mean", "covariance", "manifold"))
 
 

@@ -22,7 +22,7 @@ BLOCK = 256  # values side by side
 LANES = 16  # of these, what loops take at once
 
 NOT_FINITE = -2  # what `condition` returns for values that are not numbers
-TOO_FAR = -3  # and for values so far from all components that no number says how far
+TOO_FAR = -3  # and for values whose distance from all components is not finite
 
 
 @compiled

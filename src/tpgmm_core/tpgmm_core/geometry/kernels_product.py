@@ -23,9 +23,9 @@ from tpgmm_core.geometry.kernels import (
 )
 
 STEP_TOLERANCE = 1e-10  # Gauss-Newton on S³ stops at steps shorter than this
-# Gains of a step are what it lowers the cost by, twice: its length squared, in standard deviations of the product
+# The gain of a step is twice what it lowers the cost by: its squared length, in standard deviations of the product
 SMALL_GAIN = 1e-9  # of the cost: below it a step is not too long, whatever the rounding of the cost says
-ROUNDED_GAIN = 1e-13  # below it a gain that does not fall any more is rounding: large precisions of large numbers
+ROUNDED_GAIN = 1e-13  # below it a gain that no longer falls is rounding: large precisions of large numbers
 MAX_STEPS = 100
 SHORT_TURN = math.cos(math.pi / 8.0)  # scalar product of quaternions that are a turn of pi / 4 apart
 SLOWEST_RATE = 0.95  # of convergence that extrapolation makes up for
@@ -174,7 +174,7 @@ def invert_precision(
         if trace * min_precision < 1.0:  # then no eigenvalue of H lies below min_precision
             return 0.0
     values, vectors = np.linalg.eigh(H)
-    # rounding of a large precision must not pass for information about the free directions
+    # rounding of a large precision must not count as information about the free directions
     lowest = max(min_precision, 1e-13 * values[-1])
     missing = (vectors * np.maximum(lowest - values, 0.0)) @ vectors.T
     cost = add_term(x, state, missing, flat, spheres, scratch, gradient, H)

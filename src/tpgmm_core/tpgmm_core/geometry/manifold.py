@@ -21,7 +21,7 @@ from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.kernels_product import difference, move
 
 MAX_TEXT = 1000
-"""Characters of a manifold's text, which messages and files of others bring along."""
+"""Longest text of a manifold, in characters: it may come from messages and files of others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Manifold:
                 raise ValueError(f"a factor of a manifold is R1, R2, ... or S3, got {kind}{n}")
 
     @classmethod
-    @lru_cache(maxsize=256)  # what a manifold knows of itself is worked out once, not at every message
+    @lru_cache(maxsize=256)  # everything about a manifold is computed once, not for every message
     def parse(cls, text: str, dim: int | None = None) -> Manifold:
         """Make the manifold of a text such as "R1 x R3 x S3", or "euclidean", which is R^dim.
 

@@ -156,7 +156,7 @@ class GaussianMixture:
             the distance is not finite, and for a component whose covariance of the dimensions `dims` is singular
         """
         parts = self.manifold.split(tuple(dims))
-        given = np.array(values, float, order="C")  # a copy: of one type for the compiled code, whatever comes
+        given = np.array(values, float, order="C")  # a copy: of one type for the compiled code
         D, free = parts.given.dim, parts.free
         is_one = given.shape == (D,)
         if is_one:
@@ -182,7 +182,7 @@ class GaussianMixture:
         return Gaussians(out_means, out_covariances, free)
 
 
-# the setters that a frozen class does not give away
+# setters, which a frozen class does not offer
 set_priors, set_means, set_covariances, set_manifold = (
     vars(GaussianMixture)[name].__set__ for name in ("priors", "means", "covariances", "manifold")
 )

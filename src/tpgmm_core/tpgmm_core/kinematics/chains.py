@@ -30,7 +30,7 @@ class Kinematics(Protocol):
         """Position (2,) in the plane, m; or pose (7,) in space [x, y, z, qx, qy, qz, qw]."""
 
     def jacobian(self, point: str) -> Array:
-        """Jacobian of a point: (2, n) in the plane; (6, n) in space, linear, then angular velocity about the fixed axes."""
+        """Jacobian of a point: (2, n) in the plane; (6, n) in space, linear, then angular about the fixed axes."""
 
 
 class PlanarRobot:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from tpgmm_core.common.types import Array
 
-SMALLEST_PRECISION = 1e-9  # of the largest: directions that the tasks hold less firmly are not moved in
+SMALLEST_PRECISION = 1e-9  # share of the largest eigenvalue: directions in which the tasks are softer are left alone
 
 
 def to_joint_space(

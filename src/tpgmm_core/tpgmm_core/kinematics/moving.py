@@ -22,9 +22,9 @@ from tpgmm_core.model.adaptation import Adapter
 from tpgmm_core.model.demonstration import Demonstration
 
 STEP = 0.02
-"""What demonstrations show of the steps of joints is stretched to steps as long as this, s."""
+"""Steps of joints in demonstrations are scaled to steps of this length, s."""
 PERSISTENCE = 0.4
-"""How long joints are taken to keep a speed, s."""
+"""How long joints are assumed to keep a speed, s."""
 SHORTEST_STEP = STEP**2 / PERSISTENCE
 """In this time, 1 ms, a walk that takes a new speed every 0.4 s spreads as far as it goes in a STEP; see
 `ConfigurationProduct`. Its steps are no shorter."""

@@ -41,6 +41,6 @@ def directions_determined(
             seen = mixture.condition([0], [time]).precision
         M = np.linalg.pinv(frame.A) if frame.inverse is None else frame.inverse
         precisions[name] = M.T @ seen @ M
-    # directions without any constraint count for nobody
+    # directions without any constraint count for no frame
     inverse = np.linalg.pinv(np.sum(list(precisions.values()), axis=0), rcond=1e-12, hermitian=True)
     return {name: float(np.trace(inverse @ H)) for name, H in precisions.items()}

@@ -161,7 +161,7 @@ class KinematicState:
         if task.part == "position":
             return View(J, A, b - place[:m])
         turned = np.array(quaternion_difference(*place[3:], *target))
-        rate = np.empty((3, 3))  # of the rotation vector, for an angular velocity of one
+        rate = np.empty((3, 3))  # rate of the rotation vector, for a unit angular velocity
         inverse_left_jacobian(turned[0], turned[1], turned[2], rate)
         J[-3:] = rate @ J[-3:]
         if task.part == "orientation":

@@ -237,7 +237,7 @@ class _Flat:
     def fit(cls, view: _View, dimension_penalty: float, former: _Flat | None = None) -> _Flat:
         """The cheapest subspace: principal directions along which the squares sum to more than the penalty are kept."""
         x = view.x[view.seen]
-        if len(x) == 0:  # of which this frame saw nothing: anything is right
+        if len(x) == 0:  # this frame saw nothing of it: any subspace is right
             return cls.point(np.zeros(view.x.shape[1]) if former is None else former.centre)
         centre = x.mean(axis=0)
         if not np.isfinite(dimension_penalty):

@@ -15,7 +15,7 @@ from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.samples import Samples
 
 BEGIN, END = 0, 1
-"""Components of `EndpointTPGMM.endpoints_`."""
+"""Indices of the components of `EndpointTPGMM.endpoints_`."""
 
 
 class EndpointTPGMM(TPGMM):

@@ -41,7 +41,7 @@ MAX_MEMBERS = 10_000
 MAX_COMPONENTS = 10_000
 MAX_DIMENSIONS = 10_000
 MAX_NUMBERS = MAX_BYTES // 8
-"""Of all dense covariances together: structures of few numbers are small in the file and large in memory."""
+"""Limit of all dense covariances together: structures of few numbers are small in the file and large in memory."""
 
 
 class ModelFileError(ValueError):
@@ -160,7 +160,7 @@ def read(path: str | PathLike[str]) -> ModelContents:
         raise
     except ModelFileError as error:
         raise ModelFileError(f"{one_line(path)}: {error}") from None
-    except Exception as error:  # whatever zip, numpy and json raise on damaged bytes: to the caller it is one thing
+    except Exception as error:  # zip, numpy and json raise many errors for damaged bytes: the caller gets one
         raise ModelFileError(
             f"{one_line(path)}: damaged, or no model file ({type(error).__name__}: {one_line(error, 300)}); "
             "train the model again"
@@ -252,7 +252,7 @@ def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
     if not all(map(len, course)):
         raise ModelFileError(f"log_likelihoods and objectives have at least one number, got {[len(c) for c in course]}")
     _check_metadata(header["metadata"])
-    # a setting that is not given, such as no random state, is None, and no fault
+    # None is a setting that is not given, such as no random state, and no fault
     _check_metadata({key: value for key, value in dict(header["settings"]).items() if value is not None})
     return ModelContents(
         manifold=manifold,
@@ -299,6 +299,6 @@ def _check_metadata(metadata: Any) -> None:
     if not isinstance(metadata, Mapping):
         raise ValueError(f"metadata is a mapping from names to texts and numbers, got {shown(metadata)}")
     for key, value in metadata.items():
-        is_number = isinstance(value, int | float) and abs(value) < 1e300  # larger integers are no float any more
+        is_number = isinstance(value, int | float) and abs(value) < 1e300  # larger integers have no float
         if not isinstance(key, str) or not (isinstance(value, str) or is_number):
             raise ValueError(f"metadata maps names to texts and finite numbers, got {shown(key)}: {shown(value)}")

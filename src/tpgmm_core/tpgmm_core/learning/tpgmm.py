@@ -117,7 +117,7 @@ class TPGMM(Estimator):
     manifold_: Manifold
     dimensions_: tuple[str, ...] | None
     metadata_: dict[str, str | float]
-    _emissions: tuple[Learned, Emissions] | None = None  # as learned, and of which numbers
+    _emissions: tuple[Learned, Emissions] | None = None  # as learned, with the numbers that they belong to
 
     def __init__(
         self,
@@ -212,7 +212,7 @@ class TPGMM(Estimator):
         for start in self._starts(samples):
             try:
                 estimates.append(self._estimate(samples, start, progress))
-            except ValueError as error:  # a start may end in a subspace, others not
+            except ValueError as error:  # one start may end in a subspace, and another one not
                 failure = error
         if not estimates:
             assert failure is not None
@@ -355,7 +355,7 @@ class TPGMM(Estimator):
         self._check_fitted()
         idle: list[Adapter] = self.__dict__.setdefault("_adapters", [])
         try:
-            adapter = idle.pop()  # nobody else's until it is put back
+            adapter = idle.pop()  # no other call can use it until it is put back
         except IndexError:
             adapter = Adapter(self)
         if not adapter.learned.is_of(self):
@@ -472,7 +472,7 @@ class TPGMM(Estimator):
                 raise model_file.ModelFileError(f"{path} holds a model of the kind {contents.kind}, no {cls.__name__}")
             try:
                 model._restore(contents.more)
-            except (LookupError, ValueError, TypeError) as error:  # what arrays of any shape may lead to
+            except (LookupError, ValueError, TypeError) as error:  # errors that arrays of wrong shapes may cause
                 raise model_file.ModelFileError(f"{path}: {error}") from error
         return model
 

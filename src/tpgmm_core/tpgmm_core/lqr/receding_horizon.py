@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.kernels import compiled
 
-#: Of the control's authority, that the worst case takes, or the best case gives.
+#: Largest share of the control's authority that the worst case takes, or the best case adds.
 LARGEST_SHARE = 0.9
 #: Time constants of the fastest mode in one linear solution: exponentials of more lose the slow modes to rounding.
 _LONGEST = 3.0
@@ -166,7 +166,7 @@ def moving_gains(
     X, Y, forward, back = np.empty((2 * n, 2 * n)), np.empty((2 * n, 2 * n)), np.empty(2 * n), np.empty((2 * n, 2 * n))
     for t in range(T - 2, -1, -1):
         if t < T - 2:
-            # the same velocity deviates by something else from the line before
+            # the same velocity has another deviation from the line before
             for j in range(n):
                 change = (2.0 * x[t + 1, j] - x[t, j] - x[t + 2, j]) / dt
                 for i in range(2 * n):

@@ -23,8 +23,8 @@ from tpgmm_core.model.learned import Learned
 UNCONSTRAINED_VARIANCE = 1e6
 """Variance, in squared units of the data, with which a direction that no frame constrains stays at the state.
 
-Frames that say less than this of a direction are completed to it, so that a frame whose weight fades to
-nothing leaves without a jump; what is surer than this (a standard deviation below 1000 units) is not
+Where the frames are less certain than this, the missing precision is added, so that a frame whose weight fades to
+zero leaves without a jump; more certain directions (standard deviations below 1000 units) are not
 changed at all.
 """
 
@@ -169,7 +169,7 @@ class Adapter:
             like `adapt`
         """
         self._take(frames, state, weights)
-        times = np.array(times, dtype=float)  # of one type for the compiled code, whatever comes
+        times = np.array(times, dtype=float)  # of one type for the compiled code
         means, covariances, activations = outputs = self._outputs(len(times))
         failed = kernels_regress.adapt_and_regress(*self._inputs(), *self._result(), self._log_priors, times, *outputs)
         self._check(failed)

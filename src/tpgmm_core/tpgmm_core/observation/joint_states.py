@@ -21,7 +21,7 @@ from tpgmm_core.observation.streams import SECOND
 
 Places = NDArray[np.intp]
 
-#: The parts of one state may be this far apart, s, unless told otherwise.
+#: The parts of one state may be this far apart by default, s.
 MAX_SPREAD = 0.02
 
 

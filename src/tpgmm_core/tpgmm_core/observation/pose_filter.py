@@ -34,17 +34,17 @@ from tpgmm_core.geometry.kernels import compiled
 _SECOND = 1_000_000_000
 #: The quantile of chi squared with 3 degrees of freedom that noise exceeds with a probability of 1e-5.
 AGREES = 25.9
-#: Observations in which noise is recognised, at least.
+#: Least number of observations in which noise is recognised.
 FEWEST = 10
-#: Observations that are kept, at most: what 16 times less noise takes.
+#: Largest number of observations that are kept: it reduces noise to 1/16.
 MOST = 256
 #: Windows, as numbers of the newest observations.
 WINDOWS = np.array([1, 2, 3, 4, 6, 8, FEWEST, 14, 20, 28, 40, 56, 80, 112, 160, 208, MOST])
-#: Half the mean squared difference of neighbours, as a share of the variance: 1 of noise, near 0 of what moves.
+#: Half the mean squared difference of neighbours, as a share of the variance: 1 for noise, near 0 for a motion.
 INDEPENDENT = 0.6
-#: Of the squared differences: mean square by squared mean. Noise in one direction has 3, one outlier of many more.
+#: Mean square of the squared differences over their squared mean. Noise in one direction has 3, an outlier more.
 EVEN = 4.0
-#: By how much the variance may differ in a shorter window, before it is another noise.
+#: Factor by which the variance may differ in a shorter window, before the noise counts as changed.
 SIMILAR = 9.0
 #: Standard deviations, m and rad, that are rounding and not noise.
 ROUNDING = 1e-9

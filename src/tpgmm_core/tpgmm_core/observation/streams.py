@@ -15,9 +15,9 @@ from collections.abc import Sequence
 import numpy as np
 
 SECOND = 1_000_000_000
-#: A clock that is behind a message by no more than this has been overtaken by it; by more, it has jumped back, s.
+#: A clock that is behind a message by no more than this is only late; by more, it has jumped back, s.
 OVERTAKEN = 0.05
-#: Stamps that are older for this long are not overtaken ones: time has jumped back, s. More than stamps may be ahead.
+#: When stamps are older for this long, time has jumped back, s. It is longer than stamps may be ahead.
 RESTARTED_AFTER = 0.25
 #: A period that differs by a larger share is another one.
 CHANGED = 0.1
@@ -30,7 +30,7 @@ class Stamp(enum.Enum):
     REPEATED = enum.auto()  # the stamp of the last message: nothing new, however often it comes
     OLD = enum.auto()  # overtaken by a newer one on its way
     FUTURE = enum.auto()
-    RESTARTED = enum.auto()  # older, after all that was newer has become stale: time has jumped backwards
+    RESTARTED = enum.auto()  # older, after all newer ones have become stale: time has jumped backwards
 
 
 class StreamWatch:

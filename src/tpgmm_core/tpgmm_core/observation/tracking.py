@@ -23,7 +23,7 @@ from tpgmm_core.common.settings import check_settings, setting
 from tpgmm_core.observation.pose_filter import PoseFilter
 
 _SECOND = 1_000_000_000
-#: Of a pose: positions in m farther than the size of the Earth, quaternions of no length that means anything.
+#: Largest number of a pose: beyond the size of the Earth, m, and any length of a quaternion.
 MAX_NUMBER = 1e8
 
 
@@ -230,7 +230,7 @@ class FrameTracker:
         config = self.config
         unseen = math.inf if track.pose is None else (steady_ns - track.seen_ns) / _SECOND
         trusted = unseen <= config.visible_timeout + config.hold_time
-        # Before the first update nobody has been told of any confidence, so there is nothing to be continuous with.
+        # Before the first update no confidence was published, so there is nothing to be continuous with.
         change = 1.0 if first else elapsed / config.fade_time
         if trusted:
             track.confidence = min(1.0, track.confidence + change)
@@ -258,10 +258,10 @@ def check_pose(pose: ArrayLike) -> tuple[NDArray[np.float64] | None, str]:
         return None, f"wrong size: shape {checked.shape}, expected 7 numbers x y z qx qy qz qw"
     if not np.isfinite(checked).all():
         return None, f"not finite: {checked.tolist()}"
-    if np.abs(checked).max() > MAX_NUMBER:  # squares of such numbers are not finite, and no camera sees so far
+    if np.abs(checked).max() > MAX_NUMBER:  # squares of larger numbers are not finite, and no camera sees so far
         return None, f"implausibly large: {checked.tolist()}, expected numbers up to {MAX_NUMBER:g} (m)"
     if np.any((checked != 0.0) & (np.abs(checked) < np.finfo(np.float64).tiny)):
-        # rclpy copies the bits of a Python int into a float field, and says nothing
+        # rclpy copies the bits of a Python int into a float field, without an error
         return None, f"not written as floats: {checked.tolist()}; an int in a float field reads so: write 1.0, not 1"
     length = float(np.linalg.norm(checked[3:]))
     if length < 1e-3:

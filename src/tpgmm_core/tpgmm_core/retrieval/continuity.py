@@ -29,11 +29,11 @@ from tpgmm_core.retrieval.covariance_fade import CovarianceFade
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.retrieval.spring import critically_damped
 
-#: Two moments this far apart, s, tell the velocity of a reference. Short, so that a controller which takes the velocity
-#: from a horizon of such steps sees what is kept continuous here.
+#: The velocity of a reference is taken from two moments this far apart, s. Short, so that a controller which takes it
+#: from a horizon of such steps sees the velocity that is kept continuous here.
 MOMENT = 0.005
 SWING = 0.25
-"""A swing leads less than this share as far as the courses are apart: its velocity was that of a moment."""
+"""A swing leads less than this share of the distance between the courses, since its velocity held for a moment only."""
 NEGLIGIBLE = 1e-13  # offsets (m, rad) that rounding hides
 _SECOND = 1_000_000_000
 
@@ -97,7 +97,7 @@ class Continuity:
         """
         apart = [self.manifold.log(mean, one) for mean, one in zip(means, former, strict=True)]
         changes = [there - self._after(s) for s, there in zip(self.moments.tolist(), apart, strict=False)]
-        # The offset takes the difference of places over, the swing that of velocities.
+        # The offset takes the difference of places, the swing that of velocities.
         self._offset = apart[0] - self._swing
         self._swing_time = self._time_of_swing(changes)
         rate = 1.0 / self._swing_time

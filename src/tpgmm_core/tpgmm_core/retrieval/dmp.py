@@ -36,7 +36,7 @@ from tpgmm_core.retrieval.frames import require_time_kept, without_time
 from tpgmm_core.retrieval.spring import critically_damped
 
 LONGEST_STEP = 0.005
-"""Of the attractor along its path, in durations; MAX_STEPS of them are made at once at most, else longer ones."""
+"""Step of the attractor along its path, in durations; at most MAX_STEPS are made at once, else longer ones."""
 MAX_STEPS = 200
 
 

@@ -58,11 +58,11 @@ from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.spring import critically_damped
 
 MAX_TIME_STEP = 0.005
-"""Of the integration, in durations; MAX_STEPS of them are made at once at most, longer ones after a long pause."""
+"""Step of the integration, in durations; at most MAX_STEPS are made at once, longer ones after a long pause."""
 MAX_STEPS = 200
 BEFORE_THE_END = 1.0 - 1e-9
 GONE_AGAIN = 3.0
-"""A movement that has arrived is at its end until it is so many times as far from the goal as `Convergence.arrival`."""
+"""A movement that has arrived stays ended up to this many times the distance `Convergence.arrival` from the goal."""
 
 
 def with_velocity(
@@ -221,7 +221,7 @@ class StableDynamics(AttractorSystem):
         slack, seen = self._radius - self.distance, self._seen_goal
         self._take(situation)
         self._goal_offset = self.manifold.log(self._goal.mean, seen)
-        self._radius = self.distance + slack  # what the goal goes back and forth by does not add up
+        self._radius = self.distance + slack  # noise of the goal does not add up
         self._take_velocity(0.0)
 
     def _take(self, situation: Situation) -> None:

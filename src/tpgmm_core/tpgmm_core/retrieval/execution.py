@@ -28,9 +28,9 @@ from tpgmm_core.retrieval.interface import Retrieval
 
 _SECOND = 1_000_000_000
 _PROGRESS = 0.01
-"""Share of what a movement at its speed would advance by in a time: with less than that it stands still."""
+"""A movement stands still when it advances by less than this share of what its speed requires."""
 _HARDLY = 0.1
-"""Share of a way that is next to nothing of it."""
+"""A share of the way below this counts as none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

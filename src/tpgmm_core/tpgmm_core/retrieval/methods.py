@@ -32,14 +32,14 @@ from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 from tpgmm_core.retrieval.trajectory import SmoothTrajectory
 
 KEY = "retrieval"
-"""Of the method, in metadata and settings."""
+"""Key of the method, in metadata and settings."""
 
 DEFAULT = "adapt_regress"
 """The method of models whose metadata name none."""
 
 
 SEMI_MARKOV_SAMPLES = 200
-"""Of each demonstration, for models with durations: the time that learning takes is quadratic in it."""
+"""Samples of each demonstration, for models with durations: the time of learning is quadratic in it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,9 +17,9 @@ from tpgmm_core.retrieval.state_filter import NominalSchedule
 from tpgmm_core.retrieval.tracking_plan import Planner, TrackingPlan
 
 USUAL = 0.95
-"""Share of the positions in a state that count as fully fitting. Within it, only durations tell neighbours apart."""
+"""Share of a state's positions that fit it fully. Within it, only durations distinguish neighbouring states."""
 PLAN_STEPS = 24
-"""Steps of a plan, four to a time constant: what lies further ahead counts less than a hundredth."""
+"""Steps of a plan, four per time constant: later ones would change it by less than a hundredth."""
 
 
 @lru_cache

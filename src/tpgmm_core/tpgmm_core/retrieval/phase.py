@@ -25,7 +25,7 @@ SPEED_TIME_CONSTANT = 0.1  # s, with which a new speed is taken over
 MAX_SPEED = 10.0
 ARC_SAMPLES = 64
 STANDING_SHARE = 1e-3
-PROBE = 0.005  # half the step, as a share of the duration, that the slope of the course is taken from
+PROBE = 0.005  # half the step, as a share of the duration, for the slope of the movement
 MAX_DEVIATION = 0.1  # of an estimate of the model's time, as a share of its duration
 
 
@@ -253,7 +253,7 @@ class StatePhase(ClockPhase):
         self._last_ns = time_ns
         self._go_on_from(min(max(float(value), 0.0), 1.0))
         self._unobserved += seconds
-        self._observed = 0.0  # a robot that is not seen any more corrects nothing
+        self._observed = 0.0  # a robot that is no longer seen corrects nothing
 
     def observe(self, reference: Gaussian, state: Array) -> None:
         """Correct the model's time by where the robot is, `state` (D,), beside the reference."""

@@ -162,7 +162,7 @@ class Reproduction:
         if self._situation is not None:
             means, self._former_covariances, _ = self.course.at(self.phase.times(moments))
             self._former = [self._continuity.mean(mean, s) for mean, s in zip(means, moments.tolist(), strict=True)]
-            self._situation = None  # a situation that is refused must not be gone on with
+            self._situation = None  # a situation that is refused must not be used again
         self.course.situate(situation.frames, situation.state, situation.weights)
         self.phase.situated()
         near = self.phase.times(moments)

@@ -177,9 +177,9 @@ class SemiMarkovMovement:
         since = max(0.0, (time_ns - self._last_ns) * _SECOND)
         self._last_ns = time_ns
         if self._situation is not None:
-            # what the robot could follow is what it was given, not what it is about to be given
+            # the robot could only follow the reference that it was given, not the next one
             given = self._follower.at()
-            samples = min(self._samples(since), self._schedule.total)  # after a gap as long as that, it is over anyway
+            samples = min(self._samples(since), self._schedule.total)  # after so long a gap the movement is over anyway
             self._rate = self._rate_after(since)
             self._advance(samples, state, given)
         situation = Situation(frames, weights, state)

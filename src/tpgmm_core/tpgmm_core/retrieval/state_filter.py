@@ -16,7 +16,7 @@ STANDING = 1e-3
 """What it counts that a sample is a disturbance and the movement stands still, where 1 is a sample that fits a state
 as it usually does. A robot is away from a state when it fits it less than this."""
 CARRIED = 1e-6
-"""Probability per sample that the robot is carried to any later state. Three samples there make up for it."""
+"""Probability per sample that the robot is carried to any later state; three samples there outweigh it."""
 LONGEST_HAZARD = 0.5
 """A state never ends with more than this probability per sample, however long it has lasted: durations get a geometric
 tail, so that time alone does not force a robot out of a state that it is seen in."""

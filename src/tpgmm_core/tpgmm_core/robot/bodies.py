@@ -16,9 +16,9 @@ import pinocchio as pin
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 
-#: Of the largest one: principal inertias that are below zero by less than this are rounding.
+#: Share of the largest one: principal inertias below zero by less than this are rounding.
 ROUNDING = 1e-6
-#: Of the sum of the other two: a principal inertia that is larger than that by less is what people write down.
+#: Share of the sum of the other two: a principal inertia above it by less than this is rounding in the file.
 ROUGHLY = 1.05
 
 

@@ -39,7 +39,7 @@ FRICTION_KEYS = ("viscous", "coulomb")
 ARMATURE_KEYS = ("inertia",)
 MAX_URDF_BYTES = 4_000_000
 MAX_URDF_DEPTH, MAX_URDF_JOINTS = 50, 500
-"""The depth of a URDF's XML, and its joints: its parser descends both by recursion, to the end of the stack."""
+"""Limit of the depth of a URDF's XML, and of its joints: its parser is recursive in both."""
 
 
 _GEOMETRY = ("robot", "link", "joint", "origin", "mass", "inertia", "axis", "limit", "parent", "child", "mimic")
@@ -200,7 +200,7 @@ def read_xml(path: Path) -> bytes:
             raise RobotFileError(
                 f"the URDF {path} has more than {MAX_URDF_JOINTS} joints or levels within {MAX_URDF_DEPTH} others"
             )
-        # an expanded xacro has no such elements and formulas any more
+        # an expanded xacro has no such elements and formulas
         is_formula = tag in _GEOMETRY and any("${" in text for text in attributes.values())
         is_xacro = is_xacro or is_formula or tag.startswith("xacro:")
 
@@ -216,7 +216,7 @@ def read_xml(path: Path) -> bytes:
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(content, True)
-    except (expat.ExpatError, LookupError) as error:  # LookupError: an encoding that nobody knows
+    except (expat.ExpatError, LookupError) as error:  # LookupError: an unknown encoding
         raise RobotFileError(f"the URDF {path} is no XML: {error}") from None
     if is_xacro:
         raise RobotFileError(f"{path} is a xacro, not a URDF; expand it first: xacro {path.name} > robot.urdf")

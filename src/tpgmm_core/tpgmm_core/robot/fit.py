@@ -14,7 +14,7 @@ from tpgmm_core.robot.bodies import bodies
 from tpgmm_core.robot.description import RobotDescription, RobotFileError
 from tpgmm_core.robot.urdf_tree import UrdfTree
 
-#: A joint that moves less than this (kg m^2 or kg) moves nothing, and its acceleration under a torque means nothing.
+#: A joint that moves less than this (kg m^2 or kg) moves nothing, and its acceleration is meaningless.
 LEAST_INERTIA = 1e-9
 
 

@@ -22,10 +22,10 @@ from tpgmm_core.robot.fit import check_inertia, check_mimics
 from tpgmm_core.robot.urdf import read_urdf
 from tpgmm_core.robot.urdf_tree import Mimic
 
-# No joint of an arm has more (N m or N; rad/s or m/s): URDFs hold such numbers where nobody knew the limit.
+# No joint of an arm has more (N m or N; rad/s or m/s): URDFs hold larger numbers where the limit was not known.
 CREDIBLE_EFFORT = 1000.0
 CREDIBLE_VELOCITY = 100.0
-#: Of joints that turn, and of those that slide.
+#: Units of joints that turn, and of those that slide.
 UNITS = {
     "position": ("rad", "m"),
     "velocity": ("rad/s", "m/s"),

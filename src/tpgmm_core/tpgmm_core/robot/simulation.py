@@ -152,7 +152,7 @@ class RobotSimulator:
             if np.array_equal(side, touched) and np.array_equal(direction, racing):
                 break
             touched, racing = side, direction
-            # a stop brakes what comes, it does not hold back what leaves
+            # a stop brakes a joint that comes, it does not hold one that leaves
             brake = np.where(touched * v_new > 0.0, self._stop_damping, 0.0)
             stiffness = np.where(touched, self._stop_stiffness, 0.0)
             # a joint that touches nothing may have no stops

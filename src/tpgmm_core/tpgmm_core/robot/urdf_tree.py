@@ -91,7 +91,7 @@ def read_tree(path: Path) -> UrdfTree:
         root = ElementTree.fromstring(read_xml(path))
     except OSError as error:
         raise RobotFileError(f"cannot load the URDF {path}: {error.strerror or error}") from None
-    except (ElementTree.ParseError, LookupError, ValueError) as error:  # LookupError: an encoding that nobody knows
+    except (ElementTree.ParseError, LookupError, ValueError) as error:  # LookupError: an unknown encoding
         if isinstance(error, RobotFileError):
             raise
         raise RobotFileError(f"cannot load the URDF {path}: {one_line(error, 200)}") from None

@@ -163,7 +163,7 @@ def kmeans(
         for _ in range(100):
             distances = _squared_distances(points, centres)
             new_labels = np.argmin(distances, axis=1)
-            # a centre that lost all its points takes the point that is farthest from its own centre
+            # a centre that lost all its points moves to the point that is farthest from its centre
             for k in np.setdiff1d(np.arange(n_components), new_labels):
                 gaps = distances[np.arange(len(points)), new_labels]
                 alone = np.bincount(new_labels, minlength=n_components)[new_labels] == 1

@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 from tpgmm_core.common.types import Array
 
 PRIOR_SEGMENTS = 0.1
-"""Weight of the prior, in segments: what one demonstration says of the spread of a duration is nothing."""
+"""Weight of the prior, in segments: a single demonstration says nothing about the spread of a duration."""
 PRIOR_SPREAD = 0.5
 """Standard deviation of log d of the prior: durations that differ by a factor of about 1.6."""
 MAX_STEPS = 100  # of Newton's method, which takes about 10

@@ -161,7 +161,7 @@ class OnlineTPGMM(TPGMM):
         if self.regularization == "prior":  # which counts in proportion to the samples
             scatter = self.reg_covar * cells.n_samples / emissions.n_components
             emissions = replace(emissions, prior_scatter=scatter)
-        # the old samples hardly move: what is gained is gained by the new
+        # the old samples hardly change: the new ones determine the gain
         tol = self.tol * weight * samples.n_samples / cells.n_samples
         return fit_cells(cells, priors, emissions, tol=tol, max_iter=self.max_iter, progress=progress)
 

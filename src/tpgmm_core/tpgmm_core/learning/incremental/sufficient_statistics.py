@@ -144,7 +144,7 @@ class SufficientStatistics:
             base[labels[by_count]] = moments.means[by_count]  # one that was seen, if any was
             manifold = self.manifolds[name]
             frames[name] = _moments(manifold, moments, members, base)
-            if not manifold.is_euclidean:  # from nearer, the mean is the mean
+            if not manifold.is_euclidean:  # seen from nearby, the mean is exact
                 frames[name] = _moments(manifold, moments, members, frames[name].means)
         return replace(self, counts=members.T @ self.counts, demonstrations=self.demonstrations[first], frames=frames)
 
