@@ -84,7 +84,7 @@ class ProgressWatch:
 
     def _words(self, q: Array, tau: Array, asked: LawTorques) -> str:
         causes = "; ".join(hindrances(self._robot, q, tau, asked))
-        return f"not following, {asked.lag} and no nearer: {causes}"
+        return f"not following, {asked.lag}, no progress: {causes}"
 
 
 def size(lag: Lag) -> float:
@@ -127,6 +127,6 @@ def hindrances(robot: RobotModel, q: Array, tau: Array, asked: LawTorques) -> It
         yield "the reference moves away from it"
     elif none and asked.saturated:
         none = False
-        yield "its motors are too weak for what is asked"
+        yield "its motors are too weak"
     if none:
         yield "held by something, or pulled too softly"

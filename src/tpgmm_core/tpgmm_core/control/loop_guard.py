@@ -137,7 +137,7 @@ class LoopGuard:
         self.age.suspect(0.5 * swings.half_period)
         unit = robot.joint_units[swings.joint]
         self._swung = (
-            f"{robot.joint_names[swings.joint]} swings and does not settle ({swings.speed:.2g} {unit}/s, to and fro in "
+            f"{robot.joint_names[swings.joint]} swings and does not settle ({swings.speed:.2g} {unit}/s, period "
             f"{2e3 * swings.half_period:.0f} ms): states or torques late, or gains too high for the robot's inertia; "
         )
         again = "for the third time: activate anew" if self._alarms >= MOST_ALARMS else "softer once it is calm"
@@ -163,13 +163,13 @@ class LoopGuard:
             self._told, self._words = 1.0, ""
         elif not self._told / TOLD_FACTOR < asked.share < self._told * TOLD_FACTOR:
             self._told = asked.share
-            self._words = f", softer: K_P is {asked.share**2:.2g} of what it asks for, since {self._lateness()}"
+            self._words = f", softer: K_P is reduced to {asked.share**2:.2g} of its value, since {self._lateness()}"
 
     def _words_of_late(self, delay: float) -> str:
         self._told_delay = delay
         return (
-            f"{self._lateness()}, the loop {1e3 * delay:.0f} ms late in all; the gains that the reference asks for "
-            f"bear {1e3 * LEAST_SHARE * self._longest:.0f} ms, the softest ones that follow "
+            f"{self._lateness()}, the loop is {1e3 * delay:.0f} ms late in total; its gains are stable up to "
+            f"{1e3 * LEAST_SHARE * self._longest:.0f} ms, the softest usable ones up to "
             f"{1e3 * self._longest:.0f} ms"
         )
 

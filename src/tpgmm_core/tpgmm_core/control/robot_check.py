@@ -85,11 +85,11 @@ def _of_bodies(robot: RobotModel) -> Iterator[str]:
         if body.is_a_point:
             yield f"{body}: with a mass of {body.mass:.3g} kg, is it a point? Correct <inertia> in the URDF"
         elif not body.has_the_shape_of_a_body:
-            yield f"{body}, one of which is larger than the sum of the others: no body is like that; correct <inertia>"
+            yield f"{body}, one of which is larger than the sum of the others: no real body has that; correct <inertia>"
     moved = {joint for joints in robot.joint_groups.values() for joint in joints}
     for name, mimic in robot.mimics.items():
         if mimic.leader in moved and name not in robot.joint_names:
-            yield f"{name} mimics {mimic.leader}: here it stands still, where that puts it at home"
+            yield f"{name} mimics {mimic.leader}: here it stands still, at its position for home"
 
 
 def _of_groups(robot: RobotModel) -> Iterator[str]:
@@ -125,4 +125,4 @@ def _of_base(robot: RobotModel) -> Iterator[str]:
     gravity = robot.world_to_base.rotation @ robot.pinocchio.gravity.linear
     if not np.allclose(gravity, [0.0, 0.0, -9.81], atol=0.05):
         x, y, z = gravity
-        yield f"gravity is {x:.2f}, {y:.2f}, {z:.2f} m/s^2 in the base frame, not along -z: is the robot mounted so?"
+        yield f"gravity is {x:.2f}, {y:.2f}, {z:.2f} m/s^2 in the base frame, not along -z: is it mounted like this?"

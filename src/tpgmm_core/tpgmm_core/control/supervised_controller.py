@@ -271,7 +271,7 @@ class SupervisedController[TargetT]:
 
 def _behind(stamp_ns: int, clock_ns: int, max_age: float) -> str:
     if stamp_ns == 0:
-        return "its stamp is 0: let the driver stamp joint states, or set max_age to 0, and its age stays unknown"
+        return "its stamp is 0: let the driver stamp joint states, or set max_age to 0, but its age is then unknown"
     return (
         f"its stamp lies {(clock_ns - stamp_ns) / SECOND:.3g} s behind this machine's clock, more than max_age "
         f"({max_age:g} s): it is too old, or the clocks differ; synchronise them, or set max_age to 0, and its age "

@@ -87,7 +87,7 @@ def _between(
         return far_turned, words
     words = (
         f"{both} lies {apart:.3g} m apart, {far:.1f} standard deviations of what was learned; over such a "
-        "distance, what was learned of how place and turn go together asks for turns that cannot be"
+        "distance, the learned relation between place and orientation asks for turns that are impossible"
     )
     if far_turned > FAR:
         words += f" (it is turned by {turned:.3g} deg besides)"

@@ -206,7 +206,7 @@ def _refusal(failed: int, dims: Sequence[int], values: ArrayLike) -> str:
     if failed == kernels_condition.NOT_FINITE:
         return f"values must be finite, got {values!r}"
     if failed == kernels_condition.TOO_FAR:
-        return f"the values {values!r} are so far from all components that no number says how far"
+        return f"the values {values!r} are so far from all components that the distance is not finite"
     return (
         f"the covariance of component {failed} is not positive definite in the dimensions {list(dims)}: "
         "fit with a larger reg_covar"

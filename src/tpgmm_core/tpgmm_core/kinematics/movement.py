@@ -140,7 +140,7 @@ class KinematicMovement:
             raise ValueError("the movement has not been started: call start(time_ns)")
         q = self._q if state is None else state
         if q is None:
-            raise ValueError("the configuration of the robot is not known: its joint states have to come")
+            raise ValueError("the configuration of the robot is not known: there were no joint states yet")
         since = max(0.0, (time_ns - self._last_ns) / _SECOND)
         situation = Situation(frames, weights)
         if self._situation is None or not situation.has_frames_of(self._situation):

@@ -96,7 +96,7 @@ class MovingFrames:
         there = objects.keys() | set(self.kinematics.points)
         frames = {name: f.at(moment) for name, f in self.candidates.items() if f.objects <= there}
         if not frames:
-            raise ValueError(f"none of the objects that the frames need is there; there are {sorted(objects)}")
+            raise ValueError(f"none of the objects that the frames need is known; known are {sorted(objects)}")
         return frames
 
     def demonstration(
@@ -130,7 +130,7 @@ class MovingFrames:
         data, times = np.asarray(configurations, dtype=float), np.asarray(times, dtype=float)
         objects = objects or {}
         if not self.objects <= objects.keys():
-            raise ValueError(f"the frames need the objects {sorted(self.objects)}, there are {sorted(objects)}")
+            raise ValueError(f"the frames need the objects {sorted(self.objects)}, given are {sorted(objects)}")
         since = np.diff(times)
         if len(times) != len(data) or len(times) < 2 or not np.all(since > 0.0):
             raise ValueError(

@@ -41,7 +41,7 @@ def target_object_origins(model: TPGMM, frames: Collection[str], over_time: bool
     if unknown:
         raise ValueError(f"the model has no frames {unknown}; it has {list(model.frame_names_)}")
     if model.covariance != "full":
-        raise ValueError(f"means go into full covariances only, the model's are {model.covariance!r}")
+        raise ValueError(f"the model needs full covariances, which take up the means; it has {model.covariance!r}")
     data = slice(1 if over_time else 0, None)
     for name in frames:
         means, covariances = model.means_[name].copy(), model.covariances_[name].copy()

@@ -181,7 +181,7 @@ class KinematicState:
             return rotation_matrix(place[3:]), place[:3], place[3:]
         frame = self._objects.get(task.relative_to)
         if frame is None:
-            raise ValueError(f"object {task.relative_to!r} is not there; there are {sorted(self._objects)}")
+            raise ValueError(f"object {task.relative_to!r} is not known; known are {sorted(self._objects)}")
         if frame.A.shape not in ((m, m), (dim, dim)) or (frame.A.shape == (m, m) and task.part != "position"):
             raise ValueError(
                 f"object {task.relative_to!r} is a frame of a position ({m}, {m}), or of a pose (7, 7) in space, as "

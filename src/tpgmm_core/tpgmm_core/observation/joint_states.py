@@ -187,5 +187,5 @@ class JointStateAssembler:
 
 def _wrong_length(field: str, length: int, names: int) -> str:
     if length == 0:
-        return f"{field} is empty, and cannot be done without: have the driver publish {field} too"
+        return f"{field} is empty, but needed: let the driver publish {field} too"
     return f"{field} has {length} numbers for {names} joint names; expected as many"

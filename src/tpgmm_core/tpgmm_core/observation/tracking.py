@@ -54,7 +54,7 @@ class TrackingConfig:
     max_future: float = setting(0.05, 0.0, 60.0, "Poses with stamps further in the future are refused, s")
     max_age: float = setting(1.0, 0.001, 3600.0, "Poses with older stamps are refused, s")
     filter_time: float = setting(
-        1.0, 0.0, 60.0, "Poses that tremble are averaged over this time while the frame is at rest, s; 0: never"
+        1.0, 0.0, 60.0, "Noisy poses are averaged over this time while the frame is at rest, s; 0: never"
     )
 
     def __post_init__(self) -> None:
@@ -197,14 +197,14 @@ class FrameTracker:
 
     def _check_stamp(self, track: _Track, stamp_ns: int, now_ns: int) -> str:
         if track.fixed:
-            return "fixed frame: its pose is given by the task file and takes no observations"
+            return "fixed frame: its pose is given by the task file, observations are not used"
         age = (now_ns - stamp_ns) / _SECOND
         if age < -self.config.max_future:
             return f"stamp in the future: {-age:.3f} s ahead of ROS time, {self.config.max_future} s allowed"
         if age > self.config.max_age:
             return f"stamp too old: {age:.3f} s behind ROS time, {self.config.max_age} s allowed"
         if stamp_ns == track.stamp_ns:
-            return "repeated stamp: the same observation again proves nothing new"
+            return "repeated stamp: the same observation came before"
         if stamp_ns < track.stamp_ns:
             return "stamp out of order: older than the observation that is known already"
         return ""

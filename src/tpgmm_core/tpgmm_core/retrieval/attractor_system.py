@@ -60,7 +60,7 @@ class AttractorSystem(ABC):
     ) -> None:
         if not isinstance(model, EndpointTPGMM):
             raise ValueError(
-                f"the model is a {type(model).__name__}, which does not tell where movements end: fit an EndpointTPGMM"
+                f"the model is a {type(model).__name__}, which does not know where movements end: fit an EndpointTPGMM"
             )
         duration = demonstrated_duration(model) if duration is None else duration
         positive(duration=duration, horizon_time_step=horizon_time_step, blend_time=blend_time)

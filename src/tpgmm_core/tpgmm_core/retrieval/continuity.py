@@ -188,7 +188,7 @@ class Continued:
         manifold = retrieval.manifold
         if manifold != former.gaussian.manifold:
             raise ValueError(
-                f"what is to take over is on {manifold}, the movement on {former.gaussian.manifold}: "
+                f"the new retrieval is on {manifold}, the movement on {former.gaussian.manifold}: "
                 "load a model of the same dimensions, or end the movement first"
             )
         self._retrieval = retrieval

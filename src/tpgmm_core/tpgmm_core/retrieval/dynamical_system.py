@@ -109,7 +109,7 @@ class Convergence:
         2.0, 0.1, 20.0, "Rate of convergence: the goal is reached within about 3 / rate durations at the latest"
     )
     goal_rate: float = setting(
-        20.0, 0.1, 100.0, "Of the spring that the movement ends by, close to the goal, per duration"
+        20.0, 0.1, 100.0, "Rate of the spring that ends the movement, close to the goal, per duration"
     )
     detour: float = setting(0.5, 0.0, 10.0, "Share by which the distance to the goal may grow before it shrinks")
     metres_per_radian: float = setting(0.2, 1e-3, 10.0, "Length that an angle counts as in distances, m/rad")

@@ -176,6 +176,6 @@ def demonstrated_duration(model: TPGMM) -> float:
     if not isinstance(duration, int | float) or not duration > 0.0:
         raise ValueError(
             f"the model's metadata say duration_s = {shown(duration)}; expected the demonstrations' mean duration in "
-            "s: a model that is to be reproduced over time is trained by 'train'"
+            "s, which 'train' writes into each model"
         )
     return float(duration)

@@ -274,7 +274,7 @@ class SmoothTrajectory:
 
     def _solution(self) -> tuple[GaussianMixture, Smooth]:
         if self._solved is None:
-            raise ValueError("the course knows no situation yet: call situate(frames) first")
+            raise ValueError("there is no situation yet: call situate(frames) first")
         return self._solved
 
 

@@ -43,7 +43,7 @@ def check_mimics(description: RobotDescription, tree: UrdfTree) -> None:
         if mimics := [joint for joint in names if joint in tree.mimics and joint not in description.home]:
             raise RobotFileError(
                 f"{description.path}: {key} names {listed(mimics)}, which has no motor but mimics "
-                f"{shown(tree.mimics[mimics[0]].leader)}: leave it out (it stands where that puts it), or name it in "
+                f"{shown(tree.mimics[mimics[0]].leader)}: leave it out (it then follows that joint), or name it in "
                 "home too"
             )
 

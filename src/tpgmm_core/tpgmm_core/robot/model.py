@@ -246,8 +246,8 @@ class RobotModel:
         missing = [name for name in self.joint_names if name not in description.home]
         if missing:
             raise RobotFileError(
-                f"{description.path}: home lacks the joints {listed(missing, 40)}; give their positions, or take "
-                f"joints that nobody here commands out of the model: locked: {{{missing[0]}: POSITION}}"
+                f"{description.path}: home lacks the joints {listed(missing, 40)}; give their positions, or lock "
+                f"those that are not commanded here: locked: {{{missing[0]}: POSITION}}"
             )
         frames = [self.base_frame, *(end.frame for end in self.endpoints.values())]
         absent = [frame for frame in frames if not self.pinocchio.existFrame(frame)]
@@ -278,7 +278,7 @@ class RobotModel:
         """Words about whether a joint mimics another, and about other joints with the same problem."""
         leader = ""
         if first in self.mimics:
-            leader = f". It mimics {self.mimics[first].leader}: left out of home, it stands where that puts it"
+            leader = f". It mimics {self.mimics[first].leader}: left out of home, it stands where its leader puts it"
         wrong = ~((values > 0.0) & (values <= bound))
         others = [joint for joint, bad in zip(self.joint_names, wrong, strict=True) if bad and joint != first]
         return leader + (f". So are the {word} limits of {listed(others, 40)}" if others else "")
@@ -289,7 +289,7 @@ class RobotModel:
             if not lower < upper:
                 raise RobotFileError(
                     f"{description.path}: {joint!r} may move from {lower:g} to {upper:g} "
-                    f"{self.unit(joint, 'position')}, which is nowhere; give the "
+                    f"{self.unit(joint, 'position')}, an empty range; give the "
                     f"real limits: limits: {{{joint}: {{lower: ..., upper: ...}}}}"
                 )
             if not lower <= home <= upper:

@@ -172,7 +172,7 @@ def _parents(links: Mapping[str, Element], joints: Mapping[str, Element]) -> dic
         for role, link in (("parent", parent), ("child", child)):
             if link not in links:
                 raise RobotFileError(
-                    f"joint {shown(name)} has the {role} link {shown(link)}, which is not there; there are "
+                    f"joint {shown(name)} has the {role} link {shown(link)}, which does not exist; there are "
                     f"{listed(links)}"
                 )
         if child in parents:
@@ -208,7 +208,7 @@ def _mimics(joints: Mapping[str, Element]) -> dict[str, Mimic]:
             continue
         leader = element.get("joint") or ""
         if leader not in joints:
-            raise RobotFileError(f"joint {shown(name)} mimics {shown(leader)}, which is not there")
+            raise RobotFileError(f"joint {shown(name)} mimics {shown(leader)}, which does not exist")
         multiplier, offset = ((element.get(word) or "").strip() for word in ("multiplier", "offset"))
         mimics[name] = Mimic(leader, float(multiplier or 1.0), float(offset or 0.0))
     for name in mimics:
