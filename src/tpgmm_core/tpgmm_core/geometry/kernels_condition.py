@@ -22,18 +22,18 @@ BLOCK = 256  # values side by side
 LANES = 16  # of these, what loops take at once
 
 NOT_FINITE = -2  # what `condition` returns for values that are not numbers
-TOO_FAR = -3  # and for values so far from all components that no number says how far
+TOO_FAR = -3  # and for values whose distance from all components is not finite
 
 
 @compiled
 def plan_parts(
     plan: Array,
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array]:
-    """The arrays of a plan: its first six numbers are how many tangent dimensions are given and free, n_i and n_o,
-    ambient ones, D_i and D_o, and S³ factors, S_i and S_o.
+    """The arrays of a plan.
 
-    Tangent and ambient indices in the mixture of what is given (n_i,), (D_i,) and free (n_o,), (D_o,); then for both
-    the arrangement `flat` and `spheres` of their own manifolds.
+    Its first six numbers are how many tangent dimensions are given and free, n_i and n_o, ambient ones, D_i and D_o,
+    and S³ factors, S_i and S_o. Then come tangent and ambient indices in the mixture of what is given (n_i,), (D_i,)
+    and free (n_o,), (D_o,); then for both the arrangement `flat` and `spheres` of their own manifolds.
     """
     n_i, n_o, D_i, D_o, S_i, S_o = plan[0], plan[1], plan[2], plan[3], plan[4], plan[5]
     a = 6
@@ -62,8 +62,10 @@ def condition(
     priors: Array, means: Array, covariances: Array, plan: Array, values: Array, out_means: Array,
     out_covariances: Array, out_activations: Array,
 ) -> int:  # fmt: skip
-    """Regression at all values (T, D_i): writes out_means (T, D_o), out_covariances (T, n_o, n_o) and
-    out_activations (T, K), which sum to 1, or (0, K) where nobody asks for them.
+    """Regression at all values (T, D_i).
+
+    Writes out_means (T, D_o), out_covariances (T, n_o, n_o) and out_activations (T, K), which sum to 1, or (0, K) where
+    nobody asks for them.
 
     priors (K,), means (K, D), covariances (K, n, n): of the mixture. The Gaussians are moment-matched; on S³ the mean
     is where the weighted tangent vectors cancel out, and the components' covariances move there by parallel transport.
@@ -166,10 +168,11 @@ def activate(
     values: Array, log_norms: Array, whitening: Array, means: Array, flat: Array, spheres: Array, wanted: bool,
     lanes: Array, z: Array, h: Array,
 ) -> bool:  # fmt: skip
-    """Activations h (K, T) of values (T, D_i), which sum to 1, and their whitened differences z (K, n_i, T) from the
-    means (K, D_i). Side by side, in logarithms; what is negligible everywhere is 0, if it is not wanted.
+    """Activations h (K, T) of values (T, D_i), which sum to 1, and their whitened differences from the means (K, D_i).
 
-    lanes : scratch (4 + n_i, T). False where no number says how far the values are from all components.
+    The differences are z (K, n_i, T), side by side. Computed in logarithms; what is negligible everywhere is 0, if it
+    is not wanted. lanes (4 + n_i, T) is scratch. False where the distance of the values from all components is not
+    finite.
     """
     K, n_i, size = len(means), len(flat), len(values)
     top, total, differences = lanes[0], lanes[1], lanes[4:]

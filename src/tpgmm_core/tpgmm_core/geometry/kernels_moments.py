@@ -53,8 +53,10 @@ def match_flat(
     active: Array, h: Array, means: Array, steps: Array, within: Array, weight: Array, moments: Array,
     out_means: Array, out_covariances: Array,
 ) -> None:  # fmt: skip
-    """Moments on R^n of the active ones of K Gaussians at means (K, n) + steps (K, n, T), weighted by h (K, T), side by
-    side. steps are overwritten; weight (T,) and moments are scratch.
+    """Moments on R^n of those of K Gaussians that are active.
+
+    They lie at means (K, n) + steps (K, n, T), side by side, weighted by h (K, T). steps are overwritten; weight (T,)
+    and moments are scratch.
     """
     n, size = means.shape[1], len(out_means)
     S, d = moments[n:], steps
@@ -96,8 +98,9 @@ def match_flat(
 def match_curved(
     h: Array, means: Array, steps: Array, within: Array, flat: Array, spheres: Array, mean: Array, covariance: Array
 ) -> None:
-    """Moments of those of K Gaussians that are not negligible, reached from means (K, D) along steps (K, n), weighted
-    by h (K,), where there are S³ factors.
+    """Moments of those of K Gaussians that are not negligible, where there are S³ factors.
+
+    They are reached from means (K, D) along steps (K, n), weighted by h (K,).
     """
     n = len(flat)
     conditionals, e, step = means.copy(), np.empty((len(means), n)), np.empty(n)

@@ -87,7 +87,7 @@ def rotation_matrix(q: ArrayLike) -> Array:
 def roll_pitch_yaw(q: ArrayLike) -> Array:
     """Turns (3,) about the fixed axes x, then y, then z (REP 103), rad, that make up a unit quaternion (4,).
 
-    Where the pitch is a quarter turn, roll and yaw are the same turn, which is given as roll.
+    Where the pitch is a quarter turn, roll and yaw are about the same axis; the whole turn is then given as roll.
     """
     R = rotation_matrix(q)
     cosine = np.hypot(R[0, 0], R[1, 0])
@@ -100,7 +100,10 @@ def roll_pitch_yaw(q: ArrayLike) -> Array:
 def from_matrix(R: ArrayLike) -> Array:
     """Unit quaternion (..., 4), w >= 0, of a rotation matrix (..., 3, 3).
 
-    Raises ValueError when R is not a rotation (orthogonal with determinant +1, to 1e-6).
+    Raises
+    ------
+    ValueError
+        when R is not a rotation (orthogonal with determinant +1, to 1e-6)
     """
     R = np.asarray(R, dtype=float)
     if R.shape[-2:] != (3, 3):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The critically damped spring, solved exactly: no time is too long for it."""
+"""The critically damped spring, solved exactly, for times of any length."""
 
 from __future__ import annotations
 

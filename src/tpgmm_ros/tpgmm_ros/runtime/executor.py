@@ -71,11 +71,15 @@ def init(args: list[str]) -> None:
     A robot's controller that does not come up since a disk is full would be worse than one without a log file: what it
     has to say is still on the terminal and on /rosout.
 
-    Args:
-        args: command line with arguments of ROS.
+    Parameters
+    ----------
+    args
+        command line with arguments of ROS
 
-    Raises:
-        StartError: arguments that ROS does not take, or an environment that it cannot start in.
+    Raises
+    ------
+    StartError
+        arguments that ROS does not take, or an environment that it cannot start in.
     """
     if reason := _no_log_file():
         args = [*args, "--ros-args", "--disable-external-lib-logs"]

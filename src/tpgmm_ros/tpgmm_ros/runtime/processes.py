@@ -59,9 +59,12 @@ def end_with_parent() -> None:
 class NodeProcesses:
     """Starts node processes and ends every one of them, whatever happens in between.
 
-    Args:
-        log_directory: one log file per node is written here; the end of it is shown when a node fails.
-        environment: further environment variables, such as ROS_DOMAIN_ID.
+    Parameters
+    ----------
+    log_directory
+        one log file per node is written here; the end of it is shown when a node fails
+    environment
+        further environment variables, such as ROS_DOMAIN_ID
     """
 
     def __init__(self, log_directory: Path, environment: Mapping[str, str] | None = None) -> None:
@@ -151,10 +154,14 @@ def _given(parameters: Mapping[str, Value], node: str = "") -> list[str]:
 class Graph:
     """What a program needs to deal with running nodes: wait for conditions, call services, bring nodes up.
 
-    Args:
-        node: the program's own node.
-        executor: the executor that serves it.
-        processes: checked while waiting, so that a node that died ends the waiting at once.
+    Parameters
+    ----------
+    node
+        the program's own node
+    executor
+        the executor that serves it
+    processes
+        checked while waiting, so that a node that died ends the waiting at once
     """
 
     def __init__(self, node: Node, executor: Executor, processes: NodeProcesses) -> None:
@@ -165,9 +172,12 @@ class Graph:
     def wait_for(self, condition: Callable[[], bool], timeout: float, what: str) -> None:
         """Serve the node until ``condition()`` holds.
 
-        Raises:
-            GraphTimeoutError: it does not within ``timeout`` seconds of steady time.
-            GraphError: a process ended.
+        Raises
+        ------
+        GraphTimeoutError
+            it does not within ``timeout`` seconds of steady time.
+        GraphError
+            a process ended.
         """
         deadline = time.monotonic() + timeout
         while not condition():
@@ -179,15 +189,23 @@ class Graph:
                 )
 
     def result(self, future: Future, timeout: float, what: str) -> Any:
-        """What a future (of a service or an action) comes to. Raises GraphError like `wait_for`."""
+        """What a future (of a service or an action) comes to.
+
+        Raises
+        ------
+        GraphError
+            like `wait_for`
+        """
         self.wait_for(future.done, timeout, what)
         return future.result()
 
     def bring_up(self, name: str, timeout: float = 30.0) -> None:
         """Configure and activate a lifecycle node.
 
-        Raises:
-            GraphError: it does not appear, or refuses.
+        Raises
+        ------
+        GraphError
+            it does not appear, or refuses.
         """
         client = self.node.create_client(ChangeState, f"{name}/change_state")
         self.wait_for(client.service_is_ready, timeout, f"{name} to appear")

@@ -66,11 +66,15 @@ def lock_memory() -> str:
 def request_realtime(priority: int) -> str:
     """Ask the system to run all threads of this process ahead of ordinary ones (SCHED_FIFO).
 
-    Args:
-        priority: 1 (least) to 99.
+    Parameters
+    ----------
+    priority
+        1 (least) to 99
 
-    Returns:
-        An empty text, or why it was refused; then the process goes on as an ordinary one.
+    Returns
+    -------
+    str
+        An empty text, or why it was refused; then the process goes on as an ordinary one
     """
     try:
         # The middleware's threads too: a message that waits for them is as late as one that waits for us.
