@@ -261,7 +261,8 @@ class Gaussians(Sequence[Gaussian]):
     def __getitem__(self, index: int | slice) -> Gaussian | Gaussians:
         if isinstance(index, slice):
             return Gaussians(self.mean[index], self.covariance[index], self.manifold)
-        return Gaussian._made(self.mean[index], self.covariance[index], self.manifold)
+        # copies, since the arrays may lie otherwise in memory than those of a Gaussian
+        return Gaussian._made(self.mean[index].copy(), self.covariance[index].copy(), self.manifold)
 
     def __iter__(self) -> Iterator[Gaussian]:
         return (self[i] for i in range(len(self)))

@@ -171,12 +171,17 @@ class GaussianMixture:
             # read-only and strided arrays would each be compiled for anew
             priors, means, covariances = priors.copy(), means.copy(), covariances.copy()
         T, n = len(given), free.tangent_dim
-        out_means, out_covariances = np.empty((T, free.dim)), np.empty((T, n, n))
+        is_flat = free.is_euclidean
+        out_means, out_covariances = (
+            (np.empty((n, T)), np.empty((n, n, T))) if is_flat else (np.empty((T, free.dim)), np.empty((T, n, n)))
+        )
         failed = kernel()(priors, means, covariances, parts.plan, given, out_means, out_covariances, NOT_WANTED)
         if failed != -1:
             raise ValueError(_refusal(failed, dims, values))
         if is_one:
-            return Gaussian._made(out_means[0], out_covariances[0], free)
+            return Gaussian._made(out_means.reshape(free.dim), out_covariances.reshape(n, n), free)
+        if is_flat:
+            out_means, out_covariances = out_means.T, out_covariances.transpose(2, 0, 1)
         out_means.setflags(write=False)
         out_covariances.setflags(write=False)
         return Gaussians(out_means, out_covariances, free)

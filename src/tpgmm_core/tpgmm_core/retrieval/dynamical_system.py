@@ -33,6 +33,7 @@ down. Tests check the bound at every step, on random models, starts and time ste
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -51,15 +52,18 @@ from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval import kernels_dynamical_system as kernels
 from tpgmm_core.retrieval.attractor_system import AttractorSystem
+from tpgmm_core.retrieval.covariance_mean import CovarianceMean
 from tpgmm_core.retrieval.differences import derivatives
 from tpgmm_core.retrieval.frame_derivatives import frame_with_derivatives
 from tpgmm_core.retrieval.frames import without_time
 from tpgmm_core.retrieval.interface import demonstrated_duration
-from tpgmm_core.retrieval.spring import critically_damped
+from tpgmm_core.retrieval.spring import Smoothed, critically_damped
 
 MAX_TIME_STEP = 0.005
 """Step of the integration, in durations; at most MAX_STEPS are made at once, longer ones after a long pause."""
 MAX_STEPS = 200
+MEMORY = 0.05
+"""Time constant with which a covariance follows the place, in durations, twice: it is late by a tenth of a duration."""
 BEFORE_THE_END = 1.0 - 1e-9
 GONE_AGAIN = 3.0
 """A movement that has arrived stays ended up to this many times the distance `Convergence.arrival` from the goal."""
@@ -124,8 +128,11 @@ class Convergence:
 class StableDynamics(AttractorSystem):
     """Reproduces a model over [x, v], by a system that converges to `goal`, wherever it is: see the module.
 
-    - The covariance of a reference is that of the positions in the active components: large along the
-      movement, smaller across it. Near the goal it becomes that of the demonstrations' ends.
+    - The covariance of a reference is that of the positions in the active components: large along the movement,
+      smaller across it. Near the goal it becomes that of the demonstrations' ends. It is a mean in logarithms
+      (`CovarianceMean`) over the recent past (MEMORY): components take over from one another within some mm, and a
+      system without time reaches these places earlier or later with every disturbance. Stiffness has to follow the
+      place, without leaps.
     - The phase is the share of the way that is done, 1 - d / (the largest d since the start); 1 within
       `Convergence.arrival`, so that it may fall when the goal moves away. It is computed from a goal that follows the
       one of the situation as a critically damped spring with blend_time: perceived poses are noisy.
@@ -179,6 +186,7 @@ class StableDynamics(AttractorSystem):
         self._log_priors = np.log(np.maximum(model.priors_, np.finfo(float).tiny))
         self._whitening, self._offsets, self._gains = np.empty((K, n, n)), np.empty(K), np.empty((K, n, n))
         self._activations, self.velocity, self.regressed = np.empty(K), np.zeros(n), np.zeros(n)
+        self._covariances = CovarianceMean(points, K)
         self._layout = points.ambient_of_tangent, points.sphere_starts
         self._compile()
 
@@ -216,6 +224,7 @@ class StableDynamics(AttractorSystem):
         self.velocity[:] = 0.0
         self._offset_rate = np.zeros_like(self.velocity)
         self._take_velocity(0.0)
+        self._of_late = Smoothed(self._place(self._x))
 
     def _situate(self, situation: Situation) -> None:
         slack, seen = self._radius - self.distance, self._seen_goal
@@ -232,7 +241,10 @@ class StableDynamics(AttractorSystem):
         self._centres = np.ascontiguousarray(self._adapted.means)
         self._spreads = np.ascontiguousarray(self._adapted.covariances)
         prepared = self._whitening, self._offsets, self._gains
-        if not kernels.prepare(self._log_priors, self._centres, self._spreads, self.manifold.dim, *prepared):
+        if not (
+            kernels.prepare(self._log_priors, self._centres, self._spreads, self.manifold.dim, *prepared)
+            and self._covariances.take(self._centres, self._spreads, self._goal)
+        ):
             raise ValueError("a covariance of the adapted mixture is not positive definite")
         n = self.manifold.tangent_dim
         scale, T = self.convergence, self._model_duration
@@ -281,6 +293,7 @@ class StableDynamics(AttractorSystem):
         self._goal_offset, self._goal_rate = critically_damped(self._goal_offset, self._goal_rate, rate, seconds)
         self._reach()
         self._take_velocity(seconds, self.manifold.log(before, self._x) - scaled * self.velocity)
+        self._of_late.follow(self._place(self._x), self._memory_rate, seconds)
 
     def _go(self, x: Array, radius: float, scaled: float) -> float:
         """Advance x by a scaled time, s as demonstrated; returns the new radius."""
@@ -302,25 +315,35 @@ class StableDynamics(AttractorSystem):
             self._radius += pulled
 
     def _now(self) -> tuple[Array, Array, Array]:
-        covariance = self._covariance_at(self._x, self._activations)
+        covariance = self._covariance_at(self._x, self._of_late)
         return self.manifold.exp(self._x, self._offset), covariance, self._activations.copy()
 
-    def _covariance_at(self, x: Array, activations: Array) -> Array:
-        covariance = np.empty((len(self._metric), len(self._metric)))
-        kernels.position_covariance(x, activations, self._centres, self._spreads, *self._layout, covariance)
-        d = self._length(self.manifold.log(self._seen_goal, x))
+    @property
+    def _memory_rate(self) -> float:
+        return 1.0 / (MEMORY * self.duration)
+
+    def _place(self, x: Array) -> Array:
+        """What the covariance goes by: the activations (K,) and the way from the goal to x (n,)."""
+        return np.concatenate([self._activations, self.manifold.log(self._goal.mean, x)])
+
+    def _covariance_at(self, x: Array, of_late: Smoothed) -> Array:
+        K = len(self._activations)
+        d = self._length(of_late.value[K:])
         near = math.exp(-0.5 * (d / self._law[5]) ** 2)
-        covariance += near * (self._goal.covariance - covariance)
-        return np.asarray(0.5 * (covariance + covariance.T))
+        return self._covariances.at(x, (1.0 - near) * of_late.value[:K])
 
     def _ahead(self, seconds: Array) -> list[Gaussian]:
         x, radius = self._x.copy(), self._radius
         kept = self._activations.copy(), self.regressed.copy()
-        gaussians, gone = [], 0.0
-        for time, scaled in zip(seconds, self._time_scaling.ahead(seconds) * self._model_duration, strict=True):
+        of_late, gaussians, gone, before = copy.copy(self._of_late), [], 0.0, 0.0
+        for time, scaled in zip(
+            seconds.tolist(), self._time_scaling.ahead(seconds) * self._model_duration, strict=True
+        ):
             radius, gone = self._go(x, radius, scaled - gone), scaled
-            mean = self.manifold.exp(x, self._offset_after(float(time))[0])
-            gaussians.append(Gaussian(mean, self._covariance_at(x, self._activations), self.manifold))
+            of_late.follow(self._place(x), self._memory_rate, time - before)
+            before = time
+            mean = self.manifold.exp(x, self._offset_after(time)[0])
+            gaussians.append(Gaussian(mean, self._covariance_at(x, of_late), self.manifold))
         self._activations[:], self.regressed[:] = kept
         return gaussians
 

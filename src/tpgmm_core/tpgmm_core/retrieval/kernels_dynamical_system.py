@@ -12,10 +12,8 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower, transport
+from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
 from tpgmm_core.geometry.kernels_product import difference, move
-
-NEGLIGIBLE = 1e-12  # components with a smaller activation add nothing to a covariance
 
 
 @compiled
@@ -76,29 +74,6 @@ def regress_velocity(
             for m in range(n):
                 component += gains[k, i, m] * e[k, m]
             v[i] += activations[k] * component
-
-
-@compiled
-def position_covariance(
-    x: Array, activations: Array, means: Array, covariances: Array, flat: Array, spheres: Array, out: Array
-) -> None:
-    """Covariance of x, out (n, n): those of the components, weighted by their activations, on S³ moved to x."""
-    K, n, D = len(activations), len(flat), len(x)
-    e, C = np.empty(n), np.empty((n, n))
-    out[:] = 0.0
-    for k in range(K):
-        if activations[k] < NEGLIGIBLE:
-            continue
-        for i in range(n):
-            for m in range(n):
-                C[i, m] = covariances[k, i, m]
-        difference(x, means[k, :D], flat, spheres, e)
-        for s in range(len(spheres)):
-            a = spheres[s, 1]
-            transport(C, a, e[a], e[a + 1], e[a + 2])
-        for i in range(n):
-            for m in range(n):
-                out[i, m] += activations[k] * C[i, m]
 
 
 @compiled
