@@ -78,8 +78,22 @@ class NodeProcesses:
         """Start ``executable`` (a node of this package) with parameters."""
         self._start(executable, [f"tpgmm_ros.nodes.{executable}"], _given(parameters))
 
-    def start_together(self, name: str, nodes: Mapping[str, Mapping[str, Value]]) -> None:
-        """Start nodes in one process, each with parameters, in the order of the data. The process has a name too."""
+    def start_all(self, name: str, nodes: Mapping[str, Mapping[str, Value]], together: bool = True) -> None:
+        """Start nodes, each with parameters, named in the order of the data.
+
+        Parameters
+        ----------
+        name : str
+            Of the process that they share.
+        nodes : mapping
+            Executable -> its parameters.
+        together : bool
+            False: each of them in a process of its own.
+        """
+        if not together:
+            for node, parameters in nodes.items():
+                self.start(node, **parameters)
+            return
         given = [item for node, parameters in nodes.items() for item in _given(parameters, f"{node}:")]
         self._start(name, ["tpgmm_ros.programs.compose", *nodes], given)
         self._shared |= dict.fromkeys(nodes, name)
@@ -105,8 +119,8 @@ class NodeProcesses:
                 raise GraphError(f"{name} ended with status {status}; the end of its log:\n{self.log_tail(name)}")
 
     def pid(self, name: str) -> int:
-        """Process id of a node that was started."""
-        return self._processes[name].pid
+        """Process id of a node that was started, or of the process that it shares."""
+        return self._processes[self._shared.get(name, name)].pid
 
     def kill(self, name: str) -> None:
         """End a node as a crash would, by SIGKILL; it may be started again."""
