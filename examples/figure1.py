@@ -15,9 +15,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from benchmarks.report import Row, write_report
 from examples import planar
+from examples.report import write_report
 from tpgmm_core import TPGMM, Gaussian
+from tpgmm_core.common.report import Row
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 
 POSITION = [1, 2]

@@ -24,9 +24,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from numpy.typing import ArrayLike  # noqa: E402
 
-from benchmarks.report import Row, write_report  # noqa: E402
 from examples import planar  # noqa: E402
+from examples.report import write_report  # noqa: E402
 from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.lqr.double_integrator import double_integrator_gains  # noqa: E402
 from tpgmm_core.retrieval.regression import RegressThenProduct  # noqa: E402

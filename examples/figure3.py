@@ -18,9 +18,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from benchmarks.report import Row, write_report
 from examples import planar
+from examples.report import write_report
 from tpgmm_core import TPGMM, Demonstration, Frame
+from tpgmm_core.common.report import Row
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 
 

@@ -22,8 +22,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from mpl_toolkits.mplot3d import Axes3D  # noqa: E402
 
-from benchmarks.report import Row, write_report  # noqa: E402
+from examples.report import write_report  # noqa: E402
 from tpgmm_core import TPGMM  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.learning.estimation.initialization import Labels  # noqa: E402
 

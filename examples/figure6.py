@@ -25,8 +25,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 
-from benchmarks.report import Row, progress, write_report  # noqa: E402
+from examples.report import progress, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Frame  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.kinematics.chains import PlanarRobot, planar_bimanual  # noqa: E402
 from tpgmm_core.kinematics.frames import PreviousConfiguration  # noqa: E402

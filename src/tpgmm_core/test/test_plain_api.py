@@ -13,9 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import plain_api
-from benchmarks.numpy_tpgmm import NumpyTPGMM, condition_on_first
-from benchmarks.numpy_tpgmm import adapt as numpy_adapt
-from benchmarks.workloads import W1, W2, Workload, demonstrations, pose_demonstrations
+from numpy_tpgmm import NumpyTPGMM, condition_on_first
+from numpy_tpgmm import adapt as numpy_adapt
 from random_problems import random_covariance, random_quaternion, random_rotation
 from tpgmm_core import TPGMM, Adapter, Frame, Gaussian, GaussianMixture, Gaussians, Manifold
 from tpgmm_core.geometry import kernels_condition
@@ -25,6 +24,7 @@ from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
 from tpgmm_core.learning.incremental.online import OnlineTPGMM
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
+from workloads import W1, W2, Workload, demonstrations, pose_demonstrations
 
 SPACES = {
     "R4": [[0], [2, 0], [1, 3], [3]],

@@ -22,18 +22,18 @@ BLOCK = 256  # values side by side
 LANES = 16  # of these, what loops take at once: ranges begin at a multiple of it
 
 NOT_FINITE = -2  # what `condition` returns for values that are not numbers
-TOO_FAR = -3  # and for values so far from all components that no number says how far
+TOO_FAR = -3  # and for values whose distance from all components is not finite
 
 
 @compiled
 def plan_parts(
     plan: Array,
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array]:
-    """The arrays of a plan: its first six numbers are how many tangent dimensions are given and free, n_i and n_o,
-    ambient ones, D_i and D_o, and S³ factors, S_i and S_o.
+    """The arrays of a plan.
 
-    Tangent and ambient indices in the mixture of what is given (n_i,), (D_i,) and free (n_o,), (D_o,); then for both
-    the arrangement `flat` and `spheres` of their own manifolds.
+    Its first six numbers are how many tangent dimensions are given and free, n_i and n_o, ambient ones, D_i and D_o,
+    and S³ factors, S_i and S_o. Then come tangent and ambient indices in the mixture of what is given (n_i,), (D_i,)
+    and free (n_o,), (D_o,); then for both the arrangement `flat` and `spheres` of their own manifolds.
     """
     n_i, n_o, D_i, D_o, S_i, S_o = plan[0], plan[1], plan[2], plan[3], plan[4], plan[5]
     a = 6

@@ -98,8 +98,9 @@ def match_flat(
 def match_curved(
     h: Array, means: Array, steps: Array, within: Array, flat: Array, spheres: Array, mean: Array, covariance: Array
 ) -> None:
-    """Moments of those of K Gaussians that are not negligible, reached from means (K, D) along steps (K, n), weighted
-    by h (K,), where there are S³ factors.
+    """Moments of those of K Gaussians that are not negligible, where there are S³ factors.
+
+    They are reached from means (K, D) along steps (K, n), weighted by h (K,).
     """
     n = len(flat)
     conditionals, e, step = means.copy(), np.empty((len(means), n)), np.empty(n)

@@ -60,13 +60,13 @@ from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.spring import Smoothed, critically_damped
 
 MAX_TIME_STEP = 0.005
-"""Of the integration, in durations; MAX_STEPS of them are made at once at most, longer ones after a long pause."""
+"""Step of the integration, in durations; at most MAX_STEPS are made at once, longer ones after a long pause."""
 MAX_STEPS = 200
 MEMORY = 0.05
 """Time constant with which a covariance follows the place, in durations, twice: it is late by a tenth of a duration."""
 BEFORE_THE_END = 1.0 - 1e-9
 GONE_AGAIN = 3.0
-"""A movement that has arrived is at its end until it is so many times as far from the goal as `Convergence.arrival`."""
+"""A movement that has arrived stays ended up to this many times the distance `Convergence.arrival` from the goal."""
 
 
 def with_velocity(
@@ -74,12 +74,22 @@ def with_velocity(
 ) -> Demonstration:
     """The demonstration as [x, v] in place of [time, x], for an `EndpointTPGMM` that `StableDynamics` retrieves from.
 
-    demonstration : data (T, 1 + D): time, then positions or poses; manifold : space of all of data, time included
-    window : samples of the parabolas that velocities are taken from; at most as many as there are
-
     Data become (T, D + n), on the manifold of x and R^n: "R1 x R3 x S3" gives "R3 x S3 x R6". Velocities are per s, on
-    S³ about the fixed axes; frames see them as vectors (`frame_with_derivatives`). Raises ValueError for less than
-    three samples, and frames that change time or do not fit the manifold.
+    S³ about the fixed axes; frames see them as vectors (`frame_with_derivatives`).
+
+    Parameters
+    ----------
+    demonstration
+        data (T, 1 + D): time, then positions or poses
+    manifold
+        space of all data, time included
+    window
+        number of samples of the parabolas that velocities are taken from; at most as many as there are
+
+    Raises
+    ------
+    ValueError
+        for less than three samples, and frames that change time or do not fit the manifold
     """
     space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold, demonstration.data.shape[1])
     points = space.subset(range(1, space.dim))
@@ -91,13 +101,19 @@ def with_velocity(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Convergence:
-    """How a system comes to its goal. Raises ValueError for a value out of its range."""
+    """How a system comes to its goal.
+
+    Raises
+    ------
+    ValueError
+        for a value out of its range
+    """
 
     rate: float = setting(
         2.0, 0.1, 20.0, "Rate of convergence: the goal is reached within about 3 / rate durations at the latest"
     )
     goal_rate: float = setting(
-        20.0, 0.1, 100.0, "Of the spring that the movement ends by, close to the goal, per duration"
+        20.0, 0.1, 100.0, "Rate of the spring that ends the movement, close to the goal, per duration"
     )
     detour: float = setting(0.5, 0.0, 10.0, "Share by which the distance to the goal may grow before it shrinks")
     metres_per_radian: float = setting(0.2, 1e-3, 10.0, "Length that an angle counts as in distances, m/rad")
@@ -112,27 +128,39 @@ class Convergence:
 class StableDynamics(AttractorSystem):
     """Reproduces a model over [x, v], by a system that converges to `goal`, wherever it is: see the module.
 
-    model : fitted to what `with_velocity` returns; other parameters as for `AttractorSystem`
-    convergence : how it comes to its goal
-
-    - The covariance of a reference is that of the positions in the active components: little matters along the
-      movement, more across it. Near the goal it passes over to that of the demonstrations' ends. It is a mean in
-      logarithms (`CovarianceMean`) of what is active, and how near the goal is, of late (MEMORY). Components take over
-      from one another within some mm, here as elsewhere, and a system without time is earlier or later there with
-      every disturbance; stiffness has to follow the place, but not to leap when it does.
+    - The covariance of a reference is that of the positions in the active components: large along the movement,
+      smaller across it. Near the goal it becomes that of the demonstrations' ends. It is a mean in logarithms
+      (`CovarianceMean`) over the recent past (MEMORY): components take over from one another within some mm, and a
+      system without time reaches these places earlier or later with every disturbance. Stiffness has to follow the
+      place, without leaps.
     - The phase is the share of the way that is done, 1 - d / (the largest d since the start); 1 within
-      `Convergence.arrival`, so that it may fall when the goal moves away. Judged by a goal that follows the one of the
-      situation as a critically damped spring with blend_time: perception trembles.
+      `Convergence.arrival`, so that it may fall when the goal moves away. It is computed from a goal that follows the
+      one of the situation as a critically damped spring with blend_time: perceived poses are noisy.
     - When frames change, the velocity changes at once, and within some mm where one component takes over from another.
       What exceeds the acceleration from rest to top speed within blend_time goes into an offset of the reference, which
-      dies out as a critically damped spring with blend_time. So does the reference start at rest.
-    - A robot that is held has the reference wait for it, at one to two lengths of the leash; one that is pulled away
+      dies out as a critically damped spring with blend_time. In the same way the reference starts at rest.
+    - The reference waits for a robot that is held, at one to two lengths of the leash; a robot that is pulled away
       takes the reference along, by no more than leash_speed. The movement goes on from there.
 
-    Attributes of the last step: velocity, regressed : (n,) per s at speed 1 and the demonstrated duration, with and
-    without the correction (on the way to the former, too fast a velocity is shortened first).
+    Parameters
+    ----------
+    model
+        fitted to what `with_velocity` returns
+    duration, horizon_steps, horizon_time_step, blend_time
+        as for `AttractorSystem`
+    convergence
+        how it comes to its goal
 
-    Raises ValueError for a model that is not over [x, v].
+    Attributes
+    ----------
+    velocity, regressed
+        (n,) at the last step, per s at speed 1 and the demonstrated duration, with and without the correction (too fast
+        a velocity is shortened before it is corrected)
+
+    Raises
+    ------
+    ValueError
+        for a model that is not over [x, v]
     """
 
     def __init__(
@@ -163,7 +191,7 @@ class StableDynamics(AttractorSystem):
         self._compile()
 
     def goal(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None = None) -> Gaussian:
-        """Where the movement ends in a situation: the product of what the frames saw of the demonstrations' ends."""
+        """Where the movement ends in a situation: the product of the frames' Gaussians of the demonstrations' ends."""
         return self._end(self._with_derivatives(frames), weights, None, END)
 
     def _end(
@@ -202,11 +230,11 @@ class StableDynamics(AttractorSystem):
         slack, seen = self._radius - self.distance, self._seen_goal
         self._take(situation)
         self._goal_offset = self.manifold.log(self._goal.mean, seen)
-        self._radius = self.distance + slack  # what the goal goes back and forth by does not add up
+        self._radius = self.distance + slack  # noise of the goal does not add up
         self._take_velocity(0.0)
 
     def _take(self, situation: Situation) -> None:
-        """The mixture and the goal in a situation, prepared for regression."""
+        """Prepare the mixture and the goal of a situation for regression."""
         frames_with_derivatives, weights = self._with_derivatives(situation.frames), situation.weights
         self._adapted = self._adapter.adapt(frames_with_derivatives, self._with_rest(self._x), weights)
         self._goal = self._end(frames_with_derivatives, weights, self._x, END)
@@ -232,13 +260,18 @@ class StableDynamics(AttractorSystem):
         )  # fmt: skip
 
     def _reach(self, at_least: float = 0.0) -> None:
-        """The longest distance since the start."""
+        """The longest distance from the goal since the start."""
         self._longest = self._law[2] = max(self._longest, self.distance, at_least)
 
     def _take_velocity(self, seconds: float, astray: Array | float = 0.0) -> None:
-        """`velocity` and `regressed` where the system is now; what of a change is too fast goes into the offset.
+        """Compute `velocity` and `regressed` where the system is now; too fast a change goes into the offset.
 
-        astray : (n,), how far the last step has led from where the former velocity would have led
+        Parameters
+        ----------
+        seconds
+            since the last call, s
+        astray
+            (n,), distance between where the last step led and where the former velocity would have led
         """
         former = self.velocity.copy()
         kernels.stable_velocity(self._x, max(self._radius, 1e-300), *self._system, self.velocity, np.empty(len(former)))
@@ -263,7 +296,7 @@ class StableDynamics(AttractorSystem):
         self._of_late.follow(self._place(self._x), self._memory_rate, seconds)
 
     def _go(self, x: Array, radius: float, scaled: float) -> float:
-        """x goes on by a scaled time, s as demonstrated; the radius then."""
+        """Advance x by a scaled time, s as demonstrated; returns the new radius."""
         n_steps = int(min(max(math.ceil(scaled / (MAX_TIME_STEP * self._model_duration)), 1), MAX_STEPS))
         return float(kernels.go(x, radius, scaled, n_steps, *self._system, np.empty(len(self.velocity))))
 
@@ -319,7 +352,7 @@ class StableDynamics(AttractorSystem):
 
     @property
     def _seen_goal(self) -> Array:
-        """Where the goal is (D,), without its trembling."""
+        """Position of the goal (D,), smoothed."""
         return self.manifold.exp(self._goal.mean, self._goal_offset)
 
     def _phase(self) -> float:

@@ -48,7 +48,7 @@ def regress_velocity(
     x: Array, means: Array, whitening: Array, offsets: Array, gains: Array, flat: Array, spheres: Array,
     activations: Array, v: Array,
 ) -> None:  # fmt: skip
-    """v (n,) = E[v | x], and the components' activations (K,), which sum to 1 also far from all of them."""
+    """Regression v (n,) = E[v | x], and the components' activations (K,), which sum to 1 also far from all of them."""
     K, n, D = whitening.shape[0], whitening.shape[1], len(x)
     e = np.empty((K, n))
     top = -np.inf
@@ -139,10 +139,10 @@ def go(
     whitening: Array, offsets: Array, gains: Array, flat: Array, spheres: Array, activations: Array,
     regressed: Array, v: Array,
 ) -> float:  # fmt: skip
-    """x goes on by time (in the unit of the model's velocities) in n_steps; returns the radius of the ball it is in.
+    """Advance x by a time, in the unit of the model's velocities, in n_steps; returns the radius of the ball it is in.
 
-    Midpoint steps along geodesics. Where one of them would leave the ball, as it has shrunk meanwhile, it ends at the
-    nearest point of the ball, on the geodesic to the goal: the bound holds for steps of any length.
+    Midpoint steps along geodesics. Where one of them would leave the ball, since it has shrunk meanwhile, it ends at
+    the nearest point of the ball, on the geodesic to the goal: the bound holds for steps of any length.
     """
     n = len(v)
     h, detour = time / n_steps, law[4]

@@ -11,8 +11,7 @@ import numpy as np
 
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry import quaternion
-from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.manifold import POSE, Manifold
 from tpgmm_core.observation.tracking import FrameTracker, TrackingConfig
 from tpgmm_core.retrieval.methods import make_retrieval
 
@@ -38,7 +37,7 @@ class Noise:
         shift, turn = 1e-3 * self.millimetres * random.normal(size=3), np.radians(self.degrees) * random.normal(size=3)
         if len(pose) == 3:
             return pose + [*shift[:2], turn[2]]
-        return np.concatenate([pose[:3] + shift, quaternion.multiply(quaternion.exp(turn), pose[3:])])
+        return POSE.exp(pose, [*shift, *turn])
 
 
 def frames_of(poses: Mapping[str, Array]) -> dict[str, Frame]:
