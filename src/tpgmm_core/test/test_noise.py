@@ -8,12 +8,25 @@ from functools import cache
 import numpy as np
 import pytest
 
-from noisy_poses import SECOND, Noise, Own, away, frames_of, lengths, rms, run, seen_at
+from noisy_poses import (
+    SECOND,
+    Noise,
+    Own,
+    Run,
+    away,
+    frames_of,
+    later_or_sooner,
+    lengths,
+    restlessness,
+    rms,
+    run,
+    seen_at,
+)
 from random_problems import random_covariance
 from reaching import place, reaching_demonstrations
 from tpgmm_core import TPGMM, Frame, Gaussian
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.geometry.manifold import POSE, Manifold
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.continuity import Continuity
 from tpgmm_core.retrieval.covariance_fade import CovarianceFade, lasting, multiply, relate
@@ -118,6 +131,24 @@ def test_noise_that_is_new_in_each_step_is_smoothed(method: str) -> None:
     assert jitter <= lengths(exact.manifold, expected.spread())[0]
     ratio = found.deviations / exact.deviations
     assert np.mean((ratio < 1.1) & (ratio > 1.0 / 1.1)) > 0.97 and ratio.max() < 1.6 and ratio.min() > 0.7
+
+
+def profile(deviations: Array) -> Run:
+    """A run of one dimension with these standard deviations (T,)."""
+    T = len(deviations)
+    return Run(Manifold.euclidean(1), np.zeros((T, 1)), deviations[:, None, None] ** 2, np.linspace(0.0, 1.0, T), 0.0)
+
+
+def test_a_profile_that_comes_later_is_the_same_and_one_that_goes_up_and_down_is_not() -> None:
+    times = 0.01 * np.arange(300)
+    exact = profile(0.01 + 0.07 * (times > 1.0))
+    late = profile(0.01 + 0.07 * (times > 1.1))
+    assert later_or_sooner(exact, late, 0.01, 0.1) == pytest.approx(1.0)
+    assert later_or_sooner(late, exact, 0.01, 0.1) == pytest.approx(1.0)
+    assert later_or_sooner(exact, late, 0.01, 0.09) == pytest.approx(8.0)
+    again = profile(np.where(np.abs(times - 1.05) < 0.015, 0.01, exact.deviations[:, 0]))
+    assert later_or_sooner(exact, again, 0.01, 0.1) > 2.0
+    assert restlessness(again)[0] == pytest.approx(3.0 * restlessness(exact)[0])
 
 
 LAGS = {
