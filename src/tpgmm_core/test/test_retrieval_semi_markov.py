@@ -309,7 +309,9 @@ def test_nothing_jumps_when_frames_move_and_states_change() -> None:
     # a change of velocity is a change of at most so much acceleration for a millisecond
     velocity = np.diff(means, axis=0) / 1e-3
     assert np.abs(np.diff(velocity, axis=0)).max() < 0.02 * np.abs(velocity).max()
-    assert np.abs(np.diff(velocities, axis=0)).max() < 0.05 * np.abs(velocity).max()
+    # of an acceleration that may turn round at once, the velocity over the 5 ms ahead has half
+    acceleration = np.abs(np.diff(velocity, axis=0)).max() / 1e-3
+    assert np.abs(np.diff(velocities, axis=0)).max() < 0.0025 * 2.0 * acceleration
 
 
 def test_the_path_does_not_depend_on_the_speed_and_a_pause_is_a_pause() -> None:

@@ -30,7 +30,12 @@ class CovarianceMean:
     - precisions have the same mean, so that stiffness passes over as softness does;
     - another frame of reference, turned, scaled or skewed, sees the same.
 
-    manifold : of the points; K : number of covariances
+    Parameters
+    ----------
+    manifold
+        of the points
+    K
+        number of covariances besides the goal's
     """
 
     def __init__(self, manifold: Manifold, K: int) -> None:
@@ -39,7 +44,21 @@ class CovarianceMean:
         self._logs, self._factor, self._goal = np.zeros((K, n, n)), np.eye(n), np.zeros(manifold.dim)
 
     def take(self, means: Array, covariances: Array, goal: Gaussian) -> bool:
-        """The covariances (K, n or more, n or more) at means (K, D or more); False where one is not definite."""
+        """Set the covariances.
+
+        Parameters
+        ----------
+        means
+            (K, D or more): where the covariances are; further dimensions do not count
+        covariances
+            (K, n or more, n or more), likewise
+        goal
+            the Gaussian that the others are seen by
+
+        Returns
+        -------
+        False where a covariance is not positive definite
+        """
         self._goal = np.array(goal.mean)
         at_goal = np.array(goal.covariance)
         return bool(
@@ -47,7 +66,15 @@ class CovarianceMean:
         )  # fmt: skip
 
     def at(self, x: Array, weights: Array) -> Array:
-        """The mean (n, n) with weights (K,), moved to x (D,)."""
+        """The mean (n, n) at a point.
+
+        Parameters
+        ----------
+        x
+            (D,), the point that the mean is moved to
+        weights
+            (K,), of the covariances; what their sum lacks to 1 is the goal's
+        """
         covariance = np.empty(self._factor.shape)
         exponential(x, weights, self._goal, *self._layout, self._logs, self._factor, covariance)
         return covariance

@@ -110,7 +110,10 @@ class AdaptedStates:
 class PathFollower:
     """The reference as it advances: a place in the sequence of states, and a plan that is renewed as it is used up.
 
-    Time is counted in samples. Plans begin at whole samples, unless the situation changes.
+    Time is counted in samples. A plan begins every so many whole samples, whatever happens in between: where a state
+    takes over from another is then met at the same steps of a plan, and what is planned does not depend on how often
+    the situation has changed. Planned anew at once, each change moved the path in time by about half a sample, however
+    small it was.
     """
 
     place: tuple[int, float]
@@ -127,14 +130,14 @@ class PathFollower:
         """Begin at rest, at a position (D,), or at the position that is expected at the place."""
         self.place, self.states = place, states
         self.fraction = 0.0
-        position = self._targets(0.0)[0][0] if state is None else np.array(state)
+        position = self._targets()[0][0] if state is None else np.array(state)
         self._replan(position, np.zeros(states.manifold.tangent_dim))
         self.covariance = self._covariances[self.place[0]]
 
     def change(self, states: AdaptedStates) -> None:
-        """Change to the states of another situation: position and velocity stay."""
+        """Change to the states of another situation, from the next plan on: position and velocity stay."""
         self.states = states
-        self._replan(*self.plan.at(self._planned))
+        self._move_covariances(self.at())
 
     def advance(self, samples: float) -> bool:
         """Advance, at most to the next whole sample; returns whether that was reached."""
@@ -159,24 +162,30 @@ class PathFollower:
 
     def _replan(self, position: Array, velocity: Array) -> None:
         states = self.states
-        targets, which = self._targets(self.fraction)
-        self._covariances, precisions = states.covariances, states.precisions
-        if not states.manifold.is_euclidean:
-            T = states.manifold.transport(states.means, position)
-            self._covariances, precisions = (T @ S @ np.swapaxes(T, 1, 2) for S in (self._covariances, precisions))
+        targets, which = self._targets()
+        precisions = self._move_covariances(position)
         # of accelerations per sample²: a state of average precision is met within the time constant
         cost = np.diag(self._time_constant**4 * states.mean_precisions)
         self.plan = self._planner.plan(position, velocity, targets, precisions[which], cost)
         self._planned = 0.0
 
-    def _targets(self, since: float) -> tuple[Array, list[int]]:
-        """Positions (PLAN_STEPS + 1, D) that states expect, from so many samples after the place, and which states."""
+    def _move_covariances(self, position: Array) -> Array:
+        """The states' covariances and precisions, moved to a position (D,); returns the latter (K, n, n)."""
+        states = self.states
+        self._covariances, precisions = states.covariances, states.precisions
+        if not states.manifold.is_euclidean:
+            T = states.manifold.transport(states.means, position)
+            self._covariances, precisions = (T @ S @ np.swapaxes(T, 1, 2) for S in (self._covariances, precisions))
+        return precisions
+
+    def _targets(self) -> tuple[Array, list[int]]:
+        """Positions (PLAN_STEPS + 1, D) that the states expect, from the place on, and which states."""
         schedule, states = self.schedule, self.states
         state, age = self.place
         if age >= schedule.longest[state]:
             ahead = [schedule.onwards(state, age, 0.0)] * (PLAN_STEPS + 1)
         else:
-            ahead = [schedule.onwards(state, age, since + i * self._stride) for i in range(PLAN_STEPS + 1)]
+            ahead = [schedule.onwards(state, age, float(i * self._stride)) for i in range(PLAN_STEPS + 1)]
         which = [state for state, _ in ahead]
         lasts = schedule.nominal[which] - 1.0  # ages of a state's samples are 0 to this
         offsets = np.minimum([age for _, age in ahead], lasts) - 0.5 * lasts

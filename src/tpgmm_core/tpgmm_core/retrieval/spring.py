@@ -21,6 +21,16 @@ class Smoothed:
     """A value that follows another one as a critically damped spring: two low-pass filters, one behind the other.
 
     Of weights that sum to 1 it makes such weights again, since each filter takes a mean.
+
+    Parameters
+    ----------
+    value
+        (n,), where it begins, at rest
+
+    Attributes
+    ----------
+    value
+        (n,), at present
     """
 
     def __init__(self, value: Array) -> None:
@@ -28,6 +38,16 @@ class Smoothed:
         self._velocity = np.zeros_like(self.value)
 
     def follow(self, target: Array, rate: float, seconds: float) -> None:
-        """Let a time pass, s, while the target is (n,); rate : 1/s, of either filter."""
+        """Let a time pass.
+
+        Parameters
+        ----------
+        target
+            (n,), meanwhile
+        rate
+            of either filter, 1/s
+        seconds
+            how long, s
+        """
         error, self._velocity = critically_damped(self.value - target, self._velocity, rate, seconds)
         self.value = target + error
