@@ -17,6 +17,10 @@ FILES = {
         {"frame_tracker", "reproduction", "impedance_controller", "baxter_simulator"},
         {"model", "task", "robot", "use_sim_time"},
     ),
+    "loop": (
+        {"compose"},
+        {"robot", "task", "model", "endpoint", "namespace", "joint_state_rate", "autostart", "realtime_priority"},
+    ),
     "figure5": ({"joint_reference", "impedance_controller", "baxter_simulator"}, {"models", "active", "robot"}),
 }
 
