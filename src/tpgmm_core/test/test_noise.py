@@ -86,7 +86,7 @@ FALLS_SHORT = {
     ("dynamical_system", "poses"): "its covariance depends on where the robot is, which a goal that trembles moves",
     ("semi_markov", "planar"): "changed frames shift the path in time by about half a sample, 5.5 mm at this speed",
 }
-"""Where the bounds do not hold, and why; `docs/how-to/retrieval.md` has the figures."""
+"""Where the bounds do not hold, and why; `docs/reference/noisy-frames.md` has the figures."""
 
 
 def each_method(*whats: str) -> list[Any]:
