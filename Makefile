@@ -90,7 +90,7 @@ figures: setup ## draw figures 1 to 4 of the paper, weights of frames, extrapola
 figure5: setup ## figure 5 of the paper, a cup and a sugar cube in two hands that are pushed: out/figure5/ (20 minutes; SEED=7 for other pushes)
 	$(DEMOS)/figure5 --seed $(SEED)
 
-figure6: setup ## figure 6 of the paper, priorities of two hands of a planar robot: out/figure6/, out/kinematic_relevance/
+figure6: setup ## figure 6 of the paper, priorities of two hands of a planar robot: out/figures/, out/kinematic_relevance/ (3 minutes)
 	PYTHONPATH=. $(PYTHON) examples/figure6.py
 	PYTHONPATH=. $(PYTHON) examples/kinematic_relevance.py
 

@@ -81,7 +81,7 @@ def draw(
 ) -> Figure:  # fmt: skip
     """The four panels."""
     figure = canvas(12.0, 10.0)
-    rows = figure.subfigures(2, 1)
+    rows = figure.subfigures(2, 1, squeeze=False)[:, 0]
     a, *views = rows[0].subplots(1, 3, width_ratios=[2.0, 1.0, 1.0])
     c, d = rows[1].subplots(1, 2)
     new = planar.situation(0.67)

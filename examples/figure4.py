@@ -140,7 +140,7 @@ def claims(in_space: dict[str, TPGMM], in_joints: dict[str, TPGMM], unseen: Arra
         at_least("diagonal: a component's long axis from its piece of the path, deg", away[0], 20),
         at_most("one factor: the same, deg", away[1], 10),
         at_most("full: the same, deg", away[2], 10),
-        at_least("joints: parameters from a structure to the next", np.diff(sizes).min(), 1),
+        at_least("joints: parameters from a structure to the next", float(np.diff(sizes).min()), 1),
         at_least("joints: log-likelihood from a structure to the next", np.diff(fitted).min(), 0),
         at_most("joints: parameters with four factors / full", sizes[-2] / sizes[-1], 0.4),
         at_least("joints, other samples: log-likelihood of four factors - diagonal", four - diagonal, 5),

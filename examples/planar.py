@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
-from numpy.typing import ArrayLike
 
 from tpgmm_core import TPGMM, Demonstration, Frame, Gaussian
 from tpgmm_core.common.types import Array
@@ -75,9 +74,9 @@ def end_without_frames(shown: Sequence[Demonstration]) -> Array:
 # -- how it is drawn
 
 
-def draw_ellipse(axes: Axes, mean: ArrayLike, covariance: ArrayLike, colour: str, alpha: float = 0.35) -> None:
+def draw_ellipse(axes: Axes, mean: Array, covariance: Array, colour: str, alpha: float = 0.35) -> None:
     """One standard deviation of a planar Gaussian, with an outline."""
-    (x, y), (values, vectors) = np.asarray(mean), np.linalg.eigh(covariance)
+    (x, y), (values, vectors) = mean, np.linalg.eigh(covariance)
     width, height = 2.0 * np.sqrt(np.maximum(values, 0.0))
     angle = np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0]))
     filled: dict[str, Any] = {"facecolor": colour, "edgecolor": "none", "alpha": alpha, "zorder": 3}
@@ -99,7 +98,12 @@ def draw_boxes(axes: Axes, frames: Mapping[str, Frame], alpha: float = 1.0, **st
     corners = 0.12 * np.array([[-0.6, 0.9], [-0.6, -0.3], [0.6, -0.3], [0.6, 0.9]])
     for name, frame in frames.items():
         sides = corners @ frame.A[1:, 1:].T + frame.b[POSITION]
-        look = {"color": FRAME_COLOURS[name], "lw": 4.0, "solid_capstyle": "round", "solid_joinstyle": "round"} | style
+        look: dict[str, Any] = {
+            "color": FRAME_COLOURS[name],
+            "lw": 4.0,
+            "solid_capstyle": "round",
+            "solid_joinstyle": "round",
+        } | style
         axes.plot(*sides.T, alpha=alpha, **look)
 
 
