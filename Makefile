@@ -69,8 +69,8 @@ soak: setup ## run 30 minutes of simulated time with random faults, watch tasks 
 faults: dev ## make every known fault happen to the running nodes and check what they do: out/faults/ (10 minutes)
 	PYTHONPATH=.:test $(PYTHON) -m faults
 
-demo: setup ## train a model, start the nodes, do the task, report: out/demo/ (SEED=7 for another situation)
-	$(DEMOS)/demo --seed $(SEED)
+demo: setup ## train a model, start the nodes, do the task, report: out/demo/ (SEED=7 for another situation, SEPARATE=1 for a process for each node)
+	$(DEMOS)/demo --seed $(SEED) $(if $(SEPARATE),--separate)
 
 bags: setup ## record the demonstrations in bags/ again
 	rm -rf bags/pick_place
@@ -96,7 +96,7 @@ figure6: setup ## figure 6 of the paper, priorities of two hands of a planar rob
 
 BENCHMARKS := em reproduction_step retrieval_step lqr control simulator loop latency kinematic_frames
 bench: setup ## run the benchmarks: tables, and JSON in out/bench/ (needs two idle cores)
-	@for name in $(BENCHMARKS); do PYTHONPATH=. $(PYTHON) benchmarks/$$name.py; done
+	@for name in $(BENCHMARKS); do PYTHONPATH=.:src/tpgmm_core/test $(PYTHON) benchmarks/$$name.py; done
 
 scaling: setup ## run the benchmarks of learning, 100 dimensions and a million samples: out/high_dimension/, out/scaling/
 	PYTHONPATH=. $(PYTHON) benchmarks/high_dimension.py

@@ -15,7 +15,8 @@ from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from benchmarks.report import Row, write_report  # noqa: E402
+from benchmarks.report import write_report  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.control.control_law import DynamicState  # noqa: E402
 from tpgmm_core.control.laws import LAWS, ReferenceLaw  # noqa: E402

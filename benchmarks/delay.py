@@ -16,8 +16,9 @@ from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from benchmarks.delayed_loop import DelayedLoop, LoopRecord, pose_reference  # noqa: E402
-from benchmarks.report import Row, write_report  # noqa: E402
+from benchmarks.report import write_report  # noqa: E402
+from delayed_loop import DelayedLoop, LoopRecord, pose_reference  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.control.supervision import ControllerMode  # noqa: E402
 from tpgmm_core.robot.model import RobotModel  # noqa: E402
 

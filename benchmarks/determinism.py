@@ -13,7 +13,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tpgmm_ros.programs.reporting import format_table, write_report
+from tpgmm_core.common.report import format_table
+from tpgmm_ros.programs.reporting import write_report
 
 RATES = (1000.0, 500.0)
 

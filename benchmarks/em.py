@@ -9,10 +9,11 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy
 
 import numpy as np  # noqa: E402
 
-from benchmarks import numpy_tpgmm  # noqa: E402
-from benchmarks.report import Row, alternating, write_report  # noqa: E402
-from benchmarks.workloads import W1, W2, Workload, demonstrations, projected  # noqa: E402
+import numpy_tpgmm  # noqa: E402
+from benchmarks.report import alternating, write_report  # noqa: E402
 from tpgmm_core import TPGMM  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
+from workloads import W1, W2, Workload, demonstrations, projected  # noqa: E402
 
 REG_COVAR, TOL, MAX_ITER = 1e-5, 1e-5, 1000
 

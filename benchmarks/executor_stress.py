@@ -9,7 +9,6 @@ subscriptions that do not fit, several times a second, and are killed now and th
 from __future__ import annotations
 
 import argparse
-import os
 import random
 import subprocess
 import sys
@@ -19,16 +18,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from domain_coordinator import domain_id
-from rclpy.experimental import EventsExecutor
 from sensor_msgs.msg import JointState
 
+from tpgmm_core.common.report import format_table
 from tpgmm_ros.messages.qos import STREAM
-from tpgmm_ros.programs.reporting import format_table, write_report
-from tpgmm_ros.runtime.processes import Graph, GraphError, NodeProcesses, end_with_parent
-from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
+from tpgmm_ros.programs.reporting import write_report
+from tpgmm_ros.runtime.processes import GraphError, end_with_parent, open_graph, own_domain
 from tpgmm_ros.runtime.resources import config_file
 
 NODES = ("baxter_simulator", "impedance_controller", "frame_tracker", "reproduction")
@@ -67,8 +63,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=10.0, help="how long (default: %(default)s)")
     parser.add_argument("--rate", type=float, default=1000.0, help="of joint states, Hz (default: %(default)s)")
     arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as directory, domain_id() as domain:
-        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", ROS_LOG_DIR=directory)
+    with tempfile.TemporaryDirectory() as directory, own_domain(ros_log=Path(directory)):
         report = stress(Path("out/executor_stress/log"), 60.0 * arguments.minutes, arguments.rate)
     print(format_table(("node", "ticks done", "longest silence"), report.pop("rows")))
     write_report(Path("out/executor_stress"), report)
@@ -82,10 +77,6 @@ def _is_over(end: float) -> bool:
 
 def stress(log: Path, seconds: float, rate: float) -> dict[str, Any]:
     """Run it; the report, and the rows of its table."""
-    init_rclpy(args=[])
-    node = rclpy.create_node("watch")
-    executor = EventsExecutor()
-    executor.add_node(node)
     heard: dict[str, float] = {}
     silences = dict.fromkeys(NODES, 0.0)
     ticks: dict[str, int] = {}
@@ -103,16 +94,16 @@ def stress(log: Path, seconds: float, rate: float) -> dict[str, Any]:
         nonlocal torques
         torques += 1
 
-    node.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
-    node.create_subscription(JointState, "joint_torques", count, STREAM)
     peers: list[subprocess.Popen[bytes]] = []
     lives, error = 0, ""
-    with NodeProcesses(log) as processes:
-        graph = Graph(node, executor, processes)
-        processes.start("baxter_simulator", robot_file=config_file("baxter.yaml"), rate=rate)
-        processes.start("frame_tracker", task_file=config_file("pick_place.yaml"))
-        processes.start("impedance_controller", robot_file=config_file("baxter.yaml"), autostart=True)
-        processes.start("reproduction", task_file=config_file("pick_place.yaml"), autostart=True)
+    with open_graph("watch", log) as graph:
+        graph.node.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
+        graph.node.create_subscription(JointState, "joint_torques", count, STREAM)
+        start = graph.processes.start
+        start("baxter_simulator", robot_file=config_file("baxter.yaml"), rate=rate)
+        start("frame_tracker", task_file=config_file("pick_place.yaml"))
+        start("impedance_controller", robot_file=config_file("baxter.yaml"), autostart=True)
+        start("reproduction", task_file=config_file("pick_place.yaml"), autostart=True)
         try:
             graph.wait_for(lambda: len(heard) >= len(NODES), 120.0, "all nodes to say that they live")
             begun = told = time.monotonic()
@@ -143,9 +134,6 @@ def stress(log: Path, seconds: float, rate: float) -> dict[str, Any]:
             for peer in peers:
                 peer.kill()
                 peer.wait()
-    executor.remove_node(node)
-    node.destroy_node()
-    rclpy.shutdown()
     rows = [(name, str(ticks.get(name, 0)), f"{silences[name]:.1f} s") for name in NODES]
     return {
         "passed": not error,

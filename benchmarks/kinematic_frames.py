@@ -16,8 +16,9 @@ from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from benchmarks.report import Row, durations, write_report  # noqa: E402
+from benchmarks.report import durations, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Adapter, Frame  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.kinematics.frames import (  # noqa: E402
     JointSpace,

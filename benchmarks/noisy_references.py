@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the tracker's filter makes of references to poses that tremble.
 
-`PYTHONPATH=.:test .venv/bin/python benchmarks/noisy_references.py SEED ...` prints for each retrieval method, over the
-whole pick-and-place: standard deviations of references, of any axis, as multiples of those to exact poses; for how much
-of the time they differ by more than 10 %; and by how much the mean is off.
+`PYTHONPATH=.:src/tpgmm_core/test:test .venv/bin/python benchmarks/noisy_references.py SEED ...` prints for each
+retrieval method, over the whole pick-and-place: standard deviations of references, of any axis, as multiples of those
+to exact poses; for how much of the time they differ by more than 10 %; and by how much the mean is off.
 """
 
 from __future__ import annotations

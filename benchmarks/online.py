@@ -24,10 +24,11 @@ import numpy as np  # noqa: E402
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from benchmarks.report import Row, write_report  # noqa: E402
-from benchmarks.workloads import W1, demonstrations, pose_demonstrations  # noqa: E402
+from benchmarks.report import write_report  # noqa: E402
 from tpgmm_core import TPGMM, Demonstration  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.learning.incremental.online import OnlineTPGMM  # noqa: E402
+from workloads import W1, demonstrations, pose_demonstrations  # noqa: E402
 
 N_FIRST = 3
 CELL_SIZES = (1, 5, 10, 20)

@@ -11,10 +11,11 @@ import gc  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from benchmarks import numpy_tpgmm  # noqa: E402
-from benchmarks.report import Row, alternating, durations, write_report  # noqa: E402
-from benchmarks.workloads import W1, W2, Workload, demonstrations, pose_demonstrations  # noqa: E402
+import numpy_tpgmm  # noqa: E402
+from benchmarks.report import alternating, durations, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Adapter, Gaussian  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
+from workloads import W1, W2, Workload, demonstrations, pose_demonstrations  # noqa: E402
 
 TIMES = np.array([0.7])
 

@@ -20,15 +20,17 @@ import time  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from benchmarks.report import Row, write_report  # noqa: E402
+from benchmarks.report import write_report  # noqa: E402
 from benchmarks.reproduction_step import percentiles  # noqa: E402
 from tpgmm_core import Frame  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.geometry.quaternion import exp, multiply  # noqa: E402
 from tpgmm_core.retrieval.methods import METHODS, make_retrieval  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_ros.recordings.bags import align, find_bags, read_recordings  # noqa: E402
-from tpgmm_ros.task.task_file import MANIFOLD, Task  # noqa: E402
+from tpgmm_ros.task.state_space import MANIFOLD  # noqa: E402
+from tpgmm_ros.task.task_file import Task  # noqa: E402
 
 STEPS = 1000
 

@@ -24,6 +24,7 @@ import numpy as np  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
 from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
+from tpgmm_core.common.report import format_table  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
 from tpgmm_core.geometry.manifold import Manifold  # noqa: E402
@@ -31,7 +32,7 @@ from tpgmm_core.learning.selection import SelectableEstimator, select_model  # n
 from tpgmm_core.retrieval.methods import DEFAULT, METHODS  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_ros.models.validation import path_errors, replay_nearest, reproduce, without_frames  # noqa: E402
-from tpgmm_ros.programs.reporting import format_table, write_report  # noqa: E402
+from tpgmm_ros.programs.reporting import write_report  # noqa: E402
 from tpgmm_ros.recordings.bags import Recording, find_bags, read_recordings  # noqa: E402
 from tpgmm_ros.task.task_file import Task  # noqa: E402
 
@@ -44,8 +45,14 @@ SHARES = np.linspace(0.0, 1.0, 200)
 class DataSet:
     """Recordings, and what is learned of them.
 
-    recordings, task : as `train` takes them; anchor : the frame that a replay moves with
-    with_orientation : False where none was recorded; positions alone are learned then
+    Parameters
+    ----------
+    recordings, task
+        as `train` takes them
+    anchor
+        the frame that a replay moves with
+    with_orientation
+        False where none was recorded; positions alone are learned then
     """
 
     recordings: Sequence[Recording]
@@ -68,7 +75,13 @@ class DataSet:
 
 
 def data_sets(directory: Path) -> Iterator[tuple[str, DataSet]]:
-    """Those that are there, by name. Raises ValueError for recordings that cannot be read."""
+    """Those that are there, by name.
+
+    Raises
+    ------
+    ValueError
+        for recordings that cannot be read
+    """
     for name, anchor, with_orientation in (("baxter_valve", "valve", True), ("franka_bolts", "goal", False)):
         if not (directory / name).is_dir():
             print(f"retrieval_table: {name} left out, {directory / name} is no directory; it is no part of the project")

@@ -16,10 +16,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import one_line
 from tpgmm_demos.scene.perception import PERCEPTIONS
 from tpgmm_ros.programs import train
-from tpgmm_ros.programs.reporting import format_table, write_report
+from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.runtime.entry import INTERRUPTED
 from tpgmm_ros.runtime.resources import config_file
 

@@ -18,22 +18,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
 from action_msgs.msg import GoalStatus
-from domain_coordinator import domain_id
 from rclpy.action import ActionClient
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from benchmarks.soak_world import SoakWorld
+from tpgmm_core.common.report import format_table
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.srv import LoadModel
 from tpgmm_ros.programs import train
-from tpgmm_ros.programs.reporting import format_table, write_report
-from tpgmm_ros.runtime.processes import Graph, GraphError, NodeProcesses
-from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
+from tpgmm_ros.programs.reporting import write_report
+from tpgmm_ros.runtime.processes import Graph, GraphError, NodeProcesses, open_graph, own_domain
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task
 
@@ -251,23 +247,14 @@ def main() -> int:
     (arguments.output / "report.json").unlink(missing_ok=True)
     models = _models(arguments.output)
     error = ""
-    with domain_id() as domain:
-        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-        init_rclpy(args=[], signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C ends with a report
-        node = Node("soak")
-        executor = EventsExecutor()
-        executor.add_node(node)
+    with own_domain(), open_graph("soak", arguments.output / "log") as graph:
         begun = time.monotonic()
-        with NodeProcesses(arguments.output / "log") as processes:
-            soak = Soak(node, Graph(node, executor, processes), models, arguments.seed, 60.0 * arguments.minutes)
-            try:
-                soak.run()
-            except (GraphError, KeyboardInterrupt) as failure:
-                error = str(failure) or "interrupted"
+        soak = Soak(graph.node, graph, models, arguments.seed, 60.0 * arguments.minutes)
+        try:
+            soak.run()
+        except (GraphError, KeyboardInterrupt) as failure:
+            error = str(failure) or "interrupted"
         took = time.monotonic() - begun
-        executor.remove_node(node)
-        node.destroy_node()
-        rclpy.shutdown()
     report = _report(soak, arguments, took, error)
     rows = [(key, str(value)) for key, value in report.items() if key != "lives"]
     lives = [(life["node"], life["lived_s"], life["last_mb"], life["growth_mb"] or "-") for life in report["lives"]]

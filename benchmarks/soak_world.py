@@ -9,9 +9,10 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_demos.scene.perception import Camera, CameraConfig
-from tpgmm_demos.scene.pick_place import Array, random_placement
+from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.lockstep import nothing_seen
 from tpgmm_ros.messages.qos import STREAM
@@ -33,8 +34,12 @@ TICK = 0.01
 class SoakWorld:
     """Answers each pose of the hand with what a camera sees of each frame, with faults.
 
-    elapsed : simulated time, s, over all lives of the simulator
-    happened : how often each kind of fault began
+    Parameters
+    ----------
+    elapsed
+        simulated time, s, over all lives of the simulator
+    happened
+        how often each kind of fault began
     """
 
     def __init__(self, node: Node, task: Task, random: np.random.Generator) -> None:

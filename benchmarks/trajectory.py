@@ -14,12 +14,13 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy
 
 import numpy as np  # noqa: E402
 
-from benchmarks.report import Row, durations, write_report  # noqa: E402
-from benchmarks.workloads import W1, demonstrations, pose_demonstrations  # noqa: E402
+from benchmarks.report import durations, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
 from tpgmm_core.retrieval.dynamic_features import manifold_with_derivatives, with_derivatives  # noqa: E402
 from tpgmm_core.retrieval.trajectory import SmoothTrajectory, TrajectoryModel  # noqa: E402
+from workloads import W1, demonstrations, pose_demonstrations  # noqa: E402
 
 SITUATIONS = 200
 POSES = "R1 x R3 x S3"

@@ -21,13 +21,15 @@ import numpy as np  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
 from tpgmm_core import TPGMM, Demonstration  # noqa: E402
+from tpgmm_core.common.report import format_table  # noqa: E402
 from tpgmm_core.learning.covariance.structure import STRUCTURES  # noqa: E402  # noqa: E402
 from tpgmm_core.learning.dirichlet import DirichletTPGMM  # noqa: E402
 from tpgmm_core.learning.selection import Candidate, SelectableEstimator, select_model, unfitted  # noqa: E402
 from tpgmm_ros.models.validation import cross_validate, mean_errors  # noqa: E402
-from tpgmm_ros.programs.reporting import format_table, write_report  # noqa: E402
+from tpgmm_ros.programs.reporting import write_report  # noqa: E402
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings  # noqa: E402
-from tpgmm_ros.task.task_file import MANIFOLD, Task  # noqa: E402
+from tpgmm_ros.task.state_space import MANIFOLD  # noqa: E402
+from tpgmm_ros.task.task_file import Task  # noqa: E402
 
 STRUCTURES_ON_POSES = [name for name in STRUCTURES if name != "deep_mfa"]  # whose layers are Euclidean
 

@@ -10,7 +10,8 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from benchmarks.report import Row, write_report
+from examples.report import write_report
+from tpgmm_core.common.report import Row
 
 
 def at_most(claim: str, measured: float, bound: float) -> Row:

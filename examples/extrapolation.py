@@ -25,17 +25,21 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from benchmarks.report import Row, write_report  # noqa: E402
 from examples import pbdlib  # noqa: E402
+from examples.report import write_report  # noqa: E402
 from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
+from tpgmm_core.geometry.manifold import POSE  # noqa: E402
+from tpgmm_core.geometry.pose import compose, inverse  # noqa: E402
 from tpgmm_core.retrieval.methods import DEFAULT, METHODS  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_core.retrieval.trajectory import TrajectoryModel  # noqa: E402
 from tpgmm_ros.models.validation import reproduce, without_frames  # noqa: E402
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings  # noqa: E402
-from tpgmm_ros.task.task_file import MANIFOLD, Task  # noqa: E402
+from tpgmm_ros.task.state_space import MANIFOLD  # noqa: E402
+from tpgmm_ros.task.task_file import Task  # noqa: E402
 
 WITHOUT_FRAMES = "no frames"
 FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
@@ -78,7 +82,7 @@ def pose_task(recordings: Sequence[Recording], duration: float, last: str, every
     """Every n-th demonstrated situation, with each of its observed frames farther from the mean of that frame."""
     poses = {name: np.stack([r.frames[name][-1] for r in recordings]) for name in recordings[0].frames}
     means = {name: _mean_pose(several) for name, several in poses.items()}
-    seen = _mean_pose(np.stack([_seen_from(r.frames[last][-1], r.movement[-1]) for r in recordings]))
+    seen = _mean_pose(np.stack([compose(inverse(r.frames[last][-1]), r.movement[-1]) for r in recordings]))
     times = np.linspace(0.0, duration, SAMPLES)
     found = []
     for i, recording in list(enumerate(recordings))[::every]:
@@ -103,16 +107,7 @@ def _mean_pose(poses: Array) -> Array:
 
 def _farther(mean: Array, pose: Array, factor: float) -> Array:
     """What lies from the mean pose as this one does, but so many times as far and turned by so many times the angle."""
-    turn = quaternion.log(quaternion.multiply(pose[3:], quaternion.conjugate(mean[3:])))
-    q = quaternion.multiply(quaternion.exp(factor * turn), mean[3:])
-    return np.concatenate([mean[:3] + factor * (pose[:3] - mean[:3]), q])
-
-
-def _seen_from(frame: Array, pose: Array) -> Array:
-    back = quaternion.conjugate(frame[3:])
-    return np.concatenate(
-        [quaternion.rotation_matrix(back) @ (pose[:3] - frame[:3]), quaternion.multiply(back, pose[3:])]
-    )
+    return POSE.exp(mean, factor * POSE.log(mean, pose))
 
 
 def measure(

@@ -17,10 +17,10 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.report import Row
 from examples import planar
 from examples.claims import at_least, at_most, canvas, finish, options_of
 from tpgmm_core import TPGMM, Demonstration, Gaussian
+from tpgmm_core.common.report import Row
 from tpgmm_core.common.types import Array
 from tpgmm_core.lqr.double_integrator import Gains, double_integrator_gains
 from tpgmm_core.retrieval.regression import RegressThenProduct

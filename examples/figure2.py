@@ -17,10 +17,10 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
-from benchmarks.report import Row
 from examples import planar
 from examples.claims import at_least, at_most, canvas, finish, options_of
 from tpgmm_core import Gaussian
+from tpgmm_core.common.report import Row
 from tpgmm_core.common.types import Array
 
 COMPONENT = 2  # the one in the middle of the movement

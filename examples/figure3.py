@@ -21,10 +21,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from benchmarks.report import Row
 from examples import planar
 from examples.claims import at_least, at_most, canvas, finish, options_of
 from tpgmm_core import TPGMM, Demonstration, Frame
+from tpgmm_core.common.report import Row
 from tpgmm_core.common.types import Array
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 

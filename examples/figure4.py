@@ -19,9 +19,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 from mpl_toolkits.mplot3d import Axes3D
 
-from benchmarks.report import Row
 from examples.claims import at_least, at_most, canvas, finish, options_of
 from tpgmm_core import TPGMM, Frame
+from tpgmm_core.common.report import Row
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.estimation.initialization import Labels
 

@@ -23,8 +23,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from benchmarks.report import Row, progress, write_report
 from examples.claims import at_least, at_most, canvas, finish, options_of
+from examples.report import progress, write_report
 from examples.two_hands import (
     DURATION,
     HANDS,
@@ -40,6 +40,7 @@ from examples.two_hands import (
     out_of_reach,
 )
 from tpgmm_core import TPGMM, Frame
+from tpgmm_core.common.report import Row
 from tpgmm_core.common.types import Array
 from tpgmm_core.kinematics.chains import PlanarRobot, planar_bimanual
 from tpgmm_core.kinematics.frames import KinematicFrame, PreviousConfiguration, SecondaryTaskSpace, TaskSpace

@@ -21,12 +21,14 @@ from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from benchmarks.report import Row, write_report  # noqa: E402
+from examples.report import write_report  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_core.retrieval.sub_objectives import SubObjectives, sub_objectives  # noqa: E402
 from tpgmm_ros.recordings.bags import find_bags, read_demonstrations  # noqa: E402
-from tpgmm_ros.task.task_file import DIMENSIONS, MANIFOLD, Task  # noqa: E402
+from tpgmm_ros.task.state_space import DIMENSIONS, MANIFOLD  # noqa: E402
+from tpgmm_ros.task.task_file import Task  # noqa: E402
 
 COLOURS = ("#d95f02", "#1b9e77", "#7570b3", "#e7298a", "#66a61e")
 POSITION, ROTATION = slice(0, 3), slice(3, 6)

@@ -23,8 +23,9 @@ import numpy as np  # noqa: E402
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from benchmarks.report import Row, progress, write_report  # noqa: E402
+from examples.report import progress, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Frame  # noqa: E402
+from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
 from tpgmm_core.kinematics.frames import (  # noqa: E402

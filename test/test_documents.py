@@ -122,7 +122,12 @@ def help_of(name: str) -> str:
         command = [sys.executable, name, "--help"]
     else:
         command = [sys.executable, "-m", name, "--help"]
-    places = [str(ROOT), str(ROOT / "test"), os.environ.get("PYTHONPATH", "")]
+    places = [
+        str(ROOT),
+        str(ROOT / "src" / "tpgmm_core" / "test"),
+        str(ROOT / "test"),
+        os.environ.get("PYTHONPATH", ""),
+    ]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(places)}
     run = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120)
     assert run.returncode == 0, f"{name} --help: {run.stderr}"

@@ -88,8 +88,15 @@ class Bench:
             return Clock(clock=conversions.time_from_ns(now_ns))
         return kind()
 
+    def meet(self) -> None:
+        """A publisher for each subscription that the node has made since: a node that starts makes them one by one."""
+        for topic, kind in subscriptions(self.node, self.name).items():
+            if topic not in self.publishers:
+                self.publishers[topic] = self.node.create_publisher(kind, topic, ANYONE)
+
     def is_at_work(self) -> bool:
         """Whether it answers good inputs, all of which are sent anew."""
+        self.meet()
         sent = {}
         for topic, publisher in self.publishers.items():
             message = self.good(publisher.msg_type)
@@ -155,8 +162,7 @@ def opened(node: Node, start: StartProcess, name: str, **more: object) -> Bench:
         message=f"{name} to subscribe",
         processes=(process,),
     )
-    for topic, kind in subscriptions(node, name).items():
-        bench.publishers[topic] = node.create_publisher(kind, topic, ANYONE)
+    bench.meet()
     spin_until(node, lambda: all(item.get_subscription_count() for item in bench.publishers.values()))
     return bench
 

@@ -172,7 +172,7 @@ def test_that_only_joints_of_others_come_is_said_in_the_log(
     spin_until(ros_node, said, message="words", processes=(process,))
 
 
-@pytest.mark.parametrize(("content", "reason"), [("urdf: a.urdf", "missing keys"), (None, "cannot read|No such file")])
+@pytest.mark.parametrize(("content", "reason"), [("urdf: a.urdf", "lacks the key"), (None, "cannot read|No such file")])
 def test_a_robot_file_that_cannot_be_used_is_one_line_and_status_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None, reason: str
 ) -> None:

@@ -81,7 +81,6 @@ def test_the_hand_that_had_priority_in_the_demonstrations_is_at_its_target(
     bags = str(ROOT / "bags" / "priorities" / f"{first}_first")
     assert train.main(["--task", str(task_file), "--output", str(model), "--every", "2", bags]) == 0
     task = Task.load(task_file)
-    assert task.kinematic is not None
     world = TwoTargets(ros_node, task)
     references = Inbox(ros_node, Reference, "reference", ALL)
     both = {"use_sim_time": True, "autostart": True}
@@ -107,7 +106,7 @@ def test_the_hand_that_had_priority_in_the_demonstrations_is_at_its_target(
 
     assert ended.result().result.success, ended.result().result.reason
     reference = references.last
-    assert tuple(reference.dimensions) == task.kinematic.joint_names()
+    assert tuple(reference.dimensions) == task.space.joints()
     assert set(reference.frames) == {"left_target", "right_target"} and reference.phase == 1.0
     errors = dict(zip(HANDS, np.mean(world.errors, axis=0), strict=True))
     other = HANDS[1 - HANDS.index(first)]

@@ -146,7 +146,8 @@ def test_tests_and_programs_keep_to_this_machine(ros_domain: int) -> None:
     assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST" and os.environ["ROS_DOMAIN_ID"] == str(ros_domain)
     packages = [ROOT / "src" / package / package for package in ("tpgmm_ros", "tpgmm_demos")]
     programs = [path for folder in (ROOT / "benchmarks", *packages) for path in folder.rglob("*.py")]
-    starting = [path for path in programs if "with NodeProcesses(" in path.read_text()]
-    assert starting
-    for path in starting:
-        assert "ROS_AUTOMATIC_DISCOVERY_RANGE" in path.read_text(), path
+    starting = {path: text for path in programs if "open_graph(" in (text := path.read_text())}
+    assert len(starting) > 3
+    assert all("own_domain(" in text for text in starting.values())
+    by_hand = [path.name for path in programs if "NodeProcesses(" in path.read_text() and path not in starting]
+    assert not by_hand, "start nodes by open_graph, on a domain of their own"

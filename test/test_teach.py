@@ -15,7 +15,8 @@ from sensor_msgs.msg import JointState
 
 from ros_graph import ROBOT_FILE, ROOT, TASK_FILE
 from ros_testing import StartProcess, executable, spin_until
-from tpgmm_demos.scene.pick_place import hand_at, pose_error
+from tpgmm_core.geometry.pose import pose_error
+from tpgmm_demos.scene.pick_place import hand_at
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
 from tpgmm_ros.recordings.bags import read_recording

@@ -32,6 +32,7 @@ setup(
             "joint_reference = tpgmm_ros.executables:joint_reference",
             "baxter_simulator = tpgmm_ros.executables:baxter_simulator",
             "endpoint_poses = tpgmm_ros.executables:endpoint_poses",
+            "compose = tpgmm_ros.executables:compose",
             "check_robot = tpgmm_ros.executables:check_robot",
             "teach = tpgmm_ros.executables:teach",
             "train = tpgmm_ros.executables:train",

@@ -11,7 +11,8 @@ import time
 from pathlib import Path
 
 from faults.table import Benches, Fault, all_faults
-from tpgmm_ros.programs.reporting import format_table, write_report
+from tpgmm_core.common.report import format_table
+from tpgmm_ros.programs.reporting import write_report
 
 
 def main() -> int:

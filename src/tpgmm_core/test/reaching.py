@@ -6,11 +6,11 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from tpgmm_core import TPGMM, Demonstration, Frame
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.manifold import POSE
 
 DURATION = 2.0
 
@@ -47,11 +47,6 @@ def demonstrate(start: Array, goal: Array, random: np.random.Generator) -> Demon
     return Demonstration(times, np.column_stack([times, positions, turns]), frames_at(start=start, object=goal))
 
 
-def displaced(pose: Array, shift: ArrayLike, turn: ArrayLike) -> Array:
-    """A pose (7,) moved by a shift (m) and turned about its origin by a rotation vector (rad)."""
-    return np.concatenate([pose[:3] + shift, quaternion.multiply(quaternion.exp(turn), pose[3:])])
-
-
 def reaching_near(hand: Array, count: int = 10) -> tuple[TPGMM, dict[str, Array]]:
     """A model of reaching in the workspace of a robot whose hand is at a pose (7,), and a new situation for it.
 
@@ -62,7 +57,7 @@ def reaching_near(hand: Array, count: int = 10) -> tuple[TPGMM, dict[str, Array]
 
     def goal() -> Array:
         shift = np.array([0.05, 0.18, -0.05]) + random.uniform(-0.05, 0.05, 3)
-        return displaced(hand, shift, [0.0, 0.0, random.uniform(-0.4, 0.4)])
+        return POSE.exp(hand, [*shift, 0.0, 0.0, random.uniform(-0.4, 0.4)])
 
     demonstrations = [demonstrate(hand, goal(), random) for _ in range(count)]
     model = TPGMM(n_components=5, reg_covar=1e-5, manifold="R1 x R3 x S3").fit(demonstrations)

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.workloads import pose_demonstrations
 from random_problems import random_covariance, random_quaternion, random_rotation
 from tpgmm_core import TPGMM, Adapter, Frame, Gaussian, GaussianMixture, Manifold
 from tpgmm_core.model import kernels_regress
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
 from tpgmm_core.warm_up import warm_up
+from workloads import pose_demonstrations
 
 
 def model_of(manifold: str, dims: dict[str, int], K: int, rng: np.random.Generator) -> TPGMM:

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import multigammaln
 
-from benchmarks.workloads import pose_demonstrations
 from tpgmm_core import TPGMM, Adapter
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.dirichlet import DirichletTPGMM
+from workloads import pose_demonstrations
 
 
 def groups(rng: np.random.Generator, K: int, N: int, dims: tuple[int, ...], noise: float = 0.5) -> dict[str, Array]:

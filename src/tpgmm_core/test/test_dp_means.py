@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.workloads import pose_demonstrations
 from tpgmm_core import TPGMM
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.dp_means import DPMeans
+from workloads import pose_demonstrations
 
 
 def same_partition(a: Array, b: Array) -> bool:

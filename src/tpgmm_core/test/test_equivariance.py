@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No retrieval method knows where the origin of the world is, or which sign a quaternion has; with one hand and two."""
+"""No retrieval method knows where the origin of the world is, or which sign a quaternion has.
+
+All of `METHODS` are held to this, for a point in the plane, for a hand, and for two hands.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,17 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.lqr.double_integrator import double_integrator_gains
 from tpgmm_core.retrieval.methods import METHODS, make_retrieval
 from tpgmm_core.retrieval.recipe import Recipe
-from worlds import assert_moved, moved
+from worlds import assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world
 
 TOLERANCE = 1e-9
 TICK_NS = 20_000_000
-MANIFOLDS = {1: Manifold.parse("R1 x R3 x S3"), 2: Manifold.parse("R1 x R3 x S3 x R3 x S3")}
+PLANE = 0
+MANIFOLDS = {
+    PLANE: Manifold.parse("R1 x R2"),
+    1: Manifold.parse("R1 x R3 x S3"),
+    2: Manifold.parse("R1 x R3 x S3 x R3 x S3"),
+}
+"""By the number of hands, of which a point in the plane has none."""
 HELD = np.array([0.0, 0.3, 0.1, 0.0, 0.0, np.sin(0.4), np.cos(0.4)])
 """The second hand's pose, as the first one sees it."""
 
@@ -45,6 +54,8 @@ def beside(pose: Array, hands: int) -> Array:
 
 @cache
 def demonstrations(hands: int) -> tuple[Demonstration, ...]:
+    if hands == PLANE:
+        return planar_demonstrations()
     return tuple(
         Demonstration(d.times, np.column_stack([d.times, beside(d.data[:, 1:], hands)]), over_hands(d.frames, hands))
         for d in reaching_demonstrations(8)
@@ -52,9 +63,8 @@ def demonstrations(hands: int) -> tuple[Demonstration, ...]:
 
 
 def learned_from(method: str, hands: int, shown: tuple[Demonstration, ...]) -> TPGMM:
-    names = ["time", *(f"{n}{hand}" for hand in range(hands) for n in ("x", "y", "z", "qx", "qy", "qz", "qw"))]
     recipe = Recipe.of({"n_components": 3, "reg_covar": 1e-5, "retrieval": method})
-    return recipe.learn(shown, MANIFOLDS[hands], tuple(names))
+    return recipe.learn(shown, MANIFOLDS[hands])
 
 
 @cache
@@ -64,6 +74,9 @@ def learned(method: str, hands: int) -> TPGMM:
 
 def situations(hands: int) -> tuple[dict[str, Frame], dict[str, Frame], Array]:
     """Before and after the object was moved; and a robot that is not where it ought to be."""
+    if hands == PLANE:
+        before, start = planar_situation(), np.array([-0.2, 0.4])
+        return before, before | {"goal": planar_frame(1.0, -0.2, -0.4).with_time()}, start
     start = place(0.1, 0.2, 0.3)
     before, after = (
         over_hands(frames_at(start=start, object=place(*there)), hands)
@@ -86,7 +99,7 @@ def run(model: TPGMM, before: dict[str, Frame], after: dict[str, Frame], state: 
     return found + retrieval.horizon(3, 0.1)
 
 
-@pytest.mark.parametrize("hands", [1, 2])
+@pytest.mark.parametrize("hands", MANIFOLDS)
 @pytest.mark.parametrize("method", METHODS)
 def test_moving_the_world_moves_what_is_retrieved(method: str, hands: int) -> None:
     rng = np.random.default_rng(5)
@@ -94,7 +107,7 @@ def test_moving_the_world_moves_what_is_retrieved(method: str, hands: int) -> No
     before, after, state = situations(hands)
     expected = run(model, before, after, state)
     for _ in range(2):
-        world = Frame.stacked([Frame.from_pose(rng.normal(size=3), random_quaternion(rng))] * hands)
+        world = random_world(2, rng) if hands == PLANE else Frame.stacked([random_world(7, rng)] * hands)
         found = run(model, moved(world, before), moved(world, after), world.A @ state + world.b)
         assert_moved(world, expected, found, TOLERANCE)
 

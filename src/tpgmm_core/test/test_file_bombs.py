@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 from numpy.lib import format as npy
 
-from benchmarks.workloads import pose_demonstrations
 from model_parts import read_parts, write_parts
 from tpgmm_core import TPGMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
 from tpgmm_core.learning.model_file import MAX_BYTES
+from workloads import pose_demonstrations
 
 MEMORY = 600_000_000
 """What a process may take beyond what it has after its imports: some times what a model file may have, bytes."""

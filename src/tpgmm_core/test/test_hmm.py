@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.workloads import Workload, demonstrations, pose_demonstrations
 from tpgmm_core import TPGMM, Adapter, ModelFileError
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
 from tpgmm_core.learning.hidden_markov.markov import MarkovChain
+from workloads import Workload, demonstrations, pose_demonstrations
 
 SMALL = Workload("small", n_demonstrations=4, n_samples=60, n_frames=2, D=3, K=4)
 MEANS = {"a": np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]), "b": np.array([[1.0], [-1.0], [2.0]])}

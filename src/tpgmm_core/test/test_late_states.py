@@ -15,7 +15,7 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from benchmarks.delayed_loop import DelayedLoop, LoopRecord, joint_reference, pose_reference
+from delayed_loop import DelayedLoop, LoopRecord, joint_reference, pose_reference
 from robots import CONFIG
 from tpgmm_core.control.supervision import ControllerMode
 from tpgmm_core.robot.model import RobotModel

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from benchmarks.workloads import pose_demonstrations
 from model_parts import read_parts, write_parts
 from tpgmm_core import TPGMM, Frame, ModelFileError
 from tpgmm_core.learning import model_file
+from workloads import pose_demonstrations
 
 
 @pytest.fixture(scope="module")

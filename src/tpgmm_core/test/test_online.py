@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.workloads import W1, Workload, demonstrations, pose_demonstrations
 from tpgmm_core import TPGMM, Demonstration, Frame, ModelFileError
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.estimation.em import expectation, fit_mixture
 from tpgmm_core.learning.incremental.online import OnlineTPGMM
 from tpgmm_core.learning.incremental.sufficient_statistics import SufficientStatistics, fit_cells
+from workloads import W1, Workload, demonstrations, pose_demonstrations
 
 SMALL = Workload("small", n_demonstrations=8, n_samples=60, n_frames=2, D=3, K=4)
 

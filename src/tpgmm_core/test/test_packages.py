@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -109,6 +110,17 @@ def test_an_import_of_what_stands_behind_is_found_wherever_it_is(line: str) -> N
 def test_imports_of_modules_go_in_no_circle() -> None:
     """Within a package neither, and those for the type checker count."""
     assert list(TopologicalSorter(uses(sources())).static_order())
+
+
+def test_the_tests_of_the_core_import_the_core_alone() -> None:
+    """Beside it what lies beside them, and what `setup.py` and `package.xml` ask for: no other part of the project."""
+    here = Path(__file__).parent
+    beside = {path.stem for path in here.glob("*.py")}
+    installed = {"daqp", "hypothesis", "numba", "numpy", "pinocchio", "pytest", "scipy", "sklearn", "yaml"}
+    known = beside | installed | set(sys.stdlib_module_names) | {"tpgmm_core"}
+    for path in here.glob("*.py"):
+        unknown = {name.partition(".")[0] for name in imports_of(path.read_text())} - known
+        assert not unknown, f"{path.name} imports {unknown}"
 
 
 def test_the_page_of_the_architecture_has_the_packages_in_this_order() -> None:

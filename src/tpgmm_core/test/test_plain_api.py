@@ -13,9 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import plain_api
-from benchmarks.numpy_tpgmm import NumpyTPGMM, condition_on_first
-from benchmarks.numpy_tpgmm import adapt as numpy_adapt
-from benchmarks.workloads import W1, W2, Workload, demonstrations, pose_demonstrations
+from numpy_tpgmm import NumpyTPGMM, condition_on_first
+from numpy_tpgmm import adapt as numpy_adapt
 from random_problems import random_covariance, random_quaternion, random_rotation
 from tpgmm_core import TPGMM, Adapter, Frame, Gaussian, GaussianMixture, Gaussians, Manifold
 from tpgmm_core.geometry import kernels_condition
@@ -25,6 +24,7 @@ from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
 from tpgmm_core.learning.incremental.online import OnlineTPGMM
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
+from workloads import W1, W2, Workload, demonstrations, pose_demonstrations
 
 SPACES = {
     "R4": [[0], [2, 0], [1, 3], [3]],
@@ -127,6 +127,21 @@ def test_the_benchmarks_work_has_the_values_of_plain_numpy(work: Workload) -> No
             for g in (one, several[i]):
                 np.testing.assert_allclose(g.mean, mean, rtol=0.0, atol=1e-12)
                 np.testing.assert_allclose(g.covariance, covariance, rtol=0.0, atol=1e-12)
+
+
+def test_as_many_times_as_anybody_likes_are_the_same_as_one_by_one() -> None:
+    """More than are taken side by side, for which the arrays lie otherwise in memory than those of one."""
+    mixture = random_mixture(np.random.default_rng(6), Manifold.euclidean(5), 6)
+    values = np.linspace(-2.0, 2.0, 601)[:, None]
+    several = mixture.condition([0], values)
+    assert several.mean.shape == (601, 4) and several.covariance.shape == (601, 4, 4)
+    for t in (0, 17, 255, 256, 400, 511, 512, 600):
+        one, other = mixture.condition([0], values[t]), several[t]
+        np.testing.assert_allclose(other.mean, one.mean, rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-12, atol=1e-14)
+        np.testing.assert_array_equal(other.covariance, other.covariance.T)
+        for array in (other.mean, other.covariance):
+            assert array.flags.c_contiguous and not array.flags.writeable and array.base is None
 
 
 def learned(rng: np.random.Generator) -> tuple[TPGMM, dict[str, Frame]]:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.observation.pose_filter import FEWEST, MOST, PoseFilter
 from tpgmm_core.observation.tracking import FrameTracker, TrackingConfig
 
@@ -22,7 +23,7 @@ STANDS = np.array([0.6, -0.2, 0.1, *TURNED])
 
 
 def moved(pose: Array, shift: Array, turn: Array) -> Array:
-    return np.concatenate([pose[:3] + shift, quaternion.multiply(quaternion.exp(turn), pose[3:])])
+    return POSE.exp(pose, [*shift, *turn])
 
 
 def noisy(pose: Array, rng: np.random.Generator, metres: float = 1e-3, radians: float = np.radians(0.5)) -> Array:
@@ -41,8 +42,7 @@ def errors(
     for t in times:
         true = path(float(t))
         estimate = pose_filter.observe(noisy(true, rng, metres), stamp(t))
-        turn = quaternion.log(quaternion.multiply(estimate[3:], quaternion.conjugate(true[3:])))
-        found.append([*(estimate[:3] - true[:3]), *turn])
+        found.append(POSE.log(true, estimate))
     return np.array(found)
 
 

@@ -7,16 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from random_problems import random_quaternion
 from reaching import reaching_model
-from tpgmm_core import Demonstration, Frame, Manifold
+from tpgmm_core import Demonstration, Frame
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.dmp import DmpParameters, DynamicMovementPrimitive
-from worlds import DURATION, assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world
+from worlds import DURATION, planar_demonstrations, planar_frame, planar_situation
 
 LAW = DmpParameters()
 POSES = "R1 x R3 x S3"
@@ -145,36 +144,6 @@ def test_without_a_robot_it_begins_where_demonstrations_began() -> None:
     frames = planar_situation()
     first = begun(planar_model(), 2.0, None, frames).horizon(1, 1e-6)[0]
     assert np.linalg.norm(first.mean - frames["start"].b[1:]) < 0.01
-
-
-@pytest.mark.parametrize("space", ["plane", "poses"])
-def test_moving_the_world_moves_the_movement(space: str) -> None:
-    rng = np.random.default_rng(1)
-    if space == "plane":
-        model, frames, dimensions, start = planar_model(), planar_situation(), 2, np.array([-0.2, 0.4])
-    else:
-        model, frames, dimensions = pose_model(), dict(pose_demonstrations()[0].frames), 7
-        start = np.r_[0.1, 0.2, 0.3, random_quaternion(rng)]
-    for _ in range(3):
-        world = random_world(dimensions, rng)
-        before = run(begun(model, 1.0, start, frames), frames, 1.5)
-        frames_there = moved(world, frames)
-        after = run(begun(model, 1.0, world.A @ start + world.b, frames_there), frames_there, 1.5)
-        assert_moved(world, [r.gaussian for r in before], [r.gaussian for r in after])
-        assert_moved(world, [r.horizon[1] for r in before], [r.horizon[1] for r in after])
-
-
-def test_signs_of_quaternions_do_not_matter() -> None:
-    frames = dict(pose_demonstrations()[0].frames)
-    start = pose_demonstrations()[0].data[0, 1:]
-    flip = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0])
-    flipped = {
-        name: Frame(np.diag([1.0, *flip]) @ frame.A, np.diag([1.0, *flip]) @ frame.b) for name, frame in frames.items()
-    }
-    plain = positions(run(begun(pose_model(), 1.0, start, frames), frames, 1.0))
-    for s, f in ((flip * start, frames), (start, flipped)):
-        other = positions(run(begun(pose_model(), 1.0, s, f), f, 1.0))
-        np.testing.assert_allclose(Manifold.parse("R3 x S3").log(plain, other), 0.0, atol=1e-9)
 
 
 def test_the_path_does_not_depend_on_the_duration() -> None:

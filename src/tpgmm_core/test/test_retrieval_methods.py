@@ -12,6 +12,7 @@ import pytest
 from reaching import DURATION, frames_at, place, reaching_demonstrations, reaching_model
 from tpgmm_core import TPGMM, Demonstration, Frame
 from tpgmm_core.geometry.manifold import POSE, Manifold
+from tpgmm_core.learning import model_file
 from tpgmm_core.retrieval.encodings import ENCODINGS, TimeEncoding, encoding_of
 from tpgmm_core.retrieval.methods import METHODS, load_model, make_retrieval, method_of
 from tpgmm_core.retrieval.recipe import Recipe
@@ -71,6 +72,25 @@ def test_references_of_every_method_hold_as_many_gaussians_ahead_as_asked_for(me
     reference = retrieval.step(TICK_NS, SITUATION, START)
     assert len(reference.horizon) == steps and reference.horizon_time_step == (0.02 if steps else 0.0)
     assert len(retrieval.horizon(4, 0.01)) == 4
+
+
+def test_a_file_that_is_replaced_while_it_is_read_gives_one_of_both_models(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, arrays = tmp_path / "model.tpgmm", model_file._arrays
+
+    def replaced_after(path: Path) -> dict[str, object]:
+        found = arrays(path)
+        learned("semi_markov").save(path)
+        return found
+
+    learned("dmp").save(path)
+    with monkeypatch.context() as patch:
+        patch.setattr(model_file, "_arrays", replaced_after)
+        model = load_model(path)
+    assert type(model) is METHODS["dmp"].estimator and model.metadata_ == learned("dmp").metadata_
+    np.testing.assert_array_equal(model.priors_, learned("dmp").priors_)
+    assert type(load_model(path)) is METHODS["semi_markov"].estimator
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS.values())

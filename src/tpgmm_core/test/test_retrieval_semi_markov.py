@@ -19,7 +19,7 @@ from tpgmm_core.retrieval import kernels_semi_markov
 from tpgmm_core.retrieval.dynamic_features import with_derivatives
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 from tpgmm_core.retrieval.state_filter import NominalSchedule, StateFilter
-from worlds import DURATION, assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world
+from worlds import DURATION, moved, planar_demonstrations, planar_frame, planar_situation, random_world
 
 TICK = 5_000_000
 Disturbance = Callable[[float, Array, Array], Array]
@@ -309,7 +309,9 @@ def test_nothing_jumps_when_frames_move_and_states_change() -> None:
     # a change of velocity is a change of at most so much acceleration for a millisecond
     velocity = np.diff(means, axis=0) / 1e-3
     assert np.abs(np.diff(velocity, axis=0)).max() < 0.02 * np.abs(velocity).max()
-    assert np.abs(np.diff(velocities, axis=0)).max() < 0.05 * np.abs(velocity).max()
+    # of an acceleration that may turn round at once, the velocity over the 5 ms ahead has half
+    acceleration = np.abs(np.diff(velocity, axis=0)).max() / 1e-3
+    assert np.abs(np.diff(velocities, axis=0)).max() < 0.0025 * 2.0 * acceleration
 
 
 def test_the_path_does_not_depend_on_the_speed_and_a_pause_is_a_pause() -> None:
@@ -352,34 +354,6 @@ def test_a_movement_may_begin_in_its_middle() -> None:
     for phase in (0.0, 0.4, 1.0):
         movement.start(7, phase=phase)
         assert movement.step(7, situation).phase == pytest.approx(phase, abs=0.01)
-
-
-@pytest.mark.parametrize("dimensions", [2, 3])
-def test_moving_the_world_moves_the_movement(dimensions: int) -> None:
-    rng = np.random.default_rng(2)
-    model, situation = (planar_model(), planar_situation()) if dimensions == 2 else (pose_model(), pose_situation())
-    before, after = SemiMarkovMovement(model), SemiMarkovMovement(model)
-    world = random_world(dimensions, rng)
-    start = situation["start"].b[1:].copy()
-    if dimensions == 3:
-        start[3:] = situation["start"].A[4:, 7]  # L(q) e_w
-    there = moved(world, situation)
-    x, sign = start, 1.0
-    before.start(0, x)
-    after.start(0, world.A @ x + world.b)
-    manifold = before.manifold
-    for i in range(600):
-        seen = world.A @ x + world.b
-        if dimensions == 3:
-            sign = rng.choice([-1.0, 1.0])
-            seen[3:] *= sign
-        a, b = before.step(i * TICK, situation, x), after.step(i * TICK, there, seen)
-        assert a.phase == pytest.approx(b.phase, abs=1e-9)
-        if i % 10 == 0:
-            assert_moved(world, [a.gaussian, *a.horizon], [b.gaussian, *b.horizon])
-        x = manifold.exp(x, 0.1 * manifold.log(x, a.gaussian.mean)) if not 100 < i < 150 else x
-    assert a.phase == 1.0
-    assert_moved(world, before.horizon(5, 0.1), after.horizon(5, 0.1))
 
 
 def test_poses_arrive_where_the_object_is() -> None:

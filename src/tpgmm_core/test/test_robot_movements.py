@@ -11,13 +11,14 @@ import yaml
 
 pytest.importorskip("pinocchio")
 
-from reaching import DURATION, displaced, frames_at, reaching_near
+from reaching import DURATION, frames_at, reaching_near
 from robots import CONFIG, KINOVA
 from tpgmm_core.control.control_law import DynamicState, LawTorques
 from tpgmm_core.control.controller import Controller
 from tpgmm_core.control.impedance import ImpedanceLaw
 from tpgmm_core.control.pose_target import PoseReference
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.retrieval.reproduction import Reproduction
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator
@@ -76,7 +77,7 @@ def test_a_driver_that_wraps_the_angles_of_endless_joints_makes_no_difference(tm
         controller, data = Controller(robot, law), robot.create_data()
         data.update(robot.home)
         goal = law.pose_target(
-            PoseReference(displaced(data.pose("hand"), [0.0, 0.2, 0.0], np.zeros(3)), 1e-4 * np.eye(6))
+            PoseReference(POSE.exp(data.pose("hand"), [0.0, 0.2, 0.0, 0.0, 0.0, 0.0]), 1e-4 * np.eye(6))
         )
         torques.append([])
         for _ in range(1500):

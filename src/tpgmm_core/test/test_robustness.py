@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.workloads import pose_demonstrations
 from tpgmm_core import TPGMM, Demonstration, Frame
 from tpgmm_core.learning.covariance.structure import STRUCTURES
 from tpgmm_core.learning.dirichlet import DirichletTPGMM
 from tpgmm_core.learning.dp_means import DPMeans
+from workloads import pose_demonstrations
 
 
 @st.composite

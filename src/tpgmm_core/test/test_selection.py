@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.workloads import pose_demonstrations
 from tpgmm_core import TPGMM, Demonstration, Frame, GaussianMixture
 from tpgmm_core.learning.covariance.structure import Structure
 from tpgmm_core.learning.criteria import aic, bic
@@ -16,6 +15,7 @@ from tpgmm_core.learning.dirichlet import DirichletTPGMM
 from tpgmm_core.learning.estimation.emissions import Emissions
 from tpgmm_core.learning.selection import leave_one_out, select_model
 from tpgmm_core.model.samples import Samples
+from workloads import pose_demonstrations
 
 
 def via_points(n_demonstrations: int, n_samples: int = 60, seed: int = 0) -> list[Demonstration]:

@@ -14,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from benchmarks.workloads import pose_demonstrations
 from random_problems import random_covariance
 from tpgmm_core import TPGMM, Demonstration, Frame, Manifold, ModelFileError
 from tpgmm_core.common.types import Array
@@ -27,6 +26,7 @@ from tpgmm_core.learning.estimation.compiled_moments import CompiledMoments
 from tpgmm_core.learning.estimation.em import expectation, fit_mixture
 from tpgmm_core.learning.estimation.emissions import Emissions
 from tpgmm_core.model.samples import Samples
+from workloads import pose_demonstrations
 
 
 def one_frame(X: Array) -> Samples:

@@ -12,9 +12,9 @@ from scipy.io import loadmat
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from benchmarks import numpy_tpgmm
-from benchmarks.workloads import W1, demonstrations, pose_demonstrations, projected
+import numpy_tpgmm
 from tpgmm_core import TPGMM, Demonstration, Frame, Manifold
+from workloads import W1, demonstrations, pose_demonstrations, projected
 
 DATA02 = Path(__file__).parents[4] / "shared" / "data" / "pbdlib" / "Data02.mat"
 

@@ -7,29 +7,20 @@ import numpy as np
 import pytest
 
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.pose import pose_error
 from tpgmm_demos.demo.world import Disturbances
 from tpgmm_demos.scene.pick_place import (
     CLEARANCE,
     OBJECT_REGION,
     TARGET_REGION,
     Grasp,
-    compose,
     hand_at,
-    invert,
-    pose_error,
     random_placement,
 )
 
 RANDOM = np.random.default_rng(0)
 LIES = np.array([0.6, 0.4, 0.0, *quaternion.exp([0.0, 0.0, 0.5])])
 HOME = np.array([0.5, 0.2, 0.3, 0.0, 1.0, 0.0, 0.0])
-
-
-def test_a_pose_composed_with_its_inverse_is_none() -> None:
-    for _ in range(20):
-        pose = np.concatenate([RANDOM.normal(size=3), quaternion.normalize(RANDOM.normal(size=4))])
-        for identity in (compose(pose, invert(pose)), compose(invert(pose), pose)):
-            assert pose_error(identity, np.array([0, 0, 0, 0, 0, 0, 1.0])) == pytest.approx((0.0, 0.0), abs=1e-7)
 
 
 def test_the_hand_is_above_the_object_and_looks_down() -> None:

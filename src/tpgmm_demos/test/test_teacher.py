@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tpgmm_demos.scene.pick_place import POSE, hand_at, pose_error, random_placement
+from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.geometry.pose import pose_error
+from tpgmm_demos.scene.pick_place import hand_at, random_placement
 from tpgmm_demos.teaching.teacher import Intention, Teacher, TeacherConfig
 
 HOME = np.array([0.58, 0.18, 0.11, 0.0, 1.0, 0.0, 0.0])

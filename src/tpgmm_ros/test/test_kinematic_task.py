@@ -15,6 +15,8 @@ from tpgmm_core import TPGMM
 from tpgmm_ros.models.task_model import load_task_model, make_task_retrieval
 from tpgmm_ros.programs import train
 from tpgmm_ros.recordings.bags import BagError, read_recording
+from tpgmm_ros.task.kinematic_section import KinematicSpec
+from tpgmm_ros.task.state_space import PoseSpace
 from tpgmm_ros.task.task_file import Task, TaskError
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -29,8 +31,8 @@ def text(**changes: str) -> str:
 
 
 def test_levels_and_postures_are_frames_and_say_what_they_aim_at() -> None:
-    spec = Task.load(TASK_FILE).kinematic
-    assert spec is not None
+    spec = Task.load(TASK_FILE).space
+    assert isinstance(spec, KinematicSpec)
     assert list(spec.candidates) == [
         "bar",
         "left below bar",
@@ -42,7 +44,7 @@ def test_levels_and_postures_are_frames_and_say_what_they_aim_at() -> None:
         "previous",
     ]
     assert set(spec.candidates) - set(spec.aiming) == {"bar", "posture below bar, left, right"}
-    assert spec.joint_names()[:2] == ("left_s0", "left_s1") and len(spec.joint_names()) == 14
+    assert spec.joints()[:2] == ("left_s0", "left_s1") and len(spec.joints()) == 14
     assert spec.frames().objects == {"left_target", "right_target"}
 
 
@@ -77,16 +79,13 @@ def test_what_does_not_describe_kinematic_frames_is_refused_with_what_was_expect
     ],
 )
 def test_what_the_robot_has_not_is_refused_when_it_is_there(key: str, line: str, words: str) -> None:
-    spec = Task.from_text(text(**{key: line})).kinematic
-    assert spec is not None
     with pytest.raises(ValueError, match=words):
-        spec.frames()
+        Task.from_text(text(**{key: line})).space.joints()
 
 
 def write_bag(path: Path, task: Task, broken: str = "") -> None:
     """Both hands rest while the targets come nearer; joints in another order, with an unknown one among them."""
-    assert task.kinematic is not None
-    names = [*reversed(task.kinematic.joint_names()), "head_pan"]
+    names = [*reversed(task.space.joints()), "head_pan"]
     if broken == "joint":
         names = names[1:]
     types = STORE.types
@@ -105,6 +104,8 @@ def write_bag(path: Path, task: Task, broken: str = "") -> None:
             ns = 1_000_000_000 + i * 20_000_000
             header = Header(stamp=Time(sec=ns // 10**9, nanosec=ns % 10**9), frame_id=task.base_frame)
             for j, connection in enumerate(poses.values()):
+                if broken == "object" and i < 40 and j == 1:
+                    continue
                 place = Point(x=0.6 + 0.001 * i + 0.01 * rng.normal(), y=0.2 * (1 - j), z=0.1)
                 message = PoseStamped(header, Pose(place, Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)))
                 writer.write(connection, ns, STORE.serialize_cdr(message, message.__msgtype__))
@@ -130,7 +131,7 @@ def test_configurations_are_read_by_joint_names(tmp_path: Path) -> None:
     assert recording.configurations is not None and recording.configurations.shape == (len(recording.times), 14)
     np.testing.assert_allclose(recording.configurations[0], np.arange(14)[::-1])
     np.testing.assert_allclose(np.diff(recording.configurations[:-1], axis=0), 0.02, atol=1e-9)
-    assert read_recording(tmp_path / "good", replace(task, kinematic=None)).configurations is None
+    assert read_recording(tmp_path / "good", replace(task, space=PoseSpace(tuple(task.frames)))).configurations is None
     write_bag(tmp_path / "part", task, "parts")
     parts = read_recording(tmp_path / "part", task, every=2)
     assert parts.configurations is not None
@@ -152,6 +153,19 @@ def test_joint_states_that_cannot_be_used_are_named(tmp_path: Path, broken: str,
         read_recording(tmp_path / "bad", task)
 
 
+def test_an_object_that_was_not_seen_from_the_start_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    task = Task.load(TASK_FILE)
+    for name, broken in (("good", ""), ("late", "object")):
+        write_bag(tmp_path / "bags" / name, task, broken)
+    output = str(tmp_path / "model.tpgmm")
+    assert train.main(["--task", str(TASK_FILE), "--output", output, str(tmp_path / "bags")]) == 1
+    said = capsys.readouterr().err
+    assert "late: left_target: not seen in the first 40" in said
+    assert "demonstration 1: left_target was not seen from the start" in said
+
+
 def test_a_model_fits_the_task_that_it_was_learned_for_and_no_other(tmp_path: Path) -> None:
     task, path = Task.load(TASK_FILE), tmp_path / "model.tpgmm"
     for name in ("one", "other"):
@@ -160,14 +174,15 @@ def test_a_model_fits_the_task_that_it_was_learned_for_and_no_other(tmp_path: Pa
     assert train.main([*arguments, "--retrieval", "dmp"]) == 1
     assert train.main([*arguments, "--every", "3"]) == 0
     model = load_task_model(path, task)
-    assert model.dimensions_ == task.kinematic.joint_names()  # type: ignore[union-attr]
+    assert model.dimensions_ == task.space.joints()
     np.testing.assert_array_equal(model.means_["left below bar"], 0.0)
     assert np.abs(model.means_["bar"]).max() > 0.1
     movement = make_task_retrieval(model, task)
     assert movement.frame_names == ("left_target", "right_target") and movement.manifold.dim == 14
-    for settings in ({"method": "dmp"}, {"phase": "state"}):
-        with pytest.raises(ValueError, match="by one method, on the clock"):
-            make_task_retrieval(model, task, **settings)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="by one method, kinematic; got 'dmp'"):
+        make_task_retrieval(model, task, "dmp")
+    with pytest.raises(ValueError, match="phase 'state' is for .*: kinematic .* leave the phase at 'clock'"):
+        make_task_retrieval(model, task, phase="state")
     other = Task.from_text(text(together="    together: [[left, right]]"))
     with pytest.raises(ValueError, match="kinematic frames differ from those"):
         load_task_model(path, other)

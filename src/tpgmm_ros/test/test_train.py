@@ -16,7 +16,6 @@ from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_ros.models.task_model import load_task_model
 from tpgmm_ros.models.validation import path_errors, replay_nearest, reproduce
-from tpgmm_ros.programs.reporting import format_table, write_report
 from tpgmm_ros.programs.train import main
 from tpgmm_ros.recordings.bags import Recording, read_recording
 from tpgmm_ros.task.task_file import Task
@@ -270,22 +269,6 @@ def test_a_report_and_a_model_have_the_mode_that_the_umask_says(bags: Path, tmp_
         os.umask(former)
     for path, mode in (("new", 0o750), ("new/model", 0o640), ("report", 0o750), ("report/report.json", 0o640)):
         assert (tmp_path / path).stat().st_mode & 0o777 == mode, path
-
-
-def test_a_report_holds_no_numbers_that_json_does_not_know(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="JSON"):
-        write_report(tmp_path, {"error_m": float("nan")})
-    assert not list(tmp_path.iterdir())
-
-
-def test_tables_align_numbers_to_the_right() -> None:
-    table = format_table(("name", "value"), [("a", 1.0), ("long name", 22.5)])
-    assert table.splitlines() == [
-        "name       value",
-        "---------  -----",
-        "a              1",
-        "long name   22.5",
-    ]
 
 
 # Recordings that nobody here made

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`PoseReference`, what the hand is asked for; `PoseTarget`, the same with the gains that lead there."""
+"""`PoseReference`, where the hand is to be; `PoseTarget`, the same with the gains that lead there."""
 
 from __future__ import annotations
 
@@ -13,13 +13,21 @@ from tpgmm_core.control.delay_margin import delay_margin
 
 @dataclass(frozen=True, slots=True)
 class PoseReference:
-    """Where the hand should be, how surely, and how it moves; all in base axes.
+    """Where the hand should be, how accurately, and how it moves; all in base axes.
 
-    pose : (7,), x, y, z, qx, qy, qz, qw
-    covariance : (6, 6), position (m), then rotation vector about the fixed axes (rad)
-    twist, acceleration : (6,), linear then angular; zero if not given
+    Parameters
+    ----------
+    pose
+        (7,), x, y, z, qx, qy, qz, qw
+    covariance
+        (6, 6), position (m), then rotation vector about the fixed axes (rad)
+    twist, acceleration
+        (6,), linear then angular; zero if not given
 
-    Raises ValueError for wrong shapes; values are judged by `ImpedanceLaw.pose_target`.
+    Raises
+    ------
+    ValueError
+        for wrong shapes; values are checked by `ImpedanceLaw.pose_target`
     """
 
     pose: Array
@@ -37,11 +45,19 @@ class PoseReference:
 
 @dataclass(frozen=True, slots=True)
 class PoseTarget:
-    """A reference that was found good, and its gains.
+    """A reference that was checked, and its gains.
 
-    K_V : (6, 6), 1/s
-    ratio : (6, 6), C of K_P = K_V C K_V: I / 2 for the infinite-horizon LQR. Gains that follow by way of K_V and C stay
+    Parameters
+    ----------
+    reference
+        where to be
+    K_V
+        (6, 6), 1/s
+    ratio
+        (6, 6), C of K_P = K_V C K_V: I / 2 for the infinite-horizon LQR. Gains that change by way of K_V and C stay
         definite, and keep the damping ratio where C stays
+    rate, firmness
+        bounds of the eigenvalues of K_V (1/s) and of C, which determine with what delay they are stable
     """
 
     reference: PoseReference
@@ -52,5 +68,5 @@ class PoseTarget:
 
     @property
     def delay_margin(self) -> float:
-        """Delay of the loop (s) that these gains bear."""
+        """Delay of the loop (s) below which these gains are stable."""
         return float(delay_margin(self.firmness * self.rate**2, self.rate))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`RecedingHorizonImpedanceLaw`: the hand's impedance with the gains of a finite horizon, risk-sensitive if asked for.
+"""`RecedingHorizonImpedanceLaw`: the hand's impedance with the gains of a finite horizon, risk-sensitive if wanted.
 
-What comes counts already: the hand grows stiff before the Gaussians do, and begins to turn before the corner. Gains and
+The future counts already: the hand grows stiff before the Gaussians do, and begins to turn before the corner. Gains and
 feedforward are those of the LQR along the reference's horizon (`lqr.receding_horizon`), `plan_rate` times per
 second; the reference itself is followed at every step. All else is as in `ImpedanceLaw`.
 """
@@ -35,8 +35,14 @@ class RecedingHorizonPoseTarget(PoseTarget):
 class RecedingHorizonImpedanceLaw(ImpedanceLaw):
     """See the module; parameters and terms are those of `ImpedanceLaw`.
 
-    plan : parameters of planning
-    risk_sensitive : whether it is; then a reference may come without a horizon, whose Gaussian goes on for ever
+    Parameters
+    ----------
+    robot, endpoint, config, rest_posture
+        as for `ImpedanceLaw`
+    plan
+        parameters of planning
+    risk_sensitive
+        whether it is; then a reference may come without a horizon, and its Gaussian is used for all times
     """
 
     def __init__(
@@ -54,14 +60,20 @@ class RecedingHorizonImpedanceLaw(ImpedanceLaw):
         receding_horizon_gains(np.zeros((3, 6)), np.tile(np.eye(6), (3, 1, 1)), 0.1, 1.0)  # compiles
 
     def reset(self) -> None:
-        """As `ImpedanceLaw.reset`."""
+        """Forget target, posture and plan."""
         super().reset()
         self._schedule = Schedule()
         self._planned: PoseTarget | None = None
         self._push = np.zeros(6)
 
     def target(self, reference: Reference, moving: bool) -> PoseTarget:
-        """As `ImpedanceLaw.target`, with what comes. Raises ValueError also for a reference without a horizon."""
+        """Prepare a reference as `ImpedanceLaw.target`, with its horizon.
+
+        Raises
+        ------
+        ValueError
+            also for a reference without a horizon
+        """
         here = super().target(reference, moving)
         check_horizon(reference, needed=not self.risk_sensitive)
         course = (reference.gaussian, *reference.horizon) if moving else (reference.gaussian,)
@@ -78,13 +90,13 @@ class RecedingHorizonImpedanceLaw(ImpedanceLaw):
             self._schedule.begun()
             self._planned = self._solve(target)
         planned = self._planned
-        # the feedforward belongs to the gains, and comes as they do
+        # the feedforward belongs to the gains, and is blended in with them
         self._push += min(1.0, dt / self.config.gain_time) * (planned.reference.acceleration - self._push)
         return replace(planned, reference=replace(target.reference, acceleration=self._push.copy()))
 
     def _solve(self, target: RecedingHorizonPoseTarget) -> PoseTarget:
         config, plan = self.config, self.plan
-        # coordinates in which turning costs as moving does
+        # coordinates in which turning costs as much as moving
         scale = np.array([1.0, 1.0, 1.0, *[config.characteristic_length] * 3])
         manifold, here = target.course[0].manifold, target.course[0].mean
         gains = receding_horizon_gains(
@@ -106,7 +118,13 @@ class RecedingHorizonImpedanceLaw(ImpedanceLaw):
 
 
 def check_horizon(reference: Reference, needed: bool) -> None:
-    """Raises ValueError for a horizon that cannot be planned with, or for none where it is needed."""
+    """Check the horizon of a reference.
+
+    Raises
+    ------
+    ValueError
+        for one that cannot be planned with, or for none where it is needed
+    """
     if not reference.horizon:
         if needed:
             raise ValueError(

@@ -23,7 +23,7 @@ from tpgmm_core.robot.model import RobotModel
 
 @dataclass(frozen=True, slots=True)
 class RecedingHorizonJointTarget(JointTarget):
-    """A reference and its course: positions (T, n) and covariances (T, n, n), `time_step` s apart; the first is now."""
+    """A reference and its horizon: positions (T, n), covariances (T, n, n), `time_step` s apart; the first is now."""
 
     course: Array = field(default_factory=lambda: np.zeros((1, 0)))
     covariances: Array = field(default_factory=lambda: np.zeros((1, 0, 0)))
@@ -33,8 +33,14 @@ class RecedingHorizonJointTarget(JointTarget):
 class RecedingHorizonJointImpedanceLaw(JointImpedanceLaw):
     """See the module; parameters and terms are those of `JointImpedanceLaw`.
 
-    plan : parameters of planning
-    risk_sensitive : whether it is; then a reference may come without a horizon, whose Gaussian goes on for ever
+    Parameters
+    ----------
+    robot, joints, config
+        as for `JointImpedanceLaw`
+    plan
+        parameters of planning
+    risk_sensitive
+        whether it is; then a reference may come without a horizon, and its Gaussian is used for all times
     """
 
     def __init__(
@@ -52,13 +58,19 @@ class RecedingHorizonJointImpedanceLaw(JointImpedanceLaw):
         receding_horizon_gains(np.zeros((3, n)), np.tile(np.eye(n), (3, 1, 1)), 0.1, 1.0)  # compiles
 
     def reset(self) -> None:
-        """As `JointImpedanceLaw.reset`."""
+        """Forget target, posture and plan."""
         super().reset()
         self._schedule = Schedule()
         self._planned: JointGains | None = None
 
     def target(self, reference: Reference, moving: bool) -> JointTarget:
-        """As `JointImpedanceLaw.target`, with what comes. Raises ValueError also for a reference without a horizon."""
+        """Prepare a reference as `JointImpedanceLaw.target`, with its horizon.
+
+        Raises
+        ------
+        ValueError
+            also for a reference without a horizon
+        """
         here = super().target(reference, moving)
         check_horizon(reference, needed=not self.risk_sensitive)
         course = (reference.gaussian, *reference.horizon) if moving else (reference.gaussian,)
@@ -97,7 +109,7 @@ def receding_horizon_joint_gains(
     risk_share: float = 0.0,
     risk_stiffness: float = 1.0,
 ) -> JointGains:
-    """Gains along a course of joints (T, n) with its covariances (T, n, n), and R = r L L^T as the control cost."""
+    """Gains along future positions (T, n) of joints with covariances (T, n, n), and control cost R = r L L^T."""
     gains = receding_horizon_gains(
         (course - course[0]) @ L,
         L.T @ covariances @ L,

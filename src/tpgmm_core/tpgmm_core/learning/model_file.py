@@ -5,8 +5,8 @@ A file is a zip archive in numpy's npz format: `model.json` as an array of bytes
 settings, and plain numeric arrays. It is replaced as a whole (`atomic_file`): an
 interrupted save loses nothing.
 
-A file may be untrusted: what it announces is held against limits and against what it holds, before memory is
-taken for it.
+A file may be untrusted: the sizes that it announces are compared with limits and with what it contains, before memory
+is reserved for it.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import math
 import os
 import stat
 import zipfile
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -41,63 +41,139 @@ MAX_MEMBERS = 10_000
 MAX_COMPONENTS = 10_000
 MAX_DIMENSIONS = 10_000
 MAX_NUMBERS = MAX_BYTES // 8
-"""Of all dense covariances together: structures of few numbers are small in the file and large in memory."""
+"""Limit of all dense covariances together: structures of few numbers are small in the file and large in memory."""
 
 
 class ModelFileError(ValueError):
-    """The file is damaged, or no model file, or from a later version."""
+    """The file is damaged, is no model file, or is of a later version."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelHeader:
+    """The names, texts and settings of a model: `model.json` of its file. See the attributes of `TPGMM`.
+
+    Attributes
+    ----------
+    kind : str
+        Class of the estimator.
+    frames : tuple of str
+        Names, in the order in which the arrays are numbered.
+    manifold : Manifold
+        Space of the data.
+    dimensions : tuple of str, or None
+        Names of the ambient numbers.
+    converged : bool
+        Whether EM ended by itself.
+    settings : mapping
+        Constructor arguments.
+    metadata : mapping
+        Texts and finite numbers by name.
+    structure : Structure, or None
+        Of the covariances, where it is not "full".
+    """
+
+    kind: str = "TPGMM"
+    frames: tuple[str, ...]
+    manifold: Manifold
+    dimensions: tuple[str, ...] | None = None
+    converged: bool = True
+    settings: Mapping[str, str | float | None] = field(default_factory=dict)
+    metadata: Mapping[str, str | float] = field(default_factory=dict)
+    structure: Structure | None = None
+
+    def to_json(self) -> bytes:
+        """Write it as text. Raises ValueError for metadata that are something else than texts and finite numbers."""
+        _check_metadata(self.metadata)
+        version = 1 if self.structure is None and self.kind == "TPGMM" else 2
+        texts = {field.name: getattr(self, field.name) for field in fields(self)} | {
+            "manifold": str(self.manifold),
+            "settings": dict(self.settings),
+            "metadata": dict(self.metadata),
+            "structure": None if self.structure is None else asdict(self.structure),
+        }
+        header = {"format": FORMAT, "version": version} | texts
+        if self.structure is None:
+            del header["structure"]
+        return json.dumps(header, allow_nan=False).encode()
+
+    @classmethod
+    def from_json(cls, text: bytes) -> Self:
+        """Read it from text that may be untrusted. Raises ModelFileError, or whatever damaged text leads to."""
+        header = json.loads(text)
+        if not isinstance(header, dict) or header.get("format") != FORMAT:
+            raise ModelFileError("no model file: it does not say so in its header")
+        if header.get("version") not in range(1, VERSION + 1):
+            raise ModelFileError(
+                f"version {shown(header.get('version'))}, this software reads versions up to {VERSION}"
+            )
+        frames, dimensions, structure = header["frames"], header["dimensions"], header.get("structure")
+        if not frames or not _is_names(frames) or len(set(frames)) != len(frames):
+            raise ModelFileError(f"frames are distinct names, got {shown(frames)}")
+        manifold = Manifold.parse(header["manifold"])
+        if manifold.dim > MAX_DIMENSIONS:
+            raise ModelFileError(f"the manifold has {manifold.dim} dimensions, a model file at most {MAX_DIMENSIONS}")
+        if dimensions is not None and not (_is_names(dimensions) and len(dimensions) == manifold.dim):
+            raise ModelFileError(f"dimensions: expected {manifold.dim} names, got {shown(dimensions)}")
+        _check_metadata(header["metadata"])
+        # a setting that is not given, such as no random state, is None, and no fault
+        _check_metadata({key: value for key, value in dict(header["settings"]).items() if value is not None})
+        if structure is not None:
+            structure = Structure(**structure | {"layers": tuple(map(tuple, structure["layers"]))})
+        return cls(
+            kind=current_name(str(header.get("kind", "TPGMM"))),
+            frames=tuple(frames),
+            manifold=manifold,
+            dimensions=None if dimensions is None else tuple(dimensions),
+            converged=bool(header["converged"]),
+            settings=dict(header["settings"]),
+            metadata=dict(header["metadata"]),
+            structure=structure,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelContents:
-    """What a model file holds: see the attributes of `TPGMM`. settings are constructor arguments; frames are the
-    covariances in their structure, where it is not "full": then the file holds these, not the dense ones; kind is
-    the class of the estimator, and more the arrays that it has beyond those of `TPGMM`."""
+    """What a model file holds: its header, and the arrays that are named like the attributes of `TPGMM`.
 
-    manifold: Manifold
+    frames are the covariances in their structure, where it is not "full": then the file holds these, not the dense
+    ones; more are the arrays that a kind of model has beyond those of `TPGMM`.
+    """
+
+    header: ModelHeader
     priors: Array
     means: Mapping[str, Array]
     covariances: Mapping[str, Array]
     log_likelihoods: Array
     objectives: Array
-    converged: bool
-    settings: Mapping[str, str | float | None]
-    dimensions: tuple[str, ...] | None = None
-    metadata: Mapping[str, str | float] = field(default_factory=dict)
     frames: Mapping[str, Covariances] | None = None
-    kind: str = "TPGMM"
     more: Mapping[str, Array] = field(default_factory=dict)
 
 
 def write(path: str | PathLike[str], contents: ModelContents) -> None:
-    """Write a model file, replacing an older one only when the new one is complete.
+    """Write a model file; an older one is replaced only when the new one is complete.
 
-    Raises ValueError when the metadata hold something else than texts and finite numbers, OSError when the
-    disk refuses.
+    Parameters
+    ----------
+    path
+        the file
+    contents
+        what it will hold
+
+    Raises
+    ------
+    ValueError
+        when the metadata hold anything but texts and finite numbers
+    OSError
+        when the file cannot be written
     """
-    _check_metadata(contents.metadata)
-    names = list(contents.means)
-    header = {
-        "format": FORMAT,
-        "version": 1 if contents.frames is None and contents.kind == "TPGMM" else 2,
-        "kind": contents.kind,
-        "frames": names,
-        "manifold": str(contents.manifold),
-        "dimensions": None if contents.dimensions is None else list(contents.dimensions),
-        "converged": contents.converged,
-        "settings": dict(contents.settings),
-        "metadata": dict(contents.metadata),
-    }
-    if contents.frames is not None:
-        header["structure"] = asdict(next(iter(contents.frames.values())).structure)
     arrays: dict[str, Any] = {
-        "model.json": np.frombuffer(json.dumps(header, allow_nan=False).encode(), dtype=np.uint8),
+        "model.json": np.frombuffer(contents.header.to_json(), dtype=np.uint8),
         "priors": contents.priors,
         "log_likelihoods": contents.log_likelihoods,
         "objectives": contents.objectives,
     }
     arrays |= {f"more_{key}": array for key, array in contents.more.items()}
-    for j, name in enumerate(names):
+    for j, name in enumerate(contents.header.frames):
         arrays[f"means_{j}"] = contents.means[name]
         if contents.frames is None:
             arrays[f"covariances_{j}"] = contents.covariances[name]
@@ -114,17 +190,31 @@ def write(path: str | PathLike[str], contents: ModelContents) -> None:
 def read(path: str | PathLike[str]) -> ModelContents:
     """Read a model file.
 
-    Raises ModelFileError for anything but a complete model file of a known version, FileNotFoundError where
-    there is none.
+    Parameters
+    ----------
+    path
+        the file
+
+    Raises
+    ------
+    ModelFileError
+        for anything but a complete model file of a known version
+    FileNotFoundError
+        where there is none
     """
+    return read_as(path, lambda contents: contents)
+
+
+def read_as[T](path: str | PathLike[str], make: Callable[[ModelContents], T]) -> T:
+    """Read a model file once, and make something of its contents; errors of both are those of `read`."""
     try:
         arrays = _arrays(path)
-        return _contents(json.loads(arrays.pop("model.json").tobytes()), arrays)
+        return make(_contents(ModelHeader.from_json(arrays.pop("model.json").tobytes()), arrays))
     except (FileNotFoundError, IsADirectoryError, PermissionError):
         raise
     except ModelFileError as error:
         raise ModelFileError(f"{one_line(path)}: {error}") from None
-    except Exception as error:  # whatever zip, numpy and json raise on damaged bytes: to the caller it is one thing
+    except Exception as error:  # zip, numpy and json raise many errors for damaged bytes: the caller gets one
         raise ModelFileError(
             f"{one_line(path)}: damaged, or no model file ({type(error).__name__}: {one_line(error, 300)}); "
             "train the model again"
@@ -167,18 +257,8 @@ def _array(name: str, content: bytes) -> Any:
     return flat.reshape(shape, order="F" if is_fortran else "C").copy()
 
 
-def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise ModelFileError("no model file: it does not say so in its header")
-    if header.get("version") not in range(1, VERSION + 1):
-        raise ModelFileError(f"version {shown(header.get('version'))}, this software reads versions up to {VERSION}")
-    names = header["frames"]
-    is_list = isinstance(names, list) and all(isinstance(name, str) for name in names)
-    if not names or not is_list or len(set(names)) != len(names):
-        raise ModelFileError(f"frames are distinct names, got {shown(names)}")
-    manifold = Manifold.parse(header["manifold"])
-    if manifold.dim > MAX_DIMENSIONS:
-        raise ModelFileError(f"the manifold has {manifold.dim} dimensions, a model file at most {MAX_DIMENSIONS}")
+def _contents(header: ModelHeader, arrays: dict[str, Any]) -> ModelContents:
+    names, manifold = header.frames, header.manifold
     means = {name: _numbers(arrays, f"means_{j}", 2) for j, name in enumerate(names)}
     priors = _numbers(arrays, "priors", 1)
     K = len(priors)
@@ -186,7 +266,7 @@ def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
         raise ModelFileError("priors must be from 0 and sum to 1")
     if K > MAX_COMPONENTS:
         raise ModelFileError(f"{K} components, a model file has at most {MAX_COMPONENTS}")
-    frames = None if "structure" not in header else _frames(header, arrays)
+    frames = None if header.structure is None else _frames(names, header.structure, arrays)
     covariances = {} if frames else {name: _numbers(arrays, f"covariances_{j}", 3) for j, name in enumerate(names)}
     n_numbers = 0
     for name in names:
@@ -205,43 +285,17 @@ def _contents(header: Any, arrays: dict[str, Any]) -> ModelContents:
         if frames:
             covariances[name] = frames[name].dense()
         np.linalg.cholesky(covariances[name])
-    dimensions = header["dimensions"]
-    if dimensions is not None and not (
-        isinstance(dimensions, list)
-        and len(dimensions) == manifold.dim
-        and all(isinstance(name, str) for name in dimensions)
-    ):
-        raise ModelFileError(f"dimensions are {manifold.dim} names, got {shown(dimensions)}")
     course = [_numbers(arrays, name, 1) for name in ("log_likelihoods", "objectives")]
     if not all(map(len, course)):
         raise ModelFileError(f"log_likelihoods and objectives have at least one number, got {[len(c) for c in course]}")
-    _check_metadata(header["metadata"])
-    # a setting that is not given, such as no random state, is None, and no fault
-    _check_metadata({key: value for key, value in dict(header["settings"]).items() if value is not None})
-    return ModelContents(
-        manifold=manifold,
-        priors=priors,
-        means=means,
-        covariances=covariances,
-        log_likelihoods=course[0],
-        objectives=course[1],
-        converged=bool(header["converged"]),
-        settings=dict(header["settings"]),
-        dimensions=None if dimensions is None else tuple(dimensions),
-        metadata=dict(header["metadata"]),
-        frames=frames,
-        kind=current_name(str(header.get("kind", "TPGMM"))),
-        more={key.removeprefix("more_"): _numbers(arrays, key) for key in arrays if key.startswith("more_")},
-    )
+    more = {key.removeprefix("more_"): _numbers(arrays, key) for key in arrays if key.startswith("more_")}
+    return ModelContents(header, priors, means, covariances, course[0], course[1], frames, more)
 
 
-def _frames(header: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Covariances]:
+def _frames(names: Sequence[str], structure: Structure, arrays: dict[str, Any]) -> dict[str, Covariances]:
     """The covariances in their structure, whose class checks that its arrays fit together."""
-    settings = dict(header["structure"])
-    settings["layers"] = tuple(tuple(layer) for layer in settings["layers"])
-    structure = Structure(**settings)
     frames = {}
-    for j, name in enumerate(header["frames"]):
+    for j, name in enumerate(names):
         prefix = f"frame_{j}_"
         own = {key.removeprefix(prefix): _numbers(arrays, key) for key in arrays if key.startswith(prefix)}
         for key, array in own.items():
@@ -250,6 +304,10 @@ def _frames(header: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Covaria
                 raise ModelFileError(f"{prefix}{key} of shape {array.shape} stands for more than {MAX_NUMBERS} numbers")
         frames[name] = covariances_class(structure).from_arrays(structure, own)
     return frames
+
+
+def _is_names(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(name, str) for name in value)
 
 
 def _numbers(arrays: dict[str, Any], name: str, ndim: int | None = None) -> Array:
@@ -263,6 +321,6 @@ def _check_metadata(metadata: Any) -> None:
     if not isinstance(metadata, Mapping):
         raise ValueError(f"metadata is a mapping from names to texts and numbers, got {shown(metadata)}")
     for key, value in metadata.items():
-        is_number = isinstance(value, int | float) and abs(value) < 1e300  # larger integers are no float any more
+        is_number = isinstance(value, int | float) and abs(value) < 1e300  # larger integers have no float
         if not isinstance(key, str) or not (isinstance(value, str) or is_number):
             raise ValueError(f"metadata maps names to texts and finite numbers, got {shown(key)}: {shown(value)}")

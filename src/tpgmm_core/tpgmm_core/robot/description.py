@@ -28,8 +28,9 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from tpgmm_core.common.safe_yaml import YamlError, load_yaml
+from tpgmm_core.common.safe_yaml import YamlError
 from tpgmm_core.common.text import listed, one_line, shown
+from tpgmm_core.common.yaml_sections import Section, a_number, a_text, numbers, some_names
 
 PACKAGE_SCHEME = "package://"
 REQUIRED_KEYS = ("urdf", "base_frame", "joint_groups", "endpoints", "home")
@@ -39,7 +40,7 @@ FRICTION_KEYS = ("viscous", "coulomb")
 ARMATURE_KEYS = ("inertia",)
 MAX_URDF_BYTES = 4_000_000
 MAX_URDF_DEPTH, MAX_URDF_JOINTS = 50, 500
-"""The depth of a URDF's XML, and its joints: its parser descends both by recursion, to the end of the stack."""
+"""Limit of the depth of a URDF's XML, and of its joints: its parser is recursive in both."""
 
 
 _GEOMETRY = ("robot", "link", "joint", "origin", "mass", "inertia", "axis", "limit", "parent", "child", "mimic")
@@ -71,51 +72,67 @@ class RobotDescription:
     home: Mapping[str, float]
     armature: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     locked: Mapping[str, float] = field(default_factory=dict)
-    gravity: tuple[float, float, float] | None = None
+    gravity: tuple[float, ...] | None = None
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> RobotDescription:
-        """Read a robot file. Raises RobotFileError with the file, the key and what was expected."""
+        """Read a robot file.
+
+        Parameters
+        ----------
+        path
+            the file
+
+        Raises
+        ------
+        RobotFileError
+            with the file, the key and what was expected
+        """
         path = Path(path)
         try:
-            content = load_yaml(path, "a robot file")
+            return cls._of(path, Section.load(path, "a robot file"))
         except YamlError as error:
             raise RobotFileError(str(error)) from None
-        try:
-            return cls._from_mapping(path, _mapping(content, "the robot file"))
-        except RobotFileError as error:
-            raise RobotFileError(f"{one_line(path)}: {error}") from error
 
     @classmethod
-    def _from_mapping(cls, path: Path, content: Mapping[str, Any]) -> RobotDescription:
-        missing = [key for key in REQUIRED_KEYS if key not in content]
-        unknown = [key for key in content if key not in REQUIRED_KEYS + OPTIONAL_KEYS]
-        if missing or unknown:
-            raise RobotFileError(
-                f"missing keys {listed(missing)}; unknown keys {listed(unknown)}; required are {listed(REQUIRED_KEYS)}"
-            )
-        groups = {name: _names(joints, name) for name, joints in _items(content, "joint_groups")}
-        endpoints = {name: _endpoint(value, name, groups) for name, value in _items(content, "endpoints")}
+    def _of(cls, path: Path, top: Section) -> RobotDescription:
+        top.refuse_others(*REQUIRED_KEYS, *OPTIONAL_KEYS)
+        groups = top.mapping("joint_groups", some_names)
+        try:
+            urdf = resolve_urdf(top.required("urdf", a_text), path.parent)
+        except RobotFileError as error:
+            raise RobotFileError(f"{one_line(path)}: {error}") from error
         return cls(
             path=path,
-            urdf=resolve_urdf(_text(content["urdf"], "urdf"), path.parent),
-            base_frame=_text(content["base_frame"], "base_frame"),
+            urdf=urdf,
+            base_frame=top.required("base_frame", a_text),
             joint_groups=groups,
-            endpoints=endpoints,
-            limits=_per_joint(content, "limits", groups, LIMIT_KEYS),
-            friction=_per_joint(content, "friction", groups, FRICTION_KEYS),
-            armature=_per_joint(content, "armature", groups, ARMATURE_KEYS),
-            home=_positions(content, "home"),
-            locked=_positions({"locked": {}, **content}, "locked"),
-            gravity=_gravity(content.get("gravity")),
+            endpoints={name: _endpoint(section, groups) for name, section in top.sections("endpoints")},
+            limits=_per_joint(top, "limits", groups, LIMIT_KEYS),
+            friction=_per_joint(top, "friction", groups, FRICTION_KEYS),
+            armature=_per_joint(top, "armature", groups, ARMATURE_KEYS),
+            home=top.mapping("home", a_number()),
+            locked=top.mapping("locked", a_number(), optional=True),
+            gravity=top.required("gravity", _gravity) if "gravity" in top.values else None,
         )
 
 
 def resolve_urdf(reference: str, folder: Path) -> Path:
-    """File of `package://NAME/path` (in wheels and ROS workspaces), or of a path in `folder`.
+    """Find the file of `package://NAME/path` (in wheels and ROS workspaces), or of a path in `folder`.
 
-    Raises RobotFileError where there is none, and for a path that leads out of the package or the folder. Links that
-    lie in installed packages are followed, since workspaces are made of them; links in `folder` not out of it.
+    Links in installed packages are followed, since workspaces consist of them; links in `folder` only within it.
+
+    Parameters
+    ----------
+    reference
+        as the robot file names it
+    folder
+        of the robot file
+
+    Raises
+    ------
+    RobotFileError
+        where there is none, and for a path that leads out of the package or the folder
     """
     is_package = reference.startswith(PACKAGE_SCHEME)
     relative = Path(reference.removeprefix(PACKAGE_SCHEME))
@@ -143,11 +160,22 @@ def resolve_urdf(reference: str, folder: Path) -> Path:
 
 
 def read_xml(path: Path) -> bytes:
-    """The XML of a URDF, without what may stand before it: blank lines, and a byte order mark before these.
+    """Read the XML of a URDF, without a byte order mark and blank lines before it.
 
-    Raises RobotFileError for what its parsers should not be given: no XML, a xacro, too large or too deep, or with a
-    document type, which XML entities need that refer to files or unfold to gigabytes. Meshes are never opened. OSError
-    where the file cannot be read.
+    Meshes are never opened.
+
+    Parameters
+    ----------
+    path
+        the file
+
+    Raises
+    ------
+    OSError
+        where the file cannot be read
+    RobotFileError
+        for what its parsers should not be given: no XML, a xacro, too large or too deep, or with a document type, since
+        XML entities may refer to files or expand to gigabytes
     """
     with path.open("rb") as file:
         content = file.read(MAX_URDF_BYTES + 1)
@@ -167,7 +195,7 @@ def read_xml(path: Path) -> bytes:
             raise RobotFileError(
                 f"the URDF {path} has more than {MAX_URDF_JOINTS} joints or levels within {MAX_URDF_DEPTH} others"
             )
-        # an expanded xacro has no such elements and formulas any more
+        # an expanded xacro has no such elements and formulas
         is_formula = tag in _GEOMETRY and any("${" in text for text in attributes.values())
         is_xacro = is_xacro or is_formula or tag.startswith("xacro:")
 
@@ -183,7 +211,7 @@ def read_xml(path: Path) -> bytes:
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(content, True)
-    except (expat.ExpatError, LookupError) as error:  # LookupError: an encoding that nobody knows
+    except (expat.ExpatError, LookupError) as error:  # LookupError: an unknown encoding
         raise RobotFileError(f"the URDF {path} is no XML: {error}") from None
     if is_xacro:
         raise RobotFileError(f"{path} is a xacro, not a URDF; expand it first: xacro {path.name} > robot.urdf")
@@ -199,81 +227,29 @@ def _share_folders() -> Iterator[Path]:
             yield Path(prefix) / "share"
 
 
-def _mapping(value: Any, what: str) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise RobotFileError(f"{what} must be a mapping, got {type(value).__name__}")
-    return value
+def _gravity(value: Any) -> tuple[float, ...]:
+    try:
+        return numbers(3)(value)
+    except ValueError:
+        raise ValueError("three numbers, m/s^2 in the axes of the base frame") from None
 
 
-def _items(content: Mapping[str, Any], key: str) -> Iterator[tuple[str, Any]]:
-    return ((_text(name, f"a name in {key}"), value) for name, value in _mapping(content[key], key).items())
-
-
-def _text(value: Any, what: str) -> str:
-    if not isinstance(value, str):
-        raise RobotFileError(f"{what} must be a text, got {shown(value)}; quote it if it looks like something else")
-    return value
-
-
-def _number(value: Any, what: str) -> float:
-    # bool is an int to Python, but `yes` is no number to the author of a file
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
-        raise RobotFileError(f"{what} must be a finite number, got {shown(value)}")
-    return float(value)
-
-
-def _positions(content: Mapping[str, Any], key: str) -> dict[str, float]:
-    return {name: _number(value, f"{key} of {one_line(name, 60)}") for name, value in _items(content, key)}
-
-
-def _gravity(value: Any) -> tuple[float, float, float] | None:
-    if value is None:
-        return None
-    if not isinstance(value, list) or len(value) != 3:
-        raise RobotFileError(f"gravity must be three numbers, m/s^2 in the axes of the base frame, got {shown(value)}")
-    x, y, z = (_number(number, "gravity") for number in value)
-    return x, y, z
-
-
-def _names(value: Any, group: str) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(name, str) for name in value) or not value:
-        raise RobotFileError(
-            f"joint group {shown(group)} must be a list of joint names, got {shown(value)}; quote names that "
-            "look like something else, such as '1' or 'on'"
-        )
-    if len(set(value)) != len(value):
-        raise RobotFileError(f"joint group {shown(group)} names a joint twice: {shown(value)}")
-    return tuple(value)
-
-
-def _endpoint(value: Any, name: str, groups: Mapping[str, tuple[str, ...]]) -> Endpoint:
-    entry = _mapping(value, f"end point {shown(name)}")
-    if set(entry) != {"frame", "joints"}:
-        raise RobotFileError(f"end point {shown(name)} needs the keys 'frame' and 'joints', got {shown(list(entry))}")
-    frame, joints = (_text(entry[key], f"{key} of end point {shown(name)}") for key in ("frame", "joints"))
+def _endpoint(section: Section, groups: Mapping[str, tuple[str, ...]]) -> Endpoint:
+    section.refuse_others("frame", "joints")
+    joints = section.required("joints", a_text)
     if joints not in groups:
-        raise RobotFileError(
-            f"end point {shown(name)} names the unknown joint group {shown(joints)}; there are {listed(groups)}"
-        )
-    return Endpoint(frame, joints)
+        raise section.error(f"names the unknown joint group {shown(joints)}; there are {listed(groups)}")
+    return Endpoint(section.required("frame", a_text), joints)
 
 
 def _per_joint(
-    content: Mapping[str, Any], key: str, groups: Mapping[str, tuple[str, ...]], allowed: tuple[str, ...]
+    top: Section, key: str, groups: Mapping[str, tuple[str, ...]], allowed: tuple[str, ...]
 ) -> dict[str, dict[str, float]]:
-    """Entries by joint or by group, spread over the joints."""
+    """Entries by joint or by group, copied to each joint."""
     spread: dict[str, dict[str, float]] = {}
-    entries = [
-        (name, _mapping(value, f"{key} of {one_line(name, 60)}")) for name, value in _items({key: {}, **content}, key)
-    ]
     # groups first, so that a joint's own entry replaces what its group says
-    for name, entry in sorted(entries, key=lambda item: item[0] not in groups):
-        unknown = [word for word in entry if word not in allowed]
-        if unknown:
-            raise RobotFileError(
-                f"{key} of {one_line(name, 60)} has the unknown keys {listed(unknown)}; allowed are {listed(allowed)}"
-            )
-        values = {word: _number(value, f"{key} of {one_line(name, 60)}, {word},") for word, value in entry.items()}
+    for name, entry in sorted(top.sections(key, optional=True), key=lambda item: item[0] not in groups):
+        entry.refuse_others(*allowed)
         for joint in groups.get(name, (name,)):
-            spread.setdefault(joint, {}).update(values)
+            spread.setdefault(joint, {}).update({word: entry.required(word, a_number()) for word in entry.values})
     return spread

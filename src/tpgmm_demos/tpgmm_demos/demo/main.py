@@ -4,21 +4,15 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
 import os
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import rclpy
 from action_msgs.msg import GoalStatus
-from domain_coordinator import domain_id
 from rclpy.action import ActionClient
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 import tpgmm_demos.demo as package
@@ -36,8 +30,15 @@ from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.programs import train
 from tpgmm_ros.programs.reporting import run_with_report, write_report
 from tpgmm_ros.runtime.entry import INTERRUPTED
-from tpgmm_ros.runtime.executor import init
-from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph, GraphError, GraphTimeoutError, NodeProcesses
+from tpgmm_ros.runtime.processes import (
+    REALTIME_PRIORITY,
+    Graph,
+    GraphError,
+    GraphTimeoutError,
+    Value,
+    open_graph,
+    own_domain,
+)
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task
 
@@ -82,34 +83,26 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
     random = np.random.default_rng([arguments.seed, 0xDE, 0x40])
     situation = random_placement(random)
     disturbances = Disturbances.random(random, demonstrated_duration(model))
-    with _domain(arguments.domain):
-        init([])
-        node = Node("demo", parameter_overrides=[Parameter("use_sim_time", value=arguments.lockstep)])
-        executor = EventsExecutor()
-        executor.add_node(node)
+    lockstep, log = arguments.lockstep, arguments.output / "log"
+    with own_domain(arguments.domain), open_graph("demo", log, use_sim_time=lockstep) as graph:
         recorder = Node("demo_recorder")
         recording = RunRecord(recorder, task, list(robot.joint_names))
         # numbers of its own: the situation is the same whatever perception is like
         camera = Camera(perception(arguments.perception, EXACT_RATE), [arguments.seed, 0xDE, 0xCA])
-        world = World(node, task, situation, disturbances, camera, arguments.lockstep)
-        with NodeProcesses(arguments.output / "log") as processes:
-            graph = Graph(node, executor, processes)
-            print(f"2. starting the nodes (logs: {processes.log_directory})")
-            _start(graph, arguments, model_file)
-            print("3. reproducing in a new situation; the object is pushed and the target hidden on the way")
-            if arguments.lockstep:  # simulated time begins with the movement, so that it is the same each time
-                result = _ask(graph, recording, START_TIMEOUT[arguments.lockstep])
-            _start_simulator(graph, arguments)
-            graph.wait_for(recording.hand_is_known, START_TIMEOUT[arguments.lockstep], "the hand's pose")
-            begun = time.monotonic()
-            if not arguments.lockstep:
-                result = _ask(graph, recording, START_TIMEOUT[arguments.lockstep])
-            outcome = _outcome(graph, recording, world, result, END_TIMEOUT[arguments.lockstep])
-            took = time.monotonic() - begun
-        executor.remove_node(node)
-        node.destroy_node()
+        world = World(graph.node, task, situation, disturbances, camera, lockstep)
+        print(f"2. starting the nodes (logs: {log})")
+        _start(graph, arguments, model_file)
+        print("3. reproducing in a new situation; the object is pushed and the target hidden on the way")
+        if lockstep:  # simulated time begins with the movement, so that it is the same each time
+            result = _ask(graph, recording, START_TIMEOUT[lockstep])
+        _start_simulator(graph, arguments)
+        graph.wait_for(recording.hand_is_known, START_TIMEOUT[lockstep], "the hand's pose")
+        begun = time.monotonic()
+        if not lockstep:
+            result = _ask(graph, recording, START_TIMEOUT[lockstep])
+        outcome = _outcome(graph, recording, world, result, END_TIMEOUT[lockstep])
+        took = time.monotonic() - begun
         recorder.destroy_node()
-        rclpy.shutdown()
     report = evaluate(recording, world, robot.effort_limits, outcome, arguments.lockstep)
     assert world.started_ns is not None
     report["rate_hz"] = arguments.rate
@@ -128,26 +121,18 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
     return bool(report["passed"])
 
 
-@contextlib.contextmanager
-def _domain(given: int | None) -> Iterator[None]:
-    """A ROS domain that nobody else on this machine uses, and that no other machine sees; or the one that was given."""
-    with contextlib.ExitStack() as stack:
-        if given is None:
-            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-            given = stack.enter_context(domain_id())
-        os.environ["ROS_DOMAIN_ID"] = str(given)
-        yield
-
-
 def _start(graph: Graph, arguments: argparse.Namespace, model_file: Path) -> None:
     """All nodes but the simulator."""
     processes, simulated = graph.processes, arguments.lockstep
-    both = {"use_sim_time": simulated, "realtime_priority": _priority(arguments)}
-    lockstep = {"lockstep_rate": 100.0, "start_timeout": 60.0} if simulated else {}
-    processes.start("frame_tracker", task_file=arguments.task, lockstep=simulated, **both)
-    answering = {"joint_state_rate": arguments.rate, **both}
-    processes.start("reproduction", task_file=arguments.task, model_file=model_file, **lockstep, **answering)
-    processes.start("impedance_controller", robot_file=arguments.robot, lockstep=simulated, **answering)
+    both: dict[str, Value] = {"use_sim_time": simulated, "realtime_priority": _priority(arguments)}
+    answering: dict[str, Value] = {"joint_state_rate": arguments.rate, **both}
+    waiting: dict[str, Value] = {"lockstep_rate": 100.0, "start_timeout": 60.0} if simulated else {}
+    nodes: dict[str, dict[str, Value]] = {
+        "frame_tracker": {"task_file": arguments.task, "lockstep": simulated, **both},
+        "reproduction": {"task_file": arguments.task, "model_file": model_file, **waiting, **answering},
+        "impedance_controller": {"robot_file": arguments.robot, "lockstep": simulated, **answering},
+    }
+    processes.start_all("from_pose_to_torque", nodes, together=not arguments.separate)
     graph.bring_up("impedance_controller", START_TIMEOUT[simulated])
     graph.bring_up("reproduction", START_TIMEOUT[simulated])
 
@@ -222,6 +207,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--lockstep", action="store_true", help="as fast as possible on simulated time, not in real time"
+    )
+    parser.add_argument(
+        "--separate",
+        action="store_true",
+        help="each node in a process of its own, not those of the robot's loop in one",
     )
     parser.add_argument(
         "--rate", type=float, default=1000.0, help="of joint states and torques, Hz, 100 to 2000 (default: %(default)s)"

@@ -17,11 +17,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 
 from tpgmm_core import GaussianMixture
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.observation.tracking import FrameStatus
 from tpgmm_demos.demo.recording import RunRecord
 from tpgmm_demos.demo.world import World
-from tpgmm_demos.scene.pick_place import Array, hand_at
+from tpgmm_demos.scene.pick_place import hand_at
 
 #: Both with y to the left, as the robot sees it: the two share this axis.
 _SIDES = {"from above": (1, 0), "from behind the robot": (1, 2)}
@@ -36,9 +37,12 @@ _STATUS_COLORS = {FrameStatus.VISIBLE: "#4daf4a", FrameStatus.HELD: "#ff9f1c", F
 def draw(recording: RunRecord, world: World, mixture: GaussianMixture, limits: Array, directory: Path) -> list[Path]:
     """Draw ``path.png``, ``torques.png`` and ``frames.png`` into a directory.
 
-    Args:
-        mixture: the model adapted to the final placing, over [time, x, y, z, qx, qy, qz, qw].
-        limits: (nv,), effort limits of the joints, N m.
+    Parameters
+    ----------
+    mixture
+        the model adapted to the final placing, over [time, x, y, z, qx, qy, qz, qw]
+    limits
+        (nv,), effort limits of the joints, N m
     """
     directory.mkdir(parents=True, exist_ok=True)
     figures = {

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from tpgmm_core.common.report import format_table
+from tpgmm_core.geometry.pose import pose_error
 from tpgmm_demos.demo.causes import cause_of_failure
 from tpgmm_demos.demo.recording import RunRecord, Series
 from tpgmm_demos.demo.world import World
-from tpgmm_demos.scene.pick_place import pose_error
-from tpgmm_ros.programs.reporting import format_table
 
 NODES = ("reproduction", "impedance_controller", "baxter_simulator")
 
@@ -37,12 +37,18 @@ def evaluate(
 ) -> dict[str, Any]:
     """The report of one run.
 
-    Args:
-        recording: what was on the topics.
-        world: where things are at the end.
-        effort_limits: (nv,), N m.
-        outcome: what the action said.
-        lockstep: no tick was late, so that a jump has no excuse.
+    Parameters
+    ----------
+    recording
+        what was on the topics
+    world
+        where things are at the end
+    effort_limits
+        (nv,), N m
+    outcome
+        what the action said
+    lockstep
+        no tick was late, so that a jump has no excuse
     """
     assert world.started_ns is not None
     position, angle = pose_error(world.grasp.object, world.situation.target)

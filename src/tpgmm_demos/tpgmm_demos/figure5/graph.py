@@ -3,25 +3,18 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-import rclpy
-from domain_coordinator import domain_id
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from rclpy.experimental import EventsExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_demos.figure5.measures import LAW
 from tpgmm_demos.figure5.session import START_TIMEOUT, Session
-from tpgmm_ros.runtime.executor import init
-from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, GraphError, NodeProcesses
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, GraphError, open_graph, own_domain
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.runtime.scheduling import end_realtime, request_realtime
 
@@ -32,24 +25,15 @@ def open_session(robot: RobotModel, log_directory: Path, lockstep: bool) -> Iter
 
     In real time the program runs ahead of ordinary ones, as its nodes do: a teacher who comes late shakes the arm.
     """
-    with domain_id() as domain:
-        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-        init([])
-        node = Node("figure5", parameter_overrides=[Parameter("use_sim_time", value=lockstep)])
-        executor = EventsExecutor()
-        executor.add_node(node)
+    with own_domain(), open_graph("figure5", log_directory, use_sim_time=lockstep) as graph:
+        refused = "" if lockstep else request_realtime(REALTIME_PRIORITY)
+        if refused:
+            graph.node.get_logger().warning(f"no real-time priority: {refused}")
         try:
-            with NodeProcesses(log_directory) as processes:
-                refused = "" if lockstep else request_realtime(REALTIME_PRIORITY)
-                if refused:
-                    node.get_logger().warning(f"no real-time priority: {refused}")
-                yield Session(node, executor, processes, robot, lockstep)
+            yield Session(graph, robot, lockstep)
         finally:
             if not lockstep:
                 end_realtime()
-            executor.remove_node(node)
-            node.destroy_node()
-            rclpy.shutdown()
 
 
 def start_controller(session: Session, robot_file: Path) -> None:
@@ -71,7 +55,10 @@ def start_joint_reference(
     """Start what computes the references of these tasks, with the models <task>.tpgmm of a directory; without
     tasks the robot is free to be led.
 
-    Returns what sets the tasks that hold, once all nodes have answered the present state.
+    Returns
+    -------
+    Callable[[tuple[str, ...]], None]
+        what sets the tasks that hold, once all nodes have answered the present state
     """
     session.graph.processes.start(
         "joint_reference",

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import POSE
-from tpgmm_demos.scene.pick_place import compose
+from tpgmm_core.geometry.pose import compose
 
 Array = NDArray[np.float64]
 Poses = dict[str, Array]

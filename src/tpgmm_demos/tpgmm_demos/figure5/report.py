@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tpgmm_core import TPGMM
+from tpgmm_core.common.report import format_table
 from tpgmm_core.kinematics.hand_tasks import HandTask
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_demos.figure5.lessons import Array
@@ -16,7 +17,6 @@ from tpgmm_demos.figure5.measures import Measures, energy, measure
 from tpgmm_demos.figure5.sequences import CUP, HELD, MOVE, SUGAR, Pushed, SequenceResult
 from tpgmm_demos.figure5.session import SAMPLE_RATE
 from tpgmm_ros.nodes.joint_reference import hand_task
-from tpgmm_ros.programs.reporting import format_table
 from tpgmm_ros.task.task_file import Task
 
 #: Turning by 1 rad counts as moving by this, m, where the two are compared.

@@ -15,15 +15,13 @@ from pathlib import Path
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
-from rclpy.executors import Executor
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointReader
 from tpgmm_ros.messages.qos import STREAM
-from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph, NodeProcesses
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph
 
 Array = NDArray[np.float64]
 
@@ -42,10 +40,18 @@ Wrench = Callable[[float, Array], Array]
 class Segment:
     """What happened in some time with the same contacts: samples at `SAMPLE_RATE`, extremes of all ticks.
 
-    time : (T,), s since its beginning; q, v, tau : (T, nv)
-    force : (T,), N, the sum over all contacts of their forces' lengths
-    torque_share : largest |tau| / effort limit of all ticks
-    stop_distance : (nv,), smallest distance to a position limit of all ticks, rad or m
+    Parameters
+    ----------
+    time
+        (T,), s since its beginning
+    q, v, tau
+        (T, nv)
+    force
+        (T,), N, the sum over all contacts of their forces' lengths
+    torque_share
+        largest |tau| / effort limit of all ticks
+    stop_distance
+        (nv,), smallest distance to a position limit of all ticks, rad or m
     """
 
     times: list[float] = field(default_factory=list)
@@ -89,14 +95,12 @@ class Segment:
 class Session:
     """The running graph; `run` lets time pass.
 
-    node, executor : the program's own, which nobody else serves meanwhile
+    graph : with the program's own node, which nobody else serves meanwhile
     lockstep : simulated time, as fast as all can; else real time
     """
 
-    def __init__(
-        self, node: Node, executor: Executor, processes: NodeProcesses, robot: RobotModel, lockstep: bool
-    ) -> None:
-        self.graph = Graph(node, executor, processes)
+    def __init__(self, graph: Graph, robot: RobotModel, lockstep: bool) -> None:
+        self.graph, node = graph, graph.node
         self.robot, self.lockstep = robot, lockstep
         self.data = robot.create_data()
         self._frames: dict[str, int] = {}
@@ -145,7 +149,10 @@ class Session:
     def run(self, duration: float, contacts: Sequence[tuple[str, Wrench]] = ()) -> Segment:
         """Let `duration` s of the robot's time pass, while wrenches act on links; they end with it.
 
-        Raises GraphError when a node ends, or time stands still.
+        Raises
+        ------
+        GraphError
+            when a node ends, or time stands still
         """
         segment, begin = Segment(stop_distance=np.full(self.robot.nv, np.inf)), self._stamp_ns
         self._segment, self._begin_ns, self._end_ns = segment, begin, begin + round(duration * SECOND)

@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
-from tpgmm_core.geometry.manifold import POSE
-
-Array = NDArray[np.float64]
+from tpgmm_core.geometry.pose import compose, inverse, pose_error
 
 #: The hand at an object: upside down above its middle, the hand's x axis against the object's, so that an object that
 #: is not turned is grasped in the middle of the wrist's range.
@@ -61,28 +59,10 @@ def random_placement(random: np.random.Generator) -> Placement:
     return Placement(object=OBJECT_REGION.sample(random), target=TARGET_REGION.sample(random))
 
 
-def compose(pose: Array, relative: Array) -> Array:
-    """The pose ``relative``, given in the axes of ``pose``, in the base frame."""
-    position = pose[:3] + quaternion.rotation_matrix(pose[3:]) @ relative[:3]
-    return np.concatenate([position, quaternion.multiply(pose[3:], relative[3:])])
-
-
-def invert(pose: Array) -> Array:
-    """The pose of the base frame in the axes of ``pose``."""
-    turn = quaternion.conjugate(pose[3:])
-    return np.concatenate([-quaternion.rotation_matrix(turn) @ pose[:3], turn])
-
-
 def hand_at(place: Array, height: float = 0.0) -> Array:
     """The hand's pose when it holds an object that lies at ``place``, or ``height`` above it along its z axis."""
     raised = np.array([0.0, 0.0, height, 0.0, 0.0, 0.0, 1.0])
     return compose(compose(place, raised), GRASP)
-
-
-def pose_error(pose: Array, wanted: Array) -> tuple[float, float]:
-    """Distance in m and angle in rad between two poses."""
-    error = POSE.log(wanted, pose)
-    return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
 
 
 class Grasp:
@@ -121,7 +101,7 @@ class Grasp:
         elif self._rests is None or not _is_within(pose_error(hand, self._rests[1]), self.REST):
             self._rests = time, hand.copy()
         elif time - self._rests[0] >= self.DWELL:
-            self._in_hand = compose(invert(hand), self.object)
+            self._in_hand = compose(inverse(hand), self.object)
 
 
 def _is_within(error: tuple[float, float], bound: tuple[float, float]) -> bool:

@@ -7,8 +7,9 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 
+from tpgmm_core.common.types import Array
 from tpgmm_demos.scene.perception import Camera
-from tpgmm_demos.scene.pick_place import Array, Grasp, Placement
+from tpgmm_demos.scene.pick_place import Grasp, Placement
 from tpgmm_demos.teaching.teacher import Intention, Teacher, TeacherConfig
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM

@@ -9,7 +9,6 @@ bar between both hands whose targets cannot both be reached, with priority for o
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import tempfile
 from collections.abc import Callable
@@ -17,11 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import rclpy
-from domain_coordinator import domain_id
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from tqdm import tqdm
 
 from tpgmm_core.common.text import one_line
@@ -32,8 +27,8 @@ from tpgmm_demos.teaching import bar_lesson
 from tpgmm_demos.teaching.bar_lesson import BarLesson
 from tpgmm_demos.teaching.pick_place_lesson import ScriptedLesson
 from tpgmm_ros.recordings.bag_recorder import BagRecorder, topics_of
-from tpgmm_ros.runtime.executor import StopFlag, init
-from tpgmm_ros.runtime.processes import Graph, GraphError, NodeProcesses
+from tpgmm_ros.runtime.executor import StopFlag
+from tpgmm_ros.runtime.processes import GraphError, open_graph, own_domain
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task, TaskError
 
@@ -47,12 +42,18 @@ EXACT_RATE = 100.0 / 3.0
 class LessonKind:
     """How a lesson is made, and what it asks of the simulation.
 
-    Attributes:
-        make: the lesson, from the program's node, the task, the robot file, the camera and where variation comes from.
-        exact_rate: exact perception sees the objects this often, Hz.
-        rate: steps of the simulation per second, Hz.
-        pose_rate: it publishes poses and waits for a wrench this often, Hz.
-        keep_every: one of so many poses of the hand is recorded.
+    Attributes
+    ----------
+    make
+        the lesson, from the program's node, the task, the robot file, the camera and where variation comes from
+    exact_rate
+        exact perception sees the objects this often, Hz
+    rate
+        steps of the simulation per second, Hz
+    pose_rate
+        it publishes poses and waits for a wrench this often, Hz
+    keep_every
+        one of so many poses of the hand is recorded
     """
 
     make: Callable[[Node, Task, Path, Camera, np.random.Generator], ScriptedLesson | BarLesson]
@@ -92,17 +93,19 @@ def record_scripted(
 ) -> list[Path]:
     """Record ``count`` demonstrations of one of LESSONS; existing ones are kept and not made again.
 
-    Args:
-        perceived: how the objects are seen, one of PERCEPTIONS.
+    Parameters
+    ----------
+    perceived
+        how the objects are seen, one of PERCEPTIONS
 
-    Raises:
-        GraphError: a node failed, or the scripted teacher did not manage what it is to show.
+    Raises
+    ------
+    GraphError
+        a node failed, or the scripted teacher did not manage what it is to show.
     """
     made = []
-    with domain_id() as domain, tempfile.TemporaryDirectory() as logs:
-        # Nodes started here talk to each other and to nobody else.
-        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", ROS_LOG_DIR=logs)
-        init([])
+    # Nodes started here talk to each other and to nobody else.
+    with tempfile.TemporaryDirectory() as logs, own_domain(ros_log=Path(logs)):
         stop = StopFlag()
         with tqdm(total=count, unit="demonstration", desc="teaching") as progress:
             for index in range(count):
@@ -117,7 +120,6 @@ def record_scripted(
                     progress.write(f"{path}: {words}")
                     made.append(path)
                 progress.update()
-        rclpy.shutdown()
     return made
 
 
@@ -131,10 +133,8 @@ def _record_lesson(
     logs: Path,
     stop: StopFlag,
 ) -> str:
-    node = Node("teach", parameter_overrides=[Parameter("use_sim_time", value=True)])
-    executor = EventsExecutor()
-    executor.add_node(node)
-    with NodeProcesses(logs) as processes:
+    with open_graph("teach", logs, use_sim_time=True) as graph:
+        node, processes = graph.node, graph.processes
         processes.start(
             "impedance_controller",
             robot_file=robot_file,
@@ -151,7 +151,6 @@ def _record_lesson(
             rate=kind.rate,
             pose_rate=kind.pose_rate,
         )
-        graph = Graph(node, executor, processes)
         graph.wait_for(lambda: node.count_publishers("joint_torques") > 0, 30.0, "the controller")
         keep_every = {"joint_states": round(kind.rate / JOINT_STATE_RATE), task.movement: kind.keep_every}
         with BagRecorder(node, path, topics_of(task), keep_every=keep_every) as recorder:
@@ -162,8 +161,6 @@ def _record_lesson(
                 raise GraphError(f"interrupted; the unfinished recording of {path} is not kept")
             if lesson.failure:
                 raise GraphError(f"{path}: {lesson.failure}")
-    executor.remove_node(node)
-    node.destroy_node()
     return f"{lesson.duration:.1f} s, {recorder.counts[task.movement] // kind.keep_every} poses"
 
 

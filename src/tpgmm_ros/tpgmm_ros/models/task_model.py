@@ -9,41 +9,42 @@ from typing import Any
 
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.common.text import listed, one_line, shown
-from tpgmm_core.geometry.manifold import POSE, Manifold
-from tpgmm_core.retrieval import methods
-from tpgmm_core.retrieval.encodings import encoding_of
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.retrieval.interface import Retrieval
+from tpgmm_core.retrieval.methods import load_model, make_retrieval
 from tpgmm_ros.messages.conversions import TaskFrameState
-from tpgmm_ros.models import kinematic_recipe
-from tpgmm_ros.task.task_file import DIMENSIONS, MANIFOLD, Task
+from tpgmm_ros.task.task_file import Task
 
 
 def load_task_model(path: str | Path, task: Task) -> TPGMM:
     """A model that fits a task, whatever it encodes of the task's movements.
 
-    Raises:
-        ValueError: the file is no model, or the model is of something else than the task describes.
-        OSError: the file cannot be read.
+    Raises
+    ------
+    ValueError
+        the file is no model, or the model is of something else than the task describes.
+    OSError
+        the file cannot be read.
     """
-    model = methods.load_model(path)
-    if task.kinematic is not None:
-        try:
-            kinematic_recipe.check_model(model, task.kinematic)
-        except ValueError as error:
-            raise ValueError(f"{one_line(path)} does not fit task '{task.name}': {error}") from error
-        return model
-    encoding, space = encoding_of(model), Manifold.parse(MANIFOLD)
-    manifold, dimensions = encoding.manifold(space), encoding.dimensions(DIMENSIONS, space)
+    model, space = load_model(path), task.space
+    try:
+        encoding = space.encoding_of(model)
+    except ValueError as error:
+        raise ValueError(f"{one_line(path)} does not fit task '{task.name}': {error}") from error
+    manifold, dimensions = (
+        encoding.manifold(space.manifold()),
+        encoding.dimensions(space.dimensions(), space.manifold()),
+    )
     if model.manifold_ != manifold or tuple(model.dimensions_ or ()) != dimensions:
         raise ValueError(
             f"{one_line(path)} encodes {listed(model.dimensions_ or ())} on {model.manifold_}; "
             f"task '{task.name}' needs {dimensions} on {manifold}"
         )
-    unknown = [name for name in model.frame_names_ if name not in task.frames]
+    unknown = [name for name in model.frame_names_ if name not in space.frame_names]
     if unknown:
         raise ValueError(
             f"{one_line(path)} was learned from the frames {listed(model.frame_names_)}; task '{task.name}' "
-            f"names {listed(task.frames)} and lacks {listed(unknown)}"
+            f"names {listed(space.frame_names)} and lacks {listed(unknown)}"
         )
     return model
 
@@ -51,25 +52,23 @@ def load_task_model(path: str | Path, task: Task) -> TPGMM:
 def make_task_retrieval(model: TPGMM, task: Task, method: str | None = None, **settings: Any) -> Retrieval:
     """A movement of a model that fits the task; settings as for `tpgmm_core.retrieval.methods.make_retrieval`.
 
-    Raises:
-        ValueError: a model that does not suit the method, or settings that it cannot have.
-        OSError: the robot file of kinematic frames cannot be read.
+    Raises
+    ------
+    ValueError
+        a model that does not suit the method, or settings that it cannot have.
+    OSError
+        the robot file of kinematic frames cannot be read.
     """
-    if task.kinematic is not None:
-        return kinematic_recipe.make_movement(model, task.kinematic, method, **settings)
-    return methods.make_retrieval(model, method, **settings)
-
-
-def state_dimensions(task: Task) -> tuple[str, ...]:
-    """Names of the numbers that references of a task are over. Raises ValueError and OSError for a missing robot."""
-    return DIMENSIONS[1:] if task.kinematic is None else task.kinematic.joint_names()
+    return make_retrieval(model, task.space.method(method), **settings)
 
 
 def known_frames(states: Mapping[str, TaskFrameState]) -> dict[str, tuple[Frame, float]]:
     """Those frames that are not missing, as they act on [time, pose], and how far each is trusted.
 
-    Raises:
-        ValueError: a frame that does not act on poses.
+    Raises
+    ------
+    ValueError
+        a frame that does not act on poses.
     """
     known = {}
     for name, state in states.items():

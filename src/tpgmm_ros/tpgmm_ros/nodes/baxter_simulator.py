@@ -211,6 +211,8 @@ class BaxterSimulatorNode(Node):
                 self._publish_clock()
             self._publish_state()
             self._publish_poses()
+            # Nodes in this process have answered by now; services and whatever else still want their turn
+            executor.spin_once(timeout_sec=0.0)
             repeat_at = time.perf_counter() + REPEAT_AFTER
             while not (self._is_answered() or stop.set):
                 executor.spin_once(timeout_sec=0.01)

@@ -18,7 +18,9 @@ from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.lockstep import LateBarrier, is_nothing_seen
 from tpgmm_ros.messages.qos import LATCHED, STREAM
+from tpgmm_ros.messages.values import StampedFrames
 from tpgmm_ros.runtime.executor import run
+from tpgmm_ros.runtime.local_topics import publish_value
 from tpgmm_ros.runtime.monitor import Monitor
 from tpgmm_ros.runtime.parameters import Declared, Parameters
 from tpgmm_ros.runtime.timing import loop_clock
@@ -135,7 +137,8 @@ class FrameTrackerNode(Node):
         self.monitor.done += 1
 
     def _send(self, stamp_ns: int) -> None:
-        self._publisher.publish(conversions.task_parameters_message(self._known, stamp_ns, self.task.base_frame))
+        frames = StampedFrames(tuple(self._known), stamp_ns, self.task.base_frame)
+        publish_value(self._publisher, frames, StampedFrames.message)
 
     def _forget(self) -> None:
         self.get_logger().warning("time jumped backwards: all observations are forgotten")

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from tpgmm_core.common.text import one_line
 from tpgmm_core.retrieval.execution import Outcome
 from tpgmm_msgs.action import Reproduce
+from tpgmm_ros.runtime.composition import guarded
 
 #: A result is kept for so long for clients whose link was down, s.
 RESULT_TIMEOUT = 900
@@ -28,7 +29,7 @@ class Goals:
             Reproduce,
             "reproduce",
             execute_callback=lambda _: None,  # goals are executed by `finish`
-            handle_accepted_callback=accept,
+            handle_accepted_callback=guarded(node, accept),
             goal_callback=lambda _: GoalResponse.ACCEPT,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             result_timeout=RESULT_TIMEOUT,

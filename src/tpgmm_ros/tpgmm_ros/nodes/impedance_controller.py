@@ -25,23 +25,25 @@ from tpgmm_core.control.planning import at_once
 from tpgmm_core.control.supervised_controller import Answer, SupervisedController
 from tpgmm_core.control.supervision import ControllerMode, Timeouts, slow_states
 from tpgmm_core.control.torque_pipeline import TorqueLimits
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.observation.joint_states import JointSample
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointStates, MessageError
-from tpgmm_ros.messages.lockstep import Barrier, is_no_reference
+from tpgmm_ros.messages.lockstep import Barrier
 from tpgmm_ros.messages.qos import LATCHED, STATES, STREAM
 from tpgmm_ros.messages.torque_outputs import OUTPUTS, TorqueOutputs
+from tpgmm_ros.messages.values import StampedReference
 from tpgmm_ros.nodes.controller_status import limited, loop_values
 from tpgmm_ros.nodes.joint_states import SPREAD
 from tpgmm_ros.runtime.background import Background
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.lifecycle import ManagedNode
+from tpgmm_ros.runtime.local_topics import receive_values, waiting_messages
 from tpgmm_ros.runtime.monitor import Monitor, RecentTimes
 from tpgmm_ros.runtime.parameters import Declared, Parameters, declared_of, fill
-from tpgmm_ros.runtime.rclpy_workarounds import waiting
 from tpgmm_ros.runtime.timing import clock_trouble, loop_clock
 
 PARAMETERS = [
@@ -148,7 +150,8 @@ class ImpedanceControllerNode(ManagedNode):
         self._loop_clock = loop_clock(self)
         self._simulated = bool(self.get_parameter("use_sim_time").value)
         self._states = self.create_lifecycle_publisher(ControllerState, "controller_state", LATCHED)
-        self.create_subscription(ReferenceMessage, "reference", self._take_reference, STREAM)
+        references = self.create_subscription(ReferenceMessage, "reference", self._take_reference, STREAM)
+        receive_values(references, self._take_stamped_reference)
         self._state_messages = self.create_subscription(JointState, "joint_states", self._take_states, STATES)
         # The steady clock, also under simulated time: it calls even where that stands still. Ages are the loop clock's.
         self.create_timer(WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -202,30 +205,41 @@ class ImpedanceControllerNode(ManagedNode):
     # -- inputs -------------------------------------------------------------------------------------------------------
 
     def _take_reference(self, message: ReferenceMessage) -> None:
+        """The reference of another process."""
         if not self._active:
             return
-        stamp_ns = conversions.time_to_ns(message.header.stamp)
-        if self._barrier is None or not is_no_reference(message):
-            self._follow_reference(message, stamp_ns)
-        if self._barrier is not None:
-            self._barrier.came("reference", stamp_ns)
-
-    def _follow_reference(self, message: ReferenceMessage, stamp_ns: int) -> None:
-        now_ns, clock_ns = self._times(stamp_ns)
         try:
-            if message.header.frame_id not in ("", self.robot.base_frame):
-                raise MessageError(
-                    f"the reference is expressed in {shown(message.header.frame_id)}; "
-                    f"expected '{self.robot.base_frame}'"
-                )
-            self.controller.take_reference(conversions.reference(message), stamp_ns, now_ns, clock_ns)
+            stamped = StampedReference.of(message, lockstep=self._barrier is not None)
         except ValueError as error:
-            self.controller.refuse_reference(str(error))
-            self.get_logger().error(f"reference refused: {error}", throttle_duration_sec=1.0)
+            self._refuse_reference(error)
+            stamped = StampedReference(None, conversions.time_to_ns(message.header.stamp), "")
+        self._take_stamped_reference(stamped)
+
+    def _take_stamped_reference(self, stamped: StampedReference) -> None:
+        if not self._active:
+            return
+        if stamped.reference is not None:
+            self._follow_reference(stamped.reference, stamped.stamp_ns, stamped.frame_id)
+        if self._barrier is not None:
+            self._barrier.came("reference", stamped.stamp_ns)
+
+    def _follow_reference(self, reference: Reference, stamp_ns: int, frame_id: str) -> None:
+        now_ns, clock_ns = self._times(stamp_ns)
+        base = self.robot.base_frame
+        try:
+            if frame_id not in ("", base):
+                raise MessageError(f"the reference is expressed in {shown(frame_id)}; expected '{base}'")
+            self.controller.take_reference(reference, stamp_ns, now_ns, clock_ns)
+        except ValueError as error:
+            self._refuse_reference(error)
+
+    def _refuse_reference(self, error: ValueError) -> None:
+        self.controller.refuse_reference(str(error))
+        self.get_logger().error(f"reference refused: {error}", throttle_duration_sec=1.0)
 
     def _take_states(self, message: JointState) -> None:
         """All that wait, since a state may come in parts; the newest state is answered, others would be too late."""
-        samples = [self._sample(item) for item in (message, *waiting(self._state_messages)) if self._active]
+        samples = [self._sample(item) for item in (message, *waiting_messages(self._state_messages)) if self._active]
         newest = next((sample for sample in reversed(samples) if sample is not None), None)
         if newest is None:
             return

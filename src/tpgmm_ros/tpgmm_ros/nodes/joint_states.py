@@ -17,8 +17,8 @@ from tpgmm_core.observation.streams import RESTARTED_AFTER, Leader, Stamp, Strea
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointStates, MessageError
 from tpgmm_ros.messages.qos import STATES
+from tpgmm_ros.runtime.local_topics import waiting_messages
 from tpgmm_ros.runtime.parameters import Declared
-from tpgmm_ros.runtime.rclpy_workarounds import waiting
 from tpgmm_ros.runtime.timing import clock_trouble
 
 SPREAD = Declared(
@@ -49,14 +49,22 @@ class JointStateStream:
 
     Of states that have waited together the newest is handed on: the others would be answered too late.
 
-    Args:
-        node: says in its log what is refused.
-        topic: of the messages.
-        answer: called with each state.
-        joints: whose states; None where no joint is known and states are only a beat, which `Leader` gives then.
-        fields: what of them, "position", "velocity".
-        max_spread: parts of one state may be this far apart, s.
-        max_future: called for what a stamp may be ahead of the clock, s; None: not asked.
+    Parameters
+    ----------
+    node
+        says in its log what is refused
+    topic
+        of the messages
+    answer
+        called with each state
+    joints
+        whose states; None where no joint is known and states are only a beat, which `Leader` gives then
+    fields
+        what of them, "position", "velocity"
+    max_spread
+        parts of one state may be this far apart, s
+    max_future
+        called for what a stamp may be ahead of the clock, s; None: not asked
     """
 
     def __init__(
@@ -78,7 +86,7 @@ class JointStateStream:
         self._subscription = node.create_subscription(JointState, topic, self._take_all, STATES)
 
     def _take_all(self, message: JointState) -> None:
-        heard = [item for item in map(self.take, [message, *waiting(self._subscription)]) if item is not None]
+        heard = [item for item in map(self.take, [message, *waiting_messages(self._subscription)]) if item is not None]
         if heard:
             newest = heard[-1]
             restarted = any(item.kind is Stamp.RESTARTED for item in heard)

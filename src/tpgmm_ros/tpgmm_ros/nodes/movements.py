@@ -44,18 +44,29 @@ type Prepared = tuple[TPGMM, Retrieval]
 class Movements:
     """Carries out one movement at a time for an active node.
 
-    Args:
-        node: serves action and service.
-        task: what models have to fit.
-        model: the one in use, as long as no other is loaded; None without.
-        parameters: of the node; RETRIEVAL_SETTINGS and those of ExecutionConfig.
-        why_silent: called where no ticks come: why, in words.
-        controller: what is said of the robot where it did not get to the end.
+    Parameters
+    ----------
+    node
+        serves action and service
+    task
+        what models have to fit
+    model
+        the one in use, as long as no other is loaded; None without
+    parameters
+        of the node; RETRIEVAL_SETTINGS and those of ExecutionConfig
+    why_silent
+        called where no ticks come: why, in words
+    controller
+        what is said of the robot where it did not get to the end
 
-    Attributes:
-        execution: of the movement that goes on or was the last one; None before, and while the node is not active.
-        frames: the known ones that its model has learned from.
-        state: (D,), where the robot is, as far as that is known: its pose, or its configuration.
+    Attributes
+    ----------
+    execution
+        of the movement that goes on or was the last one; None before, and while the node is not active
+    frames
+        the known ones that its model has learned from
+    state
+        (D,), where the robot is, as far as that is known: its pose, or its configuration
     """
 
     def __init__(
@@ -100,7 +111,13 @@ class Movements:
         self.goals.destroy()
 
     def set_speed(self, speed: float) -> None:
-        """Of the movement that goes on, if one does. Raises ValueError for one that its method cannot go."""
+        """Of the movement that goes on, if one does.
+
+        Raises
+        ------
+        ValueError
+            for one that its method cannot go
+        """
         if self.execution is not None and self.execution.stage is not Stage.ENDED:
             self.execution.retrieval.speed = speed
 
@@ -154,10 +171,8 @@ class Movements:
                 raise ValueError("no model is loaded: name a model file in the goal, or set the parameter model_file")
             retrieval = make_task_retrieval(chosen, task, method, duration=duration or None, **settings)
             frames, weights = those_of(retrieval, known)
-            knows_robot = state is not None or task.kinematic is None
-            if (
-                frames and knows_robot
-            ):  # a rehearsal: what cannot be adapted to the situation is refused before anything depends on it
+            if frames and not (state is None and task.space.needs_state):
+                # a rehearsal: what cannot be adapted to the situation is refused before anything depends on it
                 retrieval.start(0, state)
                 retrieval.step(0, frames, state, weights)
             return chosen, retrieval

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -19,6 +20,8 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from visualization_msgs.msg import MarkerArray
 
 from tpgmm_core.common.text import listed, shown
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.observation.streams import Stamp
 from tpgmm_core.observation.tracking import check_pose
@@ -28,15 +31,18 @@ from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions
-from tpgmm_ros.messages.lockstep import Barrier, no_reference
+from tpgmm_ros.messages.conversions import TaskFrameState
+from tpgmm_ros.messages.lockstep import Barrier
 from tpgmm_ros.messages.markers import Scene
 from tpgmm_ros.messages.qos import LATCHED, STREAM
-from tpgmm_ros.models.task_model import known_frames, load_task_model, state_dimensions
+from tpgmm_ros.messages.values import StampedFrames, StampedReference
+from tpgmm_ros.models.task_model import known_frames, load_task_model
 from tpgmm_ros.nodes.controller_words import ControllerWords
 from tpgmm_ros.nodes.joint_states import MAX_FUTURE, SPREAD, Heard, JointStateStream
 from tpgmm_ros.nodes.movements import Movements
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.lifecycle import ManagedNode
+from tpgmm_ros.runtime.local_topics import publish_value, receive_values
 from tpgmm_ros.runtime.monitor import Monitor
 from tpgmm_ros.runtime.parameters import Declared, Parameters, declared_of
 from tpgmm_ros.runtime.timing import loop_clock
@@ -92,12 +98,12 @@ class ReproductionNode(ManagedNode):
         self.movements: Movements | None = None
         self.parameters = Parameters(self, PARAMETERS, self._check)
         self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"])
-        self._received: list[tuple[Any, ...]] = []
+        self._received: object = None
         # A tracker that stopped is noticed by a clock that does not stop.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._received_ns = 0
         self._done_ns: dict[str, int] = {}
-        self._sent: ReferenceMessage | None = None
+        self._sent: StampedReference | None = None
         self._scene = Scene()
         self._barrier: Barrier[int] | None = None
         if rate := self.parameters["lockstep_rate"]:
@@ -121,13 +127,16 @@ class ReproductionNode(ManagedNode):
             self.task = Task.load(self.parameters.file("task_file"))
             model_file = self.parameters["model_file"]
             model = load_task_model(model_file, self.task) if model_file else None
-            self._dimensions = state_dimensions(self.task)
+            joints, self._dimensions = self.task.space.joints(), self.task.space.state_dimensions()
         except (ValueError, OSError) as error:
             return self.refuse(error)
         self._references = self.create_lifecycle_publisher(ReferenceMessage, "reference", STREAM)
         self._reference_poses = self.create_lifecycle_publisher(PoseWithCovarianceStamped, "reference_pose", STREAM)
         self._markers = self.create_lifecycle_publisher(MarkerArray, "markers", STREAM)
-        self.create_subscription(TaskParameters, "task_parameters", self._take_task_parameters, LATCHED)
+        task_parameters = self.create_subscription(
+            TaskParameters, "task_parameters", self._take_task_parameters, LATCHED
+        )
+        receive_values(task_parameters, self._take_tracked_frames)
         self.create_subscription(PoseStamped, self.task.movement, self._take_pose, STREAM)
         if self.parameters["rate"] > 0.0:
             self.create_timer(
@@ -135,20 +144,19 @@ class ReproductionNode(ManagedNode):
                 lambda: self._step(self.get_clock().now().nanoseconds),
                 clock=loop_clock(self),
             )
-        kinematic = self.task.kinematic
         self._joint_states = JointStateStream(
             self,
-            "joint_states" if kinematic is None else kinematic.joint_states,
+            self.task.space.joint_states,
             self._take_joint_state,
-            None if kinematic is None else self._dimensions,
-            () if kinematic is None else ("position",),
+            joints or None,
+            ("position",),
             self.parameters[SPREAD.name],
             lambda: self.parameters[MAX_FUTURE.name],
         )
         self.movements = Movements(
             self, self.task, model, self.parameters, self._joint_states.why_silent, ControllerWords(self)
         )
-        self._received = []
+        self._received = None
         self.create_timer(WATCH_PERIOD, self.movements.watch, clock=self._steady)
         return TransitionCallbackReturn.SUCCESS
 
@@ -172,61 +180,74 @@ class ReproductionNode(ManagedNode):
     # -- inputs -------------------------------------------------------------------------------------------------------
 
     def _take_task_parameters(self, message: TaskParameters) -> None:
-        self._received_ns = self._steady.now().nanoseconds
-        self._take_frames(message)
-        if self._barrier is not None:
-            self._barrier.came("task_parameters", conversions.time_to_ns(message.header.stamp))
-
-    def _take_frames(self, message: TaskParameters) -> None:
-        # The same frames again, only observed later, are no change: the reproduction need not adapt to them anew.
+        """What a tracker in another process says."""
         received = [(item.name, item.status, item.confidence, item.a, item.b) for item in message.frames]
-        if received == self._received:
-            return
-        try:
-            known = known_frames(conversions.task_parameters(message))
-        except ValueError as error:
-            self.get_logger().error(f"task parameters refused: {error}", throttle_duration_sec=1.0)
-            return
-        self._received = received
-        if self.movements is not None:
-            self.movements.take_frames(known)
+        stamp_ns = conversions.time_to_ns(message.header.stamp)
+        self._take_frames(received, lambda: conversions.task_parameters(message), stamp_ns)
+
+    def _take_tracked_frames(self, item: StampedFrames) -> None:
+        """What a tracker in this process says."""
+        received = [
+            (frame.name, frame.status, frame.confidence, None if frame.pose is None else frame.pose.tolist())
+            for frame in item.frames
+        ]
+        self._take_frames(received, item.states, item.stamp_ns)
+
+    def _take_frames(self, received: object, states: Callable[[], dict[str, TaskFrameState]], stamp_ns: int) -> None:
+        self._received_ns = self._steady.now().nanoseconds
+        # The same frames again, only observed later, are no change: the reproduction need not adapt to them anew.
+        if received != self._received:
+            try:
+                known = known_frames(states())
+            except ValueError as error:
+                self.get_logger().error(f"task parameters refused: {error}", throttle_duration_sec=1.0)
+            else:
+                self._received = received
+                if self.movements is not None:
+                    self.movements.take_frames(known)
+        if self._barrier is not None:
+            self._barrier.came("task_parameters", stamp_ns)
 
     def _take_joint_state(self, heard: Heard) -> None:
-        if self.task.kinematic is not None and self.movements is not None:
-            self.movements.state = heard.values[0]
+        for positions in heard.values:  # none where no joint is known
+            self._take_state(self.task.space.of_joints(positions))
         if self.parameters["rate"] > 0.0:  # a timer gives the beat
             return
         if self._barrier is not None:
             self._barrier.take(heard.stamp_ns, heard.stamp_ns)
         elif heard.kind is not Stamp.REPEATED:
             self._step(heard.stamp_ns)
-        elif self._sent is not None and conversions.time_to_ns(self._sent.header.stamp) == heard.stamp_ns:
+        elif self._sent is not None and self._sent.stamp_ns == heard.stamp_ns:
             self._send(self._sent)  # it comes again, since an answer was lost
 
     def _take_pose(self, message: PoseStamped) -> None:
         pose, reason = check_pose(conversions.pose_to_array(message.pose))
         if pose is None:
             self.get_logger().error(f"pose of the robot refused: {reason}", throttle_duration_sec=1.0)
-        elif self.movements is not None and self.task.kinematic is None:
-            self.movements.state = pose
+        else:
+            self._take_state(self.task.space.of_pose(pose))
         if self._barrier is not None:
             self._barrier.came("pose", conversions.time_to_ns(message.header.stamp))
+
+    def _take_state(self, state: Array | None) -> None:
+        if state is not None and self.movements is not None:
+            self.movements.state = state
 
     # -- one step -----------------------------------------------------------------------------------------------------
 
     def _answer(self, stamp_ns: int) -> None:
         """In lockstep, each state has an answer, and the same one however often it comes."""
-        if self._sent is None or conversions.time_to_ns(self._sent.header.stamp) != stamp_ns:
+        if self._sent is None or self._sent.stamp_ns != stamp_ns:
             self._sent = None
             self._step(stamp_ns)
             if self._sent is None:
-                self._send(no_reference(stamp_ns, self.task.base_frame))
+                self._send(StampedReference(None, stamp_ns, self.task.base_frame))
         else:
             self._send(self._sent)
 
-    def _send(self, message: ReferenceMessage) -> None:
-        self._sent = message
-        self._references.publish(message)
+    def _send(self, reference: StampedReference) -> None:
+        self._sent = reference
+        publish_value(self._references, reference, StampedReference.message)
 
     def _step(self, stamp_ns: int) -> None:
         if self.movements is None or self.movements.execution is None:
@@ -238,7 +259,8 @@ class ReproductionNode(ManagedNode):
         if reference is None:
             self._hide(stamp_ns)
             return
-        self._send(conversions.reference_message(reference, self._dimensions, stamp_ns, self.task.base_frame))
+        named = replace(reference, dimensions=self._dimensions)
+        self._send(StampedReference(named, stamp_ns, self.task.base_frame))
         self.monitor.done += 1
         self.monitor.step.add(time.perf_counter() - start)
         self._show(stamp_ns, self.movements, reference)
@@ -248,7 +270,7 @@ class ReproductionNode(ManagedNode):
         frame_id = self.task.base_frame
         if self._is_due("feedback", stamp_ns, FEEDBACK_PERIOD_NS):
             movements.goals.tell(reference.phase, reference.frames)
-        if self.task.kinematic is not None:  # no poses, and no Gaussians of poses to be shown
+        if reference.gaussian.manifold != POSE:  # what is shown are poses, and Gaussians of poses
             return
         if self._is_due("pose", stamp_ns, POSE_PERIOD_NS):
             self._reference_poses.publish(conversions.pose_with_covariance(reference.gaussian, stamp_ns, frame_id))

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
+from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import one_line
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.robot_check import suspicions, workspace
 from tpgmm_core.geometry.quaternion import roll_pitch_yaw
 from tpgmm_core.robot.description import RobotFileError
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_ros.programs.reporting import format_table
 
 JOINT_HEADER = ("joint", "groups", "lower", "upper", "home", "velocity", "effort", "carries", "viscous", "coulomb")
 UNITS = """\

@@ -14,15 +14,15 @@ from tqdm import tqdm
 
 from tpgmm_core import TPGMM
 from tpgmm_core.common.old_names import current_name
+from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import one_line
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_core.retrieval.recipe import Recipe
-from tpgmm_ros.models.kinematic_recipe import METHOD, KinematicRecipe
 from tpgmm_ros.models.validation import Fold, PathErrors, cross_validate, mean_errors
-from tpgmm_ros.programs.reporting import format_table, write_report
+from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings
 from tpgmm_ros.runtime.entry import INTERRUPTED
-from tpgmm_ros.task.task_file import DIMENSIONS, MANIFOLD, Task
+from tpgmm_ros.task.task_file import Task
 
 EXAMPLES = """\
 examples:
@@ -87,7 +87,6 @@ def _run(options: argparse.Namespace, report: dict[str, Any]) -> None:
     training = _train(task, recipe, recordings)
     _summarize(training, task, report)
     if options.leave_one_out:
-        assert isinstance(recipe, Recipe)  # `_recipe` refused the others
         report["leave_one_out"] = _validate(task, recipe, recordings)
     if options.output is not None:
         options.output.parent.mkdir(parents=True, exist_ok=True)
@@ -124,23 +123,18 @@ def _read(options: argparse.Namespace, task: Task, report: dict[str, Any]) -> li
     return good
 
 
-def _recipe(task: Task, options: argparse.Namespace) -> Recipe | KinematicRecipe:
+def _recipe(task: Task, options: argparse.Namespace) -> Recipe:
     settings = dict(task.model)
     if options.components is not None:
         settings["n_components"] = options.components
     if options.seed is not None:
         settings["random_state"] = options.seed
-    if task.kinematic is None:
-        return Recipe.of(settings, options.retrieval)
-    for option in ("retrieval", "leave_one_out"):
-        if getattr(options, option):
-            raise TrainingError(
-                f"--{option.replace('_', '-')} is for models of poses; the task {task.name!r} names kinematic frames"
-            )
-    return KinematicRecipe(task.kinematic, settings)
+    if options.leave_one_out and task.space.joints():
+        raise TrainingError(f"--leave-one-out compares paths of poses; task {task.name!r} is over joints: leave it out")
+    return task.space.recipe(settings, options.retrieval)
 
 
-def _train(task: Task, recipe: Recipe | KinematicRecipe, recordings: list[Recording]) -> Training:
+def _train(task: Task, recipe: Recipe, recordings: list[Recording]) -> Training:
     demonstrations, duration = align(recordings)
     start = time.perf_counter()
     with _bar(total=recipe.max_iter, desc="EM", unit="iteration") as bar:
@@ -149,10 +143,7 @@ def _train(task: Task, recipe: Recipe | KinematicRecipe, recordings: list[Record
             bar.set_postfix_str(f"log-likelihood {log_likelihood:.4f}", refresh=False)
             bar.update()
 
-        if isinstance(recipe, KinematicRecipe):
-            model, method = recipe.learn(recordings, duration, progress), METHOD
-        else:
-            model, method = recipe.learn(demonstrations, MANIFOLD, DIMENSIONS, progress), recipe.method.name
+        model = recipe.learn(demonstrations, task.space.manifold(), task.space.dimensions(), progress)
     elapsed = time.perf_counter() - start
     if not np.isfinite(model.log_likelihood_):
         raise TrainingError(
@@ -166,7 +157,7 @@ def _train(task: Task, recipe: Recipe | KinematicRecipe, recordings: list[Record
         "demonstrations": len(recordings),
         "samples": sum(len(recording.times) for recording in recordings),
     }
-    return Training(model, method, recordings, duration, elapsed)
+    return Training(model, recipe.method.name, recordings, duration, elapsed)
 
 
 def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
@@ -202,10 +193,10 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
 
 
 def _validate(task: Task, recipe: Recipe, recordings: list[Recording]) -> dict[str, Any]:
-    anchor = list(task.topics or task.frames)[-1]
+    anchor, space = list(task.topics or task.frames)[-1], task.space.manifold()
     folds: list[Fold] = []
     with _bar(total=len(recordings), desc="leave one out", unit="demonstration") as bar:
-        for fold in cross_validate(recordings, lambda demonstrations: recipe.learn(demonstrations, MANIFOLD), anchor):
+        for fold in cross_validate(recordings, lambda demonstrations: recipe.learn(demonstrations, space), anchor):
             folds.append(fold)
             bar.update()
     mean = mean_errors([fold.model for fold in folds])

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tpgmm_core.common.safe_yaml import YamlError, load_yaml
+from tpgmm_core.common.safe_yaml import YamlError
+from tpgmm_core.common.yaml_sections import Section, a_quaternion, numbers
 from tpgmm_ros.recordings.bag_messages import Array, BagError, checked_poses, read_messages
 from tpgmm_ros.task.task_file import PoseArraySpec
-from tpgmm_ros.task.yaml_sections import Section, a_quaternion, numbers
 
 POSE_ARRAY = "geometry_msgs/msg/PoseArray"
 
@@ -25,9 +25,11 @@ def read_pose_array(
 ) -> tuple[Array, dict[str, Array]]:
     """Poses (T, 7) of the movement that a bag holds, and those (7,) of the frames that the file holds for this bag.
 
-    Raises:
-        BagError: the bag cannot be read, does not hold one PoseArray with good poses in `base_frame`, or the file of
-            frames does not tell each frame of this bag.
+    Raises
+    ------
+    BagError
+        the bag cannot be read, does not hold one PoseArray with good poses in `base_frame`, or the file of
+        frames does not tell each frame of this bag.
     """
     found = read_messages(path, [spec.pose_array], POSE_ARRAY)[spec.pose_array]
     if len(found.messages) != 1:
@@ -46,7 +48,7 @@ def read_pose_array(
 def _places(path: Path, file_name: str, frames: Iterable[str]) -> dict[str, Array]:
     file = path.parent / file_name
     try:
-        bag = Section(str(file), "", load_yaml(file, "the frames of each bag")).section(path.name)
+        bag = Section.load(file, "the frames of each bag").section(path.name)
         places = {}
         for name in frames:
             pose = bag.section(name)

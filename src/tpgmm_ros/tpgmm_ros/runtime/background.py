@@ -9,6 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from rclpy.node import Node
 
+from tpgmm_ros.runtime.composition import guarded
 from tpgmm_ros.runtime.scheduling import yield_realtime
 
 _SWITCH_INTERVAL = 2e-4
@@ -18,7 +19,10 @@ _SWITCH_INTERVAL = 2e-4
 class Background:
     """One thread that does what it is given, one after the other, for a node.
 
-    node : its executor calls back
+    Parameters
+    ----------
+    node
+        its executor calls back
     """
 
     def __init__(self, node: Node) -> None:
@@ -38,7 +42,7 @@ class Background:
         def hand_over(job: Future[ResultT]) -> None:
             executor = self._node.executor
             if executor is not None:
-                executor.create_task(finish, job)
+                executor.create_task(guarded(self._node, finish), job)
 
         self._pool.submit(work).add_done_callback(hand_over)
 

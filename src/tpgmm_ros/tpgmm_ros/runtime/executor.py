@@ -10,12 +10,14 @@ import os
 import signal
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.executors import Executor
 from rclpy.experimental import EventsExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
@@ -23,13 +25,24 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from tpgmm_core.common.text import one_line
+from tpgmm_ros.runtime.composition import Member, composed
 from tpgmm_ros.runtime.parameters import Declared
 from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
-from tpgmm_ros.runtime.scheduling import request_realtime
+from tpgmm_ros.runtime.scheduling import cores_of, lock_memory, request_realtime, run_on
 
-REALTIME = Declared(
-    "realtime_priority", 0, "Run ahead of ordinary programs (SCHED_FIFO), 1 to 99; 0: as one of them", 0, 99, fixed=True
-)
+#: Of every process: nodes that share one agree on them, or the most that one of them asks for is done.
+PROCESS = [
+    Declared(
+        "realtime_priority",
+        0,
+        "Run ahead of ordinary programs (SCHED_FIFO), 1 to 99; 0: as one of them",
+        0,
+        99,
+        fixed=True,
+    ),
+    Declared("cpu_cores", "", "Cores to run on, such as 2-3; empty: all", fixed=True),
+    Declared("lock_memory", False, "Keep the memory of the process from being paged out", fixed=True),
+]
 
 
 class StopFlag:
@@ -58,11 +71,15 @@ def init(args: list[str]) -> None:
     A robot's controller that does not come up since a disk is full would be worse than one without a log file: what it
     has to say is still on the terminal and on /rosout.
 
-    Args:
-        args: command line with arguments of ROS.
+    Parameters
+    ----------
+    args
+        command line with arguments of ROS
 
-    Raises:
-        StartError: arguments that ROS does not take, or an environment that it cannot start in.
+    Raises
+    ------
+    StartError
+        arguments that ROS does not take, or an environment that it cannot start in.
     """
     if reason := _no_log_file():
         args = [*args, "--ros-args", "--disable-external-lib-logs"]
@@ -88,7 +105,7 @@ def _no_log_file() -> str:
         return one_line(f"{directory}: {getattr(error, 'strerror', None) or error}", 300)
 
 
-def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
+def run(node_class: Callable[[], Node], args: list[str] | None = None) -> int:
     """Create a node, serve it until it is told to stop, and end it. Returns the process's exit status.
 
     A node with a ``loop(executor, stop)`` method is given the thread; any other one answers events.
@@ -96,50 +113,111 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     that says why; arguments that are not ROS's end with 2.
     """
     args = sys.argv if args is None else args
-    _parser(make_node).parse_args(remove_ros_args(args)[1:])
+    _parser(node_class).parse_args(remove_ros_args(args)[1:])
+    return serve([node_class], args)
+
+
+def run_together(classes: Sequence[type[Node]], args: list[str]) -> int:
+    """The same for nodes that share this process (see `composition.composed`).
+
+    What one of them raises ends that one alone. The status is 1 then, once the others have been told to stop.
+    """
+    return serve(composed(classes), args)
+
+
+def serve(classes: Sequence[Callable[[], Node]], args: list[str]) -> int:
+    """Create nodes, serve them until they are told to stop, and end them. Returns the exit status, as `run` does."""
     try:
         init(args)
     except StartError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     stop = StopFlag()
+    nodes: list[Node] = []
     try:
-        node = make_node()
+        for node_class in classes:
+            nodes.append(node_class())
+        loops = [node for node in nodes if hasattr(node, "loop")]
+        if len(loops) > 1:
+            names = " and ".join(node.get_name() for node in loops)
+            raise ValueError(f"{names} cannot share a process: each of them makes time go on")
+        _prepare_process(nodes)
     except (ValueError, OSError, InvalidParameterValueException, InvalidParameterTypeException) as error:
         print(f"error: {one_line(error)}", file=sys.stderr)
-        rclpy.shutdown()
+        _end(nodes)
         return 1
     # The executor's spin() never calls back in the Jazzy wheels; spin_once() in a loop does, and ends with the flag.
     executor = EventsExecutor()
-    executor.add_node(node)
-    priority = node.declare_parameter(REALTIME.name, REALTIME.default, REALTIME.descriptor()).value
-    if priority and (refusal := request_realtime(priority)):
-        node.get_logger().warning(f"no real-time priority: {refusal}")
+    for node in nodes:
+        executor.add_node(node)
+    try:
+        for node in loops:
+            _loop(node, executor, stop)
+        while not stop.set and not all(map(_failed, nodes)):
+            executor.spin_once(timeout_sec=0.1)
+    finally:
+        for node in nodes:
+            if not _failed(node):
+                executor.remove_node(node)
+        _end(nodes)
+    return int(any(map(_failed, nodes)))
+
+
+def _loop(node: Any, executor: Executor, stop: StopFlag) -> None:
+    """Give a node the thread. Where others share it, what it raises is the end of this node alone."""
+    try:
+        node.loop(executor, stop)
+    except Exception as error:
+        if not isinstance(node, Member):
+            raise
+        node.fail(error)
+
+
+def _failed(node: Node) -> bool:
+    return isinstance(node, Member) and node.failure is not None
+
+
+def _end(nodes: Sequence[Node]) -> None:
+    """End nodes in the order of the data: who reads goes on as long as somebody writes."""
+    for node in nodes:
+        node.destroy_node()
+    rclpy.shutdown()
+
+
+def _prepare_process(nodes: Sequence[Node]) -> None:
+    """What a loop needs of its process. Raises ValueError for cores that there are not."""
+    given = [
+        [node.declare_parameter(item.name, item.default, item.descriptor()).value for item in PROCESS] for node in nodes
+    ]
+    priorities, cores, locks = zip(*given, strict=True)
+    refusals = []
+    if chosen := set[int]().union(*map(cores_of, cores)):
+        run_on(chosen)
     # What start-up made stays for good; without this, each full collection walks through all of it.
     gc.collect()
     gc.freeze()
-    try:
-        loop = getattr(node, "loop", None)
-        if loop is not None:
-            loop(executor, stop)
-        else:
-            while not stop.set:
-                executor.spin_once(timeout_sec=0.1)
-    finally:
-        executor.remove_node(node)
-        node.destroy_node()
-        rclpy.shutdown()
-    return 0
+    if any(locks) and (refusal := lock_memory()):
+        refusals.append(f"memory is not locked: {refusal}")
+    if max(priorities) and (refusal := request_realtime(max(priorities))):
+        refusals.append(f"no real-time priority: {refusal}")
+    for text in refusals:
+        nodes[0].get_logger().warning(text)
 
 
 def _parser(make_node: Callable[[], Node]) -> argparse.ArgumentParser:
     """`--help` of a node: what it is for, and its parameters. It takes no other argument than those of ROS."""
     module = inspect.getmodule(make_node)
-    text = [inspect.getdoc(module) or "", "", "parameters (--ros-args -p NAME:=VALUE):"]
-    text += [f"  {item.name}: {item.help()}" for item in [*getattr(module, "PARAMETERS", ()), REALTIME]]
     return argparse.ArgumentParser(
-        prog=make_node.__module__.rpartition(".")[2].removesuffix("_node"),
+        prog=make_node.__module__.rpartition(".")[2],
         usage="%(prog)s [-h] [--ros-args ...]",
-        description="\n".join(text),
+        description="\n".join(
+            [inspect.getdoc(module) or "", "", *parameter_help([*getattr(module, "PARAMETERS", ())])]
+        ),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+
+
+def parameter_help(declared: Sequence[Declared]) -> list[str]:
+    """Lines of `--help` on the parameters of a node, with those that every process has."""
+    lines = [f"  {item.name}: {item.help()}" for item in [*declared, *PROCESS]]
+    return ["parameters (--ros-args -p NAME:=VALUE):", *lines]

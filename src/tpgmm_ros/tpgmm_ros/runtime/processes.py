@@ -9,16 +9,23 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import rclpy
+from domain_coordinator import domain_id
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import Executor
+from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.task import Future
+
+from tpgmm_ros.runtime.executor import init
 
 #: For nodes that run in real time, so that what else the machine does costs no ticks; where it is not permitted, the
 #: nodes say so in their logs and go on.
@@ -26,6 +33,10 @@ REALTIME_PRIORITY = 20
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _LIBC = ctypes.CDLL(None)  # looked up here: between fork and exec there is no time for it
+
+
+type Value = bool | float | str | Path
+"""Of a parameter."""
 
 
 class GraphError(RuntimeError):
@@ -48,9 +59,12 @@ def end_with_parent() -> None:
 class NodeProcesses:
     """Starts node processes and ends every one of them, whatever happens in between.
 
-    Args:
-        log_directory: one log file per node is written here; the end of it is shown when a node fails.
-        environment: further environment variables, such as ROS_DOMAIN_ID.
+    Parameters
+    ----------
+    log_directory
+        one log file per node is written here; the end of it is shown when a node fails
+    environment
+        further environment variables, such as ROS_DOMAIN_ID
     """
 
     def __init__(self, log_directory: Path, environment: Mapping[str, str] | None = None) -> None:
@@ -58,16 +72,37 @@ class NodeProcesses:
         log_directory.mkdir(parents=True, exist_ok=True)
         self._environment = {**os.environ, **(environment or {})}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._shared: dict[str, str] = {}  # node -> the process that it shares
 
-    def start(self, executable: str, **parameters: bool | float | str | Path) -> None:
+    def start(self, executable: str, **parameters: Value) -> None:
         """Start ``executable`` (a node of this package) with parameters."""
-        command = [sys.executable, "-m", f"tpgmm_ros.nodes.{executable}", "--ros-args"]
-        for key, value in parameters.items():
-            text = str(value).lower() if isinstance(value, bool) else str(value)
-            command += ["-p", f"{key}:={text}"]
-        with (self.log_directory / f"{executable}.log").open("wb") as log:
+        self._start(executable, [f"tpgmm_ros.nodes.{executable}"], _given(parameters))
+
+    def start_all(self, name: str, nodes: Mapping[str, Mapping[str, Value]], together: bool = True) -> None:
+        """Start nodes, each with parameters, named in the order of the data.
+
+        Parameters
+        ----------
+        name : str
+            Of the process that they share.
+        nodes : mapping
+            Executable -> its parameters.
+        together : bool
+            False: each of them in a process of its own.
+        """
+        if not together:
+            for node, parameters in nodes.items():
+                self.start(node, **parameters)
+            return
+        given = [item for node, parameters in nodes.items() for item in _given(parameters, f"{node}:")]
+        self._start(name, ["tpgmm_ros.programs.compose", *nodes], given)
+        self._shared |= dict.fromkeys(nodes, name)
+
+    def _start(self, name: str, module: Sequence[str], parameters: Sequence[str]) -> None:
+        command = [sys.executable, "-m", *module, "--ros-args", *parameters]
+        with (self.log_directory / f"{name}.log").open("wb") as log:
             # A session of its own: the terminal's Ctrl-C reaches this program only, which then ends the nodes in order.
-            self._processes[executable] = subprocess.Popen(
+            self._processes[name] = subprocess.Popen(
                 command,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -84,8 +119,8 @@ class NodeProcesses:
                 raise GraphError(f"{name} ended with status {status}; the end of its log:\n{self.log_tail(name)}")
 
     def pid(self, name: str) -> int:
-        """Process id of a node that was started."""
-        return self._processes[name].pid
+        """Process id of a node that was started, or of the process that it shares."""
+        return self._processes[self._shared.get(name, name)].pid
 
     def kill(self, name: str) -> None:
         """End a node as a crash would, by SIGKILL; it may be started again."""
@@ -94,7 +129,8 @@ class NodeProcesses:
         process.wait()
 
     def log_tail(self, name: str, lines: int = 15) -> str:
-        text = (self.log_directory / f"{name}.log").read_text(errors="replace")
+        """The end of what a node, or the process that it shares, has written."""
+        text = (self.log_directory / f"{self._shared.get(name, name)}.log").read_text(errors="replace")
         return "\n".join(text.splitlines()[-lines:])
 
     def stop(self, timeout: float = 5.0) -> None:
@@ -120,13 +156,26 @@ class NodeProcesses:
         self.stop()
 
 
+def _given(parameters: Mapping[str, Value], node: str = "") -> list[str]:
+    """Parameters as arguments of ROS."""
+    arguments = []
+    for key, value in parameters.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        arguments += ["-p", f"{node}{key}:={text}"]
+    return arguments
+
+
 class Graph:
     """What a program needs to deal with running nodes: wait for conditions, call services, bring nodes up.
 
-    Args:
-        node: the program's own node.
-        executor: the executor that serves it.
-        processes: checked while waiting, so that a node that died ends the waiting at once.
+    Parameters
+    ----------
+    node
+        the program's own node
+    executor
+        the executor that serves it
+    processes
+        checked while waiting, so that a node that died ends the waiting at once
     """
 
     def __init__(self, node: Node, executor: Executor, processes: NodeProcesses) -> None:
@@ -137,9 +186,12 @@ class Graph:
     def wait_for(self, condition: Callable[[], bool], timeout: float, what: str) -> None:
         """Serve the node until ``condition()`` holds.
 
-        Raises:
-            GraphTimeoutError: it does not within ``timeout`` seconds of steady time.
-            GraphError: a process ended.
+        Raises
+        ------
+        GraphTimeoutError
+            it does not within ``timeout`` seconds of steady time.
+        GraphError
+            a process ended.
         """
         deadline = time.monotonic() + timeout
         while not condition():
@@ -151,15 +203,23 @@ class Graph:
                 )
 
     def result(self, future: Future, timeout: float, what: str) -> Any:
-        """What a future (of a service or an action) comes to. Raises GraphError like `wait_for`."""
+        """What a future (of a service or an action) comes to.
+
+        Raises
+        ------
+        GraphError
+            like `wait_for`
+        """
         self.wait_for(future.done, timeout, what)
         return future.result()
 
     def bring_up(self, name: str, timeout: float = 30.0) -> None:
         """Configure and activate a lifecycle node.
 
-        Raises:
-            GraphError: it does not appear, or refuses.
+        Raises
+        ------
+        GraphError
+            it does not appear, or refuses.
         """
         client = self.node.create_client(ChangeState, f"{name}/change_state")
         self.wait_for(client.service_is_ready, timeout, f"{name} to appear")
@@ -171,3 +231,43 @@ class Graph:
             if not self.result(client.call_async(request), timeout, f"{name} to {label}").success:
                 raise GraphError(f"{name} refused to {label}; the end of its log:\n{self.processes.log_tail(name)}")
         self.node.destroy_client(client)
+
+
+@contextmanager
+def own_domain(domain: int | None = None, ros_log: Path | None = None) -> Iterator[None]:
+    """rclpy on a ROS domain that nobody else on this machine uses, and that no other machine sees.
+
+    Args:
+        domain: in place of a free one, for those who want to watch.
+        ros_log: directory of the log files that ROS writes; where it usually writes them without.
+    """
+    with ExitStack() as stack:
+        if domain is None:
+            domain = stack.enter_context(domain_id())
+            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        os.environ["ROS_DOMAIN_ID"] = str(domain)
+        if ros_log is not None:
+            os.environ["ROS_LOG_DIR"] = str(ros_log)
+        init([])
+        stack.callback(rclpy.try_shutdown)
+        yield
+
+
+@contextmanager
+def open_graph(name: str, log_directory: Path, use_sim_time: bool = False) -> Iterator[Graph]:
+    """A program's own node, and processes that end with it, within `own_domain`.
+
+    Args:
+        name: of the node.
+        log_directory: see `NodeProcesses`.
+        use_sim_time: whether the node's clock is the simulated one.
+    """
+    node = Node(name, parameter_overrides=[Parameter("use_sim_time", value=use_sim_time)])
+    executor = EventsExecutor()
+    executor.add_node(node)
+    try:
+        with NodeProcesses(log_directory) as processes:
+            yield Graph(node, executor, processes)
+    finally:
+        executor.remove_node(node)
+        node.destroy_node()

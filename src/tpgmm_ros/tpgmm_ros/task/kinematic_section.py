@@ -22,21 +22,30 @@ The model is then over configurations, and its frames are those of `tpgmm_core.k
 from __future__ import annotations
 
 import functools
+import inspect
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+from tpgmm_core import TPGMM
 from tpgmm_core.common.text import listed, shown
+from tpgmm_core.common.types import Array
+from tpgmm_core.common.yaml_sections import Section, a_choice, a_name, a_number, a_topic
+from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.kinematics.frames import JointSpace, KinematicFrame, NullSpace, PreviousConfiguration
 from tpgmm_core.kinematics.hierarchy import Level, hierarchy_frames, level_names
 from tpgmm_core.kinematics.inverse import THRESHOLD
+from tpgmm_core.kinematics.method import NAME, KinematicEncoding, KinematicMethod
 from tpgmm_core.kinematics.moving import MovingFrames
 from tpgmm_core.kinematics.tasks import KinematicTask
 from tpgmm_core.kinematics.urdf import UrdfKinematics
+from tpgmm_core.retrieval.encodings import Encoding
+from tpgmm_core.retrieval.methods import RetrievalMethod
+from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_ros.task.yaml_sections import Section, a_choice, a_name, a_number, a_topic
+from tpgmm_ros.task.state_space import DIMENSIONS, MANIFOLD
 
 PREVIOUS = "previous"
 """Name of the frame about the step before, which every such model has: it damps the steps."""
@@ -44,11 +53,11 @@ PREVIOUS = "previous"
 
 @dataclass(frozen=True, slots=True)
 class KinematicSpec:
-    """What the section says, checked as far as that goes without the robot.
+    """What the section says, checked as far as that goes without the robot: states are configurations (`StateSpace`).
 
     Attributes:
         robot: the robot file.
-        joints: groups of the robot file, or joints by name, in the order of the configuration.
+        joint_groups: groups of the robot file, or joints by name, in the order of the configuration.
         joint_states: relative topic of the JointState.
         objects: names of the task's frames.
         tasks: name → task.
@@ -59,7 +68,7 @@ class KinematicSpec:
     """
 
     robot: Path
-    joints: tuple[str, ...]
+    joint_groups: tuple[str, ...]
     joint_states: str
     objects: frozenset[str]
     tasks: dict[str, KinematicTask]
@@ -72,14 +81,16 @@ class KinematicSpec:
     def of(cls, section: Section, objects: Collection[str]) -> KinematicSpec:
         """Read the section; `objects` are the frames of the task.
 
-        Raises:
-            YamlError: anything that does not describe kinematic frames.
+        Raises
+        ------
+        YamlError
+            anything that does not describe kinematic frames.
         """
         section.refuse_others("robot", "joints", "joint_states", "tasks", "hierarchies", "postures", "threshold")
         tasks, aims = _tasks(section.section("tasks"), objects)
         return cls(
             robot=Path(section.source).parent / section.required("robot", _path),
-            joints=section.required("joints", _names),
+            joint_groups=section.required("joints", _names),
             joint_states=section.required("joint_states", a_topic)
             if "joint_states" in section.values
             else "joint_states",
@@ -91,6 +102,13 @@ class KinematicSpec:
             threshold=section.required("threshold", a_number(1e-6)) if "threshold" in section.values else THRESHOLD,
         )
 
+    needs_state: ClassVar[bool] = True
+
+    @property
+    def frame_names(self) -> Collection[str]:
+        """Those of the candidates."""
+        return self.candidates
+
     @property
     def description(self) -> str:
         """What the frames of a model mean, as text: models are for the tasks that they were learned from."""
@@ -99,7 +117,7 @@ class KinematicSpec:
             for name, task in self.tasks.items()
         }
         levels = {name: list(hierarchy) for name, hierarchy in self.hierarchies.items()}
-        return json.dumps([self.joints, tasks, levels, self.postures, self.threshold])
+        return json.dumps([self.joint_groups, tasks, levels, self.postures, self.threshold])
 
     @property
     def candidates(self) -> dict[str, KinematicFrame]:
@@ -121,16 +139,57 @@ class KinematicSpec:
                     names.append(name)
         return names
 
-    def joint_names(self) -> tuple[str, ...]:
-        """The joints of a configuration. Raises ValueError and OSError like `frames`."""
+    def joints(self) -> tuple[str, ...]:
         return self._kinematics().joint_names
+
+    def manifold(self) -> Manifold:
+        return Manifold.parse(f"{MANIFOLD} x R{len(self.joints())}")
+
+    def dimensions(self) -> tuple[str, ...]:
+        return (*DIMENSIONS, *self.joints())
+
+    def state_dimensions(self) -> tuple[str, ...]:
+        return self.joints()
+
+    def of_pose(self, pose: Array) -> Array | None:
+        return None
+
+    def of_joints(self, positions: Array) -> Array | None:
+        return positions
+
+    def takes(self, setting: str) -> bool:
+        # one method leads from such models to movements, and it needs the covariances as they are
+        return setting in inspect.signature(TPGMM).parameters and setting != "covariance"
+
+    def recipe(self, settings: Mapping[str, Any], method: str | None = None) -> Recipe:
+        """With one component (the default) the model is about moments; with more it is over time."""
+        arguments = {"n_components": 1, **settings}
+        return Recipe(self.method(method), self._encoding(arguments["n_components"] > 1), arguments)
+
+    def encoding_of(self, model: TPGMM) -> Encoding:
+        self.method(None).check(model)
+        return self._encoding((model.dimensions_ or ("",))[0] == "time")
+
+    def method(self, name: str | None) -> RetrievalMethod:
+        if name not in (None, NAME):
+            raise ValueError(
+                f"a model of kinematic frames is reproduced by one method, {NAME}; got {shown(name)}: leave retrieval "
+                "empty"
+            )
+        return KinematicMethod.of(self.frames, self.description)
+
+    def _encoding(self, over_time: bool) -> KinematicEncoding:
+        return KinematicEncoding(frames=self.frames, text=self.description, aims=self.aiming, over_time=over_time)
 
     def frames(self) -> MovingFrames:
         """The candidates on the robot, for one user.
 
-        Raises:
-            ValueError: the robot file is none, or the robot has no such joints or points.
-            OSError: it cannot be read.
+        Raises
+        ------
+        ValueError
+            the robot file is none, or the robot has no such joints or points.
+        OSError
+            it cannot be read.
         """
         return MovingFrames(self._kinematics(), self.candidates, self.threshold)
 
@@ -144,7 +203,7 @@ class KinematicSpec:
                 f"({', '.join(sorted(self.objects))}) or another end point of the robot ({', '.join(robot.endpoints)})"
             )
         points = {task.point for task in self.tasks.values()} | (observers - self.objects)
-        return UrdfKinematics(robot, self.joints, sorted(points))
+        return UrdfKinematics(robot, self.joint_groups, sorted(points))
 
 
 @functools.lru_cache(maxsize=4)

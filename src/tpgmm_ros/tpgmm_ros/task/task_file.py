@@ -15,24 +15,16 @@
 Reading a task file executes nothing and needs no ROS.
 """
 
-import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from tpgmm_core import TPGMM
 from tpgmm_core.common.old_names import current_name
-from tpgmm_core.common.safe_yaml import YamlError, load_yaml, parse_yaml
+from tpgmm_core.common.safe_yaml import YamlError
 from tpgmm_core.common.settings import configured
 from tpgmm_core.common.text import shown
-from tpgmm_core.learning.covariance.structure import STRUCTURES
-from tpgmm_core.observation.tracking import TrackingConfig
-from tpgmm_core.retrieval.encodings import ENCODINGS
-from tpgmm_core.retrieval.methods import METHODS
-from tpgmm_core.retrieval.recipe import Recipe
-from tpgmm_ros.task.kinematic_section import KinematicSpec
-from tpgmm_ros.task.yaml_sections import (
+from tpgmm_core.common.yaml_sections import (
     Section,
     a_choice,
     a_name,
@@ -43,12 +35,12 @@ from tpgmm_ros.task.yaml_sections import (
     is_name,
     numbers,
 )
-
-MANIFOLD = "R1 x R3 x S3"
-"""What a task file describes: time, position, orientation. 8 ambient numbers, 7 tangent numbers."""
-
-DIMENSIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
-"""Names of the ambient numbers, in their order."""
+from tpgmm_core.learning.covariance.structure import STRUCTURES
+from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_core.retrieval.encodings import ENCODINGS
+from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_ros.task.kinematic_section import KinematicSpec
+from tpgmm_ros.task.state_space import PoseSpace, StateSpace
 
 
 class TaskError(ValueError):
@@ -59,10 +51,14 @@ class TaskError(ValueError):
 class TaskFrameSpec:
     """One task frame: observed on a topic, or fixed in the base frame. Exactly one of the two is set.
 
-    Attributes:
-        name: name of the frame, as in the model.
-        topic: relative topic of its PoseStamped, or None.
-        pose: fixed pose (x, y, z in m, qx, qy, qz, qw, unit quaternion) in the base frame, or None.
+    Attributes
+    ----------
+    name
+        name of the frame, as in the model
+    topic
+        relative topic of its PoseStamped, or None
+    pose
+        fixed pose (x, y, z in m, qx, qy, qz, qw, unit quaternion) in the base frame, or None
     """
 
     name: str
@@ -74,10 +70,14 @@ class TaskFrameSpec:
 class PoseArraySpec:
     """Recordings whose movement is one PoseArray per bag, and whose frames stand in a file.
 
-    Attributes:
-        pose_array: relative topic of the PoseArray.
-        period: time from one pose to the next, s: a PoseArray does not tell.
-        frames: name of the file beside the bags that holds the constant pose of each observed frame in each bag.
+    Attributes
+    ----------
+    pose_array
+        relative topic of the PoseArray
+    period
+        time from one pose to the next, s: a PoseArray does not tell
+    frames
+        name of the file beside the bags that holds the constant pose of each observed frame in each bag
     """
 
     pose_array: str
@@ -98,7 +98,7 @@ class Task:
         tracking: settings of the frame tracker in s; their names and ranges are the tracker's to check.
         model: `retrieval`, options of what it encodes, arguments of its estimator: what `Recipe.of` takes.
         recordings: how demonstrations were recorded where that is not as PoseStamped on the topics above.
-        kinematic: where the model is over configurations of the robot: its frames, and what they are seen from.
+        space: what states are: poses of the end point, or configurations where the file has the part `kinematic`.
     """
 
     name: str
@@ -106,21 +106,22 @@ class Task:
     movement: str
     endpoint: str
     frames: dict[str, TaskFrameSpec]
+    space: StateSpace
     tracking: dict[str, float] = field(default_factory=dict)
     model: dict[str, Any] = field(default_factory=dict)
     recordings: PoseArraySpec | None = None
-    kinematic: KinematicSpec | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> "Task":
         """Read a task file.
 
-        Raises:
-            TaskError: the file is missing, is no YAML, or does not describe a task.
+        Raises
+        ------
+        TaskError
+            the file is missing, is no YAML, or does not describe a task.
         """
-        path = Path(path)
         try:
-            return cls._of(Section(str(path), "", load_yaml(path, "a task file")))
+            return cls._of(Section.load(Path(path), "a task file"))
         except YamlError as error:
             raise TaskError(str(error)) from None
 
@@ -128,11 +129,13 @@ class Task:
     def from_text(cls, text: str, source: str = "task") -> "Task":
         """Read a task from YAML text; `source` is what errors call it.
 
-        Raises:
-            TaskError: the text is no YAML, or does not describe a task.
+        Raises
+        ------
+        TaskError
+            the text is no YAML, or does not describe a task.
         """
         try:
-            return cls._of(Section(source, "", parse_yaml(text, source)))
+            return cls._of(Section.from_text(text, source))
         except YamlError as error:
             raise TaskError(str(error)) from None
 
@@ -142,8 +145,11 @@ class Task:
             "name", "base_frame", "movement", "endpoint", "frames", "kinematic", "recordings", "tracking", "model"
         )
         movement = top.required("movement", a_topic)
-        frames, is_kinematic = _frames(top.section("frames"), movement), "kinematic" in top.values
-        if is_kinematic and "recordings" in top.values:
+        frames = _frames(top.section("frames"), movement)
+        space: StateSpace = PoseSpace(tuple(frames))
+        if "kinematic" in top.values:
+            space = KinematicSpec.of(top.section("kinematic"), frames)
+        if {"kinematic", "recordings"} <= top.values.keys():
             raise top.error("has 'recordings' and 'kinematic'; a PoseArray holds no joints: leave one of them out")
         return cls(
             name=top.required("name", a_name),
@@ -151,10 +157,10 @@ class Task:
             movement=movement,
             endpoint=top.required("endpoint", a_name),
             frames=frames,
+            space=space,
             tracking=_tracking(top.section("tracking", optional=True)),
-            model=_model(top.section("model", optional=True), is_kinematic),
+            model=_model(top.section("model", optional=True), space),
             recordings=_recordings(top.section("recordings")) if "recordings" in top.values else None,
-            kinematic=KinematicSpec.of(top.section("kinematic"), frames) if is_kinematic else None,
         )
 
     @property
@@ -207,7 +213,7 @@ def _tracking(section: Section) -> dict[str, float]:
     return values
 
 
-def _model(section: Section, is_kinematic: bool) -> dict[str, Any]:
+def _model(section: Section, space: StateSpace) -> dict[str, Any]:
     readers: dict[str, Callable[[Any], Any]] = {
         "retrieval": _retrieval_method,
         "n_components": an_integer(1),
@@ -223,13 +229,10 @@ def _model(section: Section, is_kinematic: bool) -> dict[str, Any]:
         "max_duration": an_integer(1),
         **{item.name: a_number() for encoding in ENCODINGS.values() for item in fields(encoding)},
     }
-    if is_kinematic:  # one method leads from such models to movements, and it needs the covariances as they are
-        readers = {key: readers[key] for key in inspect.signature(TPGMM).parameters if key in readers}
-        del readers["covariance"]
-    section.refuse_others(*readers)
+    section.refuse_others(*filter(space.takes, readers))
     values = {key: section.required(key, readers[key]) for key in section.values}
     try:
-        Recipe.of(values)
+        space.recipe(values)
     except ValueError as error:
         raise section.error(f"does not fit together: {error}") from error
     return values

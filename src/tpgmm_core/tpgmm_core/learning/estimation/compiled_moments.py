@@ -11,16 +11,17 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.estimation import kernels_em
-from tpgmm_core.learning.estimation.compiled_em import MixtureParameters, Samples, Workspace
+from tpgmm_core.learning.estimation.compiled_em import MixtureParameters, Workspace
 from tpgmm_core.learning.estimation.emissions import Emissions, Moments
 from tpgmm_core.learning.estimation.kernels_em import EMPTY
+from tpgmm_core.model.samples import Samples
 
 MAX_DIM = 20
 """Most tangent dimensions of a frame for which this is used."""
 
 
 class CompiledMoments:
-    """Holds the samples in the arrangement of `kernels_em`, for one mixture after the other."""
+    """The samples in the arrangement of `kernels_em`, for the moments of any number of mixtures."""
 
     def __init__(self, samples: Samples, priors: Array, emissions: Emissions) -> None:
         self._workspace = Workspace(samples, MixtureParameters(priors, emissions.means, emissions.covariances))
@@ -51,7 +52,7 @@ class CompiledMoments:
         return log_likelihood, w.counts[-1].copy(), {name: self._moments(j) for j, name in enumerate(w.names)}
 
     def _moments(self, j: int) -> Moments:
-        """Of frame j, about its moved means."""
+        """Moments of frame j, about its new means."""
         w = self._workspace
         row, n = w.layout[j]
         counts = w.counts[j].copy()

@@ -8,14 +8,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.learning.estimation.compiled_em import MIN_ITERATIONS, Estimate, MixtureParameters, Progress, Samples
+from tpgmm_core.learning.estimation.compiled_em import Estimate, MixtureParameters
 from tpgmm_core.learning.estimation.compiled_moments import CompiledMoments
 from tpgmm_core.learning.estimation.emissions import Emissions, Moments
+from tpgmm_core.learning.estimation.iteration import Progress, iterate
+from tpgmm_core.model.samples import Samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MixtureEstimate:
-    """Result of EM: priors (K,), components, and the course of the log-likelihood and objective per sample."""
+    """Result of EM.
+
+    Parameters
+    ----------
+    priors
+        shape (K,)
+    emissions
+        the K components
+    log_likelihoods, objectives
+        per sample, of every iteration
+    converged
+        whether the objective stopped rising before the last iteration that was allowed
+    """
 
     priors: Array
     emissions: Emissions
@@ -24,7 +38,7 @@ class MixtureEstimate:
     converged: bool
 
     def with_dense_covariances(self) -> Estimate:
-        """The same as what EM of full covariances returns."""
+        """The same in the form that EM of full covariances returns."""
         parameters = MixtureParameters(self.priors, self.emissions.means, self.emissions.covariances)
         return Estimate(parameters, self.log_likelihoods, self.objectives, self.converged)
 
@@ -52,8 +66,27 @@ def fit_mixture(
 ) -> MixtureEstimate:
     """EM from the given start until an iteration gains less than `tol`, at the earliest after 5 iterations.
 
-    The objective is the log-likelihood less `Emissions.penalty`, per sample, taken before each M-step.
-    Raises ValueError when a covariance loses its definiteness.
+    The objective is the log-likelihood less `Emissions.penalty`, per sample, computed before each M-step.
+
+    Parameters
+    ----------
+    samples
+        what all frames saw
+    priors
+        shape (K,), of the start
+    emissions
+        components of the start
+    tol
+        in objective per sample
+    max_iter
+        most iterations
+    progress
+        called with (iteration, log-likelihood per sample)
+
+    Raises
+    ------
+    ValueError
+        when a covariance is no longer positive definite
     """
 
     def by_numpy(priors: Array, emissions: Emissions) -> tuple[float, Array, dict[str, Moments]]:
@@ -62,18 +95,12 @@ def fit_mixture(
 
     gathered = CompiledMoments(samples, priors, emissions) if CompiledMoments.suits(emissions) else by_numpy
     N = samples.n_samples
-    log_likelihoods: list[float] = []
-    objectives: list[float] = []
-    converged = False
-    for iteration in range(1, max_iter + 1):
+
+    def step() -> tuple[float, float]:
+        nonlocal priors, emissions
         log_likelihood, counts, moments = gathered(priors, emissions)
-        log_likelihoods.append(log_likelihood / N)
-        objectives.append((log_likelihood - emissions.penalty()) / N)
-        priors = counts / N
-        emissions = emissions.updated(moments)
-        if progress is not None:
-            progress(iteration, log_likelihoods[-1])
-        if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < tol:
-            converged = True
-            break
-    return MixtureEstimate(priors, emissions, np.array(log_likelihoods), np.array(objectives), converged)
+        penalty, priors, emissions = emissions.penalty(), counts / N, emissions.updated(moments)
+        return log_likelihood / N, (log_likelihood - penalty) / N
+
+    course = iterate(step, tol=tol, max_iter=max_iter, progress=progress)
+    return MixtureEstimate(priors, emissions, *course)

@@ -4,13 +4,16 @@
 Unknown keys are refused.
 """
 
+from __future__ import annotations
+
 import difflib
 import math
 import re
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Self
 
-from tpgmm_core.common.safe_yaml import YamlError
+from tpgmm_core.common.safe_yaml import YamlError, load_yaml, parse_yaml
 from tpgmm_core.common.text import one_line, shown
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -34,6 +37,16 @@ class Section:
                 )
         self.values: Mapping[str, Any] = values
 
+    @classmethod
+    def load(cls, path: Path, what: str) -> Self:
+        """The whole of a file; `what` is what errors say was expected, such as "a task file". Raises YamlError."""
+        return cls(one_line(path), "", load_yaml(path, what))
+
+    @classmethod
+    def from_text(cls, text: str, source: str) -> Self:
+        """The whole of YAML text; `source` is what errors call it. Raises YamlError."""
+        return cls(source, "", parse_yaml(text, source))
+
     def error(self, text: str) -> YamlError:
         return YamlError(f"{self.source}: {f"'{one_line(self.where)}'" if self.where else 'the file'} {text}")
 
@@ -56,10 +69,20 @@ class Section:
             found = shown(self.values[key])
             raise YamlError(f"{self.source}: '{one_line(self.path(key))}' is {found}, expected {error}") from None
 
-    def section(self, key: str, optional: bool = False) -> "Section":
+    def section(self, key: str, optional: bool = False) -> Section:
         if key not in self.values and not optional:
             raise self.error(f"lacks the key '{key}'")
         return Section(self.source, self.path(key), self.values.get(key, {}))
+
+    def sections(self, key: str, optional: bool = False) -> Iterator[tuple[str, Section]]:
+        """The mappings in the mapping of a key, by name."""
+        outer = self.section(key, optional)
+        return ((name, outer.section(name)) for name in outer.values)
+
+    def mapping(self, key: str, read: Callable[[Any], Any], optional: bool = False) -> dict[str, Any]:
+        """The values in the mapping of a key, by name, all read alike."""
+        outer = self.section(key, optional)
+        return {name: outer.required(name, read) for name in outer.values}
 
 
 # Readers turn one YAML value into what a program needs, or raise ValueError(what was expected).
@@ -74,6 +97,20 @@ def a_name(value: Any) -> str:
     if not isinstance(value, str) or not is_name(value):
         raise ValueError("a name of letters, digits and underscores")
     return value
+
+
+def a_text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError("a text; quote it if it looks like something else")
+    return value
+
+
+def some_names(value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or not value or not all(isinstance(name, str) for name in value):
+        raise ValueError("a list of names; quote names that look like something else, such as '1' or 'on'")
+    if len(set(value)) != len(value):
+        raise ValueError("a list of names, none of them twice")
+    return tuple(value)
 
 
 def a_topic(value: Any) -> str:
