@@ -82,18 +82,15 @@ results: setup ## compute the numbers of docs/reference/results.md: leave-one-ou
 	PYTHONPATH=. $(PYTHON) benchmarks/valve_selection.py --data $(DATA)/baxter_valve
 	PYTHONPATH=. $(PYTHON) benchmarks/retrieval_table.py --data $(DATA)
 
-figures: setup ## draw figures 1, 3 and 4 of the paper, extrapolation, weights of frames: out/ (DATA=directory of the data sets)
-	PYTHONPATH=. $(PYTHON) examples/figure1.py --data $(DATA)/pbdlib
-	PYTHONPATH=. $(PYTHON) examples/figure3.py --data $(DATA)/pbdlib
-	PYTHONPATH=. $(PYTHON) examples/extrapolation.py --data $(DATA)/pbdlib
-	PYTHONPATH=. $(PYTHON) examples/figure4.py
-	PYTHONPATH=. $(PYTHON) examples/figure1d.py
+figures: setup ## draw figures 1 to 4 of the paper, weights of frames, extrapolation: out/figures/ (DATA=directory of the data sets)
+	@for number in 1 2 3 4; do PYTHONPATH=. $(PYTHON) examples/figure$$number.py || exit 1; done
 	PYTHONPATH=. $(PYTHON) examples/frame_weights.py
+	PYTHONPATH=. $(PYTHON) examples/extrapolation.py --data $(DATA)/pbdlib
 
 figure5: setup ## figure 5 of the paper, a cup and a sugar cube in two hands that are pushed: out/figure5/ (20 minutes; SEED=7 for other pushes)
 	$(DEMOS)/figure5 --seed $(SEED)
 
-figure6: setup ## figure 6 of the paper, priorities of two hands of a planar robot: out/figure6/, out/kinematic_relevance/
+figure6: setup ## figure 6 of the paper, priorities of two hands of a planar robot: out/figures/, out/kinematic_relevance/ (3 minutes)
 	PYTHONPATH=. $(PYTHON) examples/figure6.py
 	PYTHONPATH=. $(PYTHON) examples/kinematic_relevance.py
 

@@ -25,7 +25,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from examples import planar  # noqa: E402
+from examples import pbdlib  # noqa: E402
 from examples.report import write_report  # noqa: E402
 from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
 from tpgmm_core.common.report import Row  # noqa: E402
@@ -65,11 +65,11 @@ class New:
 def planar_task(demonstrations: Sequence[Demonstration]) -> list[New]:
     """The second frame beyond the last demonstration, on the line from the middle of the others."""
     seconds = [d.frames["second"] for d in demonstrations]
-    middle = planar.between(seconds[1], seconds[2], 0.5)
+    middle = pbdlib.between(seconds[1], seconds[2], 0.5)
     seen = np.stack([d.projected()["second"][-1] for d in demonstrations]).mean(axis=0)
     found = []
     for factor in FACTORS:
-        second = planar.between(middle, seconds[3], factor)
+        second = pbdlib.between(middle, seconds[3], factor)
         frames = {"first": demonstrations[0].frames["first"], "second": second}
         times = np.linspace(0.0, demonstrations[0].times[-1], SAMPLES)
         start = np.mean([d.data[0, 1:] for d in demonstrations], axis=0)
@@ -225,7 +225,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=planar.DATA, help="pbdlib's data (default: %(default)s)")
+    parser.add_argument("--data", type=Path, default=pbdlib.DATA, help="pbdlib's data (default: %(default)s)")
     parser.add_argument("--bags", type=Path, default=Path("bags/pick_place"))
     parser.add_argument("--situations", type=int, default=3, metavar="N", help="every N-th demonstrated one")
     parser.add_argument("--output", type=Path, default=Path("out/figures"), help="of extrapolation.json, .png")
@@ -244,7 +244,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     }
     try:
-        in_plane = planar.demonstrations(options.data)
+        in_plane = pbdlib.demonstrations(options.data)
         measured["pbdlib"] = measure(
             "pbdlib",
             lambda method, several: Recipe.of({"n_components": 3, "reg_covar": 1e-4}, method).learn(several, "R1 x R2"),

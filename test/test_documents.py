@@ -333,6 +333,37 @@ def test_the_map_from_the_paper_has_every_equation_and_every_figure() -> None:
     assert {cell[0] for cell in cells[cells.index("figure") :] if cell[0].isdigit()} >= set("123456")
 
 
+# -- walks through the code
+
+
+def defined_in(path: Path) -> set[str]:
+    """Functions and classes of a file, and methods as `Class.method`."""
+    found = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            found.add(node.name)
+        if isinstance(node, ast.ClassDef):
+            found |= {f"{node.name}.{item.name}" for item in node.body if isinstance(item, ast.FunctionDef)}
+    return found
+
+
+def test_each_hop_of_the_walks_is_a_function_in_its_file() -> None:
+    text = (DOCS / "architecture.md").read_text()
+    section = re.search(r"^## Four walks through the code\n(.*?)^## ", text, re.MULTILINE | re.DOTALL)
+    assert section is not None
+    walks = re.split(r"^### ", section[1], flags=re.MULTILINE)[1:]
+    assert len(walks) == 4
+    for walk in walks:
+        lines = re.findall(r"^\d+\. .*$", walk, re.MULTILINE)
+        hops = re.findall(r"^(\d+)\. `([\w/]+\.py)` `([\w.]+)`: \S", walk, re.MULTILINE)
+        assert len(hops) == len(lines) > 10
+        assert [int(number) for number, _, _ in hops] == list(range(1, len(hops) + 1))
+        assert len(set(hops)) == len(hops)
+        for _, file, name in hops:
+            (path,) = (ROOT / "src").glob(f"tpgmm_*/tpgmm_*/{file}")
+            assert name in defined_in(path), f"{file} has no {name}"
+
+
 # -- pages that are made
 
 

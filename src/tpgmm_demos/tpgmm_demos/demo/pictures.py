@@ -26,8 +26,8 @@ from tpgmm_demos.scene.pick_place import hand_at
 
 #: Both with y to the left, as the robot sees it: the two share this axis.
 _SIDES = {"from above": (1, 0), "from behind the robot": (1, 2)}
-#: Around what is drawn, for names, m; width of the picture and of what is beside the axes, inches.
-_MARGIN = 0.05
+#: Around what is drawn, room for names, m; width of the picture and of what is beside the axes, inches.
+_MARGIN = 0.025
 _WIDTH, _BESIDE = 10.0, 0.9
 _AXIS = ("x in m", "y in m", "z in m")
 _DISTURBANCE_COLORS = {"object pushed": "#ffd166", "target hidden": "#888888"}
