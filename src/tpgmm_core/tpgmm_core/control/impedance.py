@@ -30,7 +30,8 @@ from tpgmm_core.control.kernels_impedance import (
     waiting_share,
 )
 from tpgmm_core.control.operational_space import bound_twist
-from tpgmm_core.control.pose_target import PoseReference, PoseTarget
+from tpgmm_core.control.pose_target import PoseReference, PoseTarget, receding_pose_target
+from tpgmm_core.control.receding_gains import RecedingGains
 from tpgmm_core.control.torque_limits import finite
 from tpgmm_core.lqr.double_integrator import double_integrator_gains
 from tpgmm_core.model.reference import Reference
@@ -101,14 +102,17 @@ class ImpedanceLaw:
         endpoint: str = "left",
         config: ImpedanceConfig | None = None,
         rest_posture: ArrayLike | None = None,
+        ahead: RecedingGains[PoseTarget] | None = None,
     ) -> None:
         """rest_posture (nv,): where the null space draws the arm, the robot's home if not given.
+
+        ahead : where gains are those along the reference's horizon, not those of the reference alone.
 
         Raises ValueError for an unknown end point or a rest posture that is not (nv,) finite numbers.
         """
         if endpoint not in robot.endpoints:
             raise ValueError(f"the robot has no end point {shown(endpoint)}; it has {listed(robot.endpoints)}")
-        self.robot, self.endpoint = robot, endpoint
+        self.robot, self.endpoint, self.ahead = robot, endpoint, ahead
         rest = np.array(robot.home if rest_posture is None else rest_posture, dtype=np.float64)
         if rest.shape != (robot.nv,) or not np.isfinite(rest).all():
             raise ValueError(f"rest_posture must be {robot.nv} finite numbers, got {rest}")
@@ -141,18 +145,22 @@ class ImpedanceLaw:
         self._blend = 0.0
         self._hindered = False
         self._posture: Array | None = None
+        self._push = np.zeros(6)  # what the gains of a horizon ask for beside the error
+        if self.ahead is not None:
+            self.ahead.reset()
 
     def target(self, reference: Reference, moving: bool) -> PoseTarget:
         """What the law makes of a reference: the pose, its gains, and the velocity if it is moving.
 
-        Raises ValueError for a reference that is no pose, not finite, or whose covariance is not positive
-        definite.
+        Raises ValueError for a reference that is no pose, not finite, whose covariance is not positive definite, or
+        that lacks a horizon which is needed.
         """
         manifold = str(reference.gaussian.manifold)
         if manifold != POSE_MANIFOLD:
             raise ValueError(f"the reference is on '{manifold}'; expected a pose on '{POSE_MANIFOLD}'")
         twist = reference.velocity() if moving else np.zeros(6)
-        return self.pose_target(PoseReference(reference.gaussian.mean, reference.gaussian.covariance, twist))
+        target = self.pose_target(PoseReference(reference.gaussian.mean, reference.gaussian.covariance, twist))
+        return target if self.ahead is None else replace(target, course=self.ahead.course(reference, moving))
 
     def pose_target(self, reference: PoseReference) -> PoseTarget:
         """A pose with the gains that the LQR gives it. Raises ValueError for values that cannot be used."""
@@ -279,6 +287,7 @@ class ImpedanceLaw:
         """Let the target take hold, or the last one go; pose (7,) is the hand's."""
         change = dt / self.config.blend_time
         if target is not None:
+            target = self._with_gains_ahead(target, dt)
             self._blend = min(1.0, self._blend + change)
             self._target = self._approach(target, pose, dt)
             return
@@ -288,6 +297,20 @@ class ImpedanceLaw:
         elif self._target is not None:
             still = replace(self._target.reference, twist=np.zeros(6), acceleration=np.zeros(6))
             self._target = replace(self._target, reference=still)
+
+    def _with_gains_ahead(self, target: PoseTarget, dt: float) -> PoseTarget:
+        """With gains of the course that comes, where the target has one."""
+        config, ahead, course = self.config, self.ahead, target.course
+        if ahead is None or course is None:
+            return target
+        bounds = {"min_stiffness": config.min_stiffness, "max_stiffness": config.max_stiffness}
+        cost, length = config.control_cost, config.characteristic_length
+        planned = ahead.at_present(
+            dt, lambda: receding_pose_target(target.reference, course, ahead, cost, length, **bounds)
+        )
+        # the feedforward belongs to the gains, and comes as they do
+        self._push += min(1.0, dt / config.gain_time) * (planned.reference.acceleration - self._push)
+        return replace(planned, reference=replace(target.reference, acceleration=self._push.copy()))
 
     def _waits(self, hand: Array) -> float:
         """Share of its speed that the pose moves on with; see `waiting_share`."""

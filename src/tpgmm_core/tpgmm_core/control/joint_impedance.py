@@ -15,7 +15,7 @@ without them the rate of the energy v^T M v / 2 + e^T K e / 2 is -v^T D v, as fa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +26,9 @@ from tpgmm_core.control.control_law import DynamicState, Lag, LawConfig, LawTorq
 from tpgmm_core.control.delay_margin import borne_share, delay_margin
 from tpgmm_core.control.kernels_impedance import standing_torques
 from tpgmm_core.control.kernels_joint import inertia_factor, joint_torques, precision_damping
+from tpgmm_core.control.receding_gains import Course, RecedingGains
 from tpgmm_core.control.torque_limits import finite
+from tpgmm_core.lqr.receding_horizon import RecedingHorizonGains, receding_horizon_gains
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 
@@ -65,12 +67,14 @@ class JointTarget:
     """A reference that was found good: positions and velocities (n,), rad and rad/s, and the precision (n, n).
 
     accelerations : (n,), rad/s^2, that the reference has; None for none
+    course : what gains are to be made from, for laws that look ahead
     """
 
     positions: Array
     velocities: Array
     precision: Array
     accelerations: Array | None = None
+    course: Course | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,12 +116,20 @@ class JointImpedanceLaw:
     for; "hold", the joints without reference; "hand_guiding", damping of the joints that have none at present.
     """
 
-    def __init__(self, robot: RobotModel, joints: Sequence[str], config: JointImpedanceConfig | None = None) -> None:
+    def __init__(
+        self,
+        robot: RobotModel,
+        joints: Sequence[str],
+        config: JointImpedanceConfig | None = None,
+        ahead: RecedingGains[JointGains] | None = None,
+    ) -> None:
         """joints : groups of the robot file or joints by name, in the order of the references.
+
+        ahead : where gains are those along the reference's horizon, not those of the reference alone.
 
         Raises ValueError for unknown joints, none, and one that is named twice.
         """
-        self.robot = robot
+        self.robot, self.ahead = robot, ahead
         self._joints = np.concatenate([robot.indices(group) for group in joints]) if joints else np.zeros(0, np.intp)
         if len(np.unique(self._joints)) != len(self._joints) or not len(self._joints):
             raise ValueError(f"the law moves one or more joints, each named once; got {list(joints)}")
@@ -147,6 +159,8 @@ class JointImpedanceLaw:
         self._gains: JointGains | None = None
         self._leash = np.inf
         self._posture: Array | None = None
+        if self.ahead is not None:
+            self.ahead.reset()
 
     def target(self, reference: Reference, moving: bool) -> JointTarget:
         """What the law makes of a reference: positions, velocities if it is moving, and the precision.
@@ -165,7 +179,8 @@ class JointImpedanceLaw:
             precision = gaussian.precision
         except ValueError as error:
             raise ValueError(f"the reference cannot be followed: {error}") from error
-        return JointTarget(np.array(gaussian.mean), velocities, precision)
+        course = None if self.ahead is None else self.ahead.course(reference, moving)
+        return JointTarget(np.array(gaussian.mean), velocities, precision, course=course)
 
     def step(self, moment: DynamicState, target: JointTarget | None, dt: float) -> LawTorques:
         """Torques dt seconds after the last step.
@@ -276,8 +291,41 @@ class JointImpedanceLaw:
 
     def _wanted(self, target: JointTarget, L: Array, F: Array, dt: float) -> JointGains | None:
         """The gains of a target, L and F = L^-1 (n, n) of the inertia; None where they cannot be computed."""
-        config, n = self.config, len(L)
+        config, n, ahead, course = self.config, len(L), self.ahead, target.course
+        if ahead is not None and course is not None:
+            return ahead.at_present(
+                dt,
+                lambda: receding_joint_gains(
+                    L, course.means, course.covariances, course.time_step, config, ahead.along
+                ),
+            )
         damping = np.empty((n, n))
         cost, lowest, highest = config.joint_control_cost, config.joint_min_stiffness, config.joint_max_stiffness
         rate = precision_damping(L, F, target.precision, cost, lowest, highest, damping)
         return None if rate < 0.0 else JointGains(damping, 0.5 * np.eye(n), np.zeros(n), rate)
+
+
+def receding_joint_gains(
+    L: Array,
+    course: Array,
+    covariances: Array,
+    time_step: float,
+    config: JointImpedanceConfig,
+    along: Callable[..., RecedingHorizonGains] = receding_horizon_gains,
+) -> JointGains:
+    """Gains along a course of joints (T, n) with its covariances (T, n, n), and R = r L L^T as the control cost.
+
+    The horizon is that of a double integrator in the coordinates L^T q of M = L L^T, with the inertia of the present.
+    """
+    gains = along(
+        (course - course[0]) @ L,
+        L.T @ covariances @ L,
+        time_step,
+        config.joint_control_cost,
+        min_stiffness=config.joint_min_stiffness,
+        max_stiffness=config.joint_max_stiffness,
+    )
+    inverse = np.linalg.inv(gains.damping)
+    ratio = inverse @ gains.stiffness @ inverse
+    rate, firmness = (float(np.linalg.norm(matrix, 2)) for matrix in (gains.damping, ratio))
+    return JointGains(L @ gains.damping @ L.T, ratio, gains.acceleration, rate, firmness)

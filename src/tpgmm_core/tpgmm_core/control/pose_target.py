@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`PoseReference`, what the hand is asked for; `PoseTarget`, the same with the gains that lead there."""
+"""`PoseReference`, what the hand is asked for; `PoseTarget`, the same with the gains that lead there.
+
+`receding_pose_target`: with the gains of a finite horizon.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.control.delay_margin import delay_margin
+from tpgmm_core.control.delay_margin import delay_margin, fastest_rate
+from tpgmm_core.control.receding_gains import Course, RecedingGains
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +46,7 @@ class PoseTarget:
     K_V : (6, 6), 1/s
     ratio : (6, 6), C of K_P = K_V C K_V: I / 2 for the infinite-horizon LQR. Gains that follow by way of K_V and C stay
         definite, and keep the damping ratio where C stays
+    course : what gains are to be made from, for laws that look ahead
     """
 
     reference: PoseReference
@@ -49,8 +54,38 @@ class PoseTarget:
     ratio: Array = field(default_factory=lambda: 0.5 * np.eye(6))
     rate: float = 0.0
     firmness: float = 0.5
+    course: Course | None = None
 
     @property
     def delay_margin(self) -> float:
         """Delay of the loop (s) that these gains bear."""
         return float(delay_margin(self.firmness * self.rate**2, self.rate))
+
+
+def receding_pose_target(
+    reference: PoseReference,
+    course: Course,
+    ahead: RecedingGains[PoseTarget],
+    control_cost: float,
+    characteristic_length: float,
+    **bounds: float,
+) -> PoseTarget:
+    """The target whose gains are those along a course, with the acceleration that belongs to them.
+
+    bounds : of the stiffness, see `receding_horizon_gains`
+    """
+    # coordinates in which turning costs as moving does
+    scale = np.array([1.0, 1.0, 1.0, *[characteristic_length] * 3])
+    manifold, here = course.gaussians[0].manifold, course.gaussians[0].mean
+    gains = ahead.along(
+        scale * np.stack([manifold.log(here, mean) for mean in course.means]),
+        np.outer(scale, scale) * course.covariances,
+        course.time_step,
+        control_cost,
+        **bounds,
+    )
+    back = np.outer(1.0 / scale, scale)
+    inverse = np.linalg.inv(gains.damping)
+    K_V, ratio = back * gains.damping, back * (inverse @ gains.stiffness @ inverse)
+    rate, firmness = (fastest_rate(matrix, characteristic_length) for matrix in (K_V, ratio))
+    return PoseTarget(replace(reference, acceleration=gains.acceleration / scale), K_V, ratio, rate, firmness)
