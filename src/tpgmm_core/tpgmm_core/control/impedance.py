@@ -81,6 +81,11 @@ class ImpedanceConfig(LawConfig):
     )
     posture_damping: float = setting(4.0, 1e-3, 1e3, "Damping of motions that do not move the hand (null space), 1/s")
 
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Of the stiffness, as the LQR takes them."""
+        return {"min_stiffness": self.min_stiffness, "max_stiffness": self.max_stiffness}
+
     def __post_init__(self) -> None:
         """Raises ValueError for values out of their range, or bounds out of order."""
         LawConfig.__post_init__(self)
@@ -174,8 +179,7 @@ class ImpedanceLaw:
             gains = double_integrator_gains(
                 np.linalg.inv(reference.covariance),
                 self._control_cost,
-                min_stiffness=self.config.min_stiffness,
-                max_stiffness=self.config.max_stiffness,
+                **self.config.bounds,
             )
         except (np.linalg.LinAlgError, ValueError) as error:
             raise ValueError(f"the covariance of the reference is not positive definite ({error})") from error
@@ -303,10 +307,9 @@ class ImpedanceLaw:
         config, ahead, course = self.config, self.ahead, target.course
         if ahead is None or course is None:
             return target
-        bounds = {"min_stiffness": config.min_stiffness, "max_stiffness": config.max_stiffness}
-        cost, length = config.control_cost, config.characteristic_length
+        cost, length, bounds = config.control_cost, config.characteristic_length, config.bounds
         planned = ahead.at_present(
-            dt, lambda: receding_pose_target(target.reference, course, ahead, cost, length, **bounds)
+            dt, lambda: receding_pose_target(target.reference, course, ahead, cost, length, bounds)
         )
         # the feedforward belongs to the gains, and comes as they do
         self._push += min(1.0, dt / config.gain_time) * (planned.reference.acceleration - self._push)

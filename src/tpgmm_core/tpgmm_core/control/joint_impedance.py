@@ -15,7 +15,7 @@ without them the rate of the energy v^T M v / 2 + e^T K e / 2 is -v^T D v, as fa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,12 +23,12 @@ import numpy as np
 from tpgmm_core.common.settings import setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import DynamicState, Lag, LawConfig, LawTorques
-from tpgmm_core.control.delay_margin import borne_share, delay_margin
+from tpgmm_core.control.delay_margin import borne_share
+from tpgmm_core.control.joint_target import JointGains, JointTarget, receding_joint_gains
 from tpgmm_core.control.kernels_impedance import standing_torques
 from tpgmm_core.control.kernels_joint import inertia_factor, joint_torques, precision_damping
-from tpgmm_core.control.receding_gains import Course, RecedingGains
+from tpgmm_core.control.receding_gains import RecedingGains
 from tpgmm_core.control.torque_limits import finite
-from tpgmm_core.lqr.receding_horizon import RecedingHorizonGains, receding_horizon_gains
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 
@@ -52,6 +52,11 @@ class JointImpedanceConfig(LawConfig):
         1e4, 1e-3, 1e4, "Largest stiffness for references over joints, per unit of inertia, 1/s^2"
     )
 
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Of the stiffness, as the LQR takes them."""
+        return {"min_stiffness": self.joint_min_stiffness, "max_stiffness": self.joint_max_stiffness}
+
     def __post_init__(self) -> None:
         """Raises ValueError for values out of their range, or bounds out of order."""
         LawConfig.__post_init__(self)
@@ -60,53 +65,6 @@ class JointImpedanceConfig(LawConfig):
                 f"joint_min_stiffness {self.joint_min_stiffness} is above "
                 f"joint_max_stiffness {self.joint_max_stiffness}"
             )
-
-
-@dataclass(frozen=True, slots=True)
-class JointTarget:
-    """A reference that was found good: positions and velocities (n,), rad and rad/s, and the precision (n, n).
-
-    accelerations : (n,), rad/s^2, that the reference has; None for none
-    course : what gains are to be made from, for laws that look ahead
-    """
-
-    positions: Array
-    velocities: Array
-    precision: Array
-    accelerations: Array | None = None
-    course: Course | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class JointGains:
-    """What leads to a target, from where gains have got to. In the coordinates L^T q of the inertia M = L L^T:
-
-    damping : (n, n), D in joint coordinates, N m s/rad
-    ratio : (n, n), C of K = D L^-T C L^-1 D; I / 2 for the infinite horizon, which makes the damping ratio 1 / sqrt(2)
-    push : (n,), accelerations of these coordinates beside what follows the reference
-    rate, firmness : bounds of the eigenvalues of K_V = L^-1 D L^-T (1/s) and of C, which say what delay they bear
-    """
-
-    damping: Array
-    ratio: Array
-    push: Array
-    rate: float
-    firmness: float = 0.5
-
-    @property
-    def delay_margin(self) -> float:
-        """Delay of the loop (s) that these gains bear."""
-        return float(delay_margin(self.firmness * self.rate**2, self.rate))
-
-    def towards(self, other: JointGains, share: float) -> JointGains:
-        """A share (0 to 1) of the way to others. K stays definite, since D and C do."""
-        return JointGains(
-            self.damping + share * (other.damping - self.damping),
-            self.ratio + share * (other.ratio - self.ratio),
-            self.push + share * (other.push - self.push),
-            self.rate + share * (other.rate - self.rate),
-            self.firmness + share * (other.firmness - self.firmness),
-        )
 
 
 class JointImpedanceLaw:
@@ -293,39 +251,10 @@ class JointImpedanceLaw:
         """The gains of a target, L and F = L^-1 (n, n) of the inertia; None where they cannot be computed."""
         config, n, ahead, course = self.config, len(L), self.ahead, target.course
         if ahead is not None and course is not None:
-            return ahead.at_present(
-                dt,
-                lambda: receding_joint_gains(
-                    L, course.means, course.covariances, course.time_step, config, ahead.along
-                ),
-            )
+            where = course.means, course.covariances, course.time_step
+            cost, bounds = config.joint_control_cost, config.bounds
+            return ahead.at_present(dt, lambda: receding_joint_gains(L, *where, cost, bounds, ahead.along))
         damping = np.empty((n, n))
         cost, lowest, highest = config.joint_control_cost, config.joint_min_stiffness, config.joint_max_stiffness
         rate = precision_damping(L, F, target.precision, cost, lowest, highest, damping)
         return None if rate < 0.0 else JointGains(damping, 0.5 * np.eye(n), np.zeros(n), rate)
-
-
-def receding_joint_gains(
-    L: Array,
-    course: Array,
-    covariances: Array,
-    time_step: float,
-    config: JointImpedanceConfig,
-    along: Callable[..., RecedingHorizonGains] = receding_horizon_gains,
-) -> JointGains:
-    """Gains along a course of joints (T, n) with its covariances (T, n, n), and R = r L L^T as the control cost.
-
-    The horizon is that of a double integrator in the coordinates L^T q of M = L L^T, with the inertia of the present.
-    """
-    gains = along(
-        (course - course[0]) @ L,
-        L.T @ covariances @ L,
-        time_step,
-        config.joint_control_cost,
-        min_stiffness=config.joint_min_stiffness,
-        max_stiffness=config.joint_max_stiffness,
-    )
-    inverse = np.linalg.inv(gains.damping)
-    ratio = inverse @ gains.stiffness @ inverse
-    rate, firmness = (float(np.linalg.norm(matrix, 2)) for matrix in (gains.damping, ratio))
-    return JointGains(L @ gains.damping @ L.T, ratio, gains.acceleration, rate, firmness)

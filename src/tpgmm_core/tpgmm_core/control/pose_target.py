@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -68,7 +69,7 @@ def receding_pose_target(
     ahead: RecedingGains[PoseTarget],
     control_cost: float,
     characteristic_length: float,
-    **bounds: float,
+    bounds: Mapping[str, float],
 ) -> PoseTarget:
     """The target whose gains are those along a course, with the acceleration that belongs to them.
 

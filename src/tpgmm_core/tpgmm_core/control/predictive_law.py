@@ -25,14 +25,8 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import DynamicState, Lag, LawTorques
 from tpgmm_core.control.impedance import ANGULAR_LEASH
 from tpgmm_core.control.impedance import LEASH as HAND_LEASH
-from tpgmm_core.control.joint_impedance import (
-    LEASH,
-    JointGains,
-    JointImpedanceConfig,
-    JointImpedanceLaw,
-    JointTarget,
-    receding_joint_gains,
-)
+from tpgmm_core.control.joint_impedance import LEASH, JointImpedanceConfig, JointImpedanceLaw
+from tpgmm_core.control.joint_target import JointGains, JointTarget, receding_joint_gains
 from tpgmm_core.control.operational_space import bound_twist
 from tpgmm_core.control.planning import PlanConfig, Schedule, Submit, at_once
 from tpgmm_core.control.predictive import JointLimits, JointReference, PredictiveController, PredictivePlan
@@ -268,7 +262,8 @@ def _solve(
     knot = np.searchsorted(known, solver.times, side="right") - 1
     try:
         L = np.linalg.cholesky(problem.inertia)
-        gains = receding_joint_gains(L, positions, np.linalg.inv(precisions), dt, config)
+        cost, covariances = config.joint_control_cost, np.linalg.inv(precisions)
+        gains = receding_joint_gains(L, positions, covariances, dt, cost, config.bounds)
     except np.linalg.LinAlgError as error:
         raise ValueError(f"no plan can be made: {error}") from error
     # the fourth power: K_P is the square root of the precision, and goes with the square of the share
