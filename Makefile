@@ -69,8 +69,8 @@ soak: setup ## run 30 minutes of simulated time with random faults, watch tasks 
 faults: dev ## make every known fault happen to the running nodes and check what they do: out/faults/ (10 minutes)
 	PYTHONPATH=.:test $(PYTHON) -m faults
 
-demo: setup ## train a model, start the nodes, do the task, report: out/demo/ (SEED=7 for another situation)
-	$(DEMOS)/demo --seed $(SEED)
+demo: setup ## train a model, start the nodes, do the task, report: out/demo/ (SEED=7 for another situation, SEPARATE=1 for a process for each node)
+	$(DEMOS)/demo --seed $(SEED) $(if $(SEPARATE),--separate)
 
 bags: setup ## record the demonstrations in bags/ again
 	rm -rf bags/pick_place

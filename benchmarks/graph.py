@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes as separate processes in real time, for the benchmarks across processes."""
+"""The running nodes in real time, in one process or in several, for the benchmarks of the whole loop."""
 
 from __future__ import annotations
 
 import contextlib
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -20,7 +22,7 @@ from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
 from tpgmm_ros.programs import train
-from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph, open_graph, own_domain
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph, Value, open_graph, own_domain
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task
 
@@ -66,20 +68,49 @@ class Scene:
 
 
 @contextlib.contextmanager
-def running(blend_time: float = 0.15) -> Iterator[Scene]:
-    """All four nodes, up and active, on a ROS domain of their own; `blend_time` is that of `reproduction`, s."""
+def running(together: bool, load: int = 0, blend_time: float = 0.15) -> Iterator[Scene]:
+    """All four nodes, up and active, on a ROS domain of their own.
+
+    Parameters
+    ----------
+    together : bool
+        The nodes from pose to torque in one process, not each in its own. The robot always has a process.
+    load : int
+        How many busy programs run beside them, as ordinary ones.
+    blend_time : float
+        Of `reproduction`, s.
+    """
     task_file, robot_file = config_file("pick_place.yaml"), config_file("baxter.yaml")
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, busy(load):
         directory = Path(name)
         model_file = directory / "model.tpgmm"
         if train.main(["--task", str(task_file), "--output", str(model_file), str(BAGS)]) != 0:
             raise RuntimeError(f"no model from {BAGS}: see above for the reason")
         with own_domain(ros_log=directory), open_graph("benchmark", directory / "log") as graph:
-            start, first = graph.processes.start, {"realtime_priority": REALTIME_PRIORITY}
-            start("frame_tracker", task_file=task_file, **first)
-            start("reproduction", task_file=task_file, model_file=model_file, blend_time=blend_time, **first)
-            start("impedance_controller", robot_file=robot_file, **first)
-            start("baxter_simulator", robot_file=robot_file, **first)
+            first: dict[str, Value] = {"realtime_priority": REALTIME_PRIORITY, "lock_memory": True}
+            nodes: dict[str, dict[str, Value]] = {
+                "frame_tracker": {"task_file": task_file, **first},
+                "reproduction": {"task_file": task_file, "model_file": model_file, "blend_time": blend_time, **first},
+                "impedance_controller": {"robot_file": robot_file, **first},
+            }
+            graph.processes.start_all("loop", nodes, together)
+            graph.processes.start("baxter_simulator", robot_file=robot_file, **first)
             graph.bring_up("impedance_controller", START_TIMEOUT)
             graph.bring_up("reproduction", START_TIMEOUT)
             yield Scene(graph.node, graph, Task.load(task_file))
+
+
+@contextlib.contextmanager
+def busy(count: int) -> Iterator[None]:
+    """Ordinary programs that want a core each."""
+    programs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for program in programs:
+            program.kill()
+            program.wait()
+
+
+#: What the benchmarks of the loop compare: in how many processes, and beside how many busy programs.
+CASES = [("apart", False, 0), ("one process", True, 0), ("apart, load", False, 2), ("one process, load", True, 2)]

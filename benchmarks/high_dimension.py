@@ -37,9 +37,16 @@ DT = 0.01
 class Body:
     """What all demonstrations have in common.
 
-    synergies : shape (J, S), orthonormal columns, rad; paths : per frame the course of the synergies, positions
-    and velocities (P, T, 2, S); shares : shape (P, T), how much each frame counts when; noise : shape (2 J,), standard
-    deviations, rad and rad/s
+    Parameters
+    ----------
+    synergies
+        shape (J, S), orthonormal columns, rad
+    paths
+        per frame the course of the synergies, positions and velocities (P, T, 2, S)
+    shares
+        shape (P, T), how much each frame counts when
+    noise
+        shape (2 J,), standard deviations, rad and rad/s
     """
 
     synergies: Array

@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The 1 kHz loop: reproduction, controller and simulator as separate processes in real time, during one movement."""
+"""The 1 kHz loop in real time during one movement: ticks that were kept, torques' age, and what it takes of a core.
+
+The nodes are apart or in one process, on an idle machine or beside two busy programs (`graph.CASES`).
+"""
 
 from __future__ import annotations
 
+import os
+import time
+from pathlib import Path
+
 from diagnostic_msgs.msg import DiagnosticArray
 
-from benchmarks.graph import Scene, running
+from benchmarks.graph import CASES, Scene, running
 from benchmarks.report import write_report
 
+LOOP = ("frame_tracker", "reproduction", "impedance_controller")
 NODES = ("reproduction", "impedance_controller", "baxter_simulator")
 DURATION = 15.0
 #: What comes before this time of the movement does not count, s
@@ -43,24 +51,51 @@ def measure(scene: Scene) -> Counters:
     return counters
 
 
-def ticks(counters: Counters, node: str) -> dict[str, str | float | bool]:
+def ticks(counters: Counters, case: str, node: str, to_reach: float) -> dict[str, str | float | bool]:
     """Ticks of a node, and its time per step."""
     first, last = counters.rows[node][0], counters.rows[node][-1]
     asked, done = (int(last[key]) - int(first[key]) for key in ("ticks_asked", "ticks_done"))
     steps = {key: float(last[key]) for key in ("step_p50_ms", "step_p99_ms")}
-    return {"node": node, "asked": asked, "done": done, "share": done / asked, **steps, "passed": done >= 0.99 * asked}
+    return {
+        "case": case,
+        "node": node,
+        "asked": asked,
+        "done": done,
+        "share": done / asked,
+        **steps,
+        "passed": done >= to_reach * asked,
+    }
 
 
-def torque_age(counters: Counters) -> dict[str, str | float | bool]:
+def torque_age(counters: Counters, case: str, bound: float) -> dict[str, str | float | bool]:
     """Age of the joint state that the torques answer, when the simulator applies them."""
     last = counters.rows["baxter_simulator"][-1]
     ages = {key: float(last[key]) for key in ("age_p50_ms", "age_p99_ms")}
-    return {"what": "torque age", **ages, "passed": ages["age_p99_ms"] <= 3.0}
+    return {"case": case, **ages, "passed": ages["age_p99_ms"] <= bound}
+
+
+def cpu_seconds(scene: Scene) -> float:
+    """Processor time of the nodes from pose to torque so far, s."""
+    times = 0.0
+    for pid in {scene.graph.processes.pid(name) for name in LOOP}:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        times += (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return times
 
 
 if __name__ == "__main__":
-    with running() as running_scene:
-        running_scene.run_for(2.0)
-        result = measure(running_scene)
-    write_report("loop", [ticks(result, node) for node in NODES])
-    write_report("torque_age", [torque_age(result)])
+    shares: list[dict[str, str | float | bool]] = []
+    ages: list[dict[str, str | float | bool]] = []
+    cpu: list[dict[str, str | float | bool]] = []
+    for name, together, load in CASES:
+        with running(together, load) as running_scene:
+            running_scene.run_for(2.0)
+            before, began = cpu_seconds(running_scene), time.monotonic()
+            result = measure(running_scene)
+            used = (cpu_seconds(running_scene) - before) / (time.monotonic() - began)
+        shares += [ticks(result, name, node, 0.99 if load else 0.999) for node in NODES]
+        ages.append(torque_age(result, name, 3.0 if load else 2.0))
+        cpu.append({"case": name, "cores": used, "passed": not together or used <= 0.6})
+    write_report("loop", shares)
+    write_report("torque_age", ages)
+    write_report("loop_cpu", cpu)

@@ -45,8 +45,14 @@ SHARES = np.linspace(0.0, 1.0, 200)
 class DataSet:
     """Recordings, and what is learned of them.
 
-    recordings, task : as `train` takes them; anchor : the frame that a replay moves with
-    with_orientation : False where none was recorded; positions alone are learned then
+    Parameters
+    ----------
+    recordings, task
+        as `train` takes them
+    anchor
+        the frame that a replay moves with
+    with_orientation
+        False where none was recorded; positions alone are learned then
     """
 
     recordings: Sequence[Recording]
@@ -69,7 +75,13 @@ class DataSet:
 
 
 def data_sets(directory: Path) -> Iterator[tuple[str, DataSet]]:
-    """Those that are there, by name. Raises ValueError for recordings that cannot be read."""
+    """Those that are there, by name.
+
+    Raises
+    ------
+    ValueError
+        for recordings that cannot be read
+    """
     for name, anchor, with_orientation in (("baxter_valve", "valve", True), ("franka_bolts", "goal", False)):
         if not (directory / name).is_dir():
             print(f"retrieval_table: {name} left out, {directory / name} is no directory; it is no part of the project")

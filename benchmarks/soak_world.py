@@ -34,8 +34,12 @@ TICK = 0.01
 class SoakWorld:
     """Answers each pose of the hand with what a camera sees of each frame, with faults.
 
-    elapsed : simulated time, s, over all lives of the simulator
-    happened : how often each kind of fault began
+    Parameters
+    ----------
+    elapsed
+        simulated time, s, over all lives of the simulator
+    happened
+        how often each kind of fault began
     """
 
     def __init__(self, node: Node, task: Task, random: np.random.Generator) -> None:

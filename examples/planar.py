@@ -27,7 +27,10 @@ def demonstrations(directory: Path) -> list[Demonstration]:
     """Data02.mat: four movements of 200 samples, [time in s, x, y], with two frames, of which the second is a
     reflection. The file's own views agree with Eq. (4) to its rounding.
 
-    Raises FileNotFoundError when the data are not there.
+    Raises
+    ------
+    FileNotFoundError
+        when the data are not there
     """
     path = directory / "Data02.mat"
     if not path.is_file():
@@ -44,7 +47,12 @@ def between(start: Frame, end: Frame, fraction: float) -> Frame:
     """The frame (over [time, x, y]) at a fraction of the way from one to another; below 0 and above 1 beyond them.
 
     A = Q S splits into what turns, and may reflect, and what stretches (polar decomposition). The turn from one Q to
-    the other goes by its angle; S and b go in straight lines. Raises ValueError when only one of the frames reflects.
+    the other goes by its angle; S and b go in straight lines.
+
+    Raises
+    ------
+    ValueError
+        when only one of the frames reflects
     """
     (Q, S), (R, T) = polar(start.A[1:, 1:]), polar(end.A[1:, 1:])
     turn = R @ Q.T

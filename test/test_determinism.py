@@ -37,8 +37,13 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def movement(node: Node, start: StartProcess, model: Path) -> tuple[str, np.ndarray, np.ndarray]:
-    """Digest of one movement on a graph of its own, its torques' stamps (T,), ns, and the way of the hand (T, 3)."""
+def movement(
+    node: Node, start: StartProcess, model: Path, together: bool = False
+) -> tuple[str, np.ndarray, np.ndarray]:
+    """Digest of one movement on a graph of its own, its torques' stamps (T,), ns, and the way of the hand (T, 3).
+
+    together : the nodes from pose to torque in one process
+    """
     task = Task.load(TASK_FILE)
     random = np.random.default_rng(5)
     situation, disturbances = random_placement(random), Disturbances.random(random, DURATION)
@@ -48,16 +53,24 @@ def movement(node: Node, start: StartProcess, model: Path) -> tuple[str, np.ndar
     world = World(around, task, situation, disturbances, Camera(CameraConfig(), seed=5), lockstep=True)
     recorder = Node("recorder", context=node.context)
     recording = RunRecord(recorder, task, list(RobotModel.from_file(ROBOT_FILE).joint_names))
-    waits = {"start_timeout": TIMEOUT, "settle_time": 0.05}
-    both = {"use_sim_time": True, "autostart": True}
-    processes: tuple[RunningProcess, ...] = (
-        start("frame_tracker", *ros_arguments(task_file=TASK_FILE, lockstep=True, use_sim_time=True)),
-        start(
-            "reproduction",
-            *ros_arguments(task_file=TASK_FILE, model_file=model, lockstep_rate=100.0, **waits, **both),
-        ),
-        start("impedance_controller", *ros_arguments(robot_file=ROBOT_FILE, lockstep=True, **both)),
-    )
+    nodes: dict[str, dict[str, object]] = {
+        "frame_tracker": {"task_file": TASK_FILE, "lockstep": True},
+        "reproduction": {
+            "task_file": TASK_FILE,
+            "model_file": model,
+            "lockstep_rate": 100.0,
+            "start_timeout": TIMEOUT,
+            "settle_time": 0.05,
+            "autostart": True,
+        },
+        "impedance_controller": {"robot_file": ROBOT_FILE, "lockstep": True, "autostart": True},
+    }
+    processes: tuple[RunningProcess, ...]
+    if together:
+        given = {f"{name}:{key}": value for name, parameters in nodes.items() for key, value in parameters.items()}
+        processes = (start("compose", *nodes, *ros_arguments(use_sim_time=True, **given)),)
+    else:
+        processes = tuple(start(name, *ros_arguments(use_sim_time=True, **given)) for name, given in nodes.items())
     client = ActionClient(node, Reproduce, "reproduce")
     spin_until(node, client.server_is_ready, TIMEOUT, "the action", processes)
     goal = result_of(node, client.send_goal_async(Reproduce.Goal(duration=DURATION)), "the goal", TIMEOUT)
@@ -83,13 +96,13 @@ def movement(node: Node, start: StartProcess, model: Path) -> tuple[str, np.ndar
 
 
 @pytest.mark.timeout(600)
-def test_two_runs_are_equal_bit_by_bit_also_when_other_programs_take_the_cores(
+def test_two_runs_are_equal_bit_by_bit_also_in_one_process_while_other_programs_take_the_cores(
     ros_node: Node, start_process: StartProcess, model: Path
 ) -> None:
     alone = movement(ros_node, start_process, model)
     others = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(os.cpu_count() or 1)]
     try:
-        crowded = movement(ros_node, start_process, model)
+        crowded = movement(ros_node, start_process, model, together=True)
     finally:
         for other in others:
             other.kill()

@@ -30,6 +30,7 @@ NODES: dict[str, dict[str, object]] = {
 }
 #: Arguments with which a program works for a while, in a folder of its own.
 PROGRAMS = {
+    "compose": ["frame_tracker", *ros_arguments(task_file=TASK_FILE)],
     "check_robot": [str(ROBOT_FILE)],
     "train": ["--task", str(TASK_FILE), "--output", "m.tpgmm", str(TASK_FILE.parents[1] / "bags" / "pick_place")],
     "teach": ["--task", str(TASK_FILE), "--output", "bag"],

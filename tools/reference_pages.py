@@ -178,8 +178,8 @@ def node_page(name: str, facts: NodeFacts, texts: dict[str, Any]) -> str:
 
 
 PARAMETERS_TEXT = """\
-*Fixed* parameters are read at the start only. All others may be changed while the node runs. `use_sim_time` and
-`realtime_priority` are those of [every node](../../interfaces.md#parameters)."""
+*Fixed* parameters are read at the start only. All others may be changed while the node runs. `use_sim_time`,
+`realtime_priority`, `cpu_cores` and `lock_memory` are those of [every node](../../interfaces.md#parameters)."""
 
 
 def parameter_row(item: Any) -> str:

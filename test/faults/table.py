@@ -19,7 +19,7 @@ from tpgmm_ros.runtime.processes import REALTIME_PRIORITY
 #: In the order of the table.
 MODULES = (
     "controller", "controller_states", "controller_references", "controller_ends", "late", "robot", "bag",
-    "perception", "movement", "driver", "processes"
+    "perception", "movement", "driver", "processes", "composed"
 )  # fmt: skip
 
 
@@ -76,6 +76,11 @@ def fault[BenchT: Bench](
         return run
 
     return enter
+
+
+def rows_of(bench: type[Bench]) -> list[Fault]:
+    """What can happen to a bench, as far as it has been entered."""
+    return [row for row in _table if row.bench is bench]
 
 
 def all_faults() -> list[Fault]:

@@ -46,9 +46,16 @@ class LoopRecord:
 class DelayedLoop:
     """A tick is a ms. States reach the controller `delay(time)` s late, with true stamps, `period` s apart.
 
-    law : its name; endpoint : that references of poses are for
-    tells : whether the controller is to know how old states are: else it takes the stamps for those of another clock
-    motors : what lies between torques and motors, s, of which nobody knows
+    Parameters
+    ----------
+    law
+        its name
+    endpoint
+        that references of poses are for
+    tells
+        whether the controller is to know how old states are: else it takes the stamps for those of another clock
+    motors
+        what lies between torques and motors, s, of which nobody knows
     """
 
     def __init__(

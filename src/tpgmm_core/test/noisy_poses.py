@@ -181,3 +181,29 @@ def lengths(manifold: Manifold, values: Array) -> tuple[float, float]:
     flat = positions(manifold)
     turns = [i for i in range(len(values)) if i not in flat]
     return float(np.linalg.norm(values[flat])), float(np.linalg.norm(values[turns]))
+
+
+def later_or_sooner(exact: Run, found: Run, step: float, most: float) -> float:
+    """By how much standard deviations differ at worst, as a ratio >= 1, of the same profile later or sooner.
+
+    What has no time of its own comes to the same place earlier or later, and is as firm there. Times of both runs are
+    aligned, neither ever going back, at most so far apart (`most`, s): of all alignments the one whose worst moment is
+    best. A reference that is firm and soft by turns, or is so at other places, finds none.
+    """
+    here, there = np.log(found.deviations), np.log(exact.deviations)
+    reach, T = round(most / step), len(there)
+    shifts = np.arange(-reach, reach + 1)
+    best = np.zeros(len(shifts))
+    for t, values in enumerate(here):
+        at = t + shifts
+        apart = np.abs(values - there[np.clip(at, 0, T - 1)]).max(axis=1)
+        apart[(at < 0) | (at >= T)] = np.inf
+        # as far on as at most one shift less, since the time there does not go back
+        until = np.minimum.accumulate(best)
+        best = np.maximum(apart, until if t == 0 else np.append(until[1:], until[-1]))
+    return float(np.exp(best.min()))
+
+
+def restlessness(run: Run) -> Array:
+    """How much standard deviations go up and down, (n,): the total variation of their logarithms."""
+    return np.asarray(np.abs(np.diff(np.log(run.deviations), axis=0)).sum(axis=0))

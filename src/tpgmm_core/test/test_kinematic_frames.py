@@ -272,7 +272,7 @@ def test_bad_tasks_are_refused_with_the_reason() -> None:
     robot = planar_bimanual()
     with pytest.raises(ValueError, match="unknown point 'nose'"):
         TaskSpace((KinematicTask("nose"),)).at(KinematicState(robot, np.zeros(5)))
-    with pytest.raises(ValueError, match="object 'disc' is not there"):
+    with pytest.raises(ValueError, match="object 'disc' is not known"):
         TaskSpace((KinematicTask("left", relative_to="disc"),)).at(KinematicState(robot, np.zeros(5)))
     with pytest.raises(ValueError, match="has a position only"):
         TaskSpace((KinematicTask("left", "pose"),)).at(KinematicState(robot, np.zeros(5)))

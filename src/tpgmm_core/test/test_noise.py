@@ -82,8 +82,6 @@ def test_a_mapping_that_is_written_to_is_another_situation(method: str) -> None:
 
 
 FALLS_SHORT = {
-    ("dynamical_system", "planar"): "its covariance depends on where the robot is, which a goal that trembles moves",
-    ("dynamical_system", "poses"): "its covariance depends on where the robot is, which a goal that trembles moves",
     ("semi_markov", "planar"): "changed frames shift the path in time by about half a sample, 5.5 mm at this speed",
 }
 """Where the bounds do not hold, and why; `docs/how-to/retrieval.md` has the figures."""

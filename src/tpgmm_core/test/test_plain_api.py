@@ -129,6 +129,21 @@ def test_the_benchmarks_work_has_the_values_of_plain_numpy(work: Workload) -> No
                 np.testing.assert_allclose(g.covariance, covariance, rtol=0.0, atol=1e-12)
 
 
+def test_as_many_times_as_anybody_likes_are_the_same_as_one_by_one() -> None:
+    """More than are taken side by side, for which the arrays lie otherwise in memory than those of one."""
+    mixture = random_mixture(np.random.default_rng(6), Manifold.euclidean(5), 6)
+    values = np.linspace(-2.0, 2.0, 601)[:, None]
+    several = mixture.condition([0], values)
+    assert several.mean.shape == (601, 4) and several.covariance.shape == (601, 4, 4)
+    for t in (0, 17, 255, 256, 400, 511, 512, 600):
+        one, other = mixture.condition([0], values[t]), several[t]
+        np.testing.assert_allclose(other.mean, one.mean, rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-12, atol=1e-14)
+        np.testing.assert_array_equal(other.covariance, other.covariance.T)
+        for array in (other.mean, other.covariance):
+            assert array.flags.c_contiguous and not array.flags.writeable and array.base is None
+
+
 def learned(rng: np.random.Generator) -> tuple[TPGMM, dict[str, Frame]]:
     return random_model(rng, {"a": 3, "b": 3}, 4), {name: random_frame(rng, 3, 3) for name in ("a", "b")}
 

@@ -137,8 +137,8 @@ def test_what_the_nodes_do_not_need_is_left_alone(tmp_path: Path, replace: tuple
 @pytest.mark.parametrize(
     ("replace", "reason"),
     [
-        (('<parent link="upper"/>', '<parent link="uper"/>'), "joint 'slide' has the parent link 'uper', which is not"),
-        (('<child link="tool"/>', ""), "joint 'slide' has the child link '', which is not there"),
+        (('<parent link="upper"/>', '<parent link="uper"/>'), "joint 'slide' has the parent link 'uper', which does"),
+        (('<child link="tool"/>', ""), "joint 'slide' has the child link '', which does not exist"),
         (('<child link="tool"/>', '<child link="upper"/>'), "link 'upper' is moved by two joints, 'turn' and 'slide'"),
         (('<parent link="base"/>', '<parent link="tool"/>'), "joints form a loop|moved by two|parts that no joint"),
         (("</robot>", '<link name="loose"/></robot>'), "2 parts that no joint connects: world, loose"),
@@ -250,7 +250,7 @@ def test_joints_that_mimic_others_stand_where_these_put_them(
 @pytest.mark.parametrize(
     ("replace", "changes", "reason"),
     [
-        (TWO, {}, "home lacks the joints knuckle_joint; give their positions, or take joints that"),
+        (TWO, {}, "home lacks the joints knuckle_joint; give their positions, or lock those that"),
         (
             TWO,
             {"home": {**HOME, "knuckle_joint": 0.3, "left_joint": 0.0}},
@@ -261,8 +261,8 @@ def test_joints_that_mimic_others_stand_where_these_put_them(
             {"joint_groups": {"all": ["turn", "slide"], "grip": ["left_joint"]}},
             "joint_groups names left_joint, which has no motor but mimics 'knuckle_joint'",
         ),
-        (gripper(("a", "revolute", LIMIT, '<mimic joint="nobody"/>')), {}, "'a_joint' mimics 'nobody', which is"),
-        (gripper(("a", "revolute", LIMIT, "<mimic/>")), {}, "'a_joint' mimics '', which is not there"),
+        (gripper(("a", "revolute", LIMIT, '<mimic joint="nobody"/>')), {}, "'a_joint' mimics 'nobody', which does not"),
+        (gripper(("a", "revolute", LIMIT, "<mimic/>")), {}, "'a_joint' mimics '', which does not exist"),
         (gripper(("a", "revolute", LIMIT, '<mimic joint="a_joint"/>')), {}, "'a_joint' mimics itself"),
         (
             gripper(("a", "revolute", LIMIT, '<mimic joint="b_joint"/>'), ("b", "revolute", "", A_MIMIC)),
@@ -300,7 +300,7 @@ def test_a_mechanism_that_the_arm_moves_is_suspicious(tmp_path: Path) -> None:
         refusal(tmp_path, gripper(("strut", "continuous", "", '<mimic joint="turn"/>')), changes={"home": HOME}) == ""
     )
     found = suspicions(RobotModel.from_file(tmp_path / "arm.yaml"))
-    assert "strut_joint mimics turn: here it stands still, where that puts it at home" in found
+    assert "strut_joint mimics turn: here it stands still, at its position for home" in found
 
 
 def test_the_arm_of_these_tests_is_sound(tmp_path: Path) -> None:

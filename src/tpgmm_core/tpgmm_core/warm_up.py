@@ -30,7 +30,7 @@ def warm_up(tell: Callable[[str], None] = lambda words: None) -> None:
     Parameters
     ----------
     tell
-        Hears in words what is compiled next: it takes minutes the first time.
+        called with a few words about what is compiled next: the first time takes minutes
     """
     tell("EM of full covariances, adaptation, regression")
     rng = np.random.default_rng(0)
@@ -66,7 +66,7 @@ def warm_up(tell: Callable[[str], None] = lambda words: None) -> None:
 
 
 def warm_up_control() -> None:
-    """The same for the controller, with the smallest of arms; nothing where Pinocchio is not installed."""
+    """Run the controller on the smallest of arms, so that it is compiled; nothing where Pinocchio is not installed."""
     try:
         from tpgmm_core.control.controller import Controller
         from tpgmm_core.control.laws import LAWS, ReferenceLaw

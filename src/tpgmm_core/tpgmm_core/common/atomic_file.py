@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are replaced as a whole: who reads meets the old content or the new one, and nothing between.
+"""Files that are replaced as a whole: a reader meets either the old content or the new one.
 
 Otherwise they are as any program leaves them: a new file has the mode that the umask says, an existing one keeps its
-own, and of a link, the file is replaced that it leads to.
+own. Of a link, the file that it leads to is replaced.
 """
 
 from __future__ import annotations
@@ -18,15 +18,20 @@ from typing import Any
 
 
 def write_atomically(path: str | os.PathLike[str], write: Callable[[Path], Any]) -> None:
-    """Have a file written beside its place, and put it there only when that succeeded.
+    """Write a file beside its place, and move it there only when that succeeded.
 
     Parameters
     ----------
-    path : the file; its directory must be there
-    write : writes into the file of the name that it is given, which is there already
+    path
+        the file; its directory must exist
+    write
+        called with the name of an empty file in the same directory, which it fills
 
-    Raises OSError, which names `path`: it is no regular file or must not be written, its directory must not be written
-    or is not there, or the disk refuses.
+    Raises
+    ------
+    OSError
+        when `path` is no regular file or must not be written, when its directory does not exist or must not be written,
+        and when the disk is full or fails. The error names `path`
     """
     place = Path(os.path.realpath(path))
     try:
@@ -39,7 +44,7 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[Path], Any])
             with draft.open("rb+") as file:
                 os.fsync(file.fileno())
             if former is not None:
-                with contextlib.suppress(PermissionError):  # who may not give a file away owns the new one
+                with contextlib.suppress(PermissionError):  # the new file is then this user's
                     os.chown(draft, former.st_uid, former.st_gid)
                 os.chmod(draft, stat.S_IMODE(former.st_mode))
             os.replace(draft, place)
@@ -53,14 +58,14 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[Path], Any])
 
 
 def _former(place: Path) -> os.stat_result | None:
-    """What is there now; None where there is nothing. Raises OSError for what must not be replaced."""
+    """The status of the file that is there now, None without one. Raises OSError for what must not be replaced."""
     try:
         status = place.stat()
     except FileNotFoundError:
         return None
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, "Is a directory", str(place))
-    if not stat.S_ISREG(status.st_mode):  # a file in its place would be no device any more
+    if not stat.S_ISREG(status.st_mode):  # a file in its place would no longer be a device
         raise OSError(errno.EINVAL, "Not a regular file", str(place))
     if not os.access(place, os.W_OK):
         raise PermissionError(errno.EACCES, "Permission denied", str(place))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names that task files and model files of earlier versions hold, and what they are called now.
 
-Whatever reads a name of a retrieval method, of an encoding or of a kind of model out of a file or a parameter takes it
-through `current_name`, so that old files go on working. New files hold the new names alone.
+Every name of a retrieval method, of an encoding or of a kind of model that comes from a file or a parameter passes
+through `current_name`, so that old files still work. New files hold the new names only.
 """
 
 from __future__ import annotations
@@ -18,5 +18,5 @@ RENAMED_PARAMETERS = {"risk": "risk_share", "leading_damping": "hand_guiding_dam
 
 
 def current_name(name: str) -> str:
-    """The present name of what `name` called in an earlier version; the name itself where it has not changed."""
+    """Return the present name of what `name` called in an earlier version; `name` itself where it has not changed."""
     return RENAMED.get(name, name)

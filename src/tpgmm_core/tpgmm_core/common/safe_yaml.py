@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Untrusted YAML files: read without executing anything, within limits of size and depth.
 
-Aliases are refused, since a page of them unfolds to gigabytes, and so are doubled keys, which make a file say other
+Aliases are refused, since a page of them unfolds to gigabytes, and so are doubled keys, with which a file means other
 things than it seems to.
 """
 
@@ -18,7 +18,7 @@ from tpgmm_core.common.text import one_line, shown
 
 MAX_BYTES = 64 * 1024
 MAX_DEPTH = 20
-"""Mappings and lists within one another. The files of this project have 3."""
+"""Deepest nesting of mappings and lists. The files of this project have 3."""
 
 
 class YamlError(ValueError):
@@ -26,9 +26,24 @@ class YamlError(ValueError):
 
 
 def load_yaml(path: Path, what: str) -> Any:
-    """What a YAML file holds; `what` is what errors say was expected, such as "a task file".
+    """Read a YAML file.
 
-    Raises YamlError for a file that cannot be read, is no regular file, is too large, or is no YAML.
+    Parameters
+    ----------
+    path
+        the file
+    what
+        what errors say was expected, such as "a task file"
+
+    Returns
+    -------
+    Any
+        mappings, lists, texts, numbers and dates, as the file holds them
+
+    Raises
+    ------
+    YamlError
+        for a file that cannot be read, is no regular file, is too large, or is no YAML
     """
     try:
         if path.exists() and not path.is_file():  # to open a pipe would wait for its other end
@@ -47,9 +62,19 @@ def load_yaml(path: Path, what: str) -> Any:
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """What YAML text says: mappings, lists, texts, numbers, dates; `source` is what errors call it.
+    """Read YAML text: mappings, lists, texts, numbers, dates.
 
-    Raises YamlError where it is no YAML, is nested too deeply, or holds aliases or doubled keys.
+    Parameters
+    ----------
+    text
+        the YAML
+    source
+        what errors call it
+
+    Raises
+    ------
+    YamlError
+        where it is no YAML, is nested too deeply, or holds aliases or doubled keys
     """
     try:
         return yaml.load(text, Loader=_Loader)

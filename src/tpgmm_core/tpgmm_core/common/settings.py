@@ -29,21 +29,33 @@ class Setting:
 
 
 def setting(default: float, lower: float, upper: float, description: str) -> Any:
-    """A dataclass field that is a number with a range and a description."""
+    """Make a dataclass field that is a number with a range and a description.
+
+    Parameters
+    ----------
+    default
+        the value where none is given
+    lower, upper
+        smallest and largest value allowed, both inclusive
+    description
+        a sentence for users, which ends with the unit
+    """
     return field(default=default, metadata={"setting": Setting(default, lower, upper, description)})
 
 
 def setting_of(item: Field[Any]) -> Setting:
-    """What ``setting`` was told of a field."""
+    """Return the default, bounds and description that a field was declared with by ``setting``."""
     known: Setting = item.metadata["setting"]
     return known
 
 
 def configured[ConfigT](config: type[ConfigT], values: Mapping[str, Any]) -> ConfigT:
-    """A dataclass of settings with some of them given by name, as files give them.
+    """Make a dataclass of settings from some of them by name, as files give them; the others have their defaults.
 
-    Raises:
-        ValueError: an unknown name, or a value out of its range.
+    Raises
+    ------
+    ValueError
+        for an unknown name, or a value out of its range
     """
     known = [item.name for item in fields(config)]  # type: ignore[arg-type]
     unknown = [name for name in values if name not in known]
@@ -53,7 +65,13 @@ def configured[ConfigT](config: type[ConfigT], values: Mapping[str, Any]) -> Con
 
 
 def check_settings(config: Any) -> None:
-    """Raises ValueError for the first setting of a dataclass that is no number or out of its range."""
+    """Check that all settings of a dataclass are numbers within their ranges.
+
+    Raises
+    ------
+    ValueError
+        for the first one that is not
+    """
     for item in fields(config):
         known, value = setting_of(item), getattr(config, item.name)
         number = isinstance(value, int | float) and not isinstance(value, bool)

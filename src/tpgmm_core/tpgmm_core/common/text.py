@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Text of others in our own sentences: on one line, without control characters, and short.
 
-Names in messages and files, parameters, topics of bags may be megabytes, hold line breaks that pass for lines of a log,
-or codes that a terminal obeys. Whatever comes from outside goes through here before it is part of an error, a log, a
-diagnostic or a status.
+Names in messages and files, parameters, and topics of bags may be megabytes long, hold line breaks that look like new
+lines of a log, or codes that a terminal obeys. Whatever comes from outside passes through here before it is part of an
+error, a log, a diagnostic or a status.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ def shown(value: Any, limit: int = NAME_LIMIT) -> str:
 
     Parameters
     ----------
-    value : anything
-    limit : characters of it that are shown
+    value
+        anything
+    limit
+        most characters that are shown of it
     """
     if isinstance(value, str | bytes):
         value = value[: limit + 1]  # what is not shown need not be escaped
@@ -38,9 +40,9 @@ def shown(value: Any, limit: int = NAME_LIMIT) -> str:
 
 
 def listed(values: Iterable[Any], most: int = 12) -> str:
-    """Names or values separated by commas, and the number of those beyond `most`; "nothing" where there are none.
+    """Names or values separated by commas, and how many more there are beyond `most`; "nothing" where there are none.
 
-    Names of letters, digits, and what topics and files have between them stand as they are, all others as `shown`.
+    Names of letters, digits and the signs that topics and files have are shown as they are, all others as by `shown`.
     """
     rest = iter(values)
     parts = [_plain(value) for value in islice(rest, most)]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ControlLaw`: reference and state to named torque terms; what every law of control is to the controller.
+"""`ControlLaw`: reference and state to named torque terms; the interface that the controller has for every law.
 
-A law says what the movement asks for. That the torques stay within what robot and people bear is not its
-business: `torque_pipeline` sees to it, whatever the law.
+A law computes what the movement needs. It does not keep the torques within what robot and people can bear:
+`torque_pipeline` does that, whatever the law.
 """
 
 from __future__ import annotations
@@ -25,11 +25,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """What is known of the loop that a state comes by and its torques leave by.
+    """What is known of the loop from a state to the torques that answer it.
 
-    age : of the state, s, by which the robot has moved on
-    delay : from what the joints do to the torques that answer it, s; feedback must bear it
-    hindered : the robot does not get where the reference is: it is not to be pulled further than a little
+    Parameters
+    ----------
+    age
+        of the state, s, during which the robot has moved on
+    delay
+        from what the joints do to the torques that answer it, s; the feedback must be stable with it
+    hindered
+        whether the robot does not get to its reference: it is then pulled only a little
     """
 
     age: float = 0.0
@@ -42,14 +47,22 @@ AT_ONCE = Loop()
 
 @dataclass(frozen=True, slots=True)
 class DynamicState:
-    """A state of the robot with its dynamics; the arrays are overwritten when the next moment is made.
+    """A state of the robot with its dynamics; the arrays are overwritten when the next one is made.
 
-    q, v : (nv,), rad and rad/s (m and m/s for prismatic joints), finite
-    inertia : (nv, nv), joint-space inertia M(q), symmetric, C-contiguous
-    inverse : (nv, nv), M^-1; NaN where M cannot be inverted
-    nonlinear : (nv,), gravity, Coriolis and centrifugal torques, N m (N), where the robot is by now
-    data : kinematics at q and v
-    loop : how the state came
+    Parameters
+    ----------
+    q, v
+        (nv,), rad and rad/s (m and m/s for prismatic joints), finite
+    inertia
+        (nv, nv), joint-space inertia M(q), symmetric, C-contiguous
+    inverse
+        (nv, nv), M^-1; NaN where M cannot be inverted
+    nonlinear
+        (nv,), gravity, Coriolis and centrifugal torques, N m (N), where the robot is by now
+    data
+        kinematics at q and v
+    loop
+        how late the state is
     """
 
     q: Array
@@ -62,24 +75,40 @@ class DynamicState:
 
     @classmethod
     def at(cls, data: RobotData, q: Array, v: Array, loop: Loop = AT_ONCE) -> DynamicState:
-        """Kinematics and dynamics at q and v (nv,), in the scratch memory `data`."""
+        """Kinematics and dynamics of a robot.
+
+        Parameters
+        ----------
+        data
+            scratch memory of the robot, which is overwritten
+        q, v
+            (nv,), positions and velocities
+        loop
+            how late the state is
+        """
         data.update(q, v)
         # Pinocchio's matrices are column-major; of a symmetric one the transpose is the same, row-major
         inertia = data.mass_matrix(q).T
         inverse = np.empty_like(inertia)
         if not invert_inertia(inertia, inverse):
             inverse[:] = np.nan
-        # what carries an arm that stands up would push it over, did it answer where the arm was
+        # torques that carry an upright arm would push it over if they were those of where the arm was
         there = q + loop.age * v if loop.age > 0.0 else q
         return cls(q, v, inertia, inverse, data.nonlinear_effects(there, v), data, loop)
 
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    """How far the robot is from what it was asked for.
+    """How far the robot is from its reference.
 
-    distance, angle : m and rad, of a hand; angle : rad (m), the largest one of the joints, for references of joints
-    joint : which one that is; empty for a hand
+    Parameters
+    ----------
+    distance
+        of a hand, m; 0 for references of joints
+    angle
+        of a hand, rad; for references of joints, the largest one, rad (m)
+    joint
+        the joint with the largest one; empty for a hand
     """
 
     distance: float
@@ -88,13 +117,13 @@ class Lag:
 
     @classmethod
     def of_pose(cls, difference: Array) -> Lag:
-        """Of a tangent vector (6,): position, then turn."""
+        """Lag of a hand, from a tangent vector (6,): position, then turn."""
         x, y, z, a, b, c = difference.tolist()
         return cls(math.hypot(x, y, z), math.hypot(a, b, c))
 
     @classmethod
     def of_joints(cls, difference: Array, names: Sequence[str]) -> Lag:
-        """Of the differences (n,) of joints."""
+        """Lag of joints, from their differences (n,)."""
         worst = int(np.argmax(np.abs(difference)))
         return cls(0.0, float(abs(difference[worst])), names[worst])
 
@@ -108,19 +137,33 @@ class Lag:
 class LawTorques:
     """What a law asks for.
 
-    tau : (nv,), the sum of the terms, N m (N), in model order
-    terms : name -> (nv,); "feedforward" is what a law adds whatever the error is, each law names its others
-    error : from the robot to the reference, in the tangent space of the reference; zero without reference
-    stiffness, damping : (n, n), what the robot shows to the outside, N/m and N m/rad, N s/m and N m s/rad;
-        zero without reference
-    jacobian : (n, nv), the velocity of what has this stiffness, by the joints' velocities
-    blend : 0 (gravity compensation) to 1 (the reference has full hold)
-    saturated : whether the law itself asked for less than its error did, since the motors are too weak
-    reason : why no torques could be computed, tau then means nothing; empty when all is well
-    lag : how far the robot is from what was asked for, while the law leads up to that, too; None without reference
-    delay_margin : delay of the loop, s, at which the gains that the reference asks for become unstable
-    share : of their rates, 0 to 1, that the delay of the loop leaves: K_P by its square, K_V by itself
-    moves, asked : how fast what is controlled moves, and the reference, 1/s; metres count by the characteristic length
+    Parameters
+    ----------
+    tau
+        (nv,), the sum of the terms, N m (N), in model order
+    terms
+        name -> (nv,); "feedforward" is what a law adds whatever the error is, each law names its others
+    error
+        from the robot to the reference, in the tangent space of the reference; zero without reference
+    stiffness, damping
+        (n, n), of the robot as the environment feels it, N/m and N m/rad, N s/m and N m s/rad; zero without reference
+    jacobian
+        (n, nv), the velocity of what has this stiffness, by the joints' velocities
+    blend
+        0 (gravity compensation) to 1 (the reference acts fully)
+    saturated
+        whether the law reduced its torques, since the motors are too weak for its error
+    reason
+        why no torques could be computed; tau then has no meaning. Empty when all is well
+    lag
+        how far the robot is from its reference, also while the law still approaches it; None without reference
+    delay_margin
+        delay of the loop, s, at which the gains for this reference become unstable
+    share
+        of the rates of the gains, 0 to 1, that the delay of the loop permits: K_P is scaled by its square, K_V by
+        itself
+    moves, asked
+        speed of what is controlled, and of the reference, 1/s; metres are divided by the characteristic length
     """
 
     tau: Array
@@ -139,7 +182,7 @@ class LawTorques:
     asked: float = 0.0
 
     def joint_gains(self) -> tuple[Array, Array]:
-        """Stiffness and damping as joints feel them, J^T K J and J^T D J, both (nv, nv)."""
+        """Stiffness and damping in joint space, J^T K J and J^T D J, both (nv, nv)."""
         J = self.jacobian
         return J.T @ self.stiffness @ J, J.T @ self.damping @ J
 
@@ -160,26 +203,43 @@ class LawConfig:
     )
 
     def __post_init__(self) -> None:
-        """Raises ValueError for values out of their range."""
+        """Raise ValueError for values out of their range."""
         check_settings(self)
 
 
 class ControlLaw[TargetT](Protocol):
-    """Torques of a whole robot that follow references; time enters as dt alone."""
+    """Torques of a whole robot that follow references; time is only given as dt."""
 
     def reset(self) -> None:
         """Forget target and posture; the next step starts from the state that it is given."""
 
     def target(self, reference: Reference, moving: bool) -> TargetT:
-        """What the law makes of a reference, once for all steps that follow it.
+        """Prepare a reference, once for all steps that follow it.
 
-        moving : False for a reference that is held: what moves comes to rest.
+        Parameters
+        ----------
+        reference
+            of a pose or of joints
+        moving
+            False for a reference that is held: it then comes to rest
 
-        Raises ValueError for a reference that this law cannot follow; the text says why.
+        Raises
+        ------
+        ValueError
+            for a reference that this law cannot follow; the text says why
         """
 
     def step(self, moment: DynamicState, target: TargetT | None, dt: float) -> LawTorques:
-        """Torques dt seconds (>= 0) after the last step. None: let go of the last target without a jump.
+        """Torques dt seconds (>= 0) after the last step.
 
-        Does not raise: what goes wrong is the `reason` of the answer.
+        It does not raise: the `reason` of the result says what went wrong.
+
+        Parameters
+        ----------
+        moment
+            the state of the robot
+        target
+            what is to be followed; None: the last target is released without a jump
+        dt
+            since the last step, s
         """

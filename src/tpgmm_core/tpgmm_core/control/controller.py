@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Controller`: a law of control, and the pipeline that its torques pass before they leave."""
+"""`Controller`: a law of control, and the pipeline that its torques pass before they are sent."""
 
 from __future__ import annotations
 
@@ -14,19 +14,26 @@ from tpgmm_core.control.torque_limits import finite
 from tpgmm_core.control.torque_pipeline import TorqueLimits, TorquePipeline, actions
 from tpgmm_core.robot.model import RobotModel
 
-#: A robot under gravity compensation with damping loses its speed about this fast, s.
+#: Time constant with which a robot under gravity compensation with damping loses its speed, s.
 REST_TIME = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class TorqueCommand:
-    """Torques that may leave.
+    """Torques that may be sent.
 
-    tau : (nv,), N m (N), in model order
-    q, v : (nv,), the state that they answer to
-    law : what the law asked for; None under the safe torque, gravity compensation with damping
-    actions : what the pipeline did beside passing a torque on, of `torque_pipeline.ACTIONS`
-    reason : why there was no use for the state, or for the law; empty when all is well
+    Parameters
+    ----------
+    tau
+        (nv,), N m (N), in model order
+    q, v
+        (nv,), the state that they answer
+    law
+        what the law asked for; None for the safe torque, gravity compensation with damping
+    actions
+        what the pipeline did beside passing a torque on, of `torque_pipeline.ACTIONS`
+    reason
+        why the state, or the law, could not be used; empty when all is well
     """
 
     tau: Array
@@ -38,18 +45,24 @@ class TorqueCommand:
 
     @property
     def limited(self) -> bool:
-        """Whether anything took something away from what the error asked for."""
+        """Whether the pipeline, or the law itself, reduced what the error asked for."""
         return bool(self.actions) or (self.law is not None and self.law.saturated)
 
     @property
     def terms(self) -> dict[str, Array]:
-        """Name -> (nv,), whose sum is tau: the law's terms and "pipeline", what became of them; or "safe" alone."""
+        """Name -> (nv,), whose sum is tau: the law's terms and "pipeline", its changes; or "safe" alone."""
         if self.law is None:
             return {"safe": self.tau}
         return {**self.law.terms, "pipeline": self.tau - self.law.tau}
 
     def acting(self, q: Array, v: Array) -> Array:
-        """Torques (nv,) that act at a later state (nv,) where the robot answers it with the law's gains."""
+        """Torques that act at a later state, where the robot itself applies the law's gains.
+
+        Parameters
+        ----------
+        q, v
+            (nv,), the later state
+        """
         if self.law is None:
             return self.tau
         stiffness, damping = self.law.joint_gains()
@@ -57,7 +70,22 @@ class TorqueCommand:
 
 
 class Controller[TargetT]:
-    """States and targets in, torques out that may leave, one for each step; time enters as dt alone."""
+    """States and targets in, torques that may be sent out, one for each step; time is only given as dt.
+
+    Parameters
+    ----------
+    robot
+        to be controlled
+    law
+        that computes the torques
+    limits
+        of the pipeline
+    period
+        see `TorquePipeline`
+    closed_elsewhere
+        whether the robot itself applies the gains that it gets. Its torques then change all the time, and the rate
+        limit refers to those that act when the next ones come
+    """
 
     def __init__(
         self,
@@ -68,17 +96,13 @@ class Controller[TargetT]:
         *,
         closed_elsewhere: bool = False,
     ) -> None:
-        """period : see `TorquePipeline`. closed_elsewhere : the robot itself answers its state with gains that it gets.
-
-        Torques then change all the time, and the rate limit holds against what acts when the next ones come.
-        """
         self.robot, self.law, self._closed_elsewhere = robot, law, closed_elsewhere
         self.pipeline = TorquePipeline(robot, limits, period)
         self._data = robot.create_data()
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, the last torques too; only where none act on the robot."""
+        """Forget everything, also the last torques; only while none act on the robot."""
         self.law.reset()
         self.pipeline.reset()
         self._q: Array | None = None
@@ -86,19 +110,35 @@ class Controller[TargetT]:
         self._sent: TorqueCommand | None = None
 
     def restart(self) -> None:
-        """After an interruption: law and torques are blended in anew, from the state of the next step."""
+        """Blend in law and torques anew after an interruption, from the state of the next step."""
         self.law.reset()
         self.pipeline.restart()
 
     def step(
         self, q: Array, v: Array, target: TargetT | None, dt: float, loop: Loop = AT_ONCE, *, brakes: bool = False
     ) -> TorqueCommand | None:
-        """Torques for positions q and velocities v (nv,), dt s after the last ones; `loop` says how late they are.
+        """Torques for a state of the robot.
 
-        brakes : no law is asked: gravity compensation with damping, at this state. The law starts anew afterwards.
+        For a state that is not finite, or that the law cannot compute with, the result is that of `rest`, with the
+        reason.
 
-        A state that is not finite, or that the law cannot compute with, gives what `rest` gives, and the reason.
-        Raises ValueError for arrays of the wrong shape.
+        Parameters
+        ----------
+        q, v
+            (nv,), positions and velocities
+        target
+            prepared by the law; None: no reference
+        dt
+            since the last torques, s
+        loop
+            how late the torques are
+        brakes
+            without the law: gravity compensation with damping at this state. The law starts anew afterwards
+
+        Raises
+        ------
+        ValueError
+            for arrays of the wrong shape
         """
         q, v = np.ascontiguousarray(q, dtype=np.float64), np.ascontiguousarray(v, dtype=np.float64)
         if q.shape != (self.robot.nv,) or v.shape != (self.robot.nv,):
@@ -120,10 +160,21 @@ class Controller[TargetT]:
         return self._sent
 
     def rest(self, age: float, dt: float, reason: str = "", loop: Loop = AT_ONCE) -> TorqueCommand | None:
-        """Gravity compensation with damping, at the last good state, which is `age` s old; None if there was none.
+        """Gravity compensation with damping, at the last good state; None if there was none.
 
-        The damping answers the last speed, which is taken to fade: a robot that stood still long ago would be
-        pushed backwards otherwise. The law starts anew afterwards.
+        The damping answers the last speed, which is assumed to fade: otherwise it would push a robot backwards that
+        stood still long ago. The law starts anew afterwards.
+
+        Parameters
+        ----------
+        age
+            of the last good state, s
+        dt
+            since the last torques, s
+        reason
+            for the command
+        loop
+            how late the torques are
         """
         self.law.reset()
         if self._q is None or self._v is None:
@@ -135,5 +186,5 @@ class Controller[TargetT]:
         return self._sent
 
     def at_rest(self, command: TorqueCommand) -> bool:
-        """Whether a command of `rest` is the safe torque itself, which no rate limit holds back any more."""
+        """Whether a command of `rest` is the safe torque itself, which the rate limit no longer changes."""
         return "effort or rate" not in command.actions

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ProgressWatch`: whether a robot gets to where its reference is, and if not, why; time is an argument.
+"""`ProgressWatch`: whether a robot gets to its reference, and if not, why; time is an argument.
 
-A robot that is far from its reference and comes no nearer does not follow it: it stands at a stop, its motors are too
-weak, it is stretched out, or something holds it. It follows again once it is near.
+A robot that is far from its reference and comes no nearer does not follow it: it is at a position limit, its motors are
+too weak, it is fully stretched, or something holds it. It follows again once it is near.
 """
 
 from __future__ import annotations
@@ -17,33 +17,51 @@ from tpgmm_core.robot.model import RobotModel
 
 #: Far from the reference, m and rad; near again below the share of it.
 FAR, FAR_ANGLE, NEAR = 0.05, 0.3, 0.7
-#: Who has not come nearer by a share of the distance, or by so much of `FAR`, for so long (s) gets no nearer.
+#: A robot is stuck when it comes no nearer by this share of the distance, or of `FAR`, for this long (s).
 NEARER, STEP, PATIENCE = 0.05, 0.4, 1.0
-#: A reference that moves (1/s) is followed by what moves at this share of its speed.
+#: A reference that moves (1/s) counts as followed at this share of its speed.
 MOVES, KEEPS_UP = 0.1, 0.5
-#: At a stop: nearer to it than this, rad or m. At its effort limit: above this share.
+#: At a position limit: nearer to it than this, rad or m. At its effort limit: above this share.
 AT_STOP, AT_EFFORT = 0.06, 0.98
 #: Smallest singular value (m, turns by `LENGTH`) below which a hand hardly moves in some direction.
 STRETCHED, LENGTH = 0.05, 0.3
-#: The words are made anew this often, s.
+#: The reason is written anew this often, s.
 NEW_WORDS = 2.0
 
 
 class ProgressWatch:
-    """See the module. `reason` says why the reference is not followed; empty while it is."""
+    """See the module. `reason` says why the reference is not followed; empty while it is.
+
+    Parameters
+    ----------
+    robot
+        whose limits are compared with its state
+    """
 
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
         self.forget()
 
     def forget(self) -> None:
-        """A new movement: nothing has been tried yet."""
+        """Start with a new movement: nothing is known of it."""
         self.reason = ""
         self._nearest = np.inf
         self._waited = self._told = 0.0
 
     def step(self, q: Array, tau: Array, asked: LawTorques, dt: float) -> None:
-        """The state q and the torques tau (nv,) that leave, dt s after the last ones, and what the law asked for."""
+        """Judge the progress of a step.
+
+        Parameters
+        ----------
+        q
+            (nv,), positions
+        tau
+            (nv,), torques that are sent
+        asked
+            what the law asked for
+        dt
+            since the last step, s
+        """
         if asked.lag is None:
             self.forget()
             return
@@ -66,16 +84,22 @@ class ProgressWatch:
 
     def _words(self, q: Array, tau: Array, asked: LawTorques) -> str:
         causes = "; ".join(hindrances(self._robot, q, tau, asked))
-        return f"not following, {asked.lag} and no nearer: {causes}"
+        return f"not following, {asked.lag}, no progress: {causes}"
 
 
 def size(lag: Lag) -> float:
-    """How far a robot is, in multiples of what is far."""
+    """Distance of a robot from its reference, in multiples of what counts as far."""
     return max(lag.distance / FAR, lag.angle / FAR_ANGLE)
 
 
 def hindrances(robot: RobotModel, q: Array, tau: Array, asked: LawTorques) -> Iterator[str]:
-    """What may keep a robot from its reference, in words: at least one."""
+    """What may keep a robot from its reference, in words: at least one.
+
+    Parameters
+    ----------
+    robot, q, tau, asked
+        as for `ProgressWatch`
+    """
     moved = np.abs(asked.jacobian).max(axis=0, initial=0.0) > 0.0
     names, units, none = robot.joint_names, robot.joint_units, True
     room = np.minimum(q - robot.lower_limits, robot.upper_limits - q)
@@ -103,6 +127,6 @@ def hindrances(robot: RobotModel, q: Array, tau: Array, asked: LawTorques) -> It
         yield "the reference moves away from it"
     elif none and asked.saturated:
         none = False
-        yield "its motors are too weak for what is asked"
+        yield "its motors are too weak"
     if none:
         yield "held by something, or pulled too softly"

@@ -3,8 +3,7 @@
 
 The law makes the hand a double integrator (operational space control) and lets the LQR of the reference's
 precision drive it (Section 5): `a = K_P e + K_V (xdot_ref - xdot) + a_ref`, `F = Lambda(q) (a - Jdot v)`,
-`tau = J^T F + (null space) + nle`. What the demonstrations did alike is held firmly, the rest gives way to a
-push.
+`tau = J^T F + (null space) + nle`. Where the demonstrations agreed the hand is stiff, elsewhere it yields to a push.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ from tpgmm_core.robot.model import RobotModel
 POSE_MANIFOLD = "R3 x S3"
 #: The terms of which the torque is the sum, in the order of the rows in `ImpedanceLaw.step`.
 TERMS = ("feedforward", "feedback", "null_space", "hold", "hand_guiding")
-#: A hand that is hindered is pulled no further than this (m, rad), and led at this share of the speed.
+#: The reference of a hindered hand is no farther away than this (m, rad), and moves at this share of the speed.
 LEASH, ANGULAR_LEASH, HINDERED_SPEED = 0.03, 0.2, 0.25
 
 
@@ -48,7 +47,7 @@ LEASH, ANGULAR_LEASH, HINDERED_SPEED = 0.03, 0.2, 0.25
 class ImpedanceConfig(LawConfig):
     """Parameters of the law.
 
-    The control cost r is what an acceleration of 1 m/s^2 costs beside the squared Mahalanobis distance to the
+    The control cost r is the cost of an acceleration of 1 m/s^2, relative to the squared Mahalanobis distance to the
     reference: a standard deviation sigma (m) gives K_P = 1 / (sigma sqrt(r)) in 1/s^2.
     """
 
@@ -87,7 +86,7 @@ class ImpedanceConfig(LawConfig):
         return {"min_stiffness": self.min_stiffness, "max_stiffness": self.max_stiffness}
 
     def __post_init__(self) -> None:
-        """Raises ValueError for values out of their range, or bounds out of order."""
+        """Raise ValueError for values out of their range, or bounds out of order."""
         LawConfig.__post_init__(self)
         if self.min_stiffness > self.max_stiffness:
             raise ValueError(f"min_stiffness {self.min_stiffness} is above max_stiffness {self.max_stiffness}")
@@ -97,8 +96,26 @@ class ImpedanceLaw:
     """Cartesian impedance of one hand; the joints that do not move it hold the posture in which they were found.
 
     Its terms: "feedforward", gravity and Coriolis torques, also those of the hand's motion; "feedback", the
-    impedance of the hand, and the reference's acceleration; "null_space", the posture of the arm, as far as the
-    hand does not feel it; "hold", the other joints; "hand_guiding", damping of an arm without reference.
+    impedance of the hand, and the reference's acceleration; "null_space", the posture of the arm, where it does not
+    disturb the hand; "hold", the other joints; "hand_guiding", damping of an arm without reference.
+
+    Parameters
+    ----------
+    robot
+        to be controlled
+    endpoint
+        the hand, a name of the robot file
+    config
+        parameters
+    rest_posture
+        (nv,), where the null space draws the arm; None: the robot's home
+    ahead
+        where gains are those along the reference's horizon, not those of the reference alone
+
+    Raises
+    ------
+    ValueError
+        for an unknown end point or a rest posture that is not (nv,) finite numbers
     """
 
     def __init__(
@@ -109,12 +126,6 @@ class ImpedanceLaw:
         rest_posture: ArrayLike | None = None,
         ahead: RecedingGains[PoseTarget] | None = None,
     ) -> None:
-        """rest_posture (nv,): where the null space draws the arm, the robot's home if not given.
-
-        ahead : where gains are those along the reference's horizon, not those of the reference alone.
-
-        Raises ValueError for an unknown end point or a rest posture that is not (nv,) finite numbers.
-        """
         if endpoint not in robot.endpoints:
             raise ValueError(f"the robot has no end point {shown(endpoint)}; it has {listed(robot.endpoints)}")
         self.robot, self.endpoint, self.ahead = robot, endpoint, ahead
@@ -129,14 +140,14 @@ class ImpedanceLaw:
         self._compile()
 
     def _compile(self) -> None:
-        """A step towards another pose, so that no later one waits for the compiler."""
+        """Make a step towards another pose, so that no later one waits for the compiler."""
         moment = DynamicState.at(self.robot.create_data(), self.robot.home, np.zeros(self.robot.nv))
         for _ in range(2):
             self.step(moment, self.pose_target(PoseReference(moment.data.pose(self.endpoint), np.eye(6))), 0.001)
         self.reset()
 
     def configure(self, config: ImpedanceConfig) -> None:
-        """Take other parameters, also while a reference is followed; its gains count from the next target on."""
+        """Use other parameters, also while a reference is followed; gains change with the next target."""
         self.config = config
         length = config.characteristic_length
         self._control_cost = config.control_cost * np.array([1.0, 1.0, 1.0, *[length**2] * 3])
@@ -155,10 +166,13 @@ class ImpedanceLaw:
             self.ahead.reset()
 
     def target(self, reference: Reference, moving: bool) -> PoseTarget:
-        """What the law makes of a reference: the pose, its gains, and the velocity if it is moving.
+        """Prepare a reference: the pose, its gains, and the velocity if it is moving.
 
-        Raises ValueError for a reference that is no pose, not finite, whose covariance is not positive definite, or
-        that lacks a horizon which is needed.
+        Raises
+        ------
+        ValueError
+            for a reference that is no pose, not finite, whose covariance is not positive definite, or that lacks a
+            horizon which is needed
         """
         manifold = str(reference.gaussian.manifold)
         if manifold != POSE_MANIFOLD:
@@ -168,7 +182,13 @@ class ImpedanceLaw:
         return target if self.ahead is None else replace(target, course=self.ahead.course(reference, moving))
 
     def pose_target(self, reference: PoseReference) -> PoseTarget:
-        """A pose with the gains that the LQR gives it. Raises ValueError for values that cannot be used."""
+        """A pose with the gains of the LQR.
+
+        Raises
+        ------
+        ValueError
+            for values that cannot be used
+        """
         parts = (reference.pose, reference.covariance.ravel(), reference.twist, reference.acceleration)
         if not finite(np.concatenate(parts)):
             raise ValueError("the reference is not finite")
@@ -191,8 +211,8 @@ class ImpedanceLaw:
     def step(self, moment: DynamicState, target: PoseTarget | None, dt: float) -> LawTorques:
         """Torques dt seconds after the last step.
 
-        Without a target the last one is let go over `blend_time`; what remains is gravity compensation with
-        damping. The `reason` is given when the state is beyond all proportion.
+        Without a target the last one is released over `blend_time`; what remains is gravity compensation with
+        damping. The `reason` is set when the joint velocities are too large to compute with.
         """
         config, nv = self.config, self.robot.nv
         pose, twist = moment.data.pose(self.endpoint), moment.data.twist(self.endpoint)
@@ -284,11 +304,11 @@ class ImpedanceLaw:
         )
 
     def _weight(self) -> float:
-        """How much hold the reference has, 0 to 1, smooth at both ends."""
+        """Weight of the reference, 0 to 1, smooth at both ends."""
         return self._blend**2 * (3.0 - 2.0 * self._blend)
 
     def _take(self, target: PoseTarget | None, pose: Array, dt: float) -> None:
-        """Let the target take hold, or the last one go; pose (7,) is the hand's."""
+        """Blend the target in, or the last one out; pose (7,) is the hand's."""
         change = dt / self.config.blend_time
         if target is not None:
             target = self._with_gains_ahead(target, dt)
@@ -316,7 +336,7 @@ class ImpedanceLaw:
         return replace(planned, reference=replace(target.reference, acceleration=self._push.copy()))
 
     def _waits(self, hand: Array) -> float:
-        """Share of its speed that the pose moves on with; see `waiting_share`."""
+        """Share of its speed with which the pose moves on; see `waiting_share`."""
         last, config = self._target, self.config
         if last is None:
             return 1.0
@@ -324,17 +344,17 @@ class ImpedanceLaw:
         return float(waiting_share(hand, last.reference.pose, last.K_V, last.ratio, *limits))
 
     def _approach(self, target: PoseTarget, hand: Array, dt: float) -> PoseTarget:
-        """The target as far as it may have come since the last one, or from where the hand is."""
+        """The target, as far as its speed permits since the last one, or from where the hand is."""
         last, config, reference = self._target, self.config, target.reference
         pose = (hand if last is None else last.reference.pose).copy()
-        # it starts slowly: a reference that the arm does not follow yet would be caught up with in a leap
+        # it starts slowly: otherwise the arm would jump to a reference that it does not follow yet
         reach = self._weight() * dt * (HINDERED_SPEED if self._hindered else self._waits(hand))
         approach(pose, reference.pose, config.max_linear_speed * reach, config.max_angular_speed * reach)
         if self._hindered:
             lead(pose, hand, LEASH, ANGULAR_LEASH, config.max_linear_speed * dt, config.max_angular_speed * dt)
         twist = reference.twist.copy()
         bound_twist(twist, config.max_linear_speed, config.max_angular_speed)
-        # leaps of the stiffness would feed in energy
+        # jumps of the stiffness would add energy
         share = 1.0 if last is None else min(1.0, dt / config.gain_time)
         before = target if last is None else last
         K_V = before.K_V + share * (target.K_V - before.K_V)

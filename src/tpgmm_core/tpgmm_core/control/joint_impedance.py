@@ -2,15 +2,15 @@
 """`JointImpedanceLaw`: a Gaussian over joints and the robot's state to torques of these joints.
 
 The infinite-horizon LQR of Section 5, with the reference's precision Q as the cost of positions and R = r M(q) as the
-cost of accelerations, M the inertia: a control is as dear as its deviation from free motion, measured as in Gauss's
+cost of accelerations, M the inertia: a control costs as much as its deviation from free motion, measured as in Gauss's
 principle of least constraint. In the coordinates L^T q of M = L L^T this is a double integrator with R = r I, whose
-closed form (`control.lqr`) reads, back in joint coordinates,
+closed form (`tpgmm_core.lqr`) reads, back in joint coordinates,
 
     tau = K (q_ref - q) - D v + gravity,   D = L (2 S)^(1/2) L^T,   K = D M^-1 D / 2 = L S L^T,   S² = L^-1 Q L^-T / r.
 
-K and D are symmetric, the modes of the robot are damped by 1 / sqrt(2) each, and none disturbs another: what pushes the
-robot where no task holds it does not move what a task holds. Coriolis torques are left to the robot, since
-without them the rate of the energy v^T M v / 2 + e^T K e / 2 is -v^T D v, as far as K and q_ref stay.
+K and D are symmetric, each mode of the robot has the damping ratio 1 / sqrt(2), and none disturbs another: a push on
+the robot where no task holds it does not move what a task holds. Coriolis torques are not compensated, since
+without that the rate of the energy v^T M v / 2 + e^T K e / 2 is -v^T D v, as long as K and q_ref stay.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from tpgmm_core.robot.model import RobotModel
 
 #: The terms of which the torque is the sum.
 TERMS = ("feedforward", "feedback", "hold", "hand_guiding")
-#: Joints that are hindered are pulled no further than this (rad or m), to which the pull goes back at that speed (1/s).
+#: The reference of hindered joints is no farther away than this (rad or m), to which it comes back at that speed (1/s).
 LEASH, LEASH_SPEED = 0.1, 0.5
 
 
@@ -58,7 +58,7 @@ class JointImpedanceConfig(LawConfig):
         return {"min_stiffness": self.joint_min_stiffness, "max_stiffness": self.joint_max_stiffness}
 
     def __post_init__(self) -> None:
-        """Raises ValueError for values out of their range, or bounds out of order."""
+        """Raise ValueError for values out of their range, or bounds out of order."""
         LawConfig.__post_init__(self)
         if self.joint_min_stiffness > self.joint_max_stiffness:
             raise ValueError(
@@ -70,8 +70,25 @@ class JointImpedanceConfig(LawConfig):
 class JointImpedanceLaw:
     """Joint-space impedance of any joints, such as those of both arms; the others hold the posture they were found in.
 
-    Its terms: "feedforward", gravity, and Coriolis torques of joints that hold; "feedback", what the reference asks
-    for; "hold", the joints without reference; "hand_guiding", damping of the joints that have none at present.
+    Its terms: "feedforward", gravity, and Coriolis torques of joints that hold; "feedback", the impedance towards the
+    reference; "hold", the joints that no reference is about; "hand_guiding", damping of the joints without one at
+    present.
+
+    Parameters
+    ----------
+    robot
+        to be controlled
+    joints
+        groups of the robot file or joints by name, in the order of the references
+    config
+        parameters
+    ahead
+        where gains are those along the reference's horizon, not those of the reference alone
+
+    Raises
+    ------
+    ValueError
+        for unknown joints, none, and one that is named twice
     """
 
     def __init__(
@@ -81,12 +98,6 @@ class JointImpedanceLaw:
         config: JointImpedanceConfig | None = None,
         ahead: RecedingGains[JointGains] | None = None,
     ) -> None:
-        """joints : groups of the robot file or joints by name, in the order of the references.
-
-        ahead : where gains are those along the reference's horizon, not those of the reference alone.
-
-        Raises ValueError for unknown joints, none, and one that is named twice.
-        """
         self.robot, self.ahead = robot, ahead
         self._joints = np.concatenate([robot.indices(group) for group in joints]) if joints else np.zeros(0, np.intp)
         if len(np.unique(self._joints)) != len(self._joints) or not len(self._joints):
@@ -99,7 +110,7 @@ class JointImpedanceLaw:
         self._compile()
 
     def _compile(self) -> None:
-        """A step, so that no later one waits for the compiler."""
+        """Make a step, so that no later one waits for the compiler."""
         n = len(self._joints)
         target = JointTarget(self.robot.home[self._joints], np.zeros(n), np.eye(n))
         moment = DynamicState.at(self.robot.create_data(), self.robot.home, np.zeros(self.robot.nv))
@@ -107,7 +118,7 @@ class JointImpedanceLaw:
         self.reset()
 
     def configure(self, config: JointImpedanceConfig) -> None:
-        """Take other parameters, also while a reference is followed."""
+        """Use other parameters, also while a reference is followed."""
         self.config = config
 
     def reset(self) -> None:
@@ -121,9 +132,12 @@ class JointImpedanceLaw:
             self.ahead.reset()
 
     def target(self, reference: Reference, moving: bool) -> JointTarget:
-        """What the law makes of a reference: positions, velocities if it is moving, and the precision.
+        """Prepare a reference: positions, velocities if it is moving, and the precision.
 
-        Raises ValueError for a reference that is not over these joints, not finite, or without an inverse covariance.
+        Raises
+        ------
+        ValueError
+            for a reference that is not over these joints, not finite, or without an inverse covariance
         """
         gaussian, n = reference.gaussian, len(self._joints)
         if not gaussian.manifold.is_euclidean or gaussian.manifold.dim != n:
@@ -143,8 +157,8 @@ class JointImpedanceLaw:
     def step(self, moment: DynamicState, target: JointTarget | None, dt: float) -> LawTorques:
         """Torques dt seconds after the last step.
 
-        Without a target the last one is let go over `blend_time`; what remains is gravity compensation with
-        damping. The `reason` is given when the state is beyond all proportion.
+        Without a target the last one is released over `blend_time`; what remains is gravity compensation with
+        damping. The `reason` is set when the joint velocities are too large to compute with.
         """
         config, joints, nv, n = self.config, self._joints, self.robot.nv, len(self._joints)
         change = dt / config.blend_time
@@ -178,7 +192,7 @@ class JointImpedanceLaw:
             L, F = np.zeros((n, n)), np.zeros((n, n))
             wanted = self._wanted(self._target, L, F, dt) if inertia_factor(joints, moment.inertia, L, F) else None
             if wanted is not None:
-                # leaps of K would feed in energy
+                # jumps of K would add energy
                 last = wanted if self._gains is None else self._gains
                 self._gains = last.towards(wanted, min(1.0, dt / config.gain_time))
                 margin = self._gains.delay_margin
@@ -231,7 +245,7 @@ class JointImpedanceLaw:
         )
 
     def _leashed(self, behind: Array, hindered: bool, dt: float) -> Array:
-        """The error (n,) that the joints are pulled by: less than they lag where they are hindered, without a leap."""
+        """The error (n,) that the joints are pulled by, without a jump: shorter than the lag of hindered joints."""
         furthest = float(np.abs(behind).max())
         if hindered:
             self._leash = max(LEASH, min(self._leash, furthest) - LEASH_SPEED * dt)
@@ -242,7 +256,7 @@ class JointImpedanceLaw:
         return behind if self._leash == np.inf else np.clip(behind, -self._leash, self._leash)
 
     def _carried(self, moment: DynamicState) -> Array:
-        """Torques (nv,) that are given whatever the error is."""
+        """Torques (nv,) that do not depend on the error."""
         carried = moment.nonlinear.copy()
         carried[self._joints] = moment.data.gravity(moment.q)[self._joints]
         return carried

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`JointTarget`, what joints are asked for; `JointGains`, what leads there, also along what comes."""
+"""`JointTarget`, where joints are to be; `JointGains`, the gains that lead there, also along what comes."""
 
 from __future__ import annotations
 
@@ -16,10 +16,18 @@ from tpgmm_core.lqr.receding_horizon import RecedingHorizonGains, receding_horiz
 
 @dataclass(frozen=True, slots=True)
 class JointTarget:
-    """A reference that was found good: positions and velocities (n,), rad and rad/s, and the precision (n, n).
+    """A reference that was checked.
 
-    accelerations : (n,), rad/s^2, that the reference has; None for none
-    course : what gains are to be made from, for laws that look ahead
+    Parameters
+    ----------
+    positions, velocities
+        (n,), rad and rad/s
+    precision
+        (n, n), 1/rad^2
+    accelerations
+        (n,), rad/s^2, of the reference; None: zero
+    course
+        what gains are to be made from, for laws that look ahead
     """
 
     positions: Array
@@ -31,12 +39,18 @@ class JointTarget:
 
 @dataclass(frozen=True, slots=True)
 class JointGains:
-    """What leads to a target, from where gains have got to. In the coordinates L^T q of the inertia M = L L^T:
+    """Gains that lead to a target, in the coordinates L^T q of the inertia M = L L^T.
 
-    damping : (n, n), D in joint coordinates, N m s/rad
-    ratio : (n, n), C of K = D L^-T C L^-1 D; I / 2 for the infinite horizon, which makes the damping ratio 1 / sqrt(2)
-    push : (n,), accelerations of these coordinates beside what follows the reference
-    rate, firmness : bounds of the eigenvalues of K_V = L^-1 D L^-T (1/s) and of C, which say what delay they bear
+    Parameters
+    ----------
+    damping
+        (n, n), D in joint coordinates, N m s/rad
+    ratio
+        (n, n), C of K = D L^-T C L^-1 D; I / 2 for the infinite horizon, which makes the damping ratio 1 / sqrt(2)
+    push
+        (n,), accelerations of these coordinates in addition to what follows the reference
+    rate, firmness
+        bounds of the eigenvalues of K_V = L^-1 D L^-T (1/s) and of C, which determine with what delay they are stable
     """
 
     damping: Array
@@ -47,11 +61,11 @@ class JointGains:
 
     @property
     def delay_margin(self) -> float:
-        """Delay of the loop (s) that these gains bear."""
+        """Delay of the loop (s) below which these gains are stable."""
         return float(delay_margin(self.firmness * self.rate**2, self.rate))
 
     def towards(self, other: JointGains, share: float) -> JointGains:
-        """A share (0 to 1) of the way to others. K stays definite, since D and C do."""
+        """Gains a share (0 to 1) of the way to others. K stays definite, since D and C do."""
         return JointGains(
             self.damping + share * (other.damping - self.damping),
             self.ratio + share * (other.ratio - self.ratio),
@@ -70,11 +84,27 @@ def receding_joint_gains(
     bounds: Mapping[str, float],
     along: Callable[..., RecedingHorizonGains] = receding_horizon_gains,
 ) -> JointGains:
-    """Gains along a course of joints (T, n) with its covariances (T, n, n), and R = r L L^T as the control cost.
+    """Gains along future positions (T, n) of joints with covariances (T, n, n), and control cost R = r L L^T.
 
     The horizon is that of a double integrator in the coordinates L^T q of M = L L^T, with the inertia of the present.
 
-    bounds : of the stiffness, see `receding_horizon_gains`
+    Parameters
+    ----------
+    L
+        (n, n), Cholesky factor of the inertia
+    course, covariances
+        (T, n) and (T, n, n), `time_step` s apart; the first is now
+    time_step
+        s
+    control_cost, bounds
+        of the law; bounds of the stiffness as `receding_horizon_gains` takes them
+    along
+        `receding_horizon_gains`, or what makes gains in its place
+
+    Returns
+    -------
+    JointGains
+        at the first of the positions
     """
     gains = along((course - course[0]) @ L, L.T @ covariances @ L, time_step, control_cost, **bounds)
     inverse = np.linalg.inv(gains.damping)

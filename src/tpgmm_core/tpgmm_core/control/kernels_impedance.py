@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled: the arithmetic of the impedance law; what is asked of it and why stands in `impedance.py`."""
+"""Compiled: the arithmetic of the impedance law; `impedance.py` says what it computes and why."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def approach(pose: Array, goal: Array, max_linear: float, max_angular: float) ->
 
 @compiled
 def multiply_add(A: Array, x: Array, y: Array) -> None:
-    """y += A x, for A (n, m), x (m,), y (n,)."""
+    """Add a product in place: y += A x, for A (n, m), x (m,), y (n,)."""
     for i in range(len(A)):
         total = 0.0
         for j in range(A.shape[1]):
@@ -55,9 +55,9 @@ def multiply_add(A: Array, x: Array, y: Array) -> None:
 
 @compiled
 def waiting_share(hand: Array, pose: Array, K_V: Array, ratio: Array, max_linear: float, max_angular: float) -> float:
-    """Share (0 to 1) of its speed that a pose (7,) moves on with: none where the hand lags by twice as much as then.
+    """Share (0 to 1) of its speed with which a pose (7,) moves on: 0 for twice the lag of a hand at full speed.
 
-    K_V, ratio (6, 6) : the lag that goes with a speed is (K_V ratio)^-1 of it; max_linear, max_angular : m/s and rad/s
+    K_V, ratio (6, 6) : a speed makes the hand lag by (K_V ratio)^-1 times it; max_linear, max_angular : m/s and rad/s
     """
     lag, turned, asked = np.empty(6), np.zeros(6), np.zeros(6)
     pose_difference(hand, pose, lag)
@@ -70,7 +70,7 @@ def waiting_share(hand: Array, pose: Array, K_V: Array, ratio: Array, max_linear
 
 @compiled
 def scaled_length(scale: Array, x: Array) -> float:
-    """Euclidean length of x (n,), of which each number counts by its scale (n,)."""
+    """Euclidean length of x (n,), each number of which is multiplied by its scale (n,)."""
     total = 0.0
     for i in range(len(x)):
         total += (scale[i] * x[i]) ** 2
@@ -114,7 +114,7 @@ def standing_torques(
     hand_guiding: Array,
     given: Array,
 ) -> None:
-    """What the robot needs whatever the arm is to do: its weight, joints that hold still, an arm that is damped.
+    """Torques that the robot needs whatever the arm does: its weight, joints that hold still, an arm that is damped.
 
     others (m,) : joints that hold the posture (nv,), with critically damped springs of the frequency (rad/s): by their
         inertia as a whole, since a spring for each by itself makes a chain of joints many times as stiff
@@ -232,7 +232,7 @@ def arm_torques(
         sofar[i], limits[i] = given[arm[i]], effort_limits[arm[i]]
         if not (math.isfinite(spring[i]) and math.isfinite(brakes[i]) and math.isfinite(sofar[i])):
             return -1
-    # what brakes goes first: a pull beyond the motors' strength must not take the damping away
+    # damping comes first: a pull beyond the motors' strength must not reduce it
     braking = fit(brakes, sofar, limits)
     for i in range(n):
         sofar[i] += braking * brakes[i]

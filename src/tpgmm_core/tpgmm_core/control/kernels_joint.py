@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled: the arithmetic of the joint-space laws; what is asked of it and why stands in `joint_impedance.py`."""
+"""Compiled: the arithmetic of the joint-space laws; `joint_impedance.py` says what it computes and why."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def inertia_factor(joints: Indices, M: Array, L: Array, F: Array) -> bool:
 def precision_damping(
     L: Array, F: Array, precision: Array, control_cost: float, min_stiffness: float, max_stiffness: float, D: Array
 ) -> float:
-    """D = L (2 S)^(1/2) L^T, S^2 = F Q F^T / r with the precision Q (n, n).
+    """Damping D = L (2 S)^(1/2) L^T, S^2 = F Q F^T / r with the precision Q (n, n).
 
     Returns the largest eigenvalue of K_V = F D F^T, 1/s; -1 where S cannot be computed with.
 
@@ -112,11 +112,11 @@ def joint_torques(
             braked = min(braked, most[i] / brake[i])
         elif brake[i] < least[i]:
             braked = min(braked, least[i] / brake[i])
-    # What brakes goes first, and saturates as a whole: with one torque cut, those of the other joints that answer
-    # its speed may drive what they are to brake. What is missing then each joint adds for itself, as far as it can.
-    # What pulls is cut where it is too much, and there alone: the others take its lack for one more push, and go on
-    # holding what they hold. Shortening all would let go of both arms where one shoulder is too weak. It is never more
-    # than the motor can give by itself: a far reference would leave nothing of what brakes, and the arm would swing.
+    # Damping comes first, and saturates as a whole: with one torque cut, those of the other joints that answer
+    # its speed may drive what they should brake. Each joint then adds what is missing by itself, as far as it can.
+    # The pull is cut where it is too much, and only there: for the others this is one more push, and they go on
+    # holding what they hold. Scaling all would release both arms where one shoulder is too weak. It is never more
+    # than the motor's own limit: otherwise a far reference would leave no torque for damping, and the arm would swing.
     saturated = 0 if braked == 1.0 else 1
     for i in range(n):
         together = braked * brake[i]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws by name, and `ReferenceLaw`: each follows references of poses and of joints, by what a reference says it is.
+"""The laws by name, and `ReferenceLaw`, with which each follows references of poses and of joints.
 
 A reference on "R3 x S3" is a pose, of the law's end point. A Euclidean one whose dimensions are names of joints is a
-Gaussian over these joints. When references change from the one to the other, or to other joints, the torques go over
-from the one law to the other within `blend_time`; each is a sum that carries the robot, and so is what lies between.
+Gaussian over these joints. When references change from one kind to the other, or to other joints, the torques are
+blended from one law to the other within `blend_time`; each is a sum that carries the robot, and so is every blend.
 """
 
 from __future__ import annotations
@@ -32,7 +32,17 @@ type _Law = ImpedanceLaw | JointImpedanceLaw
 
 @dataclass(frozen=True, slots=True)
 class LawSettings:
-    """Parameters of all laws: each takes those that it knows."""
+    """Parameters of all laws: each uses those that it knows.
+
+    Parameters
+    ----------
+    pose
+        of laws that follow poses
+    joint
+        of laws that follow references of joints
+    plan
+        of laws that look ahead
+    """
 
     pose: ImpedanceConfig = field(default_factory=ImpedanceConfig)
     joint: JointImpedanceConfig = field(default_factory=JointImpedanceConfig)
@@ -40,7 +50,7 @@ class LawSettings:
 
     @classmethod
     def filled(cls, fill: Callable[[type], Any]) -> LawSettings:
-        """Each of the parts by `fill`, which is given its class. Raises what `fill` raises."""
+        """Make each of the parts by `fill`, which is called with its class. Raises what `fill` raises."""
         return cls(fill(ImpedanceConfig), fill(JointImpedanceConfig), fill(PlanConfig))
 
 
@@ -50,17 +60,37 @@ CONFIGS: tuple[type, ...] = (ImpedanceConfig, JointImpedanceConfig, PlanConfig)
 
 @dataclass(frozen=True, slots=True)
 class LawTarget:
-    """A reference that was found good, and the law that follows it."""
+    """A reference that was checked, and the law that follows it."""
 
     law: ControlLaw[Any]
     of_law: Any
 
 
 class ReferenceLaw:
-    """One of `LAWS`, for whatever references there are; see the module.
+    """One of `LAWS`, for references of any kind; see the module.
 
     The laws of the end point's pose and of its joints are made at once, so that all is compiled; that of other joints
     when they are named first, which takes some ms, once.
+
+    Parameters
+    ----------
+    name
+        one of `LAWS`
+    robot
+        to be controlled
+    endpoint
+        whose poses are followed
+    settings
+        parameters of all laws
+    submit
+        where the predictive law's plans are made
+
+    Raises
+    ------
+    ValueError
+        for an unknown law or end point
+    ImportError
+        where a law's solver is not installed
     """
 
     def __init__(
@@ -71,10 +101,6 @@ class ReferenceLaw:
         settings: LawSettings | None = None,
         submit: Submit[Any] = at_once,
     ) -> None:
-        """submit : where the predictive law's plans are made.
-
-        Raises ValueError for an unknown law or end point, and ImportError where a law's solver is not installed.
-        """
         if name not in LAWS:
             raise ValueError(f"there is no law {shown(name)}; expected one of {', '.join(LAWS)}")
         if endpoint not in robot.endpoints:
@@ -86,7 +112,7 @@ class ReferenceLaw:
         self.reset()
 
     def configure(self, settings: LawSettings) -> None:
-        """Take other parameters, also while a reference is followed."""
+        """Use other parameters, also while a reference is followed."""
         self._settings = settings
         for law in (self._of_pose, self._of_joints[1]):
             for planning in (law, law.ahead):
@@ -99,7 +125,7 @@ class ReferenceLaw:
 
     @property
     def plan_age(self) -> float | None:
-        """Time since the state that the plan which is followed was made from, s; None for laws that have no plan."""
+        """Age of the state that the present plan was made from, s; None for laws that have no plan."""
         return getattr(self._current, "latency", None)
 
     def reset(self) -> None:
@@ -110,15 +136,18 @@ class ReferenceLaw:
         self._current.reset()
 
     def target(self, reference: Reference, moving: bool) -> LawTarget:
-        """What the law of the reference's kind makes of it.
+        """Prepare a reference by the law of its kind.
 
-        Raises ValueError for a reference that is neither of a pose nor of joints of the robot, and as that law does.
+        Raises
+        ------
+        ValueError
+            for a reference that is neither of a pose nor of joints of the robot, and as that law does
         """
         law = self._law_of(self._joints_of(reference))
         return LawTarget(law, law.target(reference, moving))
 
     def step(self, moment: DynamicState, target: LawTarget | None, dt: float) -> LawTorques:
-        """As `ControlLaw.step`; gains and error are those of the law that takes over, while one does."""
+        """Torques as of `ControlLaw.step`; during a change of laws, gains and error are those of the new law."""
         if target is not None and target.law is not self._current:
             if target.law is self._former:
                 self._share = 1.0 - self._share

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`LoopGuard`: whether a reference that is there can be followed: in time, without swings, and at all.
+"""`LoopGuard`: whether a valid reference can be followed: in time, without oscillation, and at all.
 
-It knows how late the loop is (`state_age`), notices swings (`oscillation`) and whether the robot gets where it is to be
-(`following`), and turns the decision to follow into one that is true: with its reason, and the way back.
+It knows how late the loop is (`state_age`), notices oscillation (`oscillation`) and whether the robot gets to its
+reference (`following`), and changes a decision to follow where one of them forbids it: with the reason, and the
+condition for following again.
 
 - **Late states.** Laws lower their gains to what the delay permits (`delay_margin`). Below `LEAST_SHARE` of their rates
   nothing useful is left: DAMPING, until the delay has been well below that for a second, or references have stopped.
-- **Swings.** DAMPING until all joints have been calm for a second; then it follows with gains that bear a quarter of
-  the period of what swung, which is the delay that makes damping swing so. That is forgotten within half a minute.
-  What swings for the third time is not tried again before the next activation.
-- **Hindered.** HOLD: pulled by no more than a few centimetres, so that nothing leaps when the obstacle goes; ACTIVE
+- **Swings.** DAMPING until all joints have been calm for a second; then it follows with gains that are stable with a
+  delay of a quarter of the swing's period, which is the delay that makes damping swing like this. After half a minute
+  the gains are the usual ones again. After the third swing it does not try again before the next activation.
+- **Hindered.** HOLD: pulled by no more than a few centimetres, so that nothing jumps when the obstacle goes; ACTIVE
   again once the robot is near its reference.
 """
 
@@ -26,35 +27,48 @@ from tpgmm_core.control.state_age import StateAge
 from tpgmm_core.control.supervision import ControllerMode, Decision, Timeouts
 from tpgmm_core.robot.model import RobotModel
 
-#: Gains slower than this share of what the reference asks for follow nothing: K_P is 1/25 of it.
+#: Gains slower than this share of those for the reference cannot follow it: K_P is 1/25 of theirs.
 LEAST_SHARE = 0.2
-#: It is tried again where the delay has been below this share of the longest one that was borne, for so long, s.
+#: It tries again when the delay has been below this share of the longest stable one for this long, s.
 RETRY, RETRY_TIME = 0.75, 1.0
-#: So many alarms, and swings are not tried again.
+#: After this many alarms it does not try again.
 MOST_ALARMS = 3
-#: Words about the share of the gains are made anew where it has changed by this factor.
+#: The sentence about the share of the gains is renewed when it has changed by this factor.
 TOLD_FACTOR = 1.1
-#: A share above this is no news.
+#: A share above this is not worth a sentence.
 NEARLY_ALL = 0.95
 
 
 class LoopGuard:
     """See the module.
 
-    age : how late states are
-    share, tolerated : of the gains' rates that are left (1 without reference), and the age of states (s) that all of
-        them bear; infinite without reference
+    Parameters
+    ----------
+    robot
+        that is controlled
+    timeouts
+        of its inputs
+    closed_elsewhere
+        see `Controller`: the delay of this loop then does not matter to the robot's own feedback
+
+    Attributes
+    ----------
+    age
+        how late states are
+    share
+        of the gains' rates that is left; 1 without reference
+    tolerated
+        the age of states (s) with which all gains are stable; infinite without reference
     """
 
     def __init__(self, robot: RobotModel, timeouts: Timeouts, closed_elsewhere: bool = False) -> None:
-        """closed_elsewhere : see `Controller`: the delay of this loop is then none of the robot's."""
         self._robot, self.timeouts, self._closed_elsewhere = robot, timeouts, closed_elsewhere
         self.age = StateAge()
         self._swings, self._progress = SwingWatch(robot.velocity_limits), ProgressWatch(robot)
         self.forget()
 
     def forget(self) -> None:
-        """A new start."""
+        """Start anew."""
         self.age.forget()
         self._swings.forget()
         self._progress.forget()
@@ -65,20 +79,20 @@ class LoopGuard:
 
     @property
     def delay(self) -> float:
-        """Of the loop, s."""
+        """Delay of the loop, s."""
         return 0.0 if self._closed_elsewhere else self.age.delay(self.timeouts.actuation_delay)
 
     @property
     def swings(self) -> bool:
-        """Whether something swings that is to be braked, whatever references say."""
+        """Whether an oscillation has to be damped, whatever references say."""
         return bool(self._swung)
 
     def loop(self) -> Loop:
-        """What the next torques have to bear."""
+        """The delay and the hindrance that the next torques have to take into account."""
         return Loop(self.age.age or 0.0, self.delay, bool(self._progress.reason))
 
     def judge(self, decision: Decision) -> Decision:
-        """What is true of a decision that inputs alone led to."""
+        """Change a decision that was made from the inputs alone, where the loop requires it."""
         follows = decision.mode in (ControllerMode.ACTIVE, ControllerMode.HOLD)
         if self._swung and self._alarms < MOST_ALARMS and self._swings.calm:
             self._swung = ""
@@ -95,7 +109,17 @@ class LoopGuard:
         return Decision(decision.mode, decision.reason + self._words, decision.sends)
 
     def after(self, command: TorqueCommand, mode: ControllerMode, dt: float) -> None:
-        """Torques that left dt s after the last ones, and in which mode."""
+        """Observe torques that were sent.
+
+        Parameters
+        ----------
+        command
+            the torques
+        mode
+            in which they were sent
+        dt
+            since the last ones, s
+        """
         asked = command.law
         follows = mode in (ControllerMode.ACTIVE, ControllerMode.HOLD)
         moves, wanted = (0.0, 0.0) if asked is None else (asked.moves, asked.asked)
@@ -113,7 +137,7 @@ class LoopGuard:
         self.age.suspect(0.5 * swings.half_period)
         unit = robot.joint_units[swings.joint]
         self._swung = (
-            f"{robot.joint_names[swings.joint]} swings and does not settle ({swings.speed:.2g} {unit}/s, to and fro in "
+            f"{robot.joint_names[swings.joint]} swings and does not settle ({swings.speed:.2g} {unit}/s, period "
             f"{2e3 * swings.half_period:.0f} ms): states or torques late, or gains too high for the robot's inertia; "
         )
         again = "for the third time: activate anew" if self._alarms >= MOST_ALARMS else "softer once it is calm"
@@ -139,13 +163,13 @@ class LoopGuard:
             self._told, self._words = 1.0, ""
         elif not self._told / TOLD_FACTOR < asked.share < self._told * TOLD_FACTOR:
             self._told = asked.share
-            self._words = f", softer: K_P is {asked.share**2:.2g} of what it asks for, since {self._lateness()}"
+            self._words = f", softer: K_P is reduced to {asked.share**2:.2g} of its value, since {self._lateness()}"
 
     def _words_of_late(self, delay: float) -> str:
         self._told_delay = delay
         return (
-            f"{self._lateness()}, the loop {1e3 * delay:.0f} ms late in all; the gains that the reference asks for "
-            f"bear {1e3 * LEAST_SHARE * self._longest:.0f} ms, the softest ones that follow "
+            f"{self._lateness()}, the loop is {1e3 * delay:.0f} ms late in total; its gains are stable up to "
+            f"{1e3 * LEAST_SHARE * self._longest:.0f} ms, the softest usable ones up to "
             f"{1e3 * self._longest:.0f} ms"
         )
 

@@ -17,7 +17,7 @@ from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
 
 @compiled
 def bound_twist(twist: Array, max_linear: float, max_angular: float) -> None:
-    """Shorten the linear and the angular part of a motion (6,) in place to at most max_linear and max_angular."""
+    """Scale the linear and the angular part of a motion (6,) in place down to at most max_linear and max_angular."""
     for start, largest in ((0, max_linear), (3, max_angular)):
         x, y, z = twist[start], twist[start + 1], twist[start + 2]
         # by the largest number, so that no square overflows

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`SwingWatch`: notices joints that swing to and fro more and more, whatever the cause; time is an argument.
+"""`SwingWatch`: notices joints that oscillate with growing amplitude, whatever the cause; time is an argument.
 
-Each joint's velocity is cut into half-swings, from one change of its sign to the next. A swing is what grows, or does
-not die out, over several of them, is faster than a share of the joint's speed limit, and is not what the reference
-does. A push decays within two half-swings under a damping ratio of 0.7, and so is none; nor are slow movements.
+Each joint's velocity is cut into half-swings, from one change of its sign to the next. A swing is an oscillation that
+grows, or does not die out, over several of them, is faster than a share of the joint's speed limit, and is not the
+motion of the reference. A push decays within two half-swings with a damping ratio of 0.7, and so is none; nor are slow
+movements.
 """
 
 from __future__ import annotations
@@ -23,23 +24,36 @@ SLOWEST = 0.5
 DIES_OUT = 0.8
 #: After so many half-swings that have grown by the factor, or so many that have not died out, it is an alarm.
 GROWN_AFTER, GROWTH, ENDLESS_AFTER = 3, 1.5, 6
-#: A joint may swing as long as the hand does no more than this many times what the reference does, ...
+#: A joint may oscillate as long as the hand moves at no more than this many times the reference's speed, ...
 FOLLOWS = 2.0
-#: ... which is remembered for this long, s; motions below (1/s) are none.
+#: ... which is remembered for this long, s; slower motions (1/s) count as none.
 REMEMBERED, NO_MOTION = 0.5, 0.1
-#: Speeds below `CALM` of the limits for so long are calm, s.
+#: Joints are calm after speeds below `CALM` of their limits for this long, s.
 CALM, CALM_TIME = 0.05, 1.0
 
 
 @compiled
 def count_swings(v: Array, speed_limits: Array, dt: float, counts: bool, swings: Array) -> tuple[int, bool]:
-    """Update the swings (n, 6) of n joints by their velocities v (n,), dt s later.
+    """Update the swings of n joints by their velocities.
 
-    Returns the joint of an alarm, or -1, and whether all joints are calm.
+    Parameters
+    ----------
+    v
+        (n,), velocities
+    speed_limits
+        (n,), of the joints
+    dt
+        since the last call, s
+    counts
+        whether this half-swing may count at all
+    swings
+        (n, 6), for each joint the sign of its half-swing, its peak speed, its time; the peak of the one before; how
+        many have not died out; the peak of the first of them
 
-    swings : for each joint the sign of its half-swing, its peak speed, its time; the peak of the one before; how many
-        have not died out; the peak of the first of them
-    counts : whether this half-swing may count at all
+    Returns
+    -------
+    tuple[int, bool]
+        the joint of an alarm, or -1, and whether all joints are calm
     """
     alarm, calm = -1, True
     for i in range(len(v)):
@@ -69,8 +83,15 @@ def count_swings(v: Array, speed_limits: Array, dt: float, counts: bool, swings:
 class SwingWatch:
     """See the module.
 
-    joint, speed, half_period : of the last alarm: index, rad/s (m/s), s
-    calm : whether no joint has moved much for `CALM_TIME`
+    Parameters
+    ----------
+    speed_limits
+        (nv,), of the joints
+
+    Attributes
+    ----------
+    joint, speed, half_period
+        of the last alarm: index, rad/s (m/s), s
     """
 
     def __init__(self, speed_limits: Array) -> None:
@@ -80,19 +101,27 @@ class SwingWatch:
         self.step(np.zeros(len(speed_limits)), 0.0, 0.0, 0.0)  # compiles
 
     def forget(self) -> None:
-        """Nothing has swung yet."""
+        """Forget all swings."""
         self._swings[:] = 0.0
         self._asked = self._still = 0.0
         self.joint, self.speed, self.half_period = -1, 0.0, 0.0
 
     @property
     def calm(self) -> bool:
+        """Whether no joint has moved much for `CALM_TIME`."""
         return self._still >= CALM_TIME
 
     def step(self, v: Array, moves: float, asked: float, dt: float) -> bool:
-        """Velocities v (nv,), dt s after the last ones. Whether a joint swings more and more.
+        """Observe velocities; returns whether a joint oscillates with growing amplitude.
 
-        moves, asked : how fast the hand moves, and the reference, 1/s
+        Parameters
+        ----------
+        v
+            (nv,), velocities
+        moves, asked
+            how fast the hand moves, and the reference, 1/s
+        dt
+            since the last call, s
         """
         self._asked = max(asked, self._asked * math.exp(-dt / REMEMBERED))
         unasked = moves + NO_MOTION >= FOLLOWS * self._asked

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What laws that look ahead have in common: their parameters, when they plan, and where."""
+"""What laws that look ahead share: their parameters, when they plan, and in which thread."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 
 from tpgmm_core.common.settings import check_settings, setting
 
-#: Does a piece of work, at once or in another thread, and holds its outcome.
+#: Runs a piece of work, at once or in another thread; the future holds its result.
 type Submit[PlanT] = Callable[[Callable[[], PlanT]], Future[PlanT]]
 
 
@@ -33,7 +33,7 @@ class PlanConfig:
     plan_margin: float = setting(0.06, 0.0, 1.0, "Distance that the predictive law keeps from position limits, rad")
 
     def __post_init__(self) -> None:
-        """Raises ValueError for values out of their range."""
+        """Raise ValueError for values out of their range."""
         check_settings(self)
 
 
@@ -45,17 +45,17 @@ class Planning(Protocol):
 
 
 def at_once[PlanT](work: Callable[[], PlanT]) -> Future[PlanT]:
-    """The `Submit` that waits for the outcome: the same numbers however fast the machine is."""
+    """Do the work now and wait for the result: a `Submit` whose numbers do not depend on the speed of the machine."""
     future: Future[PlanT] = Future()
     try:
         future.set_result(work())
-    except Exception as error:  # whoever asks for the result gets it
+    except Exception as error:  # the caller gets it with the result
         future.set_exception(error)
     return future
 
 
 class Schedule:
-    """When to plan, by the time that steps report; the first time at once."""
+    """When to plan, counted in the time of the steps; the first time at once."""
 
     def __init__(self) -> None:
         self._age = float("inf")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`PoseReference`, what the hand is asked for; `PoseTarget`, the same with the gains that lead there.
+"""`PoseReference`, where the hand is to be; `PoseTarget`, the same with the gains that lead there.
 
 `receding_pose_target`: with the gains of a finite horizon.
 """
@@ -18,13 +18,21 @@ from tpgmm_core.control.receding_gains import Course, RecedingGains
 
 @dataclass(frozen=True, slots=True)
 class PoseReference:
-    """Where the hand should be, how surely, and how it moves; all in base axes.
+    """Where the hand should be, how accurately, and how it moves; all in base axes.
 
-    pose : (7,), x, y, z, qx, qy, qz, qw
-    covariance : (6, 6), position (m), then rotation vector about the fixed axes (rad)
-    twist, acceleration : (6,), linear then angular; zero if not given
+    Parameters
+    ----------
+    pose
+        (7,), x, y, z, qx, qy, qz, qw
+    covariance
+        (6, 6), position (m), then rotation vector about the fixed axes (rad)
+    twist, acceleration
+        (6,), linear then angular; zero if not given
 
-    Raises ValueError for wrong shapes; values are judged by `ImpedanceLaw.pose_target`.
+    Raises
+    ------
+    ValueError
+        for wrong shapes; values are checked by `ImpedanceLaw.pose_target`
     """
 
     pose: Array
@@ -42,12 +50,21 @@ class PoseReference:
 
 @dataclass(frozen=True, slots=True)
 class PoseTarget:
-    """A reference that was found good, and its gains.
+    """A reference that was checked, and its gains.
 
-    K_V : (6, 6), 1/s
-    ratio : (6, 6), C of K_P = K_V C K_V: I / 2 for the infinite-horizon LQR. Gains that follow by way of K_V and C stay
+    Parameters
+    ----------
+    reference
+        where to be
+    K_V
+        (6, 6), 1/s
+    ratio
+        (6, 6), C of K_P = K_V C K_V: I / 2 for the infinite-horizon LQR. Gains that change by way of K_V and C stay
         definite, and keep the damping ratio where C stays
-    course : what gains are to be made from, for laws that look ahead
+    rate, firmness
+        bounds of the eigenvalues of K_V (1/s) and of C, which determine with what delay they are stable
+    course
+        what gains are to be made from, for laws that look ahead
     """
 
     reference: PoseReference
@@ -59,7 +76,7 @@ class PoseTarget:
 
     @property
     def delay_margin(self) -> float:
-        """Delay of the loop (s) that these gains bear."""
+        """Delay of the loop (s) below which these gains are stable."""
         return float(delay_margin(self.firmness * self.rate**2, self.rate))
 
 
@@ -71,9 +88,23 @@ def receding_pose_target(
     characteristic_length: float,
     bounds: Mapping[str, float],
 ) -> PoseTarget:
-    """The target whose gains are those along a course, with the acceleration that belongs to them.
+    """A target with the gains along a course, and with the acceleration that belongs to them.
 
-    bounds : of the stiffness, see `receding_horizon_gains`
+    Parameters
+    ----------
+    reference
+        where to be
+    course
+        what comes
+    ahead
+        what the gains allow for
+    control_cost, characteristic_length, bounds
+        of the law; bounds of the stiffness as `receding_horizon_gains` takes them
+
+    Returns
+    -------
+    PoseTarget
+        without a course
     """
     # coordinates in which turning costs as moving does
     scale = np.array([1.0, 1.0, 1.0, *[characteristic_length] * 3])

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Model predictive control of joints: the finite-horizon LQR of a moving reference, within limits, solved again and
-again as the frames move.
+"""Model predictive control of joints: the finite-horizon LQR of a moving reference, within limits.
 
-The input is the joint acceleration (inverse dynamics): over each step of the horizon it is constant, positions and
-velocities are linear in it, and so are the torques, `tau = M vdot + h`, with the inertia M and the nonlinear effects h
-of a nearby state. Written in the accelerations alone (`batch`) this is a small, dense, strictly convex problem:
+The problem is solved again and again as the frames move. The input is the joint acceleration (inverse dynamics): over
+each step of the horizon it is constant, positions and velocities are linear in it, and so are the torques,
+`tau = M vdot + h`, with the inertia M and the nonlinear effects h of a nearby state. Written in the accelerations alone
+(`batch`) this is a small, dense, strictly convex problem:
 
 - torques are hard limits. With accelerations free, some always keep them, so that a solution always exists;
 - positions and velocities are soft limits: kept where the torques allow it, else exceeded as little as possible. A
   robot that is found beyond a limit, or too fast to stop before it, has a defined answer.
 
-Costs are per second, so that the answer hardly depends on the steps; beyond the horizon the cost of the
-infinite-horizon LQR goes on. DAQP solves it (Arnström, Bemporad and Axehill 2022: a dual active-set method for embedded
+Costs are per second, so that the answer hardly depends on the steps; beyond the horizon the cost is that of the
+infinite-horizon LQR. DAQP solves it (Arnström, Bemporad and Axehill 2022: a dual active-set method for embedded
 control), an optional dependency: only this module needs it.
 """
 
@@ -44,9 +44,14 @@ _LINEAR_WEIGHT, _INVERSE_QUADRATIC_WEIGHT = 1e3, 1e-6
 class JointLimits:
     """What the joints can do; an infinite limit is none.
 
-    torque : (n,), N m, > 0, both ways; hard
-    velocity : (n,), rad/s, > 0, both ways; soft
-    lower, upper : (n,), rad; soft
+    Parameters
+    ----------
+    torque
+        (n,), N m, > 0, both ways; hard
+    velocity
+        (n,), rad/s, > 0, both ways; soft
+    lower, upper
+        (n,), rad; soft
     """
 
     torque: Array
@@ -68,9 +73,16 @@ class JointLimits:
 class JointReference:
     """Where the joints are to be at the ends of the steps of the horizon, and how much it matters.
 
-    positions : (N, n), rad
-    precisions : (N, n, n), symmetric semidefinite, 1/rad^2 (the cost per s)
-    velocities : (N, n), rad/s, and velocity_precisions : (N, n, n); None where velocities are free
+    Parameters
+    ----------
+    positions
+        (N, n), rad
+    precisions
+        (N, n, n), symmetric semidefinite, 1/rad^2 (the cost per s)
+    velocities
+        (N, n), rad/s; None where velocities are free
+    velocity_precisions
+        (N, n, n), of the velocities, where there are any
     """
 
     positions: Array
@@ -81,15 +93,24 @@ class JointReference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PredictivePlan:
-    """What to do now, and what is expected to come of it.
+    """What to do now, and how the joints are expected to move.
 
-    torque : (n,), N m, within its limits: feedforward of the first step
-    accelerations : (N, n), rad/s^2, over the steps; positions, velocities : (N, n), at their ends
-    stiffness, damping : (n, n), 1/s^2 and 1/s: the feedback around the plan until the next one, as an acceleration
-        `K_P (q_plan - q) + K_V (v_plan - v)`; the gains of the finite-horizon LQR with the same costs
-    status : "optimal", or "softened" where a soft limit is exceeded, or "fallback" where the solver did not finish: the
-        law without limits, its torque cut to its limits
-    excess : by how much soft limits are exceeded at most, rad or rad/s
+    Parameters
+    ----------
+    torque
+        (n,), N m, within its limits: feedforward of the first step
+    accelerations
+        (N, n), rad/s^2, over the steps
+    positions, velocities
+        (N, n), at their ends
+    stiffness, damping
+        (n, n), 1/s^2 and 1/s: the feedback around the plan until the next one, as an acceleration `K_P (q_plan - q) +
+        K_V (v_plan - v)`; the gains of the finite-horizon LQR with the same costs
+    status
+        "optimal", or "softened" where a soft limit is exceeded, or "fallback" where the solver did not finish: the law
+        without limits, its torque cut to its limits
+    excess
+        by how much soft limits are exceeded at most, rad or rad/s
     """
 
     torque: Array
@@ -105,13 +126,23 @@ class PredictivePlan:
 class PredictiveController:
     """Solves the problem of the horizon again and again, without memory from one time to the next.
 
-    time_steps : (N,), s, the steps of the horizon; they may grow along it
-    limits : of the n joints
-    control_cost : scalar > 0 or (n,), of accelerations, per s
-    max_iterations : of the solver, each of which adds or removes one active limit
+    The constructor solves one problem, so that no later one waits for the compiler.
 
-    The constructor solves one problem, so that no later one waits for the compiler. Raises ValueError for steps or
-    costs that are not positive.
+    Parameters
+    ----------
+    time_steps
+        (N,), s, the steps of the horizon; they may grow along it
+    limits
+        of the n joints
+    control_cost
+        scalar > 0 or (n,), of accelerations, per s
+    max_iterations
+        of the solver, each of which adds or removes one active limit
+
+    Raises
+    ------
+    ValueError
+        for steps or costs that are not positive
     """
 
     def __init__(
@@ -152,19 +183,31 @@ class PredictiveController:
 
     @property
     def times(self) -> Array:
-        """(N,), s from now: the ends of the steps, for which references are given."""
+        """Ends of the steps, for which references are given: (N,), s from now."""
         return np.cumsum(self.time_steps)
 
     def solve(
         self, q: ArrayLike, v: ArrayLike, reference: JointReference, inertia: ArrayLike, bias: ArrayLike
     ) -> PredictivePlan:
-        """The best plan from positions q and velocities v (n,).
+        """The best plan from a state.
 
-        reference : at `times`
-        inertia : M, (n, n) or for each step (N, n, n); bias : h, (n,) or (N, n): Coriolis, gravity, friction
+        A problem whose limits cannot be kept is no error.
 
-        Raises ValueError for shapes that do not fit and values that are not finite. A problem whose limits cannot be
-        kept is no error.
+        Parameters
+        ----------
+        q, v
+            (n,), positions and velocities
+        reference
+            at `times`
+        inertia
+            M, (n, n) or for each step (N, n, n)
+        bias
+            h, (n,) or (N, n): Coriolis, gravity, friction
+
+        Raises
+        ------
+        ValueError
+            for shapes that do not fit and values that are not finite
         """
         N, n = len(self.time_steps), len(self.limits.torque)
         x0, Q, r, M, h = self._checked(q, v, reference, inertia, bias)

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """`PredictiveLaw`: model predictive control of joints as a law of the controller, for references of poses or joints.
 
-`plan_rate` times per second the problem of `control.predictive` is solved from the state of the moment, along the
+`plan_rate` times per second the problem of `control.predictive` is solved from the present state, along the
 reference's horizon, within the limits of torques, velocities and positions. Between two solutions, at every step, the
 joints follow the plan: its accelerations, and a feedback around it with the gains of the LQR along the same horizon.
 
-Where it is solved is for `submit` to say. In another thread no step waits for it, and a plan is some steps old when it
-comes: it is followed from where it then should be, since it knows when it began.
+`submit` decides in which thread it is solved. In another thread no step waits for it, and a plan is some steps old when
+it is ready: it is followed from where it should be at that time.
 
-Poses become objectives of joints by the Jacobian of the moment; what they leave free goes to the rest posture, as
-weakly as `joint_min_stiffness`.
+Poses become objectives of joints by the present Jacobian; directions that they leave free are drawn to the rest
+posture, as weakly as `joint_min_stiffness`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,17 @@ GROWTH = 1.2
 
 @dataclass(frozen=True, slots=True)
 class PredictiveTarget:
-    """Where to be from now on: means (T, D) and precisions (T, m, m), `time_step` s apart; of a pose or of joints."""
+    """Where to be from now on, as a pose or as joints.
+
+    Parameters
+    ----------
+    means
+        (T, D)
+    precisions
+        (T, m, m)
+    time_step
+        between them, s
+    """
 
     means: Array
     precisions: Array
@@ -54,7 +64,8 @@ class PredictiveTarget:
 class _Problem:
     """All that a plan is made from; `jacobian` (6, n) and `pose` (7,) of the hand are None for references of joints.
 
-    share : of the rates of the feedback, for the delay of the loop: planning again from late states is feedback too
+    `share` is that of the rates of the feedback, for the delay of the loop: planning again from late states is feedback
+    too.
     """
 
     q: Array
@@ -78,11 +89,27 @@ class _Planned:
 
 
 class PredictiveLaw(JointImpedanceLaw):
-    """See the module. Its terms are those of `JointImpedanceLaw`; "feedback" holds what the plan asks for.
+    """See the module. Its terms are those of `JointImpedanceLaw`; "feedback" holds the torques of the plan.
 
-    joints : as for `JointImpedanceLaw`
-    endpoint : the end point, moved by these joints, whose poses it follows; None: it follows references of the joints
-    submit : where plans are made; `at_once` waits for them
+    Parameters
+    ----------
+    robot
+        to be controlled
+    joints
+        as for `JointImpedanceLaw`
+    endpoint
+        the end point, moved by these joints, whose poses it follows; None: it follows references of the joints
+    config
+        parameters
+    plan
+        parameters of planning
+    submit
+        where plans are made; `at_once` waits for them
+
+    Raises
+    ------
+    ValueError
+        like `JointImpedanceLaw`, and for an unknown end point
     """
 
     def __init__(
@@ -95,7 +122,6 @@ class PredictiveLaw(JointImpedanceLaw):
         plan: PlanConfig | None = None,
         submit: Submit[_Planned] = at_once,
     ) -> None:
-        """Raises ValueError as `JointImpedanceLaw`, and for an unknown end point."""
         if endpoint is not None and endpoint not in robot.endpoints:
             raise ValueError(f"the robot has no end point {shown(endpoint)}; it has {listed(robot.endpoints)}")
         self.plan, self.endpoint, self._submit = plan or PlanConfig(), endpoint, submit
@@ -112,7 +138,7 @@ class PredictiveLaw(JointImpedanceLaw):
         self.reset()
 
     def configure(self, config: JointImpedanceConfig) -> None:
-        """Take other parameters, those of `plan` too, also while a reference is followed: from the next plan on."""
+        """Use other parameters, those of `plan` too, also while a reference is followed: from the next plan on."""
         super().configure(config)
         robot, joints = self.robot, self._joints
         masses = np.diag(robot.create_data().mass_matrix(robot.home))[joints]
@@ -130,7 +156,7 @@ class PredictiveLaw(JointImpedanceLaw):
         )
 
     def reset(self) -> None:
-        """As `JointImpedanceLaw.reset`; a plan that is being made is forgotten."""
+        """Reset as `JointImpedanceLaw.reset`; a plan that is being made is discarded."""
         super().reset()
         self._schedule = Schedule()
         self._pending: tuple[Future[_Planned], float] | None = None
@@ -144,9 +170,14 @@ class PredictiveLaw(JointImpedanceLaw):
         return self._time - self._begun
 
     def target(self, reference: Reference, moving: bool) -> PredictiveTarget:  # type: ignore[override]
-        """Where to be, and how firmly, along the horizon; for ever as now without one, or if it is not moving.
+        """Prepare a reference: where to be, and how firmly, along the horizon.
 
-        Raises ValueError for a reference of another kind, not finite, or without an inverse covariance.
+        Without a horizon, or if it is not moving, the reference stays where it is now.
+
+        Raises
+        ------
+        ValueError
+            for a reference of another kind, not finite, or without an inverse covariance
         """
         if self.endpoint is None:
             super().target(reference, moving)
@@ -163,7 +194,7 @@ class PredictiveLaw(JointImpedanceLaw):
         return PredictiveTarget(means, precisions, course.time_step)
 
     def step(self, moment: DynamicState, target: PredictiveTarget | None, dt: float) -> LawTorques:  # type: ignore[override]
-        """As `JointImpedanceLaw.step`; before the first plan is there as without a target."""
+        """Torques as of `JointImpedanceLaw.step`; before the first plan is ready, those without a target."""
         self._time += dt
         if target is None:
             self._pending = self._planned = None
@@ -201,7 +232,7 @@ class PredictiveLaw(JointImpedanceLaw):
         return PredictiveTarget(mean[None], target.precisions[:1], target.time_step)
 
     def _lag(self, moment: DynamicState, target: PredictiveTarget) -> Lag:
-        """From the robot to the reference, which plans begin far from."""
+        """Lag from the robot to the reference, also while plans begin far from it."""
         if self.endpoint is None:
             return Lag.of_joints(target.means[0] - moment.q[self._joints], self.joint_names)
         return Lag.of_pose(POSE.log(moment.data.pose(self.endpoint), target.means[0]))
@@ -212,13 +243,13 @@ class PredictiveLaw(JointImpedanceLaw):
         return None if self._failed else self._planned.gains
 
     def _carried(self, moment: DynamicState) -> Array:
-        return moment.nonlinear  # the plan is one of accelerations: nothing may be left to the robot
+        return moment.nonlinear  # the plan is one of accelerations: it needs all torques of the robot's dynamics
 
     def _rest(self) -> Array:
         return self.robot.home[self._joints]
 
     def _problem(self, moment: DynamicState, target: PredictiveTarget) -> _Problem:
-        """Copies: the next step overwrites what a moment holds."""
+        """Copy what a plan needs, since the next step overwrites the state."""
         i = self._joints
         pose = jacobian = None
         if self.endpoint is not None:
@@ -236,7 +267,7 @@ class PredictiveLaw(JointImpedanceLaw):
         )
 
     def _at(self, planned: _Planned, age: float) -> JointTarget:
-        """Where the plan is some time (s) after it began; at its last position once it is over."""
+        """The plan at an age (s) since it began; its last position once it is over."""
         steps, plan, n = self._solver.time_steps, planned.plan, len(self._joints)
         ends = np.cumsum(steps)
         k = int(np.searchsorted(ends, age, side="right"))
@@ -254,7 +285,7 @@ def _solve(
     rest: Array,
     posture_precision: Array,
 ) -> _Planned:
-    """A plan, and gains, from a problem alone. Raises ValueError for numbers that cannot be computed with."""
+    """Make a plan, and gains, from a problem alone. Raises ValueError for numbers that cannot be computed with."""
     positions, precisions = _course(problem, rest, posture_precision)
     dt = problem.target.time_step
     known = dt * np.arange(len(positions))
@@ -286,7 +317,7 @@ def _course(problem: _Problem, rest: Array, posture_precision: Array) -> tuple[A
 
 
 def _bounded(precisions: Array, L: Array, config: JointImpedanceConfig) -> Array:
-    """Precisions (T, n, n) that ask for the stiffness that is permitted, in the coordinates L^T q of the inertia."""
+    """Precisions (T, n, n) with the stiffness within its bounds, in the coordinates L^T q of the inertia."""
     F = np.linalg.inv(L)
     values, vectors = np.linalg.eigh(F @ precisions @ F.T)
     cost = config.joint_control_cost

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`RecedingGains`: gains of a finite horizon in place of those of an infinite one, risk-sensitive if asked for.
 
-What comes counts already: the robot grows stiff before the Gaussians do, and begins to turn before the corner. Gains
+The future counts already: the robot grows stiff before the Gaussians do, and begins to turn before the corner. Gains
 and feedforward are those of the LQR along the reference's horizon (`lqr.receding_horizon`), `plan_rate` times per
 second; the reference itself is followed at every step. Laws of poses and of joints ask the same object.
 """
@@ -22,34 +22,52 @@ from tpgmm_core.model.reference import Reference
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """A reference and what comes after it, `time_step` s apart; the first Gaussian is now."""
+    """A reference and what comes after it.
+
+    Parameters
+    ----------
+    gaussians
+        the first one is now
+    time_step
+        s, between them
+    """
 
     gaussians: tuple[Gaussian, ...]
     time_step: float
 
     @classmethod
     def of(cls, reference: Reference, moving: bool, needed: bool) -> Course:
-        """Raises ValueError for a horizon that cannot be planned with, or for none where it is needed."""
+        """Take the horizon of a reference, or the reference alone where it is not moving.
+
+        Raises
+        ------
+        ValueError
+            for a horizon that cannot be planned with, or for none where it is needed
+        """
         check_horizon(reference, needed)
         horizon = reference.horizon if moving else ()
         return cls((reference.gaussian, *horizon), reference.horizon_time_step)
 
     @property
     def means(self) -> Array:
-        """(T, D)."""
+        """Means, (T, D)."""
         return np.stack([gaussian.mean for gaussian in self.gaussians])
 
     @property
     def covariances(self) -> Array:
-        """(T, n, n)."""
+        """Covariances, (T, n, n)."""
         return np.stack([gaussian.covariance for gaussian in self.gaussians])
 
 
 class RecedingGains[GainsT]:
-    """When gains are made anew, and what they allow for; of one law.
+    """When the gains of one law are made anew, and what they allow for.
 
-    plan : parameters of planning; may be set at any time
-    risk_sensitive : whether they are; then a reference may come without a horizon, whose Gaussian goes on for ever
+    Parameters
+    ----------
+    plan
+        parameters of planning; may be set at any time
+    risk_sensitive
+        whether they are; then a reference may come without a horizon, and its Gaussian is used for all times
     """
 
     def __init__(self, plan: PlanConfig, risk_sensitive: bool = False) -> None:
@@ -63,11 +81,30 @@ class RecedingGains[GainsT]:
         self._planned: GainsT | None = None
 
     def course(self, reference: Reference, moving: bool) -> Course:
-        """What gains are to be made from. Raises ValueError for a reference that lacks a horizon, or has a bad one."""
+        """Take what gains are to be made from.
+
+        Raises
+        ------
+        ValueError
+            for a reference that lacks a horizon, or has a bad one
+        """
         return Course.of(reference, moving, needed=not self.risk_sensitive)
 
     def at_present(self, dt: float, make: Callable[[], GainsT]) -> GainsT:
-        """The gains dt s after the last call, made anew when it is time."""
+        """Gains dt s after the last call, made anew when it is time.
+
+        Parameters
+        ----------
+        dt
+            s
+        make
+            called for new gains
+
+        Returns
+        -------
+        GainsT
+            what `make` has returned last
+        """
         if self._schedule.due(dt, self.plan.plan_rate) or self._planned is None:
             self._schedule.begun()
             self._planned = make()
@@ -76,7 +113,7 @@ class RecedingGains[GainsT]:
     def along(
         self, path: Array, covariances: Array, time_step: float, cost: float, **bounds: float
     ) -> RecedingHorizonGains:
-        """As `receding_horizon_gains`, with the risk of the plan."""
+        """Gains as of `receding_horizon_gains`, with the risk of the plan."""
         return receding_horizon_gains(
             path,
             covariances,
@@ -89,7 +126,13 @@ class RecedingGains[GainsT]:
 
 
 def check_horizon(reference: Reference, needed: bool) -> None:
-    """Raises ValueError for a horizon that cannot be planned with, or for none where it is needed."""
+    """Check the horizon of a reference.
+
+    Raises
+    ------
+    ValueError
+        for one that cannot be planned with, or for none where it is needed
+    """
     if not reference.horizon:
         if needed:
             raise ValueError(

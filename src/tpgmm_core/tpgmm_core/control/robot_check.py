@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a robot file is suspicious, though it can be used; and where the robot's end points get to."""
+"""What is suspicious in a robot file, although it can be used; and the workspace of the robot's end points."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from tpgmm_core.control.impedance import ImpedanceConfig
 from tpgmm_core.robot.bodies import bodies
 from tpgmm_core.robot.model import RobotModel
 
-#: A home that is nearer to a position limit than this share of the range leaves no room to hold the robot there.
+#: A home nearer to a position limit than this share of the range is too close to hold the robot there.
 NEAR_LIMIT = 0.03
-#: Of its effort, what carries a joint's share of the robot at home should leave the rest to move it.
+#: Share of a joint's effort that may be needed to carry the robot at home: the rest is for motion.
 MUCH_EFFORT = 0.7
 #: Smallest singular value of an end point's Jacobian with which it moves freely, m; turns count by a length.
 HARDLY = 0.03
-#: An error that friction alone holds back, rad or m.
+#: Largest error that friction alone may cause, rad or m.
 STUCK = 0.1
 
 
@@ -27,6 +27,17 @@ def workspace(robot: RobotModel, endpoint: str, postures: int = 3000, random_sta
     """Corners (2, 3) of the box around the positions that an end point has in random postures, m, in the base frame.
 
     The joints of the end point's group take postures within their limits, the others are at home.
+
+    Parameters
+    ----------
+    robot
+        the robot
+    endpoint
+        a name of the robot file
+    postures
+        number of random postures
+    random_state
+        seed
     """
     rng, data, q = np.random.default_rng(random_state), robot.create_data(), robot.home.copy()
     joints = robot.indices(robot.endpoints[endpoint].joints)
@@ -42,7 +53,7 @@ def workspace(robot: RobotModel, endpoint: str, postures: int = 3000, random_sta
 
 
 def suspicions(robot: RobotModel) -> list[str]:
-    """What its author should look at, in words; empty when nothing is suspicious."""
+    """What the author of a robot file should check, in words; empty when nothing is suspicious."""
     return [*_of_joints(robot), *_of_bodies(robot), *_of_groups(robot), *_of_endpoints(robot), *_of_base(robot)]
 
 
@@ -74,11 +85,11 @@ def _of_bodies(robot: RobotModel) -> Iterator[str]:
         if body.is_a_point:
             yield f"{body}: with a mass of {body.mass:.3g} kg, is it a point? Correct <inertia> in the URDF"
         elif not body.has_the_shape_of_a_body:
-            yield f"{body}, one of which is larger than the sum of the others: no body is like that; correct <inertia>"
+            yield f"{body}, one of which is larger than the sum of the others: no real body has that; correct <inertia>"
     moved = {joint for joints in robot.joint_groups.values() for joint in joints}
     for name, mimic in robot.mimics.items():
         if mimic.leader in moved and name not in robot.joint_names:
-            yield f"{name} mimics {mimic.leader}: here it stands still, where that puts it at home"
+            yield f"{name} mimics {mimic.leader}: here it stands still, at its position for home"
 
 
 def _of_groups(robot: RobotModel) -> Iterator[str]:
@@ -114,4 +125,4 @@ def _of_base(robot: RobotModel) -> Iterator[str]:
     gravity = robot.world_to_base.rotation @ robot.pinocchio.gravity.linear
     if not np.allclose(gravity, [0.0, 0.0, -9.81], atol=0.05):
         x, y, z = gravity
-        yield f"gravity is {x:.2f}, {y:.2f}, {z:.2f} m/s^2 in the base frame, not along -z: is the robot mounted so?"
+        yield f"gravity is {x:.2f}, {y:.2f}, {z:.2f} m/s^2 in the base frame, not along -z: is it mounted like this?"

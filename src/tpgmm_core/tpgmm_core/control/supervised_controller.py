@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """`SupervisedController`: a controller that answers joint states, and knows what to do when they or references stop.
 
-Joint states and references come by `take_state` and `take_reference`, each with its stamp; `watch` is to be
-called all the time, some times within `joint_state_timeout`, since silence triggers no callback. Each answers with what
-is to be sent. Times are ns: `now_ns` of a clock that does not jump (steady, or the simulation's), `clock_ns` of
+Joint states and references come by `take_state` and `take_reference`, each with its stamp. `watch` has to be
+called regularly, several times within `joint_state_timeout`, since silence triggers no callback. Each returns what
+has to be sent. Times are ns: `now_ns` of a clock that does not jump (steady, or the simulation's), `clock_ns` of
 the clock of the stamps.
 """
 
@@ -25,14 +25,30 @@ from tpgmm_core.robot.model import RobotModel
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Torques to be sent, with the stamp of the joint state that they answer to."""
+    """Torques to be sent, with the stamp of the joint state that they answer."""
 
     stamp_ns: int
     command: TorqueCommand
 
 
 class SupervisedController[TargetT]:
-    """See the module. `decision` is what it does at present, and why."""
+    """See the module. `decision` is what it does at present, and why.
+
+    Parameters
+    ----------
+    robot
+        to be controlled
+    law
+        that computes the torques
+    limits
+        of the torques
+    timeouts
+        of the inputs
+    period
+        of the robot's cycle, s
+    closed_elsewhere
+        see `Controller`
+    """
 
     def __init__(
         self,
@@ -44,7 +60,6 @@ class SupervisedController[TargetT]:
         period: float = 0.001,
         closed_elsewhere: bool = False,
     ) -> None:
-        """period : of the robot's cycle, s. closed_elsewhere : see `Controller`."""
         self.law, self.timeouts = law, timeouts or Timeouts()
         self._max_time_step = (limits or TorqueLimits()).max_time_step
         self.controller = Controller(robot, law, limits, period, closed_elsewhere=closed_elsewhere)
@@ -69,7 +84,7 @@ class SupervisedController[TargetT]:
         self.decision = decide(Inputs(None, "", None, ""), self.timeouts)
 
     def configure(self, limits: TorqueLimits, timeouts: Timeouts) -> None:
-        """Take other limits and time-outs, and let the law judge the reference with its new parameters."""
+        """Use other limits and time-outs, and let the law prepare the reference again with its new parameters."""
         self.controller.pipeline.configure(limits)
         self.timeouts = self.guard.timeouts = timeouts
         self._max_time_step = limits.max_time_step
@@ -83,16 +98,28 @@ class SupervisedController[TargetT]:
 
     @property
     def slow(self) -> list[str]:
-        """What has to be set for joint states as slow as they are measured to come, in words."""
+        """What has to be set for joint states that are as slow as measured, in words."""
         period = self._rate.period()
         return [] if period is None else slow_states(period, "measured", self.timeouts, self._max_time_step)
 
     # -- inputs --------------------------------------------------------------------------------------------------
 
     def take_reference(self, reference: Reference, stamp_ns: int, now_ns: int, clock_ns: int) -> None:
-        """A reference to follow from now on. One that is not newer than the last is passed over, and so ages.
+        """Follow a reference from now on. One that is not newer than the last is ignored, and so ages.
 
-        Raises ValueError for a reference that is refused; the last good one ages.
+        Parameters
+        ----------
+        reference
+            of a pose or of joints
+        stamp_ns
+            of the reference
+        now_ns, clock_ns
+            see the module
+
+        Raises
+        ------
+        ValueError
+            for a reference that is refused; the last good one ages
         """
         timeouts = self.timeouts
         kind = self._references.judge(stamp_ns, now_ns, clock_ns, timeouts.reference_timeout, timeouts.max_future)
@@ -109,14 +136,23 @@ class SupervisedController[TargetT]:
         self._reference, self._held, self._reference_fault = reference, None, ""
 
     def refuse_reference(self, reason: str) -> None:
-        """A reference came that cannot be used; the last good one ages."""
+        """Note that a reference came that cannot be used; the last good one ages."""
         self._reference_fault = reason
 
     def take_state(self, q: Array, v: Array, stamp_ns: int, now_ns: int, clock_ns: int) -> Answer | None:
-        """A joint state, positions and velocities (nv,), and what answers it.
+        """Answer a joint state.
 
-        A state that is not newer than the last one is none: a repeated one is answered as before (the answer may
-        have been lost) until the last new one is stale, an overtaken one is not.
+        A state that is not newer than the last one is not used. A repeated one is answered as before (the answer may
+        have been lost) until the last new one is stale; one that was overtaken is not answered.
+
+        Parameters
+        ----------
+        q, v
+            (nv,), positions and velocities
+        stamp_ns
+            of the state
+        now_ns, clock_ns
+            see the module
         """
         timeouts = self.timeouts
         kind = self._states.judge(stamp_ns, now_ns, clock_ns, timeouts.joint_state_timeout, timeouts.max_future)
@@ -128,7 +164,7 @@ class SupervisedController[TargetT]:
         stale = age is not None and age > timeouts.joint_state_timeout
         if kind is Stamp.REPEATED:
             self._trouble = lambda: standing_still(stamp_ns)
-            return None if stale else self._answer  # once it is stale, `watch` speaks
+            return None if stale else self._answer  # once it is stale, `watch` answers
         if timeouts.max_age > 0.0 and clock_ns > 0 and clock_ns - stamp_ns > timeouts.max_age * SECOND:
             return self.refuse_state(_behind(stamp_ns, clock_ns, timeouts.max_age), stamp_ns, now_ns)
         if kind is Stamp.RESTARTED:
@@ -146,7 +182,7 @@ class SupervisedController[TargetT]:
         guard = self.guard
         command = self.controller.step(q, v, self._target(), dt, guard.loop(), brakes=guard.swings)
         if command is None or command.reason:
-            # a state that reads well and still means nothing
+            # a state that is well-formed and still cannot be right
             self._state_fault = command.reason if command is not None else "the joint state is not finite"
             self.decision = decide(self._inputs(now_ns), timeouts)
         else:
@@ -154,23 +190,23 @@ class SupervisedController[TargetT]:
         return self._send(command, stamp_ns, now_ns, to_state=not self._state_fault)
 
     def refuse_state(self, reason: str, stamp_ns: int, now_ns: int) -> Answer | None:
-        """A joint state came that cannot be used: answered by the safe torque where the robot was last."""
+        """Answer a joint state that cannot be used: by the safe torque where the robot was last."""
         self._state_fault = reason
         return self._rest(stamp_ns, now_ns)
 
     def miss_state(self, trouble: Callable[[], str]) -> None:
-        """A message came that is no joint state by itself; `trouble` says what is missing, should none come."""
+        """Note that a message came that is no whole joint state; `trouble` says what is missing, should none come."""
         self._trouble = trouble
 
     def watch(self, now_ns: int) -> Answer | None:
-        """What is to be sent though no joint state came: the safe torque for some time, then nothing."""
+        """What has to be sent when no joint state came: the safe torque for some time, then nothing."""
         timeout = self.timeouts.joint_state_timeout
-        # after a pause of its own it must not call the others silent: what came meanwhile is still to be read
+        # after a pause of this process others are not silent: their messages are still to be read
         self._paused = not self._paused and now_ns - self._watched_ns > timeout * SECOND
         self._watched_ns = now_ns
         age = self._states.age(now_ns)
         if age is None:
-            self.decision = decide(self._inputs(now_ns), self.timeouts)  # what is missing may be another joint by now
+            self.decision = decide(self._inputs(now_ns), self.timeouts)  # by now another joint may be missing
         if self._paused or age is None or age <= timeout:
             return None
         return self._rest(self.stamp_ns, now_ns)
@@ -178,16 +214,16 @@ class SupervisedController[TargetT]:
     def release(self, dt: float) -> tuple[TorqueCommand | None, bool]:
         """The next of the last torques before the end, dt s after the one before, and whether it is the last one.
 
-        They go to the safe torque as fast as the rate limit permits. It is what the robot should be left with: it
-        balances gravity where the robot is, so that a robot which goes on with the last command for a while
-        neither falls nor moves on, and it is what a robot's own watchdog gives next.
+        They approach the safe torque as fast as the rate limit permits. The robot should be left with that torque: it
+        balances gravity where the robot is, so that a robot which keeps the last command for a while
+        neither falls nor moves on, and a robot's own watchdog applies the same next.
         """
         if not self.decision.sends:
             return None, True
         command = self.controller.rest(0.0, dt, loop=self.guard.loop())
         return command, command is None or self.controller.at_rest(command)
 
-    # -- what is behind them -------------------------------------------------------------------------------------
+    # -- how they work -------------------------------------------------------------------------------------------
 
     def _rest(self, stamp_ns: int, now_ns: int) -> Answer | None:
         inputs = self._inputs(now_ns)
@@ -202,7 +238,7 @@ class SupervisedController[TargetT]:
         reference_age = self._references.age(now_ns)
         stamp, state_stamp = self._references.stamp_ns, self._states.stamp_ns
         if reference_age is not None and stamp is not None and state_stamp is not None:
-            # what was long on its way is as old as what came long ago
+            # a message that was long on its way is as old as one that came long ago
             reference_age = max(reference_age, 1e-9 * (state_stamp - stamp))
         state_age, trouble = self._states.age(now_ns), ""
         if state_age is None or state_age > self.timeouts.joint_state_timeout:
@@ -235,7 +271,7 @@ class SupervisedController[TargetT]:
 
 def _behind(stamp_ns: int, clock_ns: int, max_age: float) -> str:
     if stamp_ns == 0:
-        return "its stamp is 0: let the driver stamp joint states, or set max_age to 0, and its age stays unknown"
+        return "its stamp is 0: let the driver stamp joint states, or set max_age to 0, but its age is then unknown"
     return (
         f"its stamp lies {(clock_ns - stamp_ns) / SECOND:.3g} s behind this machine's clock, more than max_age "
         f"({max_age:g} s): it is too old, or the clocks differ; synchronise them, or set max_age to 0, and its age "

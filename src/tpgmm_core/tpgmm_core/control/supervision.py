@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a controller does about the age and the validity of what it gets; time is an argument everywhere."""
+"""What a controller does about the age and the validity of its inputs; time is an argument everywhere."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 from tpgmm_core.common.settings import check_settings, setting
 
-#: Fewer joint states than this within `joint_state_timeout`, and one that is late is taken for silence.
+#: With fewer joint states than this within `joint_state_timeout`, a late one counts as silence.
 STATES_WITHIN_TIMEOUT = 3
-#: Nor is a measured rate to be taken too literally.
+#: Tolerance for the measured rate.
 RATE_TOLERANCE = 0.05
 
 
 class ControllerMode(enum.IntEnum):
-    """As in ``tpgmm_msgs/ControllerState``."""
+    """Modes as in ``tpgmm_msgs/ControllerState``."""
 
     WAITING = 0  # no joint states: no torques
     ACTIVE = 1  # follows the reference
@@ -26,7 +26,7 @@ class ControllerMode(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Timeouts:
-    """When a joint state or a reference is too old, and which stamps are none."""
+    """When a joint state or a reference is too old, and which stamps are invalid."""
 
     joint_state_timeout: float = setting(
         0.02, 0.002, 10.0, "Longest pause between joint states before the robot is only damped, s"
@@ -48,7 +48,7 @@ class Timeouts:
     max_future: float = setting(0.05, 0.001, 10.0, "Messages with stamps further in the future are refused, s")
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a value out of its range."""
+        """Raise ValueError for a value out of its range."""
         check_settings(self)
 
 
@@ -56,11 +56,18 @@ class Timeouts:
 class Inputs:
     """What is known of the inputs at one time.
 
-    state_age : s since the last good joint state; None: never one
-    state_fault : why the newest joint state was refused; empty when it was good
-    reference_age : s since the last good reference, by arrival or by stamp, whichever is more; None: never one
-    reference_fault : why the newest reference was refused; empty when it was good
-    state_trouble : what came instead of a joint state: joints that are missing, stamps that stand still
+    Parameters
+    ----------
+    state_age
+        s since the last good joint state; None: never one
+    state_fault
+        why the newest joint state was refused; empty when it was good
+    reference_age
+        s since the last good reference, by arrival or by stamp, whichever is more; None: never one
+    reference_fault
+        why the newest reference was refused; empty when it was good
+    state_trouble
+        what came instead of a joint state: joints that are missing, stamps that stand still
     """
 
     state_age: float | None
@@ -72,7 +79,7 @@ class Inputs:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """A mode, why, and whether torques are sent in it."""
+    """A mode, the reason for it, and whether torques are sent in it."""
 
     mode: ControllerMode
     reason: str
@@ -80,7 +87,7 @@ class Decision:
 
 
 def decide(inputs: Inputs, timeouts: Timeouts) -> Decision:
-    """What is to be done about inputs of these ages. The joint states come first: without them nothing is known."""
+    """Decide the mode for inputs of these ages. Joint states come first: without them nothing is known."""
     patience = timeouts.joint_state_timeout + timeouts.silence_after
     trouble = f" ({inputs.state_trouble})" if inputs.state_trouble else ""
     if inputs.state_fault:
@@ -109,9 +116,17 @@ def decide(inputs: Inputs, timeouts: Timeouts) -> Decision:
 def slow_states(period: float, source: str, timeouts: Timeouts, max_time_step: float) -> list[str]:
     """What has to be set for joint states that come every `period` s, in words; nothing where all is well.
 
-    source : where the period is known from, in a word
+    The values are suggested, not set: only those who know the robot can say how long it may go on without being
+    observed.
 
-    Only told, not done: how long a robot may go on without being seen is for those to say who know the robot.
+    Parameters
+    ----------
+    period
+        of the joint states, s
+    source
+        how the period is known, in a word
+    timeouts, max_time_step
+        as they are set, s
     """
     least = {
         "joint_state_timeout": (timeouts.joint_state_timeout, STATES_WITHIN_TIMEOUT * period),

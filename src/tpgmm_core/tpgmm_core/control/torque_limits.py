@@ -2,8 +2,7 @@
 """What stands between a law of control and the motors: each stage one short function, compiled.
 
 All vectors (n,) are in model order, N m, rad and s (N and m for prismatic joints); stages change `tau` in
-place. In which order they are applied, and which promise wins where two contradict each other, is said in
-`torque_pipeline`.
+place. `torque_pipeline` says in which order they are applied, and which one wins where two contradict each other.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ def finite(values: Array) -> bool:
 
 @compiled
 def blend(tau: Array, safe: Array, share: float) -> None:
-    """tau ← safe + share (tau - safe), share 0 to 1."""
+    """Blend in place: tau ← safe + share (tau - safe), share 0 to 1."""
     for i in range(len(tau)):
         tau[i] = safe[i] + share * (tau[i] - safe[i])
 
 
 @compiled
 def clamp(value: float, lower: float, upper: float) -> float:
-    """A number brought between two bounds; the upper one where they contradict each other."""
+    """A number limited to two bounds; the upper one where they contradict each other."""
     return min(max(value, lower), upper)
 
 
@@ -56,24 +55,36 @@ def clamp_at_limits(
     approach_rate: float,
     bandwidth: float,
 ) -> bool:
-    """No torque drives a joint beyond its position or speed limit; one that is too fast is braked.
+    """Keep torques from driving a joint beyond its position or speed limit; brake one that is too fast.
 
     Towards each limit a joint may have the speed s of `approach_speed`. The torque beyond what carries the robot
     (`nonlinear`) is at most `mass bandwidth (s - v)`: none at that speed, less than none above it. A joint with
     most of its speed in reserve gets all its effort, so that a hand can push against a table. As the soft limits
     of ros2_control's joint_limits, with the inertia that makes one gain right for shoulders and fingers.
 
-    mass (n,) : inertia that each joint feels, 1 / (M^-1)_ii
-    lower, upper, max_speed, effort (n,) : limits of positions, speeds and torques
-    approach_rate, bandwidth : 1/s
+    Parameters
+    ----------
+    tau, q, v
+        (n,), torques, which are changed, positions and velocities
+    nonlinear
+        (n,), torques that carry the robot
+    mass
+        (n,), inertia that each joint feels, 1 / (M^-1)_ii
+    lower, upper, max_speed, effort
+        (n,), limits of positions, speeds and torques
+    approach_rate, bandwidth
+        1/s
 
-    Returns whether a torque was changed.
+    Returns
+    -------
+    bool
+        whether a torque was changed
     """
     changed = False
     for i in range(len(tau)):
         to_upper = approach_speed(upper[i] - q[i], max_speed[i], approach_rate) - v[i]
         to_lower = approach_speed(q[i] - lower[i], max_speed[i], approach_rate) + v[i]
-        # twice the effort: at rest, far from the limits, any torque is allowed whatever carries the robot
+        # twice the effort: at rest, far from the limits, any torque is allowed, whatever the robot's weight needs
         reserve_up = 2.0 * effort[i] * max(0.0, 2.0 * to_upper / max_speed[i] - 1.0)
         reserve_down = 2.0 * effort[i] * max(0.0, 2.0 * to_lower / max_speed[i] - 1.0)
         largest = nonlinear[i] + mass[i] * bandwidth * to_upper + reserve_up
@@ -100,7 +111,7 @@ def repel(
         width = min(margin, 0.1 * (upper[i] - lower[i]))
         for sign in (1.0, -1.0):
             distance = q[i] - lower[i] if sign > 0.0 else upper[i] - q[i]
-            # no deeper than the margin: what lies far beyond a limit is not shot back
+            # no deeper than the margin: a joint far beyond a limit is not shot back
             depth = min(width - distance, width)
             if depth > 0.0:
                 push = mass[i] * frequency * (frequency * depth - 2.0 * sign * v[i])
@@ -114,9 +125,16 @@ def repel(
 def torque_bounds(effort: Array, previous: Array, max_change: Array, lowest: Array, highest: Array) -> None:
     """Torques that keep the effort limit and the rate limit: one interval per joint, never empty.
 
-    previous (n,) : the last torques that left; NaN where there were none
-    max_change (n,) : by which they may change, >= 0
-    lowest, highest (n,), out
+    Parameters
+    ----------
+    effort
+        (n,), effort limits
+    previous
+        (n,), the last torques that were sent; NaN where there were none
+    max_change
+        (n,), by which they may change, >= 0
+    lowest, highest
+        (n,), the interval, which is written
     """
     for i in range(len(effort)):
         lowest[i], highest[i] = -effort[i], effort[i]
@@ -128,7 +146,7 @@ def torque_bounds(effort: Array, previous: Array, max_change: Array, lowest: Arr
 
 @compiled
 def keep_within(tau: Array, lowest: Array, highest: Array) -> bool:
-    """Torques within bounds (n,). Returns whether one was changed."""
+    """Limit torques to bounds (n,). Returns whether one was changed."""
     changed = False
     for i in range(len(tau)):
         allowed = clamp(tau[i], lowest[i], highest[i])
@@ -149,7 +167,7 @@ def injected_power(tau: Array, v: Array, nonlinear: Array) -> float:
 
 @compiled
 def limit_power(tau: Array, v: Array, nonlinear: Array, max_power: float, lowest: Array, highest: Array) -> bool:
-    """Shorten what drives joints, in proportion, until the injected power is within max_power (W, > 0).
+    """Scale down the torques that drive joints until the injected power is within max_power (W, > 0).
 
     Joints that brake are left alone, and no torque leaves its bounds (n,): where these do not permit so little
     power, it is as little as they permit. Returns whether a torque was changed.
@@ -175,9 +193,9 @@ def limit_power(tau: Array, v: Array, nonlinear: Array, max_power: float, lowest
 def fit(wanted: Array, given: Array, limits: Array) -> float:
     """Largest share s in 0..1 with |given + s wanted| <= limits, all torques (n,).
 
-    Shortening a vector of torques keeps the direction in which the hand accelerates; clamping single joints
-    turns it, and a hand that is pushed aside by its own controller may swing for ever. Where `given` alone is
-    too much, single joints do not count.
+    Scaling a vector of torques keeps the direction in which the hand accelerates; clamping single joints turns it, and
+    a hand that is pushed aside by its own controller may swing for ever. Joints for which `given` alone is too much are
+    left out.
     """
     share = 1.0
     for i in range(len(wanted)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`TorquePipeline`: from what a law asks for to what leaves for the motors, in a fixed order.
+"""`TorquePipeline`: from the torques of a law to those that are sent to the motors, in a fixed order.
 
 1. finite: a torque that is not is replaced by the safe one: gravity compensation with damping.
 2. size: one torque for each joint of the robot. (Names are matched where messages are read.)
@@ -8,24 +8,24 @@
 5. repulsion from the margin before the position limits (`repel`).
 6. effort and rate: `|tau| <= effort limit` and `|tau - last tau| <= torque_rate dt` are one interval per joint. Where
    the robot file gives a rate of the robot's own, the smaller one counts, and no more than one period of it at once:
-   the robot compares with what it got in its last cycle, however long the pause was for us.
-7. power: what the motors put into the motion is at most `max_power`.
+   the robot compares with the torque of its last cycle, however long our pause was.
+7. power: the power that the motors put into the motion is at most `max_power`.
 
 **What holds at the output.** Finite, within the effort limits, within the rate limit: always, and at once. The
 last torque was within the effort limits, so that their interval and that of the rate overlap, and nothing that
-comes after stage 6 leaves them. Stages 3 to 5 and 7 are wishes within that interval. So the rate wins over the
-power limit: a torque that drives too much falls as fast as the rate permits, within 67 ms at the default even
-from one effort limit to the other. The other way round a power limit that is touched, or a clamp, would make a
-torque jump, which gears and people feel at once, while power needs time to become motion.
+comes after stage 6 leaves them. Stages 3 to 5 and 7 are fulfilled as far as that interval permits. So the rate wins
+over the power limit: a torque that drives too much falls as fast as the rate permits, within 67 ms at the default even
+from one effort limit to the other. If the power limit or a clamp won, a torque would jump where one of them becomes
+active, which gears and people feel at once, while power needs time to become motion.
 
 **Which power.** `(tau - nonlinear)^T v`, without what lifts or lowers the robot's own weight: the rate at which
-the motors feed kinetic energy, and what the robot touches. A limit on `tau^T v` would let an arm fall that is
+the motors feed kinetic energy, and the energy of what the robot touches. A limit on `tau^T v` would drop an arm that is
 lifted too fast.
 
-With dt = 0 nothing changes, whatever is asked for: the last torque is repeated.
+With dt = 0 nothing changes, whatever the law asks for: the last torque is repeated.
 
-**What the delay of the loop leaves.** All that brakes or pushes answers a speed that was: where it is too fast for that
-(`control.delay_margin`), it is less firm.
+**The delay of the loop.** Damping and repulsion answer a speed of the past: where they are too fast for the delay
+(`control.delay_margin`), they are made weaker.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from tpgmm_core.robot.model import RobotModel
 #: What a step did beside passing a torque on, by the bits of `limit_torques`.
 ACTIONS = ("not finite", "joint limit", "repulsion", "effort or rate", "power")
 NOT_FINITE, AT_LIMIT, REPELLED, BOUNDED, POWER = (1 << i for i in range(len(ACTIONS)))
-#: So much less than the robot's own limit of the rate is kept: rounding must not exceed it.
+#: The robot's own rate limit is kept by this share, so that rounding does not exceed it.
 ROUNDING = 1e-6
 #: A joint's speed towards its limit falls no faster than this share of the rate with which that is enforced.
 GENTLY = 0.25
@@ -85,7 +85,7 @@ class TorqueLimits:
     max_time_step: float = setting(0.005, 1e-3, 1.0, "Longest time step that the controller computes with, s")
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a value out of its range."""
+        """Raise ValueError for a value out of its range."""
         check_settings(self)
 
 
@@ -162,7 +162,7 @@ def limit_torques(
     if known and limit_power(tau, v, nonlinear, max_power, lowest, highest):
         done |= POWER
     for i in range(n):
-        # numbers so large that the stages overflowed: of the permitted torques the one nearest to none
+        # numbers so large that the stages overflowed: the permitted torque nearest to zero
         if not np.isfinite(tau[i]):
             done |= NOT_FINITE
             tau[i] = min(max(0.0, lowest[i]), highest[i])
@@ -170,10 +170,19 @@ def limit_torques(
 
 
 class TorquePipeline:
-    """Passes torques on, within limits; remembers the last ones."""
+    """Passes torques on, within limits; remembers the last ones.
+
+    Parameters
+    ----------
+    robot
+        whose limits are kept
+    limits
+        further ones
+    period
+        from one torque that the robot applies to the next, s; infinite: as long as between two steps
+    """
 
     def __init__(self, robot: RobotModel, limits: TorqueLimits | None = None, period: float = math.inf) -> None:
-        """period : from one torque that the robot takes to the next, s; infinite: as long as between two steps."""
         self.robot, self._period = robot, period
         self.configure(limits or TorqueLimits())
         self.reset()
@@ -182,11 +191,11 @@ class TorquePipeline:
         self.reset()
 
     def configure(self, limits: TorqueLimits) -> None:
-        """Take other limits; the next step keeps them."""
+        """Use other limits, from the next step on."""
         self.limits = limits
 
     def reset(self) -> None:
-        """Forget the last torques: the next ones have no rate to keep. Only where none act on the robot."""
+        """Forget the last torques: the next ones have no rate to keep. Only while none act on the robot."""
         self._previous = np.full(self.robot.nv, np.nan)
         self.restart()
 
@@ -195,16 +204,25 @@ class TorquePipeline:
         self._blend = 0.0
 
     def acts(self, tau: Array) -> None:
-        """Torques (nv,) that act on the robot now are not the last ones: the rate limit holds against these."""
+        """Note that other torques (nv,) than the last ones act on the robot now: the rate limit refers to these."""
         self._previous = tau
 
     def step(self, wanted: Array | None, moment: DynamicState, dt: float) -> tuple[Array, int]:
-        """Torques (nv,) that may leave, and the bits of what was done to those wanted (see `ACTIONS`).
+        """Torques (nv,) that may be sent, and the bits of what was changed (see `ACTIONS`).
 
-        wanted : (nv,), what the law asks for; None: the safe torque, into which all is blended at once
-        dt : s since the last step; a pause counts as `max_time_step`, NaN and steps backwards as none
+        Parameters
+        ----------
+        wanted
+            (nv,), of the law; None: the safe torque, to which all is blended at once
+        moment
+            the state of the robot
+        dt
+            since the last step, s; a pause counts as `max_time_step`, NaN and steps backwards as none
 
-        Raises ValueError for a torque of the wrong shape.
+        Raises
+        ------
+        ValueError
+            for a torque of the wrong shape
         """
         limits, robot = self.limits, self.robot
         dt = self.time_step(dt)
@@ -247,7 +265,7 @@ class TorquePipeline:
         return tau.copy(), done
 
     def time_step(self, dt: float) -> float:
-        """dt as the pipeline counts it: of a NaN or a step backwards nothing is known but that nothing may change."""
+        """The dt that the pipeline counts; 0 for NaN and for a step backwards, so that nothing may change."""
         return min(dt, self.limits.max_time_step) if dt > 0.0 else 0.0
 
 

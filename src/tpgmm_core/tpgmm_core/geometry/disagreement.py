@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`disagreement`: where Gaussians contradict each other so much that they have no product, in words."""
+"""`disagreement`: why Gaussians contradict each other so much that they have no product, in words."""
 
 from __future__ import annotations
 
@@ -18,30 +18,31 @@ FAR = 3.0
 
 
 class Located(Protocol):
-    """What is asked of a Gaussian here, so that `gaussian.py` can ask for the words."""
+    """What is needed of a Gaussian here; a protocol, since `gaussian.py` imports this module."""
 
     @property
     def mean(self) -> Array:
-        """A point of the manifold, (D,)."""
+        """A point of the manifold, in ambient coordinates (D,)."""
 
     @property
     def covariance(self) -> Array:
-        """In the tangent space at the mean, (n, n)."""
+        """Covariance in the tangent space at the mean, (n, n)."""
 
     @property
     def manifold(self) -> Manifold:
-        """Where the mean lies."""
+        """The space in which the mean lies."""
 
 
 def disagreement(gaussians: Mapping[str, Located]) -> str:
-    """Which two of the Gaussians are farthest apart, in what, and how far that is beside what they know.
+    """Say which two of the Gaussians are farthest apart, in what, and how far compared with their standard deviations.
 
-    What was learned of how place and turn go together is linear. Far from where it was learned it asks for more than a
-    whole turn, so that orientations have no product though they would agree where the places did.
+    The learned relation between place and orientation is linear. Far from where it was learned it asks for more than a
+    whole turn, so that orientations have no product although they would agree if the places did.
 
     Parameters
     ----------
-    gaussians : by names that the text calls them by, at least two, on one manifold with S³ factors
+    gaussians
+        at least two, on one manifold with S³ factors, by the names that the text uses for them
     """
     found: tuple[float, str] = (-1.0, "")
     for (first, a), (second, b) in itertools.combinations(gaussians.items(), 2):
@@ -54,12 +55,14 @@ def disagreement(gaussians: Mapping[str, Located]) -> str:
 
 
 def no_product(what: str, views: Mapping[str, Located]) -> ValueError:
-    """The error of a product that did not converge.
+    """Make the error for a product that did not converge.
 
     Parameters
     ----------
-    what : whose product it is
-    views : what the frames say of it, in the common frame
+    what
+        whose product it is
+    views
+        frame → its Gaussian in the common frame
     """
     return ValueError(
         f"the frames do not agree on {what}; {disagreement(views)}. Bring the frames closer to demonstrated "
@@ -70,7 +73,7 @@ def no_product(what: str, views: Mapping[str, Located]) -> ValueError:
 def _between(
     first: str, second: str, step: Array, spread: Array, manifold: Manifold, sphere: Sphere
 ) -> tuple[float, str]:
-    """How many standard deviations two poses are apart, and words for it."""
+    """How many standard deviations two poses are apart, and a sentence about it."""
     turn = sphere.tangent
     place = slice(turn.start - 3, turn.start)
     has_place = turn.start >= 3 and set(range(place.start, place.stop)) <= set(manifold.flat_tangent.tolist())
@@ -84,7 +87,7 @@ def _between(
         return far_turned, words
     words = (
         f"{both} lies {apart:.3g} m apart, {far:.1f} standard deviations of what was learned; over such a "
-        "distance, what was learned of how place and turn go together asks for turns that cannot be"
+        "distance, the learned relation between place and orientation asks for turns that are impossible"
     )
     if far_turned > FAR:
         words += f" (it is turned by {turned:.3g} deg besides)"

@@ -18,16 +18,23 @@ from tpgmm_core.geometry import quaternion
 class Frame:
     """Task parameters of one frame: xi = A x + b.
 
+    When only one of A and b varies with time, the constant one is repeated. A frame is a value: it keeps read-only
+    copies, and two frames are equal when their numbers are.
+
     Parameters
     ----------
-    A : shape (D, D_j), or (T, D, D_j) when it changes with time; any matrix
-    b : shape (D,), or (T, D)
-    inverse : shape (D_j, D), or (T, D_j, D) as A: how the frame sees xi - b, where that is not A^+. A damped A (near
-        singularities) has no bounded pseudo-inverse that is continuous; it brings the one that is meant
+    A
+        shape (D, D_j), or (T, D, D_j) when it changes with time; any matrix
+    b
+        shape (D,), or (T, D)
+    inverse
+        shape (D_j, D), or (T, D_j, D) as A: how the frame sees xi - b, where that is not A^+. A damped A (near
+        singularities) has no bounded pseudo-inverse that is continuous, so it comes with the inverse that is meant
 
-    When one of them varies with time and the other does not, the constant one is repeated. A frame is a value: it
-    keeps copies, which are not to be written to, and two frames are equal when their numbers are.
-    Raises ValueError for shapes that do not fit and for non-finite numbers.
+    Raises
+    ------
+    ValueError
+        for shapes that do not fit and for non-finite numbers
     """
 
     A: Array
@@ -75,10 +82,21 @@ class Frame:
 
     @classmethod
     def from_pose(cls, position: ArrayLike, orientation: ArrayLike) -> Frame:
-        """Frame of an object at a position (3,) or (T, 3) in m, turned by a quaternion (4,) or (T, 4).
+        """Frame of an object, for poses [x, y, z, qx, qy, qz, qw].
 
-        Acts on poses [x, y, z, qx, qy, qz, qw] by A = blkdiag(R, L(q)), b = [position, 0]; the quaternion is
-        normalised.
+        A = blkdiag(R, L(q)) and b = [position, 0]; the quaternion is normalised.
+
+        Parameters
+        ----------
+        position
+            of the object, (3,) or (T, 3), m
+        orientation
+            of the object, quaternion x, y, z, w, (4,) or (T, 4)
+
+        Raises
+        ------
+        ValueError
+            for shapes that do not fit, and for zero or non-finite quaternions
         """
         position, orientation = np.asarray(position, dtype=float), quaternion.normalize(orientation)
         if position.shape[-1:] != (3,) or orientation.shape[-1:] != (4,):
@@ -98,8 +116,17 @@ class Frame:
         """One frame for data that lie side by side, each seen from its own frame: A = blkdiag(A_1, A_2, ...).
 
         For two hands, poses [left, right] on "R3 x S3 x R3 x S3", and an object that both are seen from:
-        `Frame.stacked([pose, pose])` with `pose = Frame.from_pose(...)`. Raises ValueError for no frames, and for
-        frames of different numbers of time steps.
+        `Frame.stacked([pose, pose])` with `pose = Frame.from_pose(...)`.
+
+        Parameters
+        ----------
+        frames
+            one for each part of the data, in order; those that vary with time have the same number of time steps
+
+        Raises
+        ------
+        ValueError
+            for no frames, and for frames of different numbers of time steps
         """
         steps = {len(frame.A) for frame in frames if frame.is_time_varying}
         if not frames or len(steps) > 1:
@@ -111,7 +138,7 @@ class Frame:
         return cls(block_diagonal(*(frame.A for frame in frames)), np.concatenate(b, axis=-1), inverse)
 
     def with_time(self) -> Frame:
-        """The same frame for data whose first dimension is time, which no frame changes."""
+        """The same frame for data whose first dimension is time: A = blkdiag(1, A), b = [0, b]."""
         one = np.ones((1, 1))
         A, inverse = (None if M is None else block_diagonal(one, M) for M in (self.A, self.inverse))
         assert A is not None
@@ -124,16 +151,37 @@ class Frame:
         return self.A.ndim == 3
 
     def at(self, t_index: int | NDArray[np.intp]) -> Frame:
-        """The map at one time step, or those at several; a constant frame is the same at all of them."""
+        """The map at one time step, or at several; a constant frame is the same at all of them.
+
+        Parameters
+        ----------
+        t_index
+            one index, or an array of them
+        """
         if not self.is_time_varying:
             return self
         return Frame(self.A[t_index], self.b[t_index], None if self.inverse is None else self.inverse[t_index])
 
     def project(self, xi: ArrayLike) -> Array:
-        """Data xi (D,) or (T, D) as seen from the frame, (D_j,) or (T, D_j): x = A^+ (xi - b), Eq. (4).
+        """Data as seen from the frame: x = A^+ (xi - b), Eq. (4).
 
-        `inverse` takes the place of A^+ where it is given. The pseudo-inverse serves any A; for a pose frame it is the
+        `inverse` is used in place of A^+ where it is given. The pseudo-inverse serves any A; for a pose frame it is the
         exact inverse, since L(q)^-1 = L(q)^T.
+
+        Parameters
+        ----------
+        xi
+            data in the common frame, (D,) or (T, D)
+
+        Returns
+        -------
+        Array
+            (D_j,) or (T, D_j)
+
+        Raises
+        ------
+        ValueError
+            for data whose shape does not fit
         """
         xi = np.asarray(xi, dtype=float)
         if xi.ndim not in (1, 2) or xi.shape[-1] != self.b.shape[-1]:
@@ -143,17 +191,17 @@ class Frame:
         return np.einsum("...ij,...j->...i", self.pseudo_inverse(), xi - self.b)
 
     def pseudo_inverse(self) -> Array:
-        """`inverse` where the frame has one of its own, else A^+, (..., D_j, D)."""
+        """A^+, or `inverse` where the frame has one of its own, (..., D_j, D)."""
         return np.linalg.pinv(self.A, rcond=RANK_TOLERANCE) if self.inverse is None else self.inverse
 
 
 def _are_equal(one: Array, other: Array) -> bool:
-    """Whether shapes and numbers are the same. Bytes tell it five times as fast, where nothing has changed."""
+    """Whether shapes and numbers are the same. Comparing bytes is five times as fast where nothing has changed."""
     return one.shape == other.shape and (one.tobytes() == other.tobytes() or np.array_equal(one, other))
 
 
 def block_diagonal(*blocks: Array) -> Array:
-    """Matrices (..., rows, columns) along the diagonal of one; leading axes broadcast."""
+    """Put matrices (..., rows, columns) along the diagonal of one matrix; leading axes broadcast."""
     rows, columns = sum(block.shape[-2] for block in blocks), sum(block.shape[-1] for block in blocks)
     result = np.zeros((*np.broadcast_shapes(*(block.shape[:-2] for block in blocks)), rows, columns))
     i = j = 0

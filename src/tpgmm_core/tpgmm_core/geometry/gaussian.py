@@ -23,11 +23,17 @@ class Gaussian:
 
     Parameters
     ----------
-    mean : shape (D,), D ambient coordinates (quaternions are normalised)
-    covariance : shape (D_tangent, D_tangent), symmetric; rotations in rad² about the fixed axes
-    manifold : the space; None means R^D
+    mean
+        shape (D,), D ambient coordinates (quaternions are normalised)
+    covariance
+        shape (D_tangent, D_tangent), symmetric; rotations in rad² about the fixed axes
+    manifold
+        the space; None means R^D
 
-    Raises ValueError for wrong shapes, non-finite numbers or an unsymmetric covariance.
+    Raises
+    ------
+    ValueError
+        for wrong shapes, non-finite numbers or an unsymmetric covariance
     """
 
     mean: Array
@@ -59,7 +65,7 @@ class Gaussian:
 
     @classmethod
     def _made(cls, mean: Array, covariance: Array, manifold: Manifold) -> Self:
-        """Of what a kernel has just made and checked: in a loop the checks would take most of the time."""
+        """Make a Gaussian of what a kernel has just computed and checked: in a loop, checks would take most time."""
         mean.setflags(write=False)
         covariance.setflags(write=False)
         made = object.__new__(cls)
@@ -70,7 +76,13 @@ class Gaussian:
 
     @property
     def precision(self) -> Array:
-        """Inverse covariance (D_tangent, D_tangent). Raises ValueError when the covariance is singular."""
+        """Inverse covariance (D_tangent, D_tangent).
+
+        Raises
+        ------
+        ValueError
+            when the covariance is singular
+        """
         inverse_factor = np.linalg.inv(self._cholesky())
         return inverse_factor.T @ inverse_factor
 
@@ -83,8 +95,17 @@ class Gaussian:
     def transform(self, frame: Frame) -> Gaussian:
         """Image under xi = A x + b: N(A mu + b, A Sigma A^T), Eqs. (1) and (2).
 
-        On S³ the covariance turns with the frame. Raises ValueError for a frame that varies with time or does
-        not fit.
+        On S³ the covariance turns with the frame.
+
+        Parameters
+        ----------
+        frame
+            one map, constant in time
+
+        Raises
+        ------
+        ValueError
+            for a frame that varies with time or does not fit
         """
         if frame.is_time_varying:
             raise ValueError("the frame varies with time: choose one time step with frame.at(t_index)")
@@ -104,12 +125,20 @@ class Gaussian:
         On S³ the minimiser is found by Gauss-Newton in the tangent space at the present point (Zeestraten et al. 2017;
         Calinon 2020, "Gaussians on Riemannian manifolds"), with the inverse left Jacobian of SO(3) as the exact
         derivative of the logarithm, which takes the place of transporting each covariance there. Steps that do not
-        lower Eq. (3) are halved, until one is shorter than 1e-10 (m, rad) or only rounding is left: a few where
-        orientations agree to some tenths of a rad, dozens anywhere, at most 100 (`kernels_product.fuse`). The
-        covariance is the inverse of the Gauss-Newton Hessian there, in the fixed axes.
+        lower Eq. (3) are halved, until one is shorter than 1e-10 (m, rad) or only rounding is left. That takes a few
+        steps where orientations agree to some tenths of a rad, and at most 100 (`kernels_product.fuse`). The covariance
+        is the inverse of the Gauss-Newton Hessian there, in the fixed axes.
 
-        Raises ValueError for an empty sequence, different manifolds, singular covariances, or orientations so
-        contradictory that the steps do not converge.
+        Parameters
+        ----------
+        gaussians
+            one or more, on one manifold, with regular covariances
+
+        Raises
+        ------
+        ValueError
+            for an empty sequence, different manifolds, singular covariances, or orientations so contradictory that the
+            steps do not converge
         """
         if not gaussians or any(g.manifold != gaussians[0].manifold for g in gaussians):
             raise ValueError("a product takes one or more Gaussians, all on the same manifold")
@@ -127,15 +156,38 @@ class Gaussian:
         return cls(mean, covariance, manifold)
 
     def marginal(self, dims: Sequence[int]) -> Gaussian:
-        """Gaussian of the ambient dimensions `dims`, in their order."""
+        """Gaussian of some of the dimensions.
+
+        Parameters
+        ----------
+        dims
+            ambient dimensions, in the order that is wanted; the four numbers of a quaternion go together
+
+        Raises
+        ------
+        ValueError
+            for dimensions out of range or repeated, and when a quaternion would be split
+        """
         t = self.manifold.tangent_indices(dims)
         return Gaussian(self.mean[list(dims)], self.covariance[np.ix_(t, t)], self.manifold.subset(dims))
 
     def condition(self, dims: Sequence[int], values: ArrayLike) -> Gaussian:
-        """Gaussian of the other dimensions, given `values` (len(dims),) of the ambient dimensions `dims`.
+        """Gaussian of the other dimensions, given values of some.
 
         On S³ the regression is linear in the tangent spaces, and the covariance is moved to the new mean by
         parallel transport (Zeestraten et al. 2017).
+
+        Parameters
+        ----------
+        dims
+            ambient dimensions whose values are given; the four numbers of a quaternion go together
+        values
+            shape (len(dims),)
+
+        Raises
+        ------
+        ValueError
+            for dimensions and values that do not fit, and a singular covariance of the dimensions `dims`
         """
         rest = self.manifold.rest(dims)
         i, o = self.manifold.tangent_indices(dims), self.manifold.tangent_indices(rest)
@@ -148,7 +200,23 @@ class Gaussian:
         return Gaussian(shifted, 0.5 * (covariance + covariance.T), free)
 
     def log_density(self, x: ArrayLike) -> Array:
-        """Logarithm of the density (N,) at points x (N, D), normalised in the tangent space."""
+        """Logarithm of the density at points, normalised in the tangent space.
+
+        Parameters
+        ----------
+        x
+            points, (N, D)
+
+        Returns
+        -------
+        Array
+            shape (N,)
+
+        Raises
+        ------
+        ValueError
+            when the covariance is singular
+        """
         factor = self._cholesky()
         difference = self.manifold.log(self.mean, x)
         whitened = np.linalg.solve(factor, difference[..., None])[..., 0]
@@ -157,7 +225,7 @@ class Gaussian:
         return -0.5 * (np.sum(whitened**2, axis=-1) + log_determinant + n * np.log(2.0 * np.pi))
 
 
-# the setters that a frozen class does not give away
+# setters, which a frozen class does not offer
 set_mean, set_covariance, set_manifold = (vars(Gaussian)[n].__set__ for n in ("mean", "covariance", "manifold"))
 
 
@@ -165,8 +233,16 @@ set_mean, set_covariance, set_manifold = (vars(Gaussian)[n].__set__ for n in ("m
 class Gaussians(Sequence[Gaussian]):
     """T Gaussians on one space, such as those of a movement at T times: a sequence, kept as two arrays.
 
-    mean : shape (T, D); covariance : shape (T, D_tangent, D_tangent); manifold : the space. Both arrays are read-only.
     `gaussians[i]` and iteration give each `Gaussian`, `gaussians[a:b]` some of them.
+
+    Parameters
+    ----------
+    mean
+        shape (T, D), read-only
+    covariance
+        shape (T, D_tangent, D_tangent), read-only
+    manifold
+        the space
     """
 
     mean: Array
@@ -185,7 +261,8 @@ class Gaussians(Sequence[Gaussian]):
     def __getitem__(self, index: int | slice) -> Gaussian | Gaussians:
         if isinstance(index, slice):
             return Gaussians(self.mean[index], self.covariance[index], self.manifold)
-        return Gaussian._made(self.mean[index], self.covariance[index], self.manifold)
+        # copies, since the arrays may lie otherwise in memory than those of a Gaussian
+        return Gaussian._made(self.mean[index].copy(), self.covariance[index].copy(), self.manifold)
 
     def __iter__(self) -> Iterator[Gaussian]:
         return (self[i] for i in range(len(self)))

@@ -87,7 +87,7 @@ def quaternion_difference(
 
 @compiled
 def turn(q: Array, wx: float, wy: float, wz: float) -> None:
-    """q ← Exp(w) ⊗ q in place, normalised."""
+    """Turn a quaternion in place: q ← Exp(w) ⊗ q, normalised."""
     angle = math.sqrt(wx * wx + wy * wy + wz * wz)
     factor = 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
     c, x, y, z = math.cos(0.5 * angle), factor * wx, factor * wy, factor * wz
@@ -129,7 +129,7 @@ def rotation_of_left_matrix(L: Array, R: Array) -> bool:
     x, y, z, w = L[0, 3], L[1, 3], L[2, 3], L[3, 3]
     if not abs(x * x + y * y + z * z + w * w - 1.0) < 1e-6:
         return False
-    # L(q)^T = L(q^-1): the diagonal is w, and what lies across it has the opposite sign
+    # L(q)^T = L(q^-1): the diagonal is w, and entries across it have opposite signs
     error = abs(L[0, 0] - w) + abs(L[1, 1] - w) + abs(L[2, 2] - w)
     error += abs(L[1, 0] - z) + abs(L[0, 1] + z) + abs(L[0, 2] - y) + abs(L[2, 0] + y)
     error += abs(L[2, 1] - x) + abs(L[1, 2] + x)

@@ -19,21 +19,21 @@ from tpgmm_core.geometry.kernels_moments import NEGLIGIBLE, match_curved, match_
 LOG_NEGLIGIBLE = math.log(NEGLIGIBLE)
 SMALLEST = 2.2250738585072014e-308  # normal number: the logarithm of a prior is finite
 BLOCK = 256  # values side by side
-LANES = 16  # of these, what loops take at once
+LANES = 16  # of these, what loops take at once: ranges begin at a multiple of it
 
 NOT_FINITE = -2  # what `condition` returns for values that are not numbers
-TOO_FAR = -3  # and for values so far from all components that no number says how far
+TOO_FAR = -3  # and for values whose distance from all components is not finite
 
 
 @compiled
 def plan_parts(
     plan: Array,
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array]:
-    """The arrays of a plan: its first six numbers are how many tangent dimensions are given and free, n_i and n_o,
-    ambient ones, D_i and D_o, and S³ factors, S_i and S_o.
+    """The arrays of a plan.
 
-    Tangent and ambient indices in the mixture of what is given (n_i,), (D_i,) and free (n_o,), (D_o,); then for both
-    the arrangement `flat` and `spheres` of their own manifolds.
+    Its first six numbers are how many tangent dimensions are given and free, n_i and n_o, ambient ones, D_i and D_o,
+    and S³ factors, S_i and S_o. Then come tangent and ambient indices in the mixture of what is given (n_i,), (D_i,)
+    and free (n_o,), (D_o,); then for both the arrangement `flat` and `spheres` of their own manifolds.
     """
     n_i, n_o, D_i, D_o, S_i, S_o = plan[0], plan[1], plan[2], plan[3], plan[4], plan[5]
     a = 6
@@ -62,9 +62,11 @@ def condition(
     priors: Array, means: Array, covariances: Array, plan: Array, values: Array, out_means: Array,
     out_covariances: Array, out_activations: Array,
 ) -> int:  # fmt: skip
-    """Regression at all values (T, D_i): writes out_means (T, D_o), out_covariances (T, n_o, n_o) and
-    out_activations (T, K), which sum to 1, or (0, K) where nobody asks for them.
+    """Regression at all values (T, D_i): writes out_means, out_covariances and out_activations (T, K), which sum to 1,
+    or (0, K) where nobody asks for them.
 
+    out_means (D_o, T) and out_covariances (n_o, n_o, T) on R^n, side by side as they are worked out, since to move
+    them costs as much as to work them out; (T, D_o) and (T, n_o, n_o) where there are S³ factors.
     priors (K,), means (K, D), covariances (K, n, n): of the mixture. The Gaussians are moment-matched; on S³ the mean
     is where the weighted tangent vectors cancel out, and the components' covariances move there by parallel transport.
     Returns -1, NOT_FINITE, TOO_FAR, or the component whose covariance of the given dimensions is singular.
@@ -81,11 +83,10 @@ def condition(
             if not math.isfinite(values[t, i]):
                 return NOT_FINITE
     D_i, D_o, is_flat = len(given_ambient), len(free_ambient), len(free_spheres) == 0
-    width = min(BLOCK, T if T < LANES else -(-T // LANES) * LANES)
-    n_moments = n_o + n_o * (n_o + 1) // 2 if is_flat else 0
+    width = min(BLOCK, T)
     # one piece of memory, since each costs as much as many operations
     per_component = 1 + n_i * n_i + n_i * n_o + n_o * n_o + D_i + D_o
-    room = np.empty(K * (per_component + width * (1 + n_i + n_o)) + width * (4 + n_i + n_moments) + 2 * n_i * n_i)
+    room = np.empty(K * (per_component + width * (1 + n_i + n_o)) + width * (4 + n_i) + 2 * n_i * n_i)
     log_norms, room = room[:K], room[K:]
     whitening, room = room[: K * n_i * n_i].reshape(K, n_i, n_i), room[K * n_i * n_i :]
     slopes, room = room[: K * n_i * n_o].reshape(K, n_i, n_o), room[K * n_i * n_o :]
@@ -96,11 +97,8 @@ def condition(
     z, room = room[: K * n_i * width].reshape(K, n_i, width), room[K * n_i * width :]
     steps, room = room[: K * n_o * width].reshape(K, n_o, width), room[K * n_o * width :]
     lanes, room = room[: (4 + n_i) * width].reshape(4 + n_i, width), room[(4 + n_i) * width :]
-    scratch, room = room[: 2 * n_i * n_i].reshape(2, n_i, n_i), room[2 * n_i * n_i :]
-    moments = room.reshape(n_moments, width)
+    scratch = room.reshape(2, n_i, n_i)
     active = np.empty((K, 3), dtype=np.int64)
-    h[:] = 0.0
-    z[:] = 0.0
     wanted = len(out_activations) > 0
     for k in range(K):
         if not factorise(covariances[k], given_tangent, free_tangent, scratch, whitening[k], slopes[k], within[k]):
@@ -115,11 +113,11 @@ def condition(
     for start in range(0, T, width):
         size = min(width, T - start)
         block = values[start : start + size]
-        if not activate(
-            block, log_norms, whitening, given_means, given_flat, given_spheres, wanted, lanes, z, h
-        ):  # fmt: skip
+        n_active = activate(
+            block, log_norms, whitening, given_means, given_flat, given_spheres, wanted, lanes, z, h, active
+        )
+        if n_active == 0:
             return TOO_FAR
-        h[:, size:] = 0.0
         if wanted:
             for k in range(K):
                 for c in range(size):
@@ -127,19 +125,8 @@ def condition(
         if T == 1 and is_flat:
             match_one(h, z, free_means, slopes, within, steps, out_means, out_covariances)
             return -1
-        n_active = 0
-        for k in range(K):
-            begin, end = 0, size  # most components are active for a part of the times only
-            while begin < end and h[k, begin] < NEGLIGIBLE:
-                begin += 1
-            if begin == end:
-                continue
-            while h[k, end - 1] < NEGLIGIBLE:
-                end -= 1
-            # loops over a multiple of what the processor takes at once leave nothing over
-            begin, end = begin // LANES * LANES, min(-(-end // LANES) * LANES, width)
-            active[n_active, 0], active[n_active, 1], active[n_active, 2] = k, begin, end
-            n_active += 1
+        for j in range(n_active):
+            k, begin, end = active[j]
             for o in range(n_o):  # how far the conditional mean is from the component's
                 step = steps[k, o, begin:end]
                 step[:] = 0.0
@@ -148,10 +135,7 @@ def condition(
                     for c in range(len(step)):
                         step[c] += slope * w[c]
         if is_flat:
-            match_flat(
-                active[:n_active], h, free_means, steps, within, lanes[0], moments,
-                out_means[start : start + size], out_covariances[start : start + size],
-            )  # fmt: skip
+            match_flat(active[:n_active], h, free_means, steps, within, start, size, out_means, out_covariances)
         else:
             for c in range(size):
                 match_curved(
@@ -164,12 +148,15 @@ def condition(
 @compiled
 def activate(
     values: Array, log_norms: Array, whitening: Array, means: Array, flat: Array, spheres: Array, wanted: bool,
-    lanes: Array, z: Array, h: Array,
-) -> bool:  # fmt: skip
+    lanes: Array, z: Array, h: Array, active: Array,
+) -> int:  # fmt: skip
     """Activations h (K, T) of values (T, D_i), which sum to 1, and their whitened differences z (K, n_i, T) from the
     means (K, D_i). Side by side, in logarithms; what is negligible everywhere is 0, if it is not wanted.
 
-    lanes : scratch (4 + n_i, T). False where no number says how far the values are from all components.
+    active : (K, 3), written: components that are not negligible, and where they are so, the first and behind the last
+    lanes : scratch (4 + n_i, T)
+
+    Returns how many are active; 0 where no number says how far the values are from all components.
     """
     K, n_i, size = len(means), len(flat), len(values)
     top, total, differences = lanes[0], lanes[1], lanes[4:]
@@ -205,31 +192,38 @@ def activate(
             top[c] = max(top[c], h[k, c])
     for c in range(size):
         if not top[c] > -np.inf:
-            return False
+            return 0
         total[c] = 0.0
-    bits = scale.view(np.int64)
+    bits, n_active = scale.view(np.int64), 0
     for k in range(K):
+        logarithm = h[k]
         for c in range(size):
-            h[k, c] -= top[c]
+            logarithm[c] -= top[c]
         begin, end = 0, size  # most components are active for a part of the values only
         if not wanted:
-            while begin < end and h[k, begin] < LOG_NEGLIGIBLE:
+            while begin < end and logarithm[begin] < LOG_NEGLIGIBLE:
                 begin += 1
-            while begin < end and h[k, end - 1] < LOG_NEGLIGIBLE:
+            while begin < end and logarithm[end - 1] < LOG_NEGLIGIBLE:
                 end -= 1
-            h[k, :begin] = 0.0
-            h[k, end:] = 0.0
+            if begin < end:  # loops from a multiple of what the processor takes at once, and of as many
+                begin, end = begin // LANES * LANES, min(-(-end // LANES) * LANES, size)
+            logarithm[:begin] = 0.0
+            logarithm[end:size] = 0.0
         if begin < end:
-            h_k, total_k = h[k, begin:end], total[begin:end]
+            active[n_active, 0], active[n_active, 1], active[n_active, 2] = k, begin, end
+            n_active += 1
+            h_k, total_k = logarithm[begin:end], total[begin:end]
             exp_in_place(h_k, end - begin, scratch, bits, scale)
             for c in range(end - begin):
                 total_k[c] += h_k[c]
     for c in range(size):
         total[c] = 1.0 / total[c]
-    for k in range(K):
-        for c in range(size):
-            h[k, c] *= total[c]
-    return True
+    for j in range(n_active):
+        k, begin, end = active[j]
+        h_k, total_k = h[k, begin:end], total[begin:end]
+        for c in range(end - begin):
+            h_k[c] *= total_k[c]
+    return n_active
 
 
 @compiled

@@ -31,73 +31,76 @@ def match_one(
                 x += slopes[k, i, o] * z[k, i, 0]
             steps[k, o, 0] = x
             mean += h[k, 0] * x
-        out_means[0, o] = mean
+        out_means[o, 0] = mean
         for m in range(o + 1):
-            out_covariances[0, o, m] = 0.0
+            out_covariances[o, m, 0] = 0.0
     for k in range(K):
         w = h[k, 0]
         if w < NEGLIGIBLE:
             continue
         for o in range(n):
-            steps[k, o, 0] -= out_means[0, o]
+            steps[k, o, 0] -= out_means[o, 0]
             f = w * steps[k, o, 0]
             for m in range(o + 1):
-                out_covariances[0, o, m] += w * within[k, o, m] + f * steps[k, m, 0]
+                out_covariances[o, m, 0] += w * within[k, o, m] + f * steps[k, m, 0]
     for o in range(n):
         for m in range(o):
-            out_covariances[0, m, o] = out_covariances[0, o, m]
+            out_covariances[m, o, 0] = out_covariances[o, m, 0]
 
 
 @compiled
 def match_flat(
-    active: Array, h: Array, means: Array, steps: Array, within: Array, weight: Array, moments: Array,
+    active: Array, h: Array, means: Array, steps: Array, within: Array, start: int, size: int,
     out_means: Array, out_covariances: Array,
 ) -> None:  # fmt: skip
-    """Moments on R^n of the active ones of K Gaussians at means (K, n) + steps (K, n, T), weighted by h (K, T), side by
-    side. steps are overwritten; weight (T,) and moments are scratch.
+    """Moments on R^n of the active ones of K Gaussians at means (K, n) + steps (K, n, size), weighted by h (K, size),
+    side by side: out_means (n, T) and out_covariances (n, n, T) from start on.
+
+    active : (A, 3), as `activate` writes it; steps are overwritten.
     """
-    n, size = means.shape[1], len(out_means)
-    S, d = moments[n:], steps
-    moments[:] = 0.0
+    n, stop = means.shape[1], start + size
     for o in range(n):
+        out_means[o, start:stop] = 0.0
         for k, begin, end in active:
-            x, mean, w, m = steps[k, o, begin:end], moments[o, begin:end], h[k, begin:end], means[k, o]
+            x, mean, w, m = (
+                steps[k, o, begin:end],
+                out_means[o, start + begin : start + end],
+                h[k, begin:end],
+                means[k, o],
+            )
             for c in range(len(x)):
                 x[c] += m
                 mean[c] += w[c] * x[c]
         for k, begin, end in active:
-            x, mean = steps[k, o, begin:end], moments[o, begin:end]
+            x, mean = steps[k, o, begin:end], out_means[o, start + begin : start + end]
             for c in range(len(x)):
                 x[c] -= mean[c]
-    for k, begin, end in active:
-        w, row = h[k, begin:end], 0
-        weighted = weight[: end - begin]
-        for o in range(n):
-            e = d[k, o, begin:end]
-            for c in range(len(e)):
-                weighted[c] = w[c] * e[c]
-            for m in range(o + 1):
-                total, f, C = S[row, begin:end], d[k, m, begin:end], within[k, o, m]
-                for c in range(len(e)):
-                    total[c] += w[c] * C + weighted[c] * f[c]
-                row += 1
-    row = 0
-    for o in range(n):
-        for c in range(size):
-            out_means[c, o] = moments[o, c]
         for m in range(o + 1):
-            for c in range(size):
-                out_covariances[c, o, m] = S[row, c]
-                out_covariances[c, m, o] = S[row, c]
-            row += 1
+            out_covariances[o, m, start:stop] = 0.0
+    for k, begin, end in active:
+        w = h[k, begin:end]
+        for o in range(n):
+            e = steps[k, o, begin:end]
+            for m in range(o + 1):
+                total, f, C = (
+                    out_covariances[o, m, start + begin : start + end],
+                    steps[k, m, begin:end],
+                    within[k, o, m],
+                )
+                for c in range(len(e)):
+                    total[c] += w[c] * (C + e[c] * f[c])
+    for o in range(n):
+        for m in range(o):
+            out_covariances[m, o, start:stop] = out_covariances[o, m, start:stop]
 
 
 @compiled
 def match_curved(
     h: Array, means: Array, steps: Array, within: Array, flat: Array, spheres: Array, mean: Array, covariance: Array
 ) -> None:
-    """Moments of those of K Gaussians that are not negligible, reached from means (K, D) along steps (K, n), weighted
-    by h (K,), where there are S³ factors.
+    """Moments of those of K Gaussians that are not negligible, where there are S³ factors.
+
+    They are reached from means (K, D) along steps (K, n), weighted by h (K,).
     """
     n = len(flat)
     conditionals, e, step = means.copy(), np.empty((len(means), n)), np.empty(n)

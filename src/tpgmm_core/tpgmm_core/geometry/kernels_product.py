@@ -23,9 +23,9 @@ from tpgmm_core.geometry.kernels import (
 )
 
 STEP_TOLERANCE = 1e-10  # Gauss-Newton on S³ stops at steps shorter than this
-# Gains of a step are what it lowers the cost by, twice: its length squared, in standard deviations of the product
+# The gain of a step is twice what it lowers the cost by: its squared length, in standard deviations of the product
 SMALL_GAIN = 1e-9  # of the cost: below it a step is not too long, whatever the rounding of the cost says
-ROUNDED_GAIN = 1e-13  # below it a gain that does not fall any more is rounding: large precisions of large numbers
+ROUNDED_GAIN = 1e-13  # below it a gain that no longer falls is rounding: large precisions of large numbers
 MAX_STEPS = 100
 SHORT_TURN = math.cos(math.pi / 8.0)  # scalar product of quaternions that are a turn of pi / 4 apart
 SLOWEST_RATE = 0.95  # of convergence that extrapolation makes up for
@@ -33,7 +33,7 @@ SLOWEST_RATE = 0.95  # of convergence that extrapolation makes up for
 
 @compiled
 def difference(x: Array, base: Array, flat: Array, spheres: Array, out: Array) -> None:
-    """out (n,) = log_base(x)."""
+    """Tangent vector between two points: out (n,) = log_base(x)."""
     for i in range(len(flat)):
         if flat[i] >= 0:
             out[i] = x[flat[i]] - base[flat[i]]
@@ -55,7 +55,7 @@ def longest(step: Array) -> float:
 
 @compiled
 def move(x: Array, step: Array, flat: Array, spheres: Array) -> None:
-    """x ← exp_x(step) in place."""
+    """Move a point in place: x ← exp_x(step)."""
     for i in range(len(flat)):
         if flat[i] >= 0:
             x[flat[i]] += step[i]
@@ -66,8 +66,9 @@ def move(x: Array, step: Array, flat: Array, spheres: Array) -> None:
 
 @compiled
 def continued_difference(x: Array, base: Array, flat: Array, spheres: Array, out: Array) -> None:
-    """`difference`, but on S³ the turn between the quaternions as their signs are, up to 2 pi: smooth where the
-    shortest one changes sides.
+    """`difference`, but on S³ the turn between the quaternions as their signs are, up to 2 pi.
+
+    It is smooth where the shortest turn changes sides.
     """
     for i in range(len(flat)):
         if flat[i] >= 0:
@@ -98,11 +99,10 @@ def add_term(
     x: Array, target: Array, precision: Array, flat: Array, spheres: Array, scratch: Array, gradient: Array,
     hessian: Array,
 ) -> float:  # fmt: skip
-    """Add one term of Eq. (3), with its target and precision, at x: gradient (n,) and Gauss-Newton Hessian (n, n);
-    returns half its cost.
+    """Add one term of Eq. (3), with its target and precision, at x; returns half its cost.
 
-    On S³ the error e = Log(x ⊗ target^-1) moves with x by the inverse left Jacobian J of SO(3).
-    precision: lower triangle (n, n).
+    Added to are gradient (n,) and Gauss-Newton Hessian (n, n). On S³ the error e = Log(x ⊗ target^-1) moves with x by
+    the inverse left Jacobian J of SO(3). precision: lower triangle (n, n).
     """
     difference(x, target, flat, spheres, scratch[0])
     cost: float = add_error(precision, spheres, scratch, gradient, hessian)
@@ -156,9 +156,9 @@ def invert_precision(
     H: Array, gradient: Array, x: Array, state: Array, min_precision: float, flat: Array,
     spheres: Array, scratch: Array, covariance: Array,
 ) -> float:  # fmt: skip
-    """covariance = H^-1, where H is first filled up to min_precision by a term that holds what is free at the state.
+    """Invert the precision H into covariance; returns the cost of the term that is added to H first.
 
-    Returns the cost of that term.
+    Directions of H below min_precision are filled up to it by a term that keeps them at the state.
     """
     n = len(flat)
     L = scratch[5:]
@@ -174,7 +174,7 @@ def invert_precision(
         if trace * min_precision < 1.0:  # then no eigenvalue of H lies below min_precision
             return 0.0
     values, vectors = np.linalg.eigh(H)
-    # rounding of a large precision must not pass for information about the free directions
+    # rounding of a large precision must not count as information about the free directions
     lowest = max(min_precision, 1e-13 * values[-1])
     missing = (vectors * np.maximum(lowest - values, 0.0)) @ vectors.T
     cost = add_term(x, state, missing, flat, spheres, scratch, gradient, H)

@@ -21,7 +21,7 @@ from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.kernels_product import difference, move
 
 MAX_TEXT = 1000
-"""Characters of a manifold's text, which messages and files of others bring along."""
+"""Longest text of a manifold, in characters: it may come from messages and files of others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,10 @@ class Sphere:
 class Manifold:
     """Product of factors, e.g. `Manifold.parse("R1 x R3 x S3")`; immutable.
 
-    `factors` are pairs of kind ("R" or "S") and dimension (any for "R", 3 for "S").
+    Parameters
+    ----------
+    factors
+        pairs of kind ("R" or "S") and dimension (any for "R", 3 for "S")
     """
 
     factors: tuple[tuple[str, int], ...]
@@ -47,11 +50,21 @@ class Manifold:
                 raise ValueError(f"a factor of a manifold is R1, R2, ... or S3, got {kind}{n}")
 
     @classmethod
-    @lru_cache(maxsize=256)  # what a manifold knows of itself is worked out once, not at every message
+    @lru_cache(maxsize=256)  # everything about a manifold is computed once, not for every message
     def parse(cls, text: str, dim: int | None = None) -> Manifold:
-        """Manifold of a text such as "R1 x R3 x S3", or "euclidean", which is R^dim.
+        """Make the manifold of a text such as "R1 x R3 x S3", or "euclidean", which is R^dim.
 
-        Raises ValueError when the text is not understood, or has not `dim` ambient dimensions (where given).
+        Parameters
+        ----------
+        text
+            factors "R" or "S" with their dimensions, separated by " x "
+        dim
+            number of ambient dimensions that it must have; None: any
+
+        Raises
+        ------
+        ValueError
+            when the text is not understood, or has not `dim` ambient dimensions (where given)
         """
         if len(text) > MAX_TEXT:
             raise ValueError(f"a manifold is a text of at most {MAX_TEXT} characters, got {len(text)}")
@@ -73,7 +86,13 @@ class Manifold:
     @classmethod
     @lru_cache(maxsize=256)
     def euclidean(cls, dim: int) -> Manifold:
-        """R^dim."""
+        """R^dim.
+
+        Parameters
+        ----------
+        dim
+            number of dimensions, at least 1
+        """
         return cls((("R", dim),))
 
     def __str__(self) -> str:
@@ -131,7 +150,20 @@ class Manifold:
         return np.array([[s.ambient.start, s.tangent.start] for s in self.spheres], dtype=np.int64).reshape(-1, 2)
 
     def log(self, base: ArrayLike, x: ArrayLike) -> Array:
-        """Tangent vectors (..., tangent_dim) from base (..., dim) to x (..., dim); q and -q agree."""
+        """Tangent vectors from one point to another; q and -q are the same orientation.
+
+        Parameters
+        ----------
+        base
+            points at which the vectors begin, (..., dim)
+        x
+            points that they lead to, (..., dim)
+
+        Returns
+        -------
+        Array
+            shape (..., tangent_dim)
+        """
         base, x = np.asarray(base, dtype=float), np.asarray(x, dtype=float)
         if self.is_euclidean:
             return x - base
@@ -147,7 +179,20 @@ class Manifold:
         return v
 
     def exp(self, base: ArrayLike, v: ArrayLike) -> Array:
-        """Points (..., dim) reached from base (..., dim) along the tangent vectors v (..., tangent_dim)."""
+        """Points that tangent vectors lead to.
+
+        Parameters
+        ----------
+        base
+            points at which the vectors begin, (..., dim)
+        v
+            tangent vectors, (..., tangent_dim)
+
+        Returns
+        -------
+        Array
+            shape (..., dim)
+        """
         base, v = np.asarray(base, dtype=float), np.asarray(v, dtype=float)
         if self.is_euclidean:
             return base + v
@@ -162,11 +207,30 @@ class Manifold:
         return x
 
     def distance(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Length (...,) of the shortest way from x to y (..., dim)."""
+        """Length of the shortest way between points, in the units of the tangent vectors.
+
+        Parameters
+        ----------
+        x, y
+            points, (..., dim)
+
+        Returns
+        -------
+        Array
+            shape (...,)
+        """
         return np.linalg.norm(self.log(x, y), axis=-1)
 
     def mean(self, x: ArrayLike, weights: ArrayLike | None = None) -> Array:
-        """Weighted mean (dim,) of points x (N, dim): where the weighted tangent vectors to the points cancel out."""
+        """Weighted mean (dim,) of points: where the weighted tangent vectors to the points cancel out.
+
+        Parameters
+        ----------
+        x
+            points, (N, dim)
+        weights
+            shape (N,); None: all points count the same
+        """
         x = np.asarray(x, dtype=float)
         w = np.ones(len(x)) if weights is None else np.asarray(weights, dtype=float)
         w = w / w.sum()
@@ -183,9 +247,21 @@ class Manifold:
         return mean
 
     def transport(self, base: ArrayLike, to: ArrayLike) -> Array:
-        """Matrices (..., tangent_dim, tangent_dim) of parallel transport along the shortest way base → to.
+        """Matrices of parallel transport along the shortest way between points.
 
         In fixed axes the transport over a rotation w is the rotation by half of it.
+
+        Parameters
+        ----------
+        base
+            points from which tangent vectors are moved, (..., dim)
+        to
+            points to which they are moved, (..., dim)
+
+        Returns
+        -------
+        Array
+            shape (..., tangent_dim, tangent_dim)
         """
         base, to = np.asarray(base, dtype=float), np.asarray(to, dtype=float)
         shape = np.broadcast_shapes(base.shape[:-1], to.shape[:-1])
@@ -197,11 +273,25 @@ class Manifold:
         return T
 
     def tangent_map(self, A: ArrayLike) -> Array:
-        """How an ambient frame matrix A (..., D, D_j) acts on tangent vectors, (..., D_tangent, D_j_tangent).
+        """How an ambient frame matrix A acts on tangent vectors.
 
-        A quaternion block L(q) becomes the rotation R(q), whatever the point; Euclidean blocks stay.
-        On a Euclidean manifold A may have any number of columns. Raises ValueError when the block of an S³
-        factor is not L(q), or when A mixes it with other coordinates.
+        A quaternion block L(q) becomes the rotation R(q), whatever the point; Euclidean blocks stay. On a Euclidean
+        manifold A may have any number of columns.
+
+        Parameters
+        ----------
+        A
+            shape (..., D, D_j)
+
+        Returns
+        -------
+        Array
+            shape (..., D_tangent, D_j_tangent)
+
+        Raises
+        ------
+        ValueError
+            when the block of an S³ factor is not L(q), or when A mixes it with other coordinates
         """
         A = np.asarray(A, dtype=float)
         if self.is_euclidean:
@@ -232,13 +322,32 @@ class Manifold:
         return tangent
 
     def tangent_indices(self, dims: Sequence[int]) -> NDArray[np.intp]:
-        """Tangent indices that belong to the ambient indices `dims`. Raises like `subset`."""
+        """Tangent indices of the ambient indices `dims`.
+
+        Parameters
+        ----------
+        dims
+            ambient indices, as for `subset`
+
+        Raises
+        ------
+        ValueError
+            like `subset`
+        """
         return self._select(dims)[1]
 
     def subset(self, dims: Sequence[int]) -> Manifold:
-        """Manifold of the ambient indices `dims`, in their order.
+        """Manifold of some of the ambient indices, in their order.
 
-        Raises ValueError for indices out of range or repeated, and when a quaternion would be split.
+        Parameters
+        ----------
+        dims
+            ambient indices; the four of a quaternion go together
+
+        Raises
+        ------
+        ValueError
+            for indices out of range or repeated, and when a quaternion would be split
         """
         return Manifold(self._select(dims)[0])
 
@@ -251,7 +360,13 @@ class Manifold:
         return {"factors": self.factors}  # the rest is worked out anew
 
     def rest(self, dims: Sequence[int]) -> list[int]:
-        """The ambient indices that are not in `dims`."""
+        """The ambient indices that are not in `dims`, in their order.
+
+        Parameters
+        ----------
+        dims
+            ambient indices
+        """
         return [i for i in range(self.dim) if i not in set(dims)]
 
     def _select(self, dims: Sequence[int]) -> tuple[tuple[tuple[str, int], ...], NDArray[np.intp]]:
@@ -281,10 +396,14 @@ class Manifold:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Split:
-    """Dimensions of a manifold that are given and those that are free, as regression takes them.
+    """Dimensions of a manifold that are given and those that are free, in the form that regression needs.
 
-    given, free : the manifolds of both
-    plan : the same as `kernels_condition.plan_parts` reads it
+    Parameters
+    ----------
+    given, free
+        the manifolds of both
+    plan
+        the same as `kernels_condition.plan_parts` reads it
     """
 
     given: Manifold
@@ -293,8 +412,20 @@ class Split:
 
 
 def split(manifold: Manifold, dims: tuple[int, ...]) -> Split:
-    """The dimensions `dims` are given, the others free. Raises ValueError like `Manifold.subset`, and where no
-    dimension is left."""
+    """Divide a manifold into the dimensions `dims`, which are given, and the others, which are free.
+
+    Parameters
+    ----------
+    manifold
+        the whole space
+    dims
+        ambient dimensions; the four numbers of a quaternion go together
+
+    Raises
+    ------
+    ValueError
+        like `Manifold.subset`, and where no dimension is left
+    """
     rest = manifold.rest(dims)
     given, free = manifold.subset(dims), manifold.subset(rest)
     sizes = [given.tangent_dim, free.tangent_dim, given.dim, free.dim, len(given.spheres), len(free.spheres)]

@@ -22,12 +22,19 @@ class GaussianMixture:
 
     Parameters
     ----------
-    priors : shape (K,), positive, summing to 1
-    means : shape (K, D), ambient coordinates
-    covariances : shape (K, D_tangent, D_tangent), each in the tangent space at its mean
-    manifold : the space; None means R^D
+    priors
+        shape (K,), positive, summing to 1
+    means
+        shape (K, D), ambient coordinates
+    covariances
+        shape (K, D_tangent, D_tangent), each in the tangent space at its mean
+    manifold
+        the space; None means R^D
 
-    Raises ValueError for shapes that do not fit.
+    Raises
+    ------
+    ValueError
+        for shapes that do not fit
     """
 
     priors: Array
@@ -55,12 +62,18 @@ class GaussianMixture:
         object.__setattr__(self, "manifold", manifold)
 
     def component(self, k: int) -> Gaussian:
-        """The k-th Gaussian, without its prior."""
+        """The k-th Gaussian, without its prior.
+
+        Parameters
+        ----------
+        k
+            from 0
+        """
         return Gaussian(self.means[k], self.covariances[k], self.manifold)
 
     @classmethod
     def _made(cls, priors: Array, means: Array, covariances: Array, manifold: Manifold) -> Self:
-        """Of arrays that fit, and that nobody else holds."""
+        """Make a mixture of arrays that are known to fit, and that nothing else refers to."""
         made = object.__new__(cls)
         set_priors(made, priors)
         set_means(made, means)
@@ -69,16 +82,39 @@ class GaussianMixture:
         return made
 
     def responsibilities(self, dims: Sequence[int], values: ArrayLike) -> Array:
-        """How much each component accounts for `values` (..., len(dims)) of the dimensions `dims`: (K, ...).
+        """How much each component accounts for values of some of the dimensions.
 
-        Computed in logarithms; sums to 1 over the components also far from all of them.
+        Computed in logarithms: the sum over the components is 1 also far from all of them.
+
+        Parameters
+        ----------
+        dims
+            ambient dimensions; the four numbers of a quaternion go together
+        values
+            shape (..., len(dims))
+
+        Returns
+        -------
+        Array
+            shape (K, ...)
         """
         log_joint = self._log_joint(dims, values)
         joint = np.exp(log_joint - log_joint.max(axis=0))
         return joint / joint.sum(axis=0)
 
     def log_density(self, x: ArrayLike) -> Array:
-        """Logarithm of the density (...,) at points x (..., D)."""
+        """Logarithm of the density of the mixture.
+
+        Parameters
+        ----------
+        x
+            points, (..., D)
+
+        Returns
+        -------
+        Array
+            shape (...,)
+        """
         log_joint = self._log_joint(range(self.manifold.dim), x)
         top = log_joint.max(axis=0)
         return np.asarray(top + np.log(np.exp(log_joint - top).sum(axis=0)))
@@ -95,7 +131,7 @@ class GaussianMixture:
     def condition(self, dims: Sequence[int], values: ArrayLike) -> Gaussian | Gaussians: ...
 
     def condition(self, dims: Sequence[int], values: ArrayLike) -> Gaussian | Gaussians:
-        """Gaussian mixture regression: the other dimensions, given values of the ambient dimensions `dims`.
+        """Gaussian mixture regression: the other dimensions, given values of some.
 
         The Gaussian has the first two moments of the conditional mixture. On S³ its mean is where the
         weighted tangent vectors to the components' means cancel out, and their covariances are moved there
@@ -103,21 +139,24 @@ class GaussianMixture:
 
         Parameters
         ----------
-        dims : distinct ambient dimensions; the four numbers of a quaternion go together
-        values : shape (len(dims),) for one Gaussian, or (T, len(dims)) for T at once, such as `times[:, None]`
+        dims
+            distinct ambient dimensions; the four numbers of a quaternion go together
+        values
+            shape (len(dims),) for one Gaussian, or (T, len(dims)) for T at once, such as `times[:, None]`
 
         Returns
         -------
-        The `Gaussian` of the other dimensions, in their order; `Gaussians`, a sequence of T, for values (T, len(dims))
+        Gaussian | Gaussians
+            of the other dimensions, in their order; `Gaussians`, a sequence of T, for values (T, len(dims))
 
         Raises
         ------
         ValueError
-            for dimensions and values that do not fit, values that are not finite or beyond all numbers away, and a
-            component whose covariance of the dimensions `dims` is singular
+            for dimensions and values that do not fit, for values that are not finite or so far from all components that
+            the distance is not finite, and for a component whose covariance of the dimensions `dims` is singular
         """
         parts = self.manifold.split(tuple(dims))
-        given = np.array(values, float, order="C")  # a copy: of one type for the compiled code, whatever comes
+        given = np.array(values, float, order="C")  # a copy: of one type for the compiled code
         D, free = parts.given.dim, parts.free
         is_one = given.shape == (D,)
         if is_one:
@@ -132,18 +171,23 @@ class GaussianMixture:
             # read-only and strided arrays would each be compiled for anew
             priors, means, covariances = priors.copy(), means.copy(), covariances.copy()
         T, n = len(given), free.tangent_dim
-        out_means, out_covariances = np.empty((T, free.dim)), np.empty((T, n, n))
+        is_flat = free.is_euclidean
+        out_means, out_covariances = (
+            (np.empty((n, T)), np.empty((n, n, T))) if is_flat else (np.empty((T, free.dim)), np.empty((T, n, n)))
+        )
         failed = kernel()(priors, means, covariances, parts.plan, given, out_means, out_covariances, NOT_WANTED)
         if failed != -1:
             raise ValueError(_refusal(failed, dims, values))
         if is_one:
-            return Gaussian._made(out_means[0], out_covariances[0], free)
+            return Gaussian._made(out_means.reshape(free.dim), out_covariances.reshape(n, n), free)
+        if is_flat:
+            out_means, out_covariances = out_means.T, out_covariances.transpose(2, 0, 1)
         out_means.setflags(write=False)
         out_covariances.setflags(write=False)
         return Gaussians(out_means, out_covariances, free)
 
 
-# the setters that a frozen class does not give away
+# setters, which a frozen class does not offer
 set_priors, set_means, set_covariances, set_manifold = (
     vars(GaussianMixture)[name].__set__ for name in ("priors", "means", "covariances", "manifold")
 )
@@ -151,7 +195,7 @@ set_priors, set_means, set_covariances, set_manifold = (
 
 @cache
 def kernel() -> Any:
-    """`kernels_condition.condition`, read when first asked for: most programs that import the core never do."""
+    """Return `kernels_condition.condition`, imported on first use: most programs that import the core never need it."""
     from tpgmm_core.geometry.kernels_condition import condition
 
     return condition
@@ -161,13 +205,13 @@ NOT_WANTED: Array = np.empty((0, 0))  # activations
 
 
 def _refusal(failed: int, dims: Sequence[int], values: ArrayLike) -> str:
-    """What to say of what `kernels_condition.condition` returned."""
+    """The message for an error that `kernels_condition.condition` returned."""
     from tpgmm_core.geometry import kernels_condition
 
     if failed == kernels_condition.NOT_FINITE:
         return f"values must be finite, got {values!r}"
     if failed == kernels_condition.TOO_FAR:
-        return f"the values {values!r} are so far from all components that no number says how far"
+        return f"the values {values!r} are so far from all components that the distance is not finite"
     return (
         f"the covariance of component {failed} is not positive definite in the dimensions {list(dims)}: "
         "fit with a larger reg_covar"

@@ -16,6 +16,10 @@ IDENTITY: Array = np.array([0.0, 0.0, 0.0, 1.0])
 IDENTITY.setflags(write=False)
 
 
+#: Of the length of a unit quaternion.
+_ROUNDING = 4.0 * np.finfo(float).eps
+
+
 def multiply(p: ArrayLike, q: ArrayLike) -> Array:
     """Hamilton product p ⊗ q (first q, then p), shape (..., 4)."""
     p, q = np.asarray(p, dtype=float), np.asarray(q, dtype=float)
@@ -38,12 +42,15 @@ def conjugate(q: ArrayLike) -> Array:
 
 
 def normalize(q: ArrayLike) -> Array:
-    """q / |q|, shape (..., 4). Raises ValueError for zero or non-finite quaternions."""
+    """q / |q|, shape (..., 4); one that is of unit length up to rounding stays as it is, bit by bit.
+
+    So what was normalised, written and read is the same. Raises ValueError for zero or non-finite quaternions.
+    """
     q = np.asarray(q, dtype=float)
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     if not (np.all(np.isfinite(norm)) and np.all(norm > 1e-9)):
         raise ValueError(f"a quaternion needs a finite norm above zero to be an orientation, got norm {norm.min()}")
-    return q / norm
+    return np.where(np.abs(norm - 1.0) <= _ROUNDING, q, q / norm)
 
 
 def exp(rotation_vector: ArrayLike) -> Array:
@@ -80,7 +87,7 @@ def rotation_matrix(q: ArrayLike) -> Array:
 def roll_pitch_yaw(q: ArrayLike) -> Array:
     """Turns (3,) about the fixed axes x, then y, then z (REP 103), rad, that make up a unit quaternion (4,).
 
-    Where the pitch is a quarter turn, roll and yaw are the same turn, which is given as roll.
+    Where the pitch is a quarter turn, roll and yaw are about the same axis; the whole turn is then given as roll.
     """
     R = rotation_matrix(q)
     cosine = np.hypot(R[0, 0], R[1, 0])
@@ -93,7 +100,10 @@ def roll_pitch_yaw(q: ArrayLike) -> Array:
 def from_matrix(R: ArrayLike) -> Array:
     """Unit quaternion (..., 4), w >= 0, of a rotation matrix (..., 3, 3).
 
-    Raises ValueError when R is not a rotation (orthogonal with determinant +1, to 1e-6).
+    Raises
+    ------
+    ValueError
+        when R is not a rotation (orthogonal with determinant +1, to 1e-6)
     """
     R = np.asarray(R, dtype=float)
     if R.shape[-2:] != (3, 3):

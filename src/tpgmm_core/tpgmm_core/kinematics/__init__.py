@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Candidate frames that are no objects but projections: joint space, task spaces, null spaces (Eqs. 7 to 12)."""
+"""Candidate frames that are not objects but projections: joint space, task spaces, null spaces (Eqs. 7 to 12)."""

@@ -4,14 +4,14 @@
 They come from the Euler step of inverse kinematics, q_t = q_{t-1} + J^+ (x_t - x_{t-1}) + N (...), solved for q_t as a
 map of what the frame sees, x_t: `q = A x + b`. A and b belong to one step only.
 
-Each brings the inverse map M that it sees a configuration with, x = M (q - b), which also carries its precision into
-configuration space, M^T Lambda M. Where nothing is damped, M = A^+ to rounding. Where a singularity makes the robot
-unable to move in some direction, A and M fade out in it together: the frame neither asks for that motion, nor counts
-its absence as a deviation. With the pseudo-inverse of a damped A the precision would grow without bound instead.
+Each has its own inverse map M, with which it sees a configuration, x = M (q - b), and which also carries its precision
+into configuration space, M^T Lambda M. Where nothing is damped, M = A^+ to rounding. Where a singularity makes the
+robot unable to move in some direction, A and M fade out in it together: the frame neither asks for that motion, nor
+counts its absence as a deviation. With the pseudo-inverse of a damped A the precision would grow without bound instead.
 
 That M A < I in such directions is what makes priorities visible in demonstrations. Of two tasks that cannot both
-be met, the lower one does what the upper one leaves to it. In its frame below the upper task it deviates by nothing, in
-its frame alone it does: the frames with the small covariances are those of the order that was followed.
+be met, the lower one does what the upper one leaves to it. In its frame below the upper task its deviation is zero, in
+its frame alone it is not: the frames with the small covariances are those of the order that was followed.
 """
 
 from __future__ import annotations
@@ -28,16 +28,25 @@ from tpgmm_core.kinematics.tasks import KinematicState, KinematicTask, Kinematic
 
 
 class KinematicFrame(Protocol):
-    """A map into configuration space that changes with each step.
-
-    objects : names of the objects that it needs
-    """
+    """A map into configuration space that changes with each step."""
 
     @property
-    def objects(self) -> frozenset[str]: ...
+    def objects(self) -> frozenset[str]:
+        """Names of the objects that it needs."""
 
     def at(self, moment: KinematicState) -> Frame:
-        """The map at one step, A (n, m), b (n,), inverse (m, n). Raises ValueError for objects that are not there."""
+        """The map at one step, A (n, m), b (n,), inverse (m, n).
+
+        Parameters
+        ----------
+        moment
+            robot and objects at this step
+
+        Raises
+        ------
+        ValueError
+            for objects that are not known
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +56,7 @@ class JointSpace:
     objects = frozenset[str]()
 
     def at(self, moment: KinematicState) -> Frame:
+        """The identity, at every step."""
         identity = np.eye(len(moment.q))
         return Frame(identity, np.zeros(len(moment.q)), identity)
 
@@ -55,13 +65,14 @@ class JointSpace:
 class PreviousConfiguration:
     """How far joints go in a step: A = h I, b = q_{t-1}, Eq. (7) about the step before; h is `KinematicState.stride`.
 
-    Learned from the demonstrations' own steps, it keeps the product from leaping where other frames say little: their
-    product with it is the damped least-squares step of Levenberg and Marquardt.
+    Learned from the demonstrations' own steps, it keeps the product from jumping where other frames constrain little:
+    their product with it is the damped least-squares step of Levenberg and Marquardt.
     """
 
     objects = frozenset[str]()
 
     def at(self, moment: KinematicState) -> Frame:
+        """A = h I about the configuration of the step before."""
         identity, h = np.eye(len(moment.q)), moment.stride
         return Frame(h * identity, moment.q, identity / h)
 
@@ -81,9 +92,11 @@ class TaskSpace:
 
     @property
     def objects(self) -> frozenset[str]:
+        """The objects that the tasks are relative to."""
         return _objects(self.tasks)
 
     def at(self, moment: KinematicState) -> Frame:
+        """A = J^+ A^O, with the damped pseudo-inverse of the tasks' Jacobian."""
         view = moment.view(self.tasks)
         J_inverse = damped_pseudo_inverse(view.J, moment.threshold)
         return Frame(J_inverse @ view.A, moment.q + J_inverse @ view.offset, _seen_from_objects(view.J, view))
@@ -91,7 +104,7 @@ class TaskSpace:
 
 @dataclass(frozen=True, slots=True)
 class NullSpace:
-    """Eq. (10), the configuration as far as the tasks leave it free: A = N, b = J^+ J q_{t-1}, N = I - J^+ J."""
+    """Eq. (10), the part of the configuration that the tasks leave free: A = N, b = J^+ J q_{t-1}, N = I - J^+ J."""
 
     above: KinematicTasks
 
@@ -100,9 +113,11 @@ class NullSpace:
 
     @property
     def objects(self) -> frozenset[str]:
+        """None: null spaces do not depend on where objects are."""
         return frozenset()  # null spaces do not depend on where objects are
 
     def at(self, moment: KinematicState) -> Frame:
+        """A = N, the projection on motions that the tasks do not see."""
         N = moment.null_space(self.above)
         return Frame(N, moment.q - N @ moment.q, N)
 
@@ -114,8 +129,16 @@ class SecondaryTaskSpace:
     A = N J^+ A^O, b = q_{t-1} + N J^+ (b^O - x_{t-1}), N of all tasks above together (the hierarchy of Siciliano and
     Slotine 1991, of any depth).
 
-    least_error : (J N)^+ takes the place of N J^+, and J N sees. Where the tasks can be met, both lead there. Where
-        they cannot, this one leads to the least error e, where N J^T e = 0; N J^+ leads to N J^T (J J^T)^-1 e = 0.
+    Parameters
+    ----------
+    tasks
+        of this level
+    above
+        all tasks of higher priority
+    least_error
+        whether (J N)^+ takes the place of N J^+, and J N that of J in the inverse map. Where the tasks can be met, both
+        lead there. Where they cannot, this one leads to the least error e, where N J^T e = 0; N J^+ leads to
+        N J^T (J J^T)^-1 e = 0
     """
 
     tasks: KinematicTasks
@@ -128,9 +151,11 @@ class SecondaryTaskSpace:
 
     @property
     def objects(self) -> frozenset[str]:
+        """The objects that the tasks of this level are relative to."""
         return _objects(self.tasks)
 
     def at(self, moment: KinematicState) -> Frame:
+        """A = N J^+ A^O, or (J N)^+ A^O with `least_error`, with damped inverses."""
         view, N = moment.view(self.tasks), moment.null_space(self.above)
         free = view.J @ N
         if self.least_error:

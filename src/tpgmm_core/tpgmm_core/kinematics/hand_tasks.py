@@ -3,12 +3,12 @@
 
 A task is a single Gaussian in each of several candidate frames, of a hand's pose as that frame sees it. Frames may be
 fixed (world, torso) or be a hand, which moves with the joints as the hand that it sees does. About the joint
-positions q, what a frame sees is x + J dq, with the Jacobian of the one motion relative to the other, so that each
+positions q, a frame sees x + J dq, with the Jacobian of the one motion relative to the other, so that each
 Gaussian is one of q too: this is Eq. (9) with an object that is a part of the robot. Their product (Eq. 6), over the
-frames of all tasks that hold at present, is a Gaussian over the joints: tasks that were taught apart are combined
+frames of all tasks that are active, is a Gaussian over the joints: tasks that were taught separately are combined
 without learning anything.
 
-No one has to specify which frame matters: one in which the demonstration varied says next to nothing.
+No one has to specify which frame matters: one in which the demonstration varied has next to no influence.
 """
 
 from __future__ import annotations
@@ -33,12 +33,20 @@ from tpgmm_core.robot.model import RobotModel
 class HandTask:
     """What was learned of one hand.
 
-    model : one component on "R3 x S3"
-    endpoint : the hand, an end point of the robot
-    places : for each frame of the model the end point that it is fixed to, or its constant pose (7,)
-        [x, y, z, qx, qy, qz, qw] in the base frame, m
+    Parameters
+    ----------
+    model
+        one component on "R3 x S3"
+    endpoint
+        the hand, an end point of the robot
+    places
+        for each frame of the model the end point that it is fixed to, or its constant pose (7,) [x, y, z, qx, qy, qz,
+        qw] in the base frame, m
 
-    Raises ValueError for another kind of model, frames without a place, and a frame that is the hand itself.
+    Raises
+    ------
+    ValueError
+        for another kind of model, frames without a place, and a frame that is the hand itself
     """
 
     model: TPGMM
@@ -60,7 +68,7 @@ class HandTask:
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """One frame of one task: the hand, the end point that sees it (None: a constant pose), and what was learned."""
+    """One frame of one task: the hand, the end point that sees it (None: a constant pose), and the learned Gaussian."""
 
     task: str
     endpoint: str
@@ -71,13 +79,24 @@ class _View:
 
 
 class HandTasks:
-    """Tasks that hold at once, each by a weight from 0 (not at all) to 1, as Gaussians over some joints.
+    """Tasks that are active together, each with a weight from 0 (not at all) to 1, as Gaussians over some joints.
 
-    joints : groups of the robot file or joints by name, in the order of the Gaussian
-    rest_deviation : standard deviation of each joint about the rest posture, rad: a Gaussian by Eq. (7) that was not
-        taught, so weak that it decides only what no task does. Without it a push would move the arms for ever
+    Parameters
+    ----------
+    robot
+        whose hands they are
+    tasks
+        name -> task
+    joints
+        groups of the robot file or joints by name, in the order of the Gaussian
+    rest_deviation
+        standard deviation of each joint about the rest posture, rad: a Gaussian by Eq. (7) that was not taught, so weak
+        that it only decides what no task does. Without it a push would move the arms for ever
 
-    Raises ValueError for unknown end points and joints, and a deviation that is not positive.
+    Raises
+    ------
+    ValueError
+        for unknown end points and joints, and a deviation that is not positive
     """
 
     def __init__(
@@ -100,10 +119,16 @@ class HandTasks:
         self.at(robot.home, robot.home)  # compiles
 
     def at(self, q: Array, rest: Array, weights: Mapping[str, float] | None = None) -> Gaussian:
-        """Where the tasks want the joints to be, and how much each direction matters, about the positions q (nv,).
+        """Where the tasks draw the joints, and how much each direction matters, as a Gaussian.
 
-        rest : (nv,), the rest posture
-        weights : by task, 0 to 1: precisions are scaled by them; 1 where not named
+        Parameters
+        ----------
+        q
+            (nv,), positions of the robot
+        rest
+            (nv,), the rest posture
+        weights
+            by task, 0 to 1: precisions are scaled by them; 1 where not named
         """
         self._data.update(q)
         poses = {name: self._data.pose(name) for name in self._used}
@@ -128,13 +153,17 @@ class HandTasks:
 
 
 class ActiveTasks:
-    """Which of the tasks hold at present: each takes hold, and lets go, over a time.
+    """Which of the tasks are active: each fades in and out over a time.
 
-    tasks : all of them; none holds at first
-    blend_time : s
-
-    The rest posture is that in which the robot is when the first task takes hold. While none holds, the robot is free:
+    The rest posture is where the robot is when the first task becomes active. While none is active, the robot is free:
     what nothing constrains stays where it is.
+
+    Parameters
+    ----------
+    tasks
+        all of them; none is active at first
+    blend_time
+        s
     """
 
     def __init__(self, tasks: HandTasks, blend_time: float = 0.5) -> None:
@@ -144,19 +173,31 @@ class ActiveTasks:
         self._rest: Array | None = None
 
     def check(self, names: Collection[str]) -> None:
-        """Raises ValueError for names of tasks that there are not."""
+        """Check names of tasks.
+
+        Raises
+        ------
+        ValueError
+            for those that do not exist
+        """
         unknown = sorted(set(names) - set(self.tasks.names))
         if unknown:
             raise ValueError(f"there are no tasks {unknown}; there are {list(self.tasks.names)}")
 
     def choose(self, names: Collection[str]) -> None:
-        """The tasks that are to hold from now on. Raises ValueError like `check`."""
+        """Make these tasks active from now on, and all others inactive.
+
+        Raises
+        ------
+        ValueError
+            like `check`
+        """
         self.check(names)
         self._chosen = frozenset(names)
 
     @property
     def holding(self) -> tuple[str, ...]:
-        """The tasks that have hold, were it little."""
+        """The tasks whose weight is not zero."""
         return tuple(name for name, share in self._shares.items() if share > 0.0)
 
     def step(self, q: Array, dt: float) -> Gaussian:
@@ -188,12 +229,12 @@ def _views(name: str, task: HandTask) -> list[_View]:
 
 @compiled
 def deviation(hand: Array, J_hand: Array, body: Array, J_body: Array, mean: Array, error: Array, J: Array) -> None:
-    """How far what a body sees of a hand is from a mean pose, and how joints change that.
+    """Deviation of a hand, as a body sees it, from a mean pose, and how joints change that.
 
     hand, body (7,), J_hand, J_body (6, n) : poses and Jacobians in base axes
     mean (7,) : in the axes of the body
     error (6,), out : log from the pose seen to the mean, about the body's axes, in the tangent space at the mean
-    J (6, n), out : -d error / dq; of the logarithm the derivative is the inverse left Jacobian of SO(3)
+    J (6, n), out : -d error / dq; the derivative of the logarithm is the inverse left Jacobian of SO(3)
     """
     n = J.shape[1]
     R, rate = np.empty((3, 3)), np.empty((3, 3))

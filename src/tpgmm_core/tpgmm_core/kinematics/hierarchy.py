@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Candidate hierarchies of tasks as data, and the frames that tell them apart.
+"""Candidate hierarchies of tasks as data, and the frames that distinguish them.
 
 A hierarchy is a sequence of levels, most important first; a level is one task or several of equal rank:
 
     {"left before right": ["left", "right"], "right before left": ["right", "left"], "together": [["left", "right"]]}
 
 Each level becomes one frame: tasks of the first level by Eqs. (8) and (9), those below by Eqs. (11) and (12) in the
-null space of all above them. Levels that several hierarchies share are one frame.
+null space of all above them. A level that several hierarchies have in common is one frame.
 """
 
 from __future__ import annotations
@@ -36,11 +36,19 @@ def hierarchy_frames(
 ) -> dict[str, KinematicFrame]:
     """The frames of all levels of all candidates, by `level_names`.
 
-    tasks : name → Task
-    hierarchies : name → levels, each the name of a task, or names of tasks of equal rank
-    least_error : of lower levels, see `SecondaryTaskSpace`
+    Parameters
+    ----------
+    tasks
+        name → Task
+    hierarchies
+        name → levels, each the name of a task, or names of tasks of equal rank
+    least_error
+        of lower levels, see `SecondaryTaskSpace`
 
-    Raises ValueError for unknown tasks, levels without one, and a task that a hierarchy has twice.
+    Raises
+    ------
+    ValueError
+        for unknown tasks, levels without one, and a task that a hierarchy has twice
     """
     frames: dict[str, KinematicFrame] = {}
     for name, hierarchy in hierarchies.items():

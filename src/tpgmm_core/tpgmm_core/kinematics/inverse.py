@@ -23,7 +23,7 @@ THRESHOLD = 0.05
 
 @compiled
 def damped_gram_inverse(J: Array, threshold: float) -> Array:
-    """(J J^T)^-1 (m, m) of J (m, n), with eigenvalues s² below threshold² taken for threshold²."""
+    """Damped inverse (J J^T)^-1 (m, m) of J (m, n): eigenvalues s² below threshold² are replaced by threshold²."""
     values, vectors = np.linalg.eigh(J @ J.T)
     scaled = vectors / np.maximum(values, threshold * threshold)
     return scaled @ np.ascontiguousarray(vectors.T)
@@ -31,13 +31,13 @@ def damped_gram_inverse(J: Array, threshold: float) -> Array:
 
 @compiled
 def damped_pseudo_inverse(J: Array, threshold: float) -> Array:
-    """J^+ (n, m) of J (m, n), C-ordered; m may exceed n, and rows may depend on each other."""
+    """Damped pseudo-inverse J^+ (n, m) of J (m, n), C-ordered; m may exceed n, and rows may depend on each other."""
     return np.ascontiguousarray(J.T) @ damped_gram_inverse(J, threshold)
 
 
 @compiled
 def null_space(J: Array, threshold: float) -> Array:
-    """N = I - J^+ J (n, n), symmetric: the projection on motions that J does not see.
+    """Projection N = I - J^+ J (n, n), symmetric, on motions that J does not see.
 
     Near singularities, where damping leaves some of a motion undone, its eigenvalues lie between 0 and 1.
     """

@@ -2,8 +2,8 @@
 """Objectives of tasks as objectives of joints: `(x_ref - x)^T Lambda (x_ref - x)` becomes one of q through Jacobians.
 
 Around the joint positions q the task is `x + J (q' - q)`, so that the sum of the tasks' costs is a quadratic function
-of q'. Where the tasks leave freedom its precision has none: what they do not constrain costs nothing. In joint space,
-all laws of this package follow it as they follow any Gaussian.
+of q'. Directions that the tasks leave free have no precision: they cost nothing. In joint space,
+all laws of control follow it as they follow any Gaussian.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from tpgmm_core.common.types import Array
 
-SMALLEST_PRECISION = 1e-9  # of the largest: directions that the tasks hold less firmly are not moved in
+SMALLEST_PRECISION = 1e-9  # share of the largest eigenvalue: directions in which the tasks are softer are left alone
 
 
 def to_joint_space(
@@ -27,12 +27,19 @@ def to_joint_space(
 
     Parameters
     ----------
-    precisions : of each task (D_i, D_i), symmetric, semidefinite allowed
-    jacobians : of each task (D_i, n)
-    errors : of each task (D_i,), `x_ref - x`, on manifolds `log_x(x_ref)`, in the axes of the Jacobian
-    q : (n,)
+    precisions
+        of each task (D_i, D_i), symmetric, semidefinite allowed
+    jacobians
+        of each task (D_i, n)
+    errors
+        of each task (D_i,), `x_ref - x`, on manifolds `log_x(x_ref)`, in the axes of the Jacobian
+    q
+        (n,)
 
-    Raises ValueError for no task, shapes that do not fit, and values that are not finite.
+    Raises
+    ------
+    ValueError
+        for no task, shapes that do not fit, and values that are not finite
     """
     where = np.asarray(q, dtype=np.float64)
     n = len(where)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`KinematicMovement`: a model of kinematic frames as a movement that a loop steps through, in configuration space."""
+"""`KinematicMovement`: a model of kinematic frames as a movement in configuration space, which a loop steps through."""
 
 from __future__ import annotations
 
@@ -27,21 +27,32 @@ SPEED_TIME_CONSTANT = 0.1  # s, with which a new speed is taken over
 
 
 class KinematicMovement:
-    """A `Retrieval` whose states are configurations (n,): the product about the reference's own last one, at each step.
+    """A `Retrieval` whose states are configurations (n,): at each step the product about its own last reference.
 
-    So the reference does not lag behind as the robot does, and stays in what frames leave free. Before each step, it
-    is brought to within `leash` of where the robot is, all joints together: it waits for a robot that is held, and a
-    robot that is pushed farther away takes it along. Else it never jumps, whatever objects do: it goes on
-    to the product at `max_joint_speed` at most, all joints together. It stands for one moment and has no horizon, since
-    nobody knows where objects go. Objects are the frames that it asks for: poses over [time, pose], as a loop has them.
+    So the reference does not lag behind as the robot does, and stays where it is in directions that frames leave free.
+    Before each step, it is brought to within `leash` of where the robot is, all joints together: it waits for a robot
+    that is held, and a robot that is pushed farther away takes it along. Otherwise it never jumps, whatever objects do:
+    it moves to the product at `max_joint_speed` at most, all joints together. Its horizon repeats the present
+    reference, since the motion of objects is not known. Objects are the frames that it needs: poses over [time, pose],
+    as in other retrievals.
 
-    model : as for `ConfigurationProduct`
-    frames : at least the model's; for this movement alone
-    duration : s; as the model's metadata say where None. A model that is not over time goes on afterwards as before
-    max_joint_speed : rad/s
-    leash : rad, of the joint that is farthest away
+    Parameters
+    ----------
+    model
+        as for `ConfigurationProduct`
+    frames
+        at least the model's; for this movement alone
+    duration
+        s; None: that of the model's metadata. A model that is not over time goes on afterwards as before
+    max_joint_speed
+        rad/s
+    leash
+        rad, of the joint that is farthest away
 
-    Raises ValueError like `ConfigurationProduct`, and for a time, a speed or a leash that is not positive.
+    Raises
+    ------
+    ValueError
+        like `ConfigurationProduct`, and for a time, a speed or a leash that is not positive
     """
 
     def __init__(
@@ -69,7 +80,7 @@ class KinematicMovement:
         self._compile()
 
     def _compile(self) -> None:
-        """A step where all objects are at the origin, so that no later one waits for the compiler."""
+        """Make a step where all objects are at the origin, so that no later one waits for the compiler."""
         origin = Frame.from_pose(np.zeros(3), [0.0, 0.0, 0.0, 1.0]).with_time()
         self.start(0, np.zeros(self._product.frames.kinematics.n_joints))
         self.step(0, dict.fromkeys(self.frame_names, origin), weights=dict.fromkeys(self.frame_names, 1.0))
@@ -77,6 +88,7 @@ class KinematicMovement:
 
     @property
     def manifold(self) -> Manifold:
+        """R^n of the configurations."""
         return Manifold.euclidean(self._product.frames.kinematics.n_joints)
 
     @property
@@ -86,11 +98,12 @@ class KinematicMovement:
 
     @property
     def duration(self) -> float:
+        """Duration of the movement at speed 1, s."""
         return self._duration
 
     @property
     def speed(self) -> float:
-        """Speed of the model's time; see `Retrieval`. It is no speed of joints."""
+        """Speed of the model's time, not of the joints; see `Retrieval.speed`."""
         return self._time_scaling.target
 
     @speed.setter
@@ -100,6 +113,7 @@ class KinematicMovement:
         self._time_scaling.target = float(speed)
 
     def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
+        """Begin at this time, ns; the reference begins at the configuration `state` (n,)."""
         self._last_ns = time_ns
         self._phase = min(max(phase, 0.0), 1.0)
         self._time_scaling.rate = self._time_scaling.target
@@ -115,12 +129,18 @@ class KinematicMovement:
         state: Array | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> Reference:
-        """See `Retrieval.step`. Raises ValueError also while no state (n,), rad or m, was ever given."""
+        """The reference at a time: see `Retrieval.step`.
+
+        Raises
+        ------
+        ValueError
+            also while no state (n,), rad or m, was ever given
+        """
         if self._last_ns is None:
             raise ValueError("the movement has not been started: call start(time_ns)")
         q = self._q if state is None else state
         if q is None:
-            raise ValueError("the configuration of the robot is not known: its joint states have to come")
+            raise ValueError("the configuration of the robot is not known: there were no joint states yet")
         since = max(0.0, (time_ns - self._last_ns) / _SECOND)
         situation = Situation(frames, weights)
         if self._situation is None or not situation.has_frames_of(self._situation):
@@ -143,13 +163,13 @@ class KinematicMovement:
         )
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
-        """The last reference n times: should the frames stay, so does what it aims at."""
+        """The last reference n times: if the frames stay, so does its target."""
         if self._last is None:
             raise ValueError("there was no step yet: call start(time_ns) and step(...)")
         return [self._last] * n
 
     def mixture(self) -> GaussianMixture:
-        """The model about the last configuration, over it, and over time before it where the model is."""
+        """The model about the last configuration, over configurations, or over [time, configuration]."""
         if self._last is None:
             raise ValueError("there was no step yet: call start(time_ns) and step(...)")
         return self._product.mixture(self._around, self._poses, self._time, self._weights)
@@ -159,7 +179,7 @@ class KinematicMovement:
         return self._phase * self._model_duration if self._product.over_time else None
 
     def _weights_of_frames(self, weights: Mapping[str, float] | None) -> dict[str, float] | None:
-        """A frame is trusted as far as the object that it needs and that is trusted least."""
+        """The weight of each frame: the smallest one of the objects that it needs."""
         if weights is None:
             return None
         return {
@@ -170,12 +190,12 @@ class KinematicMovement:
 
 
 def _within(limit: float, there: Array, centre: Array) -> Array:
-    """The configuration on the way from the centre to another one, as far as no joint goes beyond a limit, rad."""
+    """The configuration on the way from the centre to another one at which no joint is beyond a limit, rad."""
     way = there - centre
     farthest = float(np.abs(way).max())
     return there if farthest <= limit else centre + way * (limit / farthest)
 
 
 def _without_time(frame: Frame) -> Frame:
-    """The frame of a pose, of one over [time, pose]."""
+    """The frame of a pose, from one over [time, pose]."""
     return Frame(frame.A[1:, 1:], frame.b[1:])

@@ -22,9 +22,9 @@ from tpgmm_core.model.adaptation import Adapter
 from tpgmm_core.model.demonstration import Demonstration
 
 STEP = 0.02
-"""What demonstrations show of the steps of joints is stretched to steps as long as this, s."""
+"""Steps of joints in demonstrations are scaled to steps of this length, s."""
 PERSISTENCE = 0.4
-"""How long joints are taken to keep a speed, s."""
+"""How long joints are assumed to keep a speed, s."""
 SHORTEST_STEP = STEP**2 / PERSISTENCE
 """In this time, 1 ms, a walk that takes a new speed every 0.4 s spreads as far as it goes in a STEP; see
 `ConfigurationProduct`. Its steps are no shorter."""
@@ -34,12 +34,21 @@ SHORTEST_STEP = STEP**2 / PERSISTENCE
 class MovingFrames:
     """The candidate frames of a robot.
 
-    kinematics : the robot; keeps the configuration it was asked for last, hence not for two threads at once
-    candidates : name → frame
-    threshold : singular values of Jacobians below it are damped, see `kinematics.inverse`
+    The constructor compiles everything, so that no step waits for the compiler.
 
-    The constructor makes sure that everything is compiled, so that no step waits for the compiler. Raises ValueError
-    for no candidates, and a threshold that is not positive.
+    Parameters
+    ----------
+    kinematics
+        the robot; it keeps the last configuration, hence it must not be used by two threads at once
+    candidates
+        name → frame
+    threshold
+        singular values of Jacobians below it are damped, see `kinematics.inverse`
+
+    Raises
+    ------
+    ValueError
+        for no candidates, and a threshold that is not positive
     """
 
     kinematics: Kinematics
@@ -55,7 +64,7 @@ class MovingFrames:
 
     @property
     def objects(self) -> frozenset[str]:
-        """Names of the objects that any of the frames needs; points of the robot are always there."""
+        """Names of the objects that any of the frames needs, without points of the robot, which are always known."""
         return frozenset[str]().union(*map(self.objects_of, self.candidates))
 
     def objects_of(self, name: str) -> frozenset[str]:
@@ -63,12 +72,21 @@ class MovingFrames:
         return self.candidates[name].objects - set(self.kinematics.points)
 
     def at(self, q: ArrayLike, objects: Mapping[str, Frame] | None = None, stride: float = 1.0) -> dict[str, Frame]:
-        """All frames about the configuration q_{t-1} (n,), with the objects as they are now.
+        """All frames about a configuration, with the objects as they are now.
 
-        objects : name → Frame of a position or a pose. Frames whose objects are not there are left out
-        stride : how long the step is, in STEPs
+        Parameters
+        ----------
+        q
+            (n,), configuration of the step before, q_{t-1}
+        objects
+            name → Frame of a position or a pose. Frames whose objects are not known are left out
+        stride
+            how long the step is, in STEPs
 
-        Raises ValueError for a configuration that does not fit the robot or is not finite, and when no frame is left.
+        Raises
+        ------
+        ValueError
+            for a configuration that does not fit the robot or is not finite, and when no frame is left
         """
         q = np.array(q, dtype=float)
         if q.shape != (self.kinematics.n_joints,) or not np.all(np.isfinite(q)):
@@ -78,7 +96,7 @@ class MovingFrames:
         there = objects.keys() | set(self.kinematics.points)
         frames = {name: f.at(moment) for name, f in self.candidates.items() if f.objects <= there}
         if not frames:
-            raise ValueError(f"none of the objects that the frames need is there; there are {sorted(objects)}")
+            raise ValueError(f"none of the objects that the frames need is known; known are {sorted(objects)}")
         return frames
 
     def demonstration(
@@ -91,16 +109,28 @@ class MovingFrames:
     ) -> Demonstration:
         """What all frames saw of a movement: its data are configurations, its frames move with them.
 
-        times : (T,), s; configurations : (T, n), rad; objects : name → Frame, constant or with T steps. The frames of
-        each sample are those about the sample before; of the first one, about itself.
-        with_time : time becomes the first dimension of data and frames
+        The frames of each sample are those about the sample before; of the first one, about itself.
 
-        Raises ValueError like `at` and `Demonstration`, for objects that are not there, and times that do not increase.
+        Parameters
+        ----------
+        times
+            (T,), s
+        configurations
+            (T, n), rad
+        objects
+            name → Frame, constant or with T steps
+        with_time
+            whether time is the first dimension of data and frames
+
+        Raises
+        ------
+        ValueError
+            like `at` and `Demonstration`, for objects that are not known, and times that do not increase
         """
         data, times = np.asarray(configurations, dtype=float), np.asarray(times, dtype=float)
         objects = objects or {}
         if not self.objects <= objects.keys():
-            raise ValueError(f"the frames need the objects {sorted(self.objects)}, there are {sorted(objects)}")
+            raise ValueError(f"the frames need the objects {sorted(self.objects)}, given are {sorted(objects)}")
         since = np.diff(times)
         if len(times) != len(data) or len(times) < 2 or not np.all(since > 0.0):
             raise ValueError(
@@ -120,7 +150,7 @@ class MovingFrames:
 
 
 def _stacked(frames: Sequence[Frame]) -> Frame:
-    """One frame with T steps, all of which bring their inverses."""
+    """One frame with T steps, all of which have their own inverses."""
     inverses = [frame.inverse for frame in frames if frame.inverse is not None]
     return Frame(np.stack([frame.A for frame in frames]), np.stack([frame.b for frame in frames]), np.stack(inverses))
 
@@ -128,19 +158,29 @@ def _stacked(frames: Sequence[Frame]) -> Frame:
 class ConfigurationProduct:
     """A model of kinematic frames, retrieved: their product at each step, in configuration space.
 
-    model : fitted to `MovingFrames.demonstration`s, over time as the first dimension or with one component
-    frames : at least the model's
-
-    activations (K,) : weights of the components in the last step
-
-    What no frame constrains stays at the configuration of the step before. How fast it goes depends neither on the
+    What no frame constrains stays at the configuration of the step before. Its speed depends neither on the
     length of its steps, nor on how often demonstrations were sampled. `PreviousConfiguration` learns speeds, and a
-    step of dt allows for PERSISTENCE dt times their variance, as a walk does that takes a new speed every PERSISTENCE.
-    With variances in proportion to dt, steps are implicit Euler steps of a flow towards what the other frames say; in
-    proportion to dt², steps that are short would lead nowhere, and if they were constant, there at once.
+    step of dt allows for PERSISTENCE dt times their variance, as a random walk does that takes a new speed every
+    PERSISTENCE. With variances in proportion to dt, steps are implicit Euler steps of a flow towards the product of the
+    other frames; in proportion to dt², short steps would lead nowhere, and with constant variances they would arrive at
+    once.
 
-    Raises ValueError for a model of other
-    frames, and a timeless mixture, which does not say when which component counts.
+    Parameters
+    ----------
+    model
+        fitted to `MovingFrames.demonstration`s, over time as the first dimension or with one component
+    frames
+        at least the model's
+
+    Attributes
+    ----------
+    activations
+        (K,), weights of the components in the last step
+
+    Raises
+    ------
+    ValueError
+        for a model of other frames, and a timeless mixture, which does not say when which component is active
     """
 
     def __init__(self, model: TPGMM, frames: MovingFrames) -> None:
@@ -170,14 +210,28 @@ class ConfigurationProduct:
         weights: Mapping[str, float] | None = None,
         dt: float = SHORTEST_STEP,
     ) -> Gaussian:
-        """Where to be next (n,), and how much each direction matters, from the configuration q (n,) of the step before.
+        """Where to be next (n,), and how much each direction matters, as a Gaussian.
 
-        objects, weights : as they are now; a frame whose objects are not there contributes nothing
-        time : s, of a model over time
-        dt : s, length of the step. The covariance is that of SHORTEST_STEP for all, so that what a controller makes of
-            it does not depend on the rate
+        The covariance is that of a step of SHORTEST_STEP, whatever dt is, so that a controller's gains do not depend on
+        the rate.
 
-        Raises ValueError like `MovingFrames.at`, and for a time too many or missing.
+        Parameters
+        ----------
+        q
+            (n,), configuration of the step before
+        objects
+            as they are now; a frame whose objects are not known contributes nothing
+        time
+            of a model over time, s
+        weights
+            how far each frame is trusted, 0 to 1
+        dt
+            length of the step, s
+
+        Raises
+        ------
+        ValueError
+            like `MovingFrames.at`, and for a time that is missing, or given to a model without time
         """
         if (time is None) == self.over_time:
             raise ValueError(f"the model is {'' if self.over_time else 'not '}over time, got time = {time!r}")

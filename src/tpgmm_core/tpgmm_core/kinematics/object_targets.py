@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a task aims at is known: its object. So what a frame saw of it is a deviation, also where that has a mean.
+"""The target of a task is known: its object. So the mean that a frame saw is a deviation from it.
 
-Of a task that gave way, a frame sees a mean deviation: towards the side on which objects happened to be out of reach
-in the demonstrations. As a mean of the model it would become the aim, and would be the more certain the less objects
-varied; on other paths it pulls aside what had priority. The same demonstrations seen from the mirror, or on other
-paths, would have another mean. Their second moment about the object is what they have in common.
+In a frame of a task that gave way, the mean is a deviation towards the side on which objects happened to be out of
+reach in the demonstrations. As the mean of the model it would become the target, and would be the more certain the less
+objects varied; on other paths it would pull aside a task of higher priority. The same demonstrations mirrored, or on
+other paths, would have another mean. Their second moment about the object is what they have in common.
 """
 
 from __future__ import annotations
@@ -17,19 +17,31 @@ from tpgmm_core.learning.tpgmm import TPGMM
 
 
 def target_object_origins(model: TPGMM, frames: Collection[str], over_time: bool = False) -> None:
-    """Let a fitted model aim at the origins of some frames: each component's mean there becomes zero, and what it
-    was is counted as deviation, Sigma + mu mu^T. Of one Gaussian this is the maximum of the likelihood with that mean.
+    """Make the origins of some frames the targets of a fitted model.
 
-    over_time : the first dimension is time, which keeps its mean and its variance; deviations then do not depend on it
+    Each component's mean there becomes zero, and its former mean counts as deviation, Sigma + mu mu^T. For one Gaussian
+    this is the maximum of the likelihood with that mean.
+
+    Parameters
+    ----------
+    model
+        is changed
+    frames
+        whose origins are targets
+    over_time
+        whether the first dimension is time, which keeps its mean and its variance; deviations then do not depend on it
         within a component
 
-    Raises ValueError for frames that the model has not, and a model whose covariances have a structure.
+    Raises
+    ------
+    ValueError
+        for frames that the model does not have, and a model whose covariances have a structure
     """
     unknown = sorted(set(frames) - set(model.frame_names_))
     if unknown:
         raise ValueError(f"the model has no frames {unknown}; it has {list(model.frame_names_)}")
     if model.covariance != "full":
-        raise ValueError(f"means go into full covariances only, the model's are {model.covariance!r}")
+        raise ValueError(f"the model needs full covariances, which take up the means; it has {model.covariance!r}")
     data = slice(1 if over_time else 0, None)
     for name in frames:
         means, covariances = model.means_[name].copy(), model.covariances_[name].copy()

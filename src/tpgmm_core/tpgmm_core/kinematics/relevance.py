@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a model found to matter: how many directions of configuration space each of its frames determines."""
+"""Which frames matter in a model: how many directions of configuration space each of them determines."""
 
 from __future__ import annotations
 
@@ -21,9 +21,16 @@ def directions_determined(
     unit, so that frames over joints, positions and turns can be compared, and adds up to n, or to the number of
     directions that any frame constrains.
 
-    model, frames : over configurations, without time; or model over time and frames without it, at a time, s, by
-        regression in each frame
-    component : of a model without time
+    Parameters
+    ----------
+    model
+        over configurations, with or without time
+    frames
+        over configurations, without time
+    time
+        of a model over time, s; the Gaussians are then those of regression in each frame
+    component
+        of a model without time
     """
     precisions = {}
     for name, frame in frames.items():
@@ -34,6 +41,6 @@ def directions_determined(
             seen = mixture.condition([0], [time]).precision
         M = np.linalg.pinv(frame.A) if frame.inverse is None else frame.inverse
         precisions[name] = M.T @ seen @ M
-    # directions without any constraint count for nobody
+    # directions without any constraint count for no frame
     inverse = np.linalg.pinv(np.sum(list(precisions.values()), axis=0), rcond=1e-12, hermitian=True)
     return {name: float(np.trace(inverse @ H)) for name, H in precisions.items()}

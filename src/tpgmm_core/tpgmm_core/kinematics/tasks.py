@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`KinematicTask`: what of which point matters, seen from where; `KinematicState`: robot and objects at one step."""
+"""`KinematicTask`: which part of which point matters, and what it is seen from; `KinematicState`: robot and objects."""
 
 from __future__ import annotations
 
@@ -21,15 +21,20 @@ _PARTS = ("position", "orientation", "pose")
 
 @dataclass(frozen=True, slots=True)
 class KinematicTask:
-    """What of a point of the robot matters.
+    """The part of a point of the robot that matters.
 
-    point : name of the point
-    part : its position (m), its orientation, as the rotation vector (rad) about the fixed axes from the orientation
-        that it is seen from, or both in this order
-    relative_to : the object that it is seen from, in the object's axes; the world where None. Another point of the
-        robot is an object too, one that moves with the joints: what two hands hold between them. In the world a turn
-        by pi is where rotation vectors jump: an orientation far from that of the world's axes is better seen from
-        an object, which may be one that never moves
+    Parameters
+    ----------
+    point
+        name of the point
+    part
+        its position (m), its orientation, as the rotation vector (rad) about the fixed axes from the orientation that
+        it is seen from, or both in this order
+    relative_to
+        the object that it is seen from, in the object's axes; the world where None. Another point of the robot is an
+        object too, one that moves with the joints: so tasks can describe what two hands hold between them. In the
+        world, rotation vectors jump at a turn by pi: an orientation far from that of the world's axes is better seen
+        from an object, which may be one that never moves
     """
 
     point: str
@@ -47,9 +52,14 @@ KinematicTasks = tuple[KinematicTask, ...]
 class View(NamedTuple):
     """Tasks at one step, one below the other, m numbers in all.
 
-    J : (m, n), with xdot = J qdot, about the world's axes
-    A : (m, m), axes of the objects that the tasks are relative to: A^O of Eq. (9)
-    offset : (m,), b^O - x of Eq. (9), from the points to the objects
+    Parameters
+    ----------
+    J
+        (m, n), with xdot = J qdot, about the world's axes
+    A
+        (m, m), axes of the objects that the tasks are relative to: A^O of Eq. (9)
+    offset
+        (m,), b^O - x of Eq. (9), from the points to the objects
     """
 
     J: Array
@@ -58,13 +68,20 @@ class View(NamedTuple):
 
 
 class KinematicState:
-    """Where the robot and the objects are at one step; works out once what several frames of this step share.
+    """Where the robot and the objects are at one step; it computes once what several frames of this step share.
 
-    kinematics : the robot; is brought to q
-    q : (n,), configuration of the step before, q_{t-1}
-    objects : name → Frame of a position (m, m) or of a pose (7, 7) (`Frame.from_pose`)
-    threshold : of the damping, see `inverse.THRESHOLD`
-    stride : of the step, in units of `moving.STEP`: how far joints go is seen as if it were 1
+    Parameters
+    ----------
+    kinematics
+        the robot; it is moved to q
+    q
+        (n,), configuration of the step before, q_{t-1}
+    objects
+        name → Frame of a position (m, m) or of a pose (7, 7) (`Frame.from_pose`)
+    threshold
+        of the damping, see `inverse.THRESHOLD`
+    stride
+        length of the step, in units of `moving.STEP`: steps of joints are seen divided by it
     """
 
     def __init__(
@@ -85,7 +102,13 @@ class KinematicState:
         self._null_spaces: dict[KinematicTasks, Array] = {}
 
     def view(self, tasks: KinematicTasks) -> View:
-        """The tasks as they are now. Raises ValueError for unknown points, and objects that are not there."""
+        """The tasks as they are now.
+
+        Raises
+        ------
+        ValueError
+            for unknown points, and objects that are not known
+        """
         views = [self._view(task) for task in tasks]
         if len(views) == 1:
             return views[0]
@@ -99,7 +122,7 @@ class KinematicState:
         return View(J, A, offset)
 
     def null_space(self, tasks: KinematicTasks) -> Array:
-        """N (n, n): the motions that the tasks do not see, wherever their objects are."""
+        """Projection N (n, n) on motions that the tasks do not see, wherever their objects are."""
         N = self._null_spaces.get(tasks)
         if N is None:
             J = np.concatenate([self._jacobian(task) for task in tasks])
@@ -107,7 +130,7 @@ class KinematicState:
         return N
 
     def _jacobian(self, task: KinematicTask) -> Array:
-        """(m, n): velocity, angular velocity, or both, about the world's axes."""
+        """Jacobian (m, n) of a task: velocity, angular velocity, or both, about the world's axes."""
         J: Array = self._kinematics.jacobian(task.point)
         if task.relative_to is not None and task.relative_to in self._kinematics.points:
             J = J - self._carried(task.point, task.relative_to)
@@ -138,7 +161,7 @@ class KinematicState:
         if task.part == "position":
             return View(J, A, b - place[:m])
         turned = np.array(quaternion_difference(*place[3:], *target))
-        rate = np.empty((3, 3))  # of the rotation vector, for an angular velocity of one
+        rate = np.empty((3, 3))  # rate of the rotation vector, for a unit angular velocity
         inverse_left_jacobian(turned[0], turned[1], turned[2], rate)
         J[-3:] = rate @ J[-3:]
         if task.part == "orientation":
@@ -158,7 +181,7 @@ class KinematicState:
             return rotation_matrix(place[3:]), place[:3], place[3:]
         frame = self._objects.get(task.relative_to)
         if frame is None:
-            raise ValueError(f"object {task.relative_to!r} is not there; there are {sorted(self._objects)}")
+            raise ValueError(f"object {task.relative_to!r} is not known; known are {sorted(self._objects)}")
         if frame.A.shape not in ((m, m), (dim, dim)) or (frame.A.shape == (m, m) and task.part != "position"):
             raise ValueError(
                 f"object {task.relative_to!r} is a frame of a position ({m}, {m}), or of a pose (7, 7) in space, as "
@@ -169,7 +192,7 @@ class KinematicState:
 
 
 def compile_kernels() -> None:
-    """Run what moments and frames call, so that no later step waits for the compiler."""
+    """Run all compiled functions of states and frames, so that no later step waits for the compiler."""
     inverse.null_space(np.eye(1), inverse.THRESHOLD)
     quaternion_difference(0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     inverse_left_jacobian(0.0, 0.0, 0.0, np.empty((3, 3)))

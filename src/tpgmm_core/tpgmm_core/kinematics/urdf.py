@@ -15,14 +15,28 @@ from tpgmm_core.robot.model import RobotModel
 class UrdfKinematics:
     """Some joints of a robot; the others stand still.
 
-    robot : the robot; may be shared
-    joints : a group of the robot file, or several groups and joints by name; their order is the order in q
-    points : end points of the robot file, or frames of the URDF; or names for such; the end points where None
-    posture : (nv,), where the other joints are, rad and m; the robot's home where None
+    Poses and Jacobians are in the robot's base frame.
 
-    joint_names : in the order of q
+    Parameters
+    ----------
+    robot
+        the robot; may be shared
+    joints
+        a group of the robot file, or several groups and joints by name; their order is the order in q
+    points
+        end points of the robot file, or frames of the URDF; or name → one of these; the end points where None
+    posture
+        (nv,), where the other joints are, rad and m; the robot's home where None
 
-    Poses and Jacobians are in the robot's base frame. Raises ValueError for unknown names, and no joints.
+    Attributes
+    ----------
+    joint_names
+        in the order of q
+
+    Raises
+    ------
+    ValueError
+        for unknown names, and no joints
     """
 
     def __init__(
@@ -45,22 +59,27 @@ class UrdfKinematics:
 
     @property
     def n_joints(self) -> int:
+        """Number of the joints that move."""
         return len(self._joints)
 
     @property
     def points(self) -> tuple[str, ...]:
+        """Names of the points, as given."""
         return tuple(self._frame_ids)
 
     def update(self, q: Array) -> None:
+        """Move these joints to q (n,), rad or m. Raises ValueError for another shape."""
         if np.shape(q) != self._joints.shape:
             raise ValueError(f"there are {self.n_joints} joints, got q of shape {np.shape(q)}")
         self._posture[self._joints] = q
         self._data.update(self._posture)
 
     def place(self, point: str) -> Array:
+        """Pose (7,) of a point in the base frame, m."""
         return self._data.frame_pose(self._frame_id(point))
 
     def jacobian(self, point: str) -> Array:
+        """Jacobian (6, n) of a point, about the axes of the base frame."""
         return self._data.frame_jacobian(self._frame_id(point))[:, self._joints]
 
     def _frame_id(self, point: str) -> int:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Information criteria: what a model's parameters cost it. The smaller, the better.
 
-Both take neighbouring samples for independent, which those of a trajectory are not: they count each sample as
-a new piece of evidence, and so choose too many components. Leave-one-out over demonstrations
-(`tpgmm_core.learning.selection`) does not.
+Both treat neighbouring samples as independent, which those of a trajectory are not: they count each sample as new
+evidence, and so choose too many components. Leave-one-out over demonstrations (`tpgmm_core.learning.selection`) does
+not.
 """
 
 from __future__ import annotations
@@ -14,7 +14,19 @@ import math
 def bic(log_likelihood: float, n_parameters: int, n_samples: int) -> float:
     """Bayesian information criterion, -2 log L + n_parameters log N (Schwarz, 1978).
 
-    log_likelihood : of all samples together, log L; n_samples : N. Raises ValueError for N < 1.
+    Parameters
+    ----------
+    log_likelihood
+        of all samples together, log L
+    n_parameters
+        free parameters of the model
+    n_samples
+        N
+
+    Raises
+    ------
+    ValueError
+        for N < 1
     """
     if n_samples < 1:
         raise ValueError(f"a criterion needs at least one sample, got {n_samples}")
@@ -24,6 +36,11 @@ def bic(log_likelihood: float, n_parameters: int, n_samples: int) -> float:
 def aic(log_likelihood: float, n_parameters: int) -> float:
     """Akaike's information criterion, -2 log L + 2 n_parameters (Akaike, 1974).
 
-    log_likelihood : of all samples together, log L.
+    Parameters
+    ----------
+    log_likelihood
+        of all samples together, log L
+    n_parameters
+        free parameters of the model
     """
     return -2.0 * log_likelihood + 2.0 * n_parameters

@@ -31,22 +31,36 @@ LOG_2, LOG_PI, LOG_2PI = np.log(2.0), np.log(np.pi), np.log(2.0 * np.pi)
 class DirichletTPGMM(TPGMM):
     """TP-GMM with a Dirichlet process prior: `n_components` is the most that there may be, not how many there are.
 
-    Parameters (those of `TPGMM` that are not named mean the same there)
-    ----------
-    n_components : where the stick breaking is truncated, T
-    concentration : of the Dirichlet process: the larger, the more components are expected
-    spread : expected standard deviation of a component, as a share of that of all data, per dimension
-    mean_precision : how many samples the prior on a component's mean, at the mean of all data, counts for
-    reg_covar : added to the expected covariance, in squared units of the data
-    tol : stop when an iteration raises the evidence lower bound, per sample, by less
+    Parameters and attributes that are not listed here mean what they mean in `TPGMM`.
 
-    Attributes after fitting
-    ------------------------
-    Those of `TPGMM`, where K is the number of components that account for at least one sample: priors_ are
-    their expected weights, means_ and covariances_ the means and inverse expected precisions. weights_ :
-    expected weights of all T components; objectives_ : evidence lower bound per sample, which never falls on
-    Euclidean data (on S³ the update of the means is made in one tangent space, and holds approximately);
-    log_likelihood_ : of the model that was kept.
+    Parameters
+    ----------
+    n_components
+        where the stick breaking is truncated, T
+    concentration
+        of the Dirichlet process: the larger, the more components are expected
+    spread
+        expected standard deviation of a component, as a share of that of all data, per dimension
+    mean_precision
+        how many samples the prior on a component's mean, at the mean of all data, counts for
+    reg_covar
+        added to the expected covariance, in squared units of the data
+    tol
+        inference stops when an iteration raises the evidence lower bound, per sample, by less
+
+    Attributes
+    ----------
+    priors_
+        shape (K,), expected weights of the K components that account for at least one sample
+    means_, covariances_
+        their means and inverse expected precisions
+    weights_
+        shape (T,), expected weights of all components
+    objectives_
+        evidence lower bound per sample, which never falls on Euclidean data (on S³ the update of the means is made in
+        one tangent space, so that this holds approximately)
+    log_likelihood_
+        of the model with K components
     """
 
     weights_: Array
@@ -127,8 +141,10 @@ class DirichletTPGMM(TPGMM):
         return course.converged
 
     def _delete(self, posterior: _Posterior, objectives: list[float]) -> bool:
-        """Take one component away where the bound is higher without it (Hughes and Sudderth, NeurIPS 2013): small
-        ones that fit a few samples tightly are local optima that no update leaves. Returns whether there was one.
+        """Remove one component where the bound is higher without it (Hughes and Sudderth, NeurIPS 2013).
+
+        Small components that fit a few samples tightly are local optima that no update leaves. Returns whether one was
+        removed.
         """
         counts = posterior.workspace.counts[-1].copy()
         for k in np.argsort(counts):
@@ -147,7 +163,7 @@ class DirichletTPGMM(TPGMM):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Snapshot:
-    """Copies of arrays, where they belong, and the numbers beside them."""
+    """Copies of arrays, the arrays that they are copies of, and the numbers beside them."""
 
     copies: list[Array]
     arrays: list[Array]
@@ -201,7 +217,7 @@ class _Posterior:
         return bound / self.workspace.X.shape[1]
 
     def forget(self, k: int) -> None:
-        """Have the next E-step give no sample to component k; the bound stays one."""
+        """Make the next E-step give no sample to component k; the bound remains a bound."""
         self.workspace.log_priors[k] = FORGOTTEN
 
     def snapshot(self) -> _Snapshot:
@@ -211,7 +227,7 @@ class _Posterior:
         return _Snapshot([array.copy() for array in arrays], arrays, self.a, self.b, self.divergence)
 
     def restore(self, snapshot: _Snapshot) -> None:
-        """Back to where the snapshot was taken."""
+        """Go back to the values of the snapshot."""
         for array, former in zip(snapshot.arrays, snapshot.copies, strict=True):
             array[:] = former
         self.a, self.b, self.divergence = snapshot.a, snapshot.b, snapshot.divergence
@@ -294,9 +310,9 @@ class _Posterior:
 def _divergence(
     n: int, offset: Array, beta_0: float, beta: Array, Psi_0: Array, Psi: Array, nu: Array
 ) -> tuple[Array, float]:
-    """E[log|Lambda|] (T,), and the summed divergence of Normal-Wishart distributions from their prior.
+    """Expectations E[log|Lambda|] (T,), and the summed divergence of Normal-Wishart distributions from their prior.
 
-    offset : (T, n) from the means to the prior's mean; nu of the prior is n.
+    n is nu of the prior; offset (T, n) leads from the means to the prior's mean.
     """
     i = np.arange(n)
     log_Psi = np.linalg.slogdet(Psi)[1]
@@ -306,7 +322,7 @@ def _divergence(
     normal = 0.5 * (n * (beta_0 / beta - 1.0 - np.log(beta_0 / beta)) + beta_0 * nu * distance)
 
     def log_normaliser(log_Psi: Array, nu: Array) -> Array:
-        """log B(Psi^-1, nu) of Bishop (2006), Eq. B.79."""
+        """Logarithm of B(Psi^-1, nu) of Bishop (2006), Eq. B.79."""
         gammas = gammaln(0.5 * (nu[..., None] - i)).sum(axis=-1)
         return np.asarray(0.5 * nu * log_Psi - 0.5 * nu * n * LOG_2 - 0.25 * n * (n - 1) * LOG_PI - gammas)
 

@@ -35,23 +35,34 @@ class DPMeans(Estimator):
     over the frames j that saw sample n, with k its cluster. Without dimension_penalty all d_k are 0: DP-means.
     Coordinates are scaled to unit variance per dimension, since seconds, metres and radians do not compare,
     and S³ is seen in the tangent space at the mean of its samples; so both penalties are pure numbers. The
-    search starts from one cluster without dimensions, founds clusters until all samples are near one, and then
-    lets subspaces grow and swallow neighbours.
+    search starts from one cluster without dimensions, adds clusters until all samples are near one, and then
+    lets subspaces grow and absorb neighbours.
 
-    Parameters (stored unchanged; checked by `fit`)
+    Parameters
     ----------
-    penalty : of a cluster, lambda of Kulis and Jordan. A sample farther than its root from all clusters makes
-        its own
-    dimension_penalty : of a dimension of a cluster's subspace: it is worth the sum of squares along it, of
-        all samples of the cluster; None: no subspaces. No subspace fills its frame, d_k < D_j
-    max_iter : most sweeps
-    manifold : space of the data, as in `TPGMM`
+    penalty
+        of a cluster, lambda of Kulis and Jordan. A sample farther than its root from all clusters makes its own
+    dimension_penalty
+        of a dimension of a cluster's subspace: a dimension is worth the sum of squares along it, of all samples of the
+        cluster. No subspace fills its frame, d_k < D_j. None: no subspaces
+    max_iter
+        most sweeps
+    manifold
+        space of the data, as in `TPGMM`
 
-    Attributes after fitting
-    ------------------------
-    labels_ : cluster (N,) of each sample, 0 to K - 1: `TPGMM(n_components=clusters.n_components_,
-        init=clusters.labels_)` starts there. n_components_ : K. dimensions_ : name → (K,), d_k. costs_ : the
-        cost over the sweeps, which never rises. n_iter_, converged_
+    Attributes
+    ----------
+    labels_
+        shape (N,), cluster of each sample, 0 to K - 1: `TPGMM(n_components=clusters.n_components_,
+        init=clusters.labels_)` starts there
+    n_components_
+        K
+    dimensions_
+        name → shape (K,), d_k
+    costs_
+        the cost over the sweeps, which never rises
+    n_iter_, converged_
+        sweeps that were made, and whether the cost stopped falling
     """
 
     labels_: Labels
@@ -74,8 +85,18 @@ class DPMeans(Estimator):
         self.manifold = manifold
 
     def fit(self, demonstrations: Sequence[Demonstration]) -> Self:
-        """Cluster the samples of demonstrations, projected into their frames by Eq. (4). Raises ValueError like
-        `TPGMM.fit`."""
+        """Cluster the samples of demonstrations, projected into their frames by Eq. (4).
+
+        Parameters
+        ----------
+        demonstrations
+            one or more, with the same frames
+
+        Raises
+        ------
+        ValueError
+            like `TPGMM.fit`
+        """
         self._check_parameters()
         return self._fit(Samples.from_demonstrations(demonstrations, self.manifold))
 
@@ -88,9 +109,18 @@ class DPMeans(Estimator):
     def suggested_penalty(
         n_components: int, demonstrations: Sequence[Demonstration], manifold: str | Manifold = "euclidean"
     ) -> float:
-        """A penalty for about `n_components` clusters: the squared distance of the sample that is then the farthest
-        from that many samples, taken one after the other, each the farthest from those before (Kulis and Jordan
-        2012, Section 5)."""
+        """A penalty for about `n_components` clusters (Kulis and Jordan 2012, Section 5).
+
+        As many samples are chosen one after the other, each the farthest from those before. The penalty is the squared
+        distance of the sample that is then the farthest from them.
+
+        Parameters
+        ----------
+        n_components
+            the number of clusters that is wanted
+        demonstrations, manifold
+            as for `fit` and the constructor
+        """
         if n_components < 1:
             raise ValueError(f"n_components is an integer from 1, got {n_components}")
         views = _views(Samples.from_demonstrations(demonstrations, manifold))
@@ -111,8 +141,11 @@ class DPMeans(Estimator):
             raise ValueError(f"max_iter is an integer from 1, got {self.max_iter!r}")
 
     def _fit(self, samples: Samples) -> Self:
-        """Sweeps of steps none of which raises the cost: found one cluster at the sample that is farthest from
-        all, drop one that does not pay, give every sample to its nearest, fit centres and subspaces."""
+        """Make sweeps of steps none of which raises the cost.
+
+        The steps: start a cluster at the sample that is farthest from all, drop one that does not pay, assign every
+        sample to the nearest, fit centres and subspaces.
+        """
         views = _views(samples)
         dimension_penalty = np.inf if self.dimension_penalty is None else float(self.dimension_penalty)
         threshold = np.inf  # subspaces grow when there are clusters for them: a single one would take all dimensions
@@ -151,7 +184,7 @@ class DPMeans(Estimator):
         return float(distances.sum()) + sum(self._price(flat, dimension_penalty) for flat in flats)
 
     def _price(self, flats: Sequence[_Flat], dimension_penalty: float) -> float:
-        """Of one cluster: its own, and that of its dimensions in all frames."""
+        """Cost of one cluster: its own, and that of its dimensions in all frames."""
         dims = sum(flat.dim for flat in flats)
         return self.penalty + (dimension_penalty * dims if dims else 0.0)
 
@@ -202,9 +235,9 @@ class _Flat:
 
     @classmethod
     def fit(cls, view: _View, dimension_penalty: float, former: _Flat | None = None) -> _Flat:
-        """The cheapest: a principal direction is worth its penalty where the sum of squares along it is larger."""
+        """The cheapest subspace: principal directions along which the squares sum to more than the penalty are kept."""
         x = view.x[view.seen]
-        if len(x) == 0:  # of which this frame saw nothing: anything is right
+        if len(x) == 0:  # this frame saw nothing of it: any subspace is right
             return cls.point(np.zeros(view.x.shape[1]) if former is None else former.centre)
         centre = x.mean(axis=0)
         if not np.isfinite(dimension_penalty):

@@ -15,23 +15,23 @@ from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.samples import Samples
 
 BEGIN, END = 0, 1
-"""Components of `EndpointTPGMM.endpoints_`."""
+"""Indices of the components of `EndpointTPGMM.endpoints_`."""
 
 
 class EndpointTPGMM(TPGMM):
     """A mixture, and a Gaussian of the first and of the last samples of the demonstrations in each frame.
 
-    Systems that are to end where the demonstrations ended take the goal from here. A mixture does not tell: each of its
-    components is about a stretch of movement, and with many of them some stand for one demonstration alone.
+    Systems that are to end where the demonstrations ended take the goal from here. The mixture itself does not say
+    where that is: each of its components describes a stretch of movement, and with many of them some stand for one
+    demonstration alone. Parameters are those of `TPGMM`; `fit_projected` treats its samples as one demonstration.
 
-    Attributes after fitting (those of `TPGMM`, and)
-    ------------------------
-    endpoints_ : model of two components over the same data, where movements begin (BEGIN) and end (END), to be adapted
-        to a situation like any other. Covariances are those of as few samples as there are demonstrations: half of the
-        weight of one more sample for each dimension goes to their diagonal, so that a frame is not sure of what only
-        too few demonstrations agree in. A frame that no end was seen from knows of it what it saw of all the movement.
-
-    `fit_projected` takes its samples for one demonstration.
+    Attributes
+    ----------
+    endpoints_
+        model of two components over the same data, where movements begin (BEGIN) and end (END), to be adapted to a
+        situation like any other. Its covariances come from as few samples as there are demonstrations; half of the
+        weight of one more sample for each dimension is added to their diagonal, so that a frame is not certain of what
+        only a few demonstrations agree in. A frame that saw no end takes what it saw of the whole movement
     """
 
     endpoints_: TPGMM

@@ -13,7 +13,7 @@ import numpy as np
 class Estimator:
     """An object that is its constructor arguments, stored unchanged, until `fit` adds what it learned.
 
-    What was learned ends in `_`. What was only prepared from it, for speed, is left out of copies and pickles. A fitted
+    Names of what was learned end in `_`. What is only cached for speed is left out of copies and pickles. A fitted
     model that is given as an argument (`init`) is data: it is one parameter, and clones keep it fitted.
     """
 
@@ -22,11 +22,28 @@ class Estimator:
         return list(inspect.signature(cls).parameters)
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """Constructor arguments by name."""
+        """Constructor arguments by name.
+
+        Parameters
+        ----------
+        deep
+            makes no difference; scikit-learn passes it
+        """
         return {name: getattr(self, name) for name in self._parameter_names()}
 
     def set_params(self, **params: Any) -> Self:
-        """Set constructor arguments by name. Raises ValueError for an unknown one, and then sets none."""
+        """Set constructor arguments by name.
+
+        Parameters
+        ----------
+        **params
+            name and new value of each
+
+        Raises
+        ------
+        ValueError
+            for an unknown name; then none is set
+        """
         known = self._parameter_names()
         for name in params:
             if name not in known:

@@ -5,8 +5,8 @@ A file is a zip archive in numpy's npz format: `model.json` as an array of bytes
 settings, and plain numeric arrays. It is replaced as a whole (`atomic_file`): an
 interrupted save loses nothing.
 
-A file may be untrusted: what it announces is held against limits and against what it holds, before memory is
-taken for it.
+A file may be untrusted: the sizes that it announces are compared with limits and with what it contains, before memory
+is reserved for it.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ MAX_MEMBERS = 10_000
 MAX_COMPONENTS = 10_000
 MAX_DIMENSIONS = 10_000
 MAX_NUMBERS = MAX_BYTES // 8
-"""Of all dense covariances together: structures of few numbers are small in the file and large in memory."""
+"""Limit of all dense covariances together: structures of few numbers are small in the file and large in memory."""
 
 
 class ModelFileError(ValueError):
-    """The file is damaged, or no model file, or from a later version."""
+    """The file is damaged, is no model file, or is of a later version."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,10 +150,21 @@ class ModelContents:
 
 
 def write(path: str | PathLike[str], contents: ModelContents) -> None:
-    """Write a model file, replacing an older one only when the new one is complete.
+    """Write a model file; an older one is replaced only when the new one is complete.
 
-    Raises ValueError when the metadata hold something else than texts and finite numbers, OSError when the
-    disk refuses.
+    Parameters
+    ----------
+    path
+        the file
+    contents
+        what it will hold
+
+    Raises
+    ------
+    ValueError
+        when the metadata hold anything but texts and finite numbers
+    OSError
+        when the file cannot be written
     """
     arrays: dict[str, Any] = {
         "model.json": np.frombuffer(contents.header.to_json(), dtype=np.uint8),
@@ -179,8 +190,17 @@ def write(path: str | PathLike[str], contents: ModelContents) -> None:
 def read(path: str | PathLike[str]) -> ModelContents:
     """Read a model file.
 
-    Raises ModelFileError for anything but a complete model file of a known version, FileNotFoundError where
-    there is none.
+    Parameters
+    ----------
+    path
+        the file
+
+    Raises
+    ------
+    ModelFileError
+        for anything but a complete model file of a known version
+    FileNotFoundError
+        where there is none
     """
     return read_as(path, lambda contents: contents)
 
@@ -194,7 +214,7 @@ def read_as[T](path: str | PathLike[str], make: Callable[[ModelContents], T]) ->
         raise
     except ModelFileError as error:
         raise ModelFileError(f"{one_line(path)}: {error}") from None
-    except Exception as error:  # whatever zip, numpy and json raise on damaged bytes: to the caller it is one thing
+    except Exception as error:  # zip, numpy and json raise many errors for damaged bytes: the caller gets one
         raise ModelFileError(
             f"{one_line(path)}: damaged, or no model file ({type(error).__name__}: {one_line(error, 300)}); "
             "train the model again"
@@ -301,6 +321,6 @@ def _check_metadata(metadata: Any) -> None:
     if not isinstance(metadata, Mapping):
         raise ValueError(f"metadata is a mapping from names to texts and numbers, got {shown(metadata)}")
     for key, value in metadata.items():
-        is_number = isinstance(value, int | float) and abs(value) < 1e300  # larger integers are no float any more
+        is_number = isinstance(value, int | float) and abs(value) < 1e300  # larger integers have no float
         if not isinstance(key, str) or not (isinstance(value, str) or is_number):
             raise ValueError(f"metadata maps names to texts and finite numbers, got {shown(key)}: {shown(value)}")

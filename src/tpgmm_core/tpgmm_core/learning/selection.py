@@ -2,8 +2,8 @@
 """Choosing a model: leave-one-out over demonstrations, and a table of candidates.
 
 The samples of one demonstration are correlated: a model that has seen some of them knows the others. What is
-left out is therefore a whole demonstration (Stone 1974; Arlot and Celisse 2010, Section 8.1). BIC and AIC
-stand beside it, are cheaper, and prefer too many components: see `tpgmm_core.learning.criteria`.
+left out is therefore a whole demonstration (Stone 1974; Arlot and Celisse 2010, Section 8.1). BIC and AIC are in the
+same table: they are cheaper, and prefer too many components (see `tpgmm_core.learning.criteria`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ CRITERIA = ("leave-one-out", "bic", "aic")
 
 
 class SelectableEstimator(Protocol):
-    """What is asked of a candidate; `TPGMM` and all that is fitted like it."""
+    """What a candidate has to offer: `TPGMM` does, and every estimator that is fitted like it."""
 
     priors_: Array
 
@@ -52,7 +52,12 @@ FoldProgress = Callable[[int, int], None]
 class HeldOut:
     """Log-likelihood of demonstrations under models of the others.
 
-    per_demonstration : shape (M,), per sample of each; lengths : shape (M,), samples of each
+    Parameters
+    ----------
+    per_demonstration
+        shape (M,), per sample of each
+    lengths
+        shape (M,), samples of each
     """
 
     per_demonstration: Array
@@ -60,12 +65,12 @@ class HeldOut:
 
     @property
     def per_sample(self) -> float:
-        """Mean over all samples."""
+        """Mean log-likelihood over all samples."""
         return float(np.average(self.per_demonstration, weights=self.lengths))
 
     @property
     def standard_error(self) -> float:
-        """Of the mean over demonstrations, which are what was drawn independently."""
+        """Standard error of the mean over demonstrations, which are what was drawn independently."""
         return float(np.std(self.per_demonstration, ddof=1) / np.sqrt(len(self.lengths)))
 
 
@@ -74,8 +79,19 @@ def leave_one_out(
 ) -> HeldOut:
     """Log-likelihood of each demonstration under a model of all others.
 
-    estimator : how to fit; it is not changed. progress : called with (folds done, folds). Raises ValueError for
-    fewer than two demonstrations, and what `fit` raises, with the fold.
+    Parameters
+    ----------
+    estimator
+        its constructor arguments say how to fit; it is not changed
+    demonstrations
+        at least two
+    progress
+        called with (folds done, folds)
+
+    Raises
+    ------
+    ValueError
+        for fewer than two demonstrations, and what `fit` raises, with the fold
     """
     demonstrations = list(demonstrations)
     if len(demonstrations) < 2:
@@ -94,20 +110,40 @@ def leave_one_out(
 
 
 def unfitted(estimator: SelectableEstimator) -> SelectableEstimator:
-    """An estimator with the same constructor arguments, that has not learned anything."""
+    """Make an estimator with the same constructor arguments that has not learned anything."""
     return type(estimator)(**deepcopy(estimator.get_params()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """One row of a table: what a candidate is, and what it is worth.
+    """One row of a table: a candidate and its scores.
 
-    name; structure : of its covariances, with the kind of model where that is no mixture; n_components : K;
-    n_parameters; log_likelihood : per sample, of what it was fitted to; held_out : the same of what it was not,
-    None where not asked for; held_out_error : standard error over the demonstrations; by_demonstration : the
-    held-out log-likelihood of each, since one situation unlike all others may outweigh the rest; bic, aic;
-    fit_time_s : of the fit to all demonstrations; model : the estimator fitted to all; error : why it could not be
-    fitted, when all numbers are NaN.
+    Parameters
+    ----------
+    name
+        of the candidate
+    structure
+        of its covariances, with the kind of model where that is no mixture
+    n_components
+        K
+    n_parameters
+        free parameters
+    log_likelihood
+        per sample, of the data that it was fitted to
+    held_out
+        the same of data that it was not fitted to; None where that was not computed
+    held_out_error
+        standard error of `held_out` over the demonstrations
+    by_demonstration
+        `held_out` of each demonstration, since one unusual situation may outweigh the rest
+    bic, aic
+        see `tpgmm_core.learning.criteria`
+    fit_time_s
+        of the fit to all demonstrations, s
+    error
+        why it could not be fitted; all numbers are then NaN
+    model
+        the estimator, fitted to all demonstrations
     """
 
     name: str
@@ -139,8 +175,13 @@ class SelectionTable:
 
     @property
     def best(self) -> Candidate:
-        """The row that the criterion prefers; of equals, that with fewer parameters. Raises ValueError when no
-        candidate could be fitted."""
+        """The row that the criterion prefers; of equals, that with fewer parameters.
+
+        Raises
+        ------
+        ValueError
+            when no candidate could be fitted
+        """
         good = [row for row in self.rows if row.error is None]
         if not good:
             raise ValueError(f"no candidate could be fitted; the first says: {self.rows[0].error}")
@@ -178,10 +219,15 @@ class SelectionTable:
         return format_table(head, lines)
 
     def plot(self, path: str | PathLike[str]) -> None:
-        """Picture of the criterion over K, a line for each structure, written to `path` (needs matplotlib).
+        """Draw the criterion over K, a line for each structure (needs matplotlib).
 
-        Leave-one-out shows the held-out log-likelihood, with standard errors over the demonstrations, beside BIC,
-        so that one sees how optimistic that is.
+        For leave-one-out: the held-out log-likelihood, with standard errors over the demonstrations, beside BIC, which
+        shows how optimistic BIC is.
+
+        Parameters
+        ----------
+        path
+            of the picture
         """
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -221,12 +267,26 @@ def select_model(
 ) -> SelectionTable:
     """Fit all candidates and compare them.
 
-    candidates : estimators, which are not changed; or name → estimator. criterion : "leave-one-out", the held-out
-    log-likelihood, which fits each candidate once more for each demonstration; "bic" or "aic". progress : called
-    with (fits done, fits). clock : s, measures fit_time_s.
+    A candidate that cannot be fitted gets a row with the reason.
 
-    A candidate that cannot be fitted gets a row with the reason. Raises ValueError for an unknown criterion, for
-    no candidates, and for too few demonstrations.
+    Parameters
+    ----------
+    candidates
+        estimators, which are not changed; or name → estimator
+    demonstrations
+        at least two for leave-one-out
+    criterion
+        "leave-one-out": the held-out log-likelihood, for which each candidate is fitted once more for each
+        demonstration; "bic" or "aic"
+    progress
+        called with (fits done, fits)
+    clock
+        returns a time in s, to measure fit_time_s
+
+    Raises
+    ------
+    ValueError
+        for an unknown criterion, for no candidates, and for too few demonstrations
     """
     if criterion not in CRITERIA:
         raise ValueError(f"the criterion is one of {', '.join(CRITERIA)}, got {criterion!r}")
@@ -286,7 +346,7 @@ def _row(
 
 
 def _structure(estimator: SelectableEstimator) -> str:
-    """Such as "full", "mfa 2", "TPHMM full"."""
+    """A name such as "full", "mfa 2", "TPHMM full"."""
     params = estimator.get_params()
     structure = str(params.get("covariance", "full"))
     if structure in ("mfa", "mppca", "deep_mfa"):

@@ -39,35 +39,70 @@ from tpgmm_core.model.samples import Samples, view_manifold
 class TPGMM(Estimator):
     """Gaussian mixture that is observed from several frames at once.
 
-    Parameters (stored unchanged; checked by `fit`)
-    ----------
-    n_components : K
-    init : "time" (bins of equal width between the first and the last time), "bins" (every demonstration cut
-        into K parts of equal counts), "kmeans" (k-means++ on all frames' views side by side), the component of
-        every sample, integers (N,) (such as `DPMeans.labels_`), or a fitted TPGMM
-    reg_covar : added to the diagonal of the covariances, in squared units of the data
-    tol : EM stops when an iteration gains less, in log-likelihood per sample
-    max_iter : most iterations of EM
-    random_state : seed or generator for "kmeans" and for restarts
-    manifold : space of the data, e.g. "R1 x R3 x S3"; "euclidean" is R^D for any D, also different per frame
-    regularization : "add", or "prior", whose objective never falls: see `expectation_maximisation`
-    n_init : starts of EM, of which the one with the best objective counts: `init`, then k-means by chance
-    covariance : "full", or a structure with fewer parameters, for all components and frames: "diag", "spherical",
-        "tied", "mfa", "mppca", "hddc", "semi_tied", "deep_mfa" (which divides the K components further)
-    n_factors : columns of the loadings of "mfa", "mppca" and "deep_mfa", for frames of more dimensions
-    covariance_options : other fields of `tpgmm_core.learning.covariance.structure.Structure` by name, or None
-
-    Attributes after fitting
-    ------------------------
-    priors_ : shape (K,); means_ : name → (K, D_j); covariances_ : name → (K, n_j, n_j), tangent dimensions
-    emissions_ : the components with their covariance structure; n_parameters_ : free parameters of the model
-    log_likelihood_, log_likelihoods_ : per sample, the last and their course; objectives_ : what EM maximises
-    n_iter_, converged_, frame_names_, manifold_ (the space of the data; on R^D with frames that were
-    projected elsewhere, the largest D_j), dimensions_ (names, or None), metadata_ (free-form texts and
-    numbers)
-
     A model is a plain value: it may be copied, pickled, fitted again; `priors_`, `means_` and `covariances_` may be
-    set by hand, and changed in place. Whatever is asked afterwards follows from the numbers as they are then.
+    set by hand, and changed in place. All results follow from the numbers as they are at the time of the call.
+
+    Parameters are stored unchanged, and checked by `fit`.
+
+    Parameters
+    ----------
+    n_components
+        K
+    init
+        "time" (bins of equal width between the first and the last time), "bins" (every demonstration cut into K parts
+        of equal counts), "kmeans" (k-means++ on all frames' views side by side), the component of every sample,
+        integers (N,) (such as `DPMeans.labels_`), or a fitted TPGMM
+    reg_covar
+        added to the diagonal of the covariances, in squared units of the data
+    tol
+        EM stops when an iteration gains less, in log-likelihood per sample
+    max_iter
+        most iterations of EM
+    random_state
+        seed or generator for "kmeans" and for restarts
+    manifold
+        space of the data, e.g. "R1 x R3 x S3"; "euclidean" is R^D for any D, also different per frame
+    regularization
+        "add", or "prior", whose objective never falls: see `expectation_maximisation`
+    n_init
+        starts of EM, of which the one with the best objective is kept: the first from `init`, the others from random
+        k-means
+    covariance
+        "full", or a structure with fewer parameters, for all components and frames: "diag", "spherical", "tied", "mfa",
+        "mppca", "hddc", "semi_tied", "deep_mfa" (which divides the K components further)
+    n_factors
+        columns of the loadings of "mfa", "mppca" and "deep_mfa", for frames of more dimensions
+    covariance_options
+        other fields of `tpgmm_core.learning.covariance.structure.Structure` by name, or None
+
+    Attributes
+    ----------
+    priors_
+        shape (K,)
+    means_
+        name → shape (K, D_j)
+    covariances_
+        name → shape (K, n_j, n_j), in tangent dimensions
+    emissions_
+        the components with their covariance structure
+    n_parameters_
+        free parameters of the model
+    log_likelihood_
+        per sample, after the last iteration
+    log_likelihoods_
+        per sample, of every iteration
+    objectives_
+        what EM maximises, of every iteration
+    n_iter_, converged_
+        iterations that were made, and whether `tol` ended them
+    frame_names_
+        in the order of the demonstrations
+    manifold_
+        the space of the data; on R^D with frames that were projected elsewhere, the largest D_j
+    dimensions_
+        names of the data's dimensions, or None
+    metadata_
+        free texts and numbers by name
     """
 
     priors_: Array
@@ -82,7 +117,7 @@ class TPGMM(Estimator):
     manifold_: Manifold
     dimensions_: tuple[str, ...] | None
     metadata_: dict[str, str | float]
-    _emissions: tuple[Learned, Emissions] | None = None  # as learned, and of which numbers
+    _emissions: tuple[Learned, Emissions] | None = None  # as learned, with the numbers that they belong to
 
     def __init__(
         self,
@@ -115,8 +150,23 @@ class TPGMM(Estimator):
     def fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
         """Learn from demonstrations, projected into their frames by Eq. (4).
 
-        progress is called with (iteration, log-likelihood per sample). Raises ValueError for demonstrations
-        that do not agree in dimensions or frames, and for data that the constructor arguments do not fit.
+        Parameters
+        ----------
+        demonstrations
+            one or more, with the same frames and dimensions
+        progress
+            called with (iteration, log-likelihood per sample)
+
+        Returns
+        -------
+        Self
+            the same object, fitted
+
+        Raises
+        ------
+        ValueError
+            for demonstrations that do not agree in dimensions or frames, and for data that the constructor arguments do
+            not fit
         """
         self._check_parameters()
         return self._fit(Samples.from_demonstrations(demonstrations, self.manifold), progress)
@@ -129,9 +179,27 @@ class TPGMM(Estimator):
     ) -> Self:
         """Learn from data that was already observed from each frame.
 
-        X : name → shape (N, D_j); visible : name → mask (N,), always seen where not named. For init="time"
-        the time is the first dimension of the first frame; for "bins" all samples are one demonstration.
-        Raises ValueError for shapes that do not fit.
+        For init="time" the time is the first dimension of the first frame; for "bins" all samples are one
+        demonstration.
+
+        Parameters
+        ----------
+        X
+            name → shape (N, D_j)
+        visible
+            name → mask (N,), always seen where not named
+        progress
+            called with (iteration, log-likelihood per sample)
+
+        Returns
+        -------
+        Self
+            the same object, fitted
+
+        Raises
+        ------
+        ValueError
+            for shapes that do not fit
         """
         self._check_parameters()
         return self._fit(Samples.from_projected(X, visible, self.manifold), progress)
@@ -144,7 +212,7 @@ class TPGMM(Estimator):
         for start in self._starts(samples):
             try:
                 estimates.append(self._estimate(samples, start, progress))
-            except ValueError as error:  # a start may end in a subspace, others not
+            except ValueError as error:  # one start may end in a subspace, and another one not
                 failure = error
         if not estimates:
             assert failure is not None
@@ -156,7 +224,7 @@ class TPGMM(Estimator):
     def _estimate(
         self, samples: Samples, start: MixtureParameters, progress: Progress | None
     ) -> tuple[Estimate, Emissions | None]:
-        """EM from one start; with the components where their structure is not full."""
+        """Run EM from one start; returns the components as well where their structure is not full."""
         rules: dict[str, Any] = {"tol": self.tol, "max_iter": self.max_iter, "progress": progress}
         structure = self._structure()
         if structure.name == "full":
@@ -183,10 +251,10 @@ class TPGMM(Estimator):
 
     @property
     def emissions_(self) -> Emissions:
-        """The components; full ones are put together when asked for.
+        """The components; full ones are made on request.
 
-        A structure holds as long as the means and covariances are what was learned: where they were changed by hand,
-        they are what counts, as full covariances.
+        A structure is used as long as the means and covariances are as learned. Where they were changed by hand, these
+        numbers are used, as full covariances.
         """
         self._check_fitted()
         if self._emissions is not None:
@@ -229,7 +297,7 @@ class TPGMM(Estimator):
             raise ValueError(f'init is "time", "bins", "kmeans", labels or a fitted TPGMM, got {self.init!r}')
 
     def _starts(self, samples: Samples) -> Iterator[MixtureParameters]:
-        """The start that `init` asks for; then those of single runs of k-means, each from centres of its own."""
+        """The start that `init` names, then starts from single runs of k-means, each with other random centres."""
         rng = np.random.default_rng(self.random_state)
         if isinstance(self.init, TPGMM):
             yield self._start_from(self.init, samples)
@@ -268,16 +336,26 @@ class TPGMM(Estimator):
         state: ArrayLike | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> GaussianMixture:
-        """The mixture in a new situation, by Eqs. (5) and (6): parameters and errors are those of `Adapter.adapt`.
+        """The mixture in a new situation, by Eqs. (5) and (6).
 
-        What can be worked out ahead of the frames is kept for the next call, as long as the model holds the same
-        numbers: attributes may be set, and arrays changed in place, at any time. Calls in several threads at once have
-        an `Adapter` each, and the mixture shares nothing with the model.
+        What does not depend on the frames is computed once and kept for the next call, as long as the model holds the
+        same numbers: attributes may be set, and arrays changed in place, at any time. Calls in several threads at once
+        have an `Adapter` each, and the mixture shares nothing with the model.
+
+        Parameters
+        ----------
+        frames, state, weights
+            as for `Adapter.adapt`
+
+        Raises
+        ------
+        ValueError
+            like `Adapter.adapt`, and for a model that is not fitted
         """
         self._check_fitted()
         idle: list[Adapter] = self.__dict__.setdefault("_adapters", [])
         try:
-            adapter = idle.pop()  # nobody else's until it is put back
+            adapter = idle.pop()  # no other call can use it until it is put back
         except IndexError:
             adapter = Adapter(self)
         if not adapter.learned.is_of(self):
@@ -288,10 +366,19 @@ class TPGMM(Estimator):
             idle.append(adapter)
 
     def score(self, demonstrations: Sequence[Demonstration]) -> float:
-        """Log-likelihood per sample of demonstrations, also of such as the model was not fitted to.
+        """Log-likelihood per sample of demonstrations, also of those that the model was not fitted to.
 
-        Frames that were not seen are no factor. Raises ValueError for demonstrations whose frames or dimensions
-        are not those of the model.
+        A frame that did not see a sample adds nothing for it.
+
+        Parameters
+        ----------
+        demonstrations
+            with the frames of the model
+
+        Raises
+        ------
+        ValueError
+            for demonstrations whose frames or dimensions are not those of the model
         """
         samples = self._samples(demonstrations)
         if self.emissions_.structure.name != "full":
@@ -310,7 +397,20 @@ class TPGMM(Estimator):
         return samples
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write a model file: see `model_file`."""
+        """Write a model file: see `model_file`.
+
+        Parameters
+        ----------
+        path
+            the file, which is replaced as a whole
+
+        Raises
+        ------
+        ValueError
+            for a model that is not fitted, and for metadata that are no texts or finite numbers
+        OSError
+            when the file cannot be written
+        """
         self._check_fitted()
         settings = {k: v for k, v in self.get_params().items() if v is None or isinstance(v, str | int | float)}
         structure = self.emissions_.structure
@@ -339,9 +439,21 @@ class TPGMM(Estimator):
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:
-        """Read a model file. Raises ModelFileError when it is damaged, no model file, or holds another kind of model.
+        """Read a model file.
 
-        `TPGMM.load` reads all kinds, as the mixture of their components.
+        `TPGMM.load` reads all kinds of models, as the mixture of their components.
+
+        Parameters
+        ----------
+        path
+            the file
+
+        Raises
+        ------
+        ModelFileError
+            when it is damaged, is no model file, or holds another kind of model
+        FileNotFoundError
+            where there is none
         """
         return model_file.read_as(path, cls.from_contents)
 
@@ -378,8 +490,8 @@ class TPGMM(Estimator):
         return model
 
     def _more_arrays(self) -> dict[str, Array]:
-        """What a model file has to hold of a kind of model beyond its components."""
+        """Arrays that a model file holds of this kind of model, beyond its components."""
         return {}
 
     def _restore(self, arrays: Mapping[str, Array]) -> None:
-        """The inverse of `_more_arrays`. Raises KeyError and ValueError for arrays that do not fit."""
+        """Read what `_more_arrays` wrote. Raises KeyError and ValueError for arrays that do not fit."""

@@ -2,8 +2,8 @@
 """Finite-horizon LQR in batch form: all controls at once, as one least-squares problem.
 
 The states of a linear system are affine in its first state and its controls, `x[t] = free[t] x[0] + forced[t] u`, so
-that the cost of `finite_horizon` is quadratic in u and its minimum one linear solution. It is the form to which
-constraints can be added (`predictive`), and an independent answer for the recursion to agree with. The effort grows
+that the cost of `finite_horizon` is quadratic in u and its minimum one linear solution. Constraints can be added to
+this form (`predictive`), and it is an independent check of the recursion. The effort grows
 with the third power of the number of controls, that of the recursion with the number of steps.
 """
 
@@ -23,21 +23,34 @@ from tpgmm_core.lqr.finite_horizon import checked_problem
 class Condensed:
     """States as functions of the first state and the stacked controls u (T m,).
 
-    free : (T + 1, n, n)
-    forced : (T + 1, n, T m); zeros where controls come later than the state
+    Parameters
+    ----------
+    free
+        (T + 1, n, n)
+    forced
+        (T + 1, n, T m); zeros where controls come later than the state
     """
 
     free: Array
     forced: Array
 
     def states(self, x0: Array, controls: Array) -> Array:
-        """(T + 1, n), from the first state (n,) and the controls (T m,)."""
+        """States (T + 1, n), from the first state (n,) and the controls (T m,)."""
         return np.asarray(self.free @ x0 + self.forced @ controls)
 
     def objective(self, state_costs: Array, control_costs: Array, x0: Array, references: Array) -> tuple[Array, Array]:
-        """H (T m, T m) and f (T m,) of the cost `u^T H u + 2 f^T u + const`.
+        """Quadratic objective of the controls: H (T m, T m) and f (T m,) of the cost `u^T H u + 2 f^T u + const`.
 
-        state_costs : (T + 1, n, n); control_costs : (T, m, m); x0 : (n,); references : (T + 1, n)
+        Parameters
+        ----------
+        state_costs
+            (T + 1, n, n)
+        control_costs
+            (T, m, m)
+        x0
+            (n,)
+        references
+            (T + 1, n)
         """
         n, size = self.forced.shape[1:]
         weighed = (state_costs @ self.forced).reshape(-1, size)
@@ -52,15 +65,19 @@ class Condensed:
 class BatchLaw:
     """The best controls from any first state: `u = feedforward - gain x[0]`; `finite_horizon` in one piece.
 
-    feedforward : (T, m)
-    gain : (T, m, n)
+    Parameters
+    ----------
+    feedforward
+        (T, m)
+    gain
+        (T, m, n)
     """
 
     feedforward: Array
     gain: Array
 
     def controls(self, x0: ArrayLike) -> Array:
-        """(T, m), from the first state (n,)."""
+        """Controls (T, m), from the first state (n,)."""
         return np.asarray(self.feedforward - self.gain @ np.asarray(x0, dtype=np.float64))
 
 

@@ -3,7 +3,7 @@
 
 The Riccati differential equation `-Pdot = Q + A^T P + P A - P (B R^-1 B^T - theta W) P` is not integrated but solved:
 over an interval, P is a linear fractional function of P at its end, by the exponential of the Hamiltonian matrix
-(Anderson and Moore 1990). References come in by the state `[x, 1]`. For a computer that holds its controls over each
+(Anderson and Moore 1990). References enter through the state `[x, 1]`. For a computer that holds its controls over each
 step, `finite_horizon` is the right one; this is its limit for short steps.
 """
 
@@ -32,17 +32,27 @@ def continuous_horizon_gains(
 
     Parameters
     ----------
-    A : (n, n) or (T, n, n); B : (n, m) or (T, n, m)
-    state_costs : (T + 1, n, n), symmetric semidefinite: Q per s over each interval, then the terminal cost
-    control_cost : scalar > 0, (m, m) or (T, m, m), R per s
-    references : (T + 1, n), over each interval, then at the end
-    time_step : s, of an interval
-    noise : (n, n), W, covariance that the state gains per s; None means none
-    risk : theta, in 1 over the unit of the cost, as in `finite_horizon`
+    A
+        (n, n) or (T, n, n)
+    B
+        (n, m) or (T, n, m)
+    state_costs
+        (T + 1, n, n), symmetric semidefinite: Q per s over each interval, then the terminal cost
+    control_cost
+        scalar > 0, (m, m) or (T, m, m), R per s
+    references
+        (T + 1, n), over each interval, then at the end
+    time_step
+        s, of an interval
+    noise
+        (n, n), W, covariance that the state gains per s; None means none
+    risk
+        theta, in 1 over the unit of the cost, as in `finite_horizon`
 
     Raises
     ------
-    ValueError : as `finite_horizon_gains`, and for a time step that is not positive.
+    ValueError
+        like `finite_horizon_gains`, and for a time step that is not positive
     """
     A, B, Q, R, r = checked_problem(A, B, state_costs, control_cost, references)
     (T, n), m = (len(Q) - 1, A.shape[1]), B.shape[2]
@@ -77,6 +87,6 @@ def continuous_horizon_gains(
 
 
 def _with_reference(Q: Array, r: Array) -> Array:
-    """`(x - r)^T Q (x - r)` as a quadratic form (n + 1, n + 1) of `[x, 1]`."""
+    """Cost `(x - r)^T Q (x - r)` as a quadratic form (n + 1, n + 1) of `[x, 1]`."""
     Qr = Q @ r
     return np.block([[Q, -Qr[:, None]], [-Qr[None], np.array([[r @ Qr]])]])

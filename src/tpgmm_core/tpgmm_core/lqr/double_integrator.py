@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Linear quadratic regulation of a double integrator: stiffness and damping from a precision (Section 5).
 
-The state is `[x, xdot]`, the control `u = xddot`, and the cost the integral of
-`(x - x_ref)^T Q (x - x_ref) + u^T R u`, where Q is the precision of the reference's Gaussian: what varied little in the
-demonstrations is held firmly, what varied much is left soft. The control law is
-`u = K_P (x_ref - x) + K_V (xdot_ref - xdot)`.
+The state is `[x, xdot]`, the control `u = xddot`, and the cost the integral of `(x - x_ref)^T Q (x - x_ref) + u^T R u`,
+where Q is the precision of the reference's Gaussian: the control is stiff where the demonstrations varied little, and
+soft where they varied much. The control law is `u = K_P (x_ref - x) + K_V (xdot_ref - xdot)`.
 """
 
 from __future__ import annotations
@@ -26,8 +25,12 @@ NEGATIVE_EIGENVALUE_TOLERANCE = 1e-9
 class Gains:
     """Gains of `u = stiffness (x_ref - x) + damping (xdot_ref - xdot)`, u an acceleration.
 
-    stiffness : (..., D, D), K_P in 1/s^2
-    damping : (..., D, D), K_V in 1/s
+    Parameters
+    ----------
+    stiffness
+        (..., D, D), K_P in 1/s^2
+    damping
+        (..., D, D), K_V in 1/s
     """
 
     stiffness: Array
@@ -49,16 +52,20 @@ def double_integrator_gains(
 
     Parameters
     ----------
-    precision : (..., D, D), symmetric, semidefinite allowed (a direction without cost gets `min_stiffness`)
-    control_cost : scalar r > 0, or (D,) the diagonal of R, all > 0
-    min_stiffness, max_stiffness : bounds of the eigenvalues of K_P, in 1/s^2. What no frame constrains needs
-        a weak floor (or a push carries the arm away for ever), what varied hardly at all needs a ceiling (or
-        delays make the loop unstable).
+    precision
+        (..., D, D), symmetric, semidefinite allowed (a direction without cost gets `min_stiffness`)
+    control_cost
+        scalar r > 0, or (D,) the diagonal of R, all > 0
+    min_stiffness, max_stiffness
+        bounds of the eigenvalues of K_P, in 1/s^2. Directions that no frame constrains need a weak lower bound (or a
+        push carries the arm away for ever), those with hardly any variation need an upper bound (or delays make the
+        loop unstable)
 
     Raises
     ------
-    ValueError : precision not square, not finite or indefinite; control cost not positive; bounds out of
-        order.
+    ValueError
+        for a precision that is not square, not finite or indefinite, a control cost that is not positive, and bounds
+        out of order
     """
     Q = np.asarray(precision, dtype=np.float64)
     if Q.ndim < 2 or Q.shape[-1] != Q.shape[-2]:
@@ -86,10 +93,10 @@ def double_integrator_gains(
 
 
 def double_integrator_value(precision: ArrayLike, control_cost: ArrayLike = 1.0) -> Array:
-    """What the state still costs under `double_integrator_gains`: P (..., 2D, 2D) of `[x - x_ref, xdot]^T P [...]`.
+    """Remaining cost under `double_integrator_gains`: P (..., 2D, 2D) of `[x - x_ref, xdot]^T P [...]`.
 
-    `P = [[R K_P K_V, R K_P], [R K_P, R K_V]]`: the terminal cost that makes a finite horizon endless. Parameters and
-    errors are those of `double_integrator_gains`.
+    `P = [[R K_P K_V, R K_P], [R K_P, R K_V]]`: with this terminal cost a finite horizon is equivalent to an infinite
+    one. Parameters and errors are those of `double_integrator_gains`.
     """
     gains = double_integrator_gains(precision, control_cost)
     R = np.broadcast_to(np.asarray(control_cost, dtype=np.float64), gains.stiffness.shape[-1:])[:, None]
@@ -103,21 +110,25 @@ def riccati_gains(
 ) -> Gains:
     """Infinite-horizon gains by the algebraic Riccati equation, for a cost on position, velocity and control.
 
-    Slower than `double_integrator_gains` by more than an order of magnitude; for what has no closed form: a cost on
-    velocities too, any control cost, discrete time.
+    Slower than `double_integrator_gains` by more than an order of magnitude; for problems without a closed form: a cost
+    on velocities too, any control cost, discrete time.
 
     Parameters
     ----------
-    position_cost : (D, D), symmetric positive definite
-    velocity_cost : (D, D), symmetric positive semidefinite
-    control_cost : scalar > 0 or (D, D) symmetric positive definite
-    time_step : s, of a controller whose accelerations are constant over each step; None for continuous time. Costs are
-        per s in both cases, so that short steps have the gains of continuous time
+    position_cost
+        (D, D), symmetric positive definite
+    velocity_cost
+        (D, D), symmetric positive semidefinite
+    control_cost
+        scalar > 0 or (D, D) symmetric positive definite
+    time_step
+        s, of a controller whose accelerations are constant over each step; None for continuous time. Costs are per s in
+        both cases, so that short steps have the gains of continuous time
 
     Raises
     ------
-    ValueError : shapes that do not fit, costs for which no stabilising solution exists, a time step that is not
-        positive.
+    ValueError
+        for shapes that do not fit, costs for which no stabilising solution exists, and a time step that is not positive
     """
     Qx, Qv = np.atleast_2d(np.asarray(position_cost, float)), np.atleast_2d(np.asarray(velocity_cost, float))
     D = Qx.shape[0]
@@ -138,9 +149,19 @@ def riccati_gains(
 
 
 def double_integrator(dimensions: int, time_step: float) -> tuple[Array, Array]:
-    """A (2D, 2D) and B (2D, D) of `[x, xdot]` under accelerations that are constant over each time step (s).
+    """Matrices A (2D, 2D) and B (2D, D) of `[x, xdot]` under accelerations that are constant over each time step.
 
-    Raises ValueError for a time step that is not positive.
+    Parameters
+    ----------
+    dimensions
+        D
+    time_step
+        s
+
+    Raises
+    ------
+    ValueError
+        for a time step that is not positive
     """
     if not 0.0 < time_step < np.inf:
         raise ValueError(f"a time step is positive and finite, in s; got {time_step}")

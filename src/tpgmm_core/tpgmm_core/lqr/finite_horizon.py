@@ -4,7 +4,7 @@
 The system is `x[t+1] = A[t] x[t] + B[t] u[t]`, the cost the sum of `(x[t] - r[t])^T Q[t] (x[t] - r[t])` over
 t = 0 .. T and `u[t]^T R[t] u[t]` over t = 0 .. T-1; Q[T] is the terminal cost. With r[t] and Q[t] the means and
 precisions of a reproduction's horizon, this is the minimal intervention controller of the paper;
-`lqr.double_integrator_gains` is its limit for a Gaussian that stays. `batch` solves the same problem in one piece.
+`lqr.double_integrator_gains` is its limit for a constant Gaussian. `batch` solves the same problem in one piece.
 
 With process noise of covariance W[t] and a risk theta it is the risk-sensitive variant (Jacobson 1973, Whittle 1981;
 Medina et al. 2012 take the predicted variability as the noise): it minimises `(2 / theta) log E[exp(theta C / 2)]`.
@@ -28,8 +28,12 @@ from tpgmm_core.lqr.riccati import square_root
 class FiniteHorizonGains:
     """The control law `u[t] = feedforward[t] - gains[t] x[t]`.
 
-    gains : (T, m, n)
-    feedforward : (T, m)
+    Parameters
+    ----------
+    gains
+        (T, m, n)
+    feedforward
+        (T, m)
     """
 
     gains: Array
@@ -37,16 +41,16 @@ class FiniteHorizonGains:
 
     @property
     def stiffness(self) -> Array:
-        """(T, m, m), K_P in 1/s^2, of a state `[x, xdot]` under accelerations."""
+        """Stiffness K_P (T, m, m), 1/s^2, of a state `[x, xdot]` under accelerations."""
         return self.gains[:, :, : self.gains.shape[1]]
 
     @property
     def damping(self) -> Array:
-        """(T, m, m), K_V in 1/s, of a state `[x, xdot]` under accelerations."""
+        """Damping K_V (T, m, m), 1/s, of a state `[x, xdot]` under accelerations."""
         return self.gains[:, :, self.gains.shape[1] :]
 
     def feedforward_at(self, references: ArrayLike) -> Array:
-        """(T, m), what is left as feedforward beside `gains[t] (r[t] - x[t])`, for references (T or more, n)."""
+        """Feedforward (T, m) that remains beside `gains[t] (r[t] - x[t])`, for references (T or more, n)."""
         r = np.asarray(references, dtype=np.float64)[: len(self.gains)]
         return np.asarray(self.feedforward - np.einsum("tmn,tn->tm", self.gains, r))
 
@@ -65,18 +69,26 @@ def finite_horizon_gains(
 
     Parameters
     ----------
-    A : (n, n), or (T, n, n) for a system that varies
-    B : (n, m) or (T, n, m)
-    state_costs : (T + 1, n, n), Q, symmetric, semidefinite allowed; the last one is the terminal cost
-    control_cost : scalar > 0, or (m, m) or (T, m, m) symmetric positive definite, R
-    references : (T + 1, n), r
-    noise : (n, n) or (T, n, n), W, symmetric semidefinite: covariance that each step adds to the state; None means none
-    risk : theta, in 1 over the unit of the cost: 0 is LQR, above it, costs that vary count more (risk-averse)
+    A
+        (n, n), or (T, n, n) for a system that varies
+    B
+        (n, m) or (T, n, m)
+    state_costs
+        (T + 1, n, n), Q, symmetric, semidefinite allowed; the last one is the terminal cost
+    control_cost
+        scalar > 0, or (m, m) or (T, m, m) symmetric positive definite, R
+    references
+        (T + 1, n), r
+    noise
+        (n, n) or (T, n, n), W, symmetric semidefinite: covariance that each step adds to the state; None means none
+    risk
+        theta, in 1 over the unit of the cost: 0 is LQR, above it, costs that vary count more (risk-averse)
 
     Raises
     ------
-    ValueError : shapes that do not fit, values that are not finite, a control cost that is not positive definite, a
-        risk so large that the expectation is infinite from some step on (the breakdown).
+    ValueError
+        for shapes that do not fit, values that are not finite, a control cost that is not positive definite, and a risk
+        so large that the expectation is infinite from some step on (the breakdown)
     """
     A, B, Q, R, r = checked_problem(A, B, state_costs, control_cost, references)
     (T, n), m = (len(Q) - 1, A.shape[1]), B.shape[2]
@@ -99,7 +111,10 @@ def finite_horizon_gains(
 def checked_problem(
     A: ArrayLike, B: ArrayLike, state_costs: ArrayLike, control_cost: ArrayLike, references: ArrayLike
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """A (1 or T, n, n), B (1 or T, n, m), Q (T + 1, n, n), R (1 or T, m, m), r (T + 1, n); raises as above."""
+    """Check a problem: A (1 or T, n, n), B (1 or T, n, m), Q (T + 1, n, n), R (1 or T, m, m), r (T + 1, n).
+
+    Parameters and errors are those of `finite_horizon_gains`.
+    """
     # copies, since kernels take no read-only arrays
     A, B, Q, r = (np.array(x, dtype=np.float64, order="C") for x in (A, B, state_costs, references))
     A, B = (x[None] if x.ndim == 2 else x for x in (A, B))

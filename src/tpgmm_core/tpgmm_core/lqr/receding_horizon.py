@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""LQR of a double integrator along the Gaussians ahead, in continuous time and closed form: the gains of the moment.
+"""LQR of a double integrator along the Gaussians ahead, in continuous time and closed form: its present gains.
 
 The references are joined by straight lines, at whose ends they change their velocity; the cost per s is constant over
 each interval, that of the Gaussian at its beginning; after the last one it goes on for ever. With a control cost
 `R = r I` the Hamiltonian matrix of an interval has blocks that are functions of one precision. Its exponential is then
-four functions of each eigenvalue, those of the beam equation `d4x/dt4 = -4 a^4 x` (Krylov's), and what is left of the
-Riccati differential equation is one linear solution per interval (Anderson and Moore 1990). No interval is too long
-for it, none is sampled: a controller at 1 kHz may plan with steps of 50 ms. `continuous_horizon` does the same for any
-linear system, `lqr.double_integrator_gains` is the case without intervals.
+four functions of each eigenvalue, those of the beam equation `d4x/dt4 = -4 a^4 x` (Krylov's), and the
+Riccati differential equation becomes one linear solution per interval (Anderson and Moore 1990). Intervals may have any
+length, and none is sampled: a controller at 1 kHz may plan with steps of 50 ms. `continuous_horizon` does the same for
+any linear system, `lqr.double_integrator_gains` is the case without intervals.
 
 **Risk** (Jacobson 1973; Medina et al. 2012). Under risk aversion (theta > 0) noise of covariance W acts as an
 adversary, who takes a share `r theta W` of the control's authority. Here W is in proportion to the Gaussian's
 covariance, and the share is given rather than theta and W: `risk_share` in directions that risk-neutral control holds
-with the stiffness `risk_stiffness`, more where it is softer, in proportion to the variance. It is cut at
+with the stiffness `risk_stiffness`, more where it is softer, in proportion to the variance. It is limited to
 `LARGEST_SHARE`, hence no share leads to the breakdown. A negative share is risk-seeking.
 """
 
@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.kernels import compiled
 
-#: Of the control's authority, that the worst case takes, or the best case gives.
+#: Largest share of the control's authority that the worst case takes, or the best case adds.
 LARGEST_SHARE = 0.9
 #: Time constants of the fastest mode in one linear solution: exponentials of more lose the slow modes to rounding.
 _LONGEST = 3.0
@@ -35,10 +35,16 @@ _LONGEST = 3.0
 
 @dataclass(frozen=True, slots=True)
 class RecedingHorizonGains:
-    """`u = stiffness (r - x) + damping (rdot - xdot) + acceleration`, u an acceleration, at the beginning of a horizon.
+    """Gains of `u = stiffness (r - x) + damping (rdot - xdot) + acceleration` at the beginning of a horizon.
 
-    stiffness, damping : (n, n), K_P in 1/s^2 and K_V in 1/s; K_V is symmetric
-    acceleration : (n,), feedforward: what is coming, beside following the first line; zero where that goes on for ever
+    u is an acceleration.
+
+    Parameters
+    ----------
+    stiffness, damping
+        (n, n), K_P in 1/s^2 and K_V in 1/s; K_V is symmetric
+    acceleration
+        (n,), feedforward for what comes later on the horizon; zero where the first line goes on for ever
     """
 
     stiffness: Array
@@ -57,15 +63,28 @@ def receding_horizon_gains(
     risk_share: float = 0.0,
     risk_stiffness: float = 1.0,
 ) -> RecedingHorizonGains:
-    """Gains at the first of T Gaussians, of state `[x, xdot]` under accelerations whose cost is `control_cost` I.
+    """Gains at the first of T Gaussians, of the state `[x, xdot]` under accelerations whose cost is `control_cost` I.
 
-    positions : (T, n), T >= 1; covariances : (T, n, n), symmetric positive definite
-    time_step : s, between them; any number for a single one
-    min_stiffness, max_stiffness : bounds of (Q / r)^(1/2), the stiffness that each Gaussian has for itself, in 1/s^2
-    risk_share, risk_stiffness : see the module
+    Parameters
+    ----------
+    positions
+        (T, n), T >= 1
+    covariances
+        (T, n, n), symmetric positive definite
+    time_step
+        s, between them; any number for a single one
+    control_cost
+        r > 0
+    min_stiffness, max_stiffness
+        bounds of (Q / r)^(1/2), the stiffness of each Gaussian by itself, in 1/s^2
+    risk_share, risk_stiffness
+        see the module
 
-    Raises ValueError for shapes that do not fit, values that are not finite, and costs, steps and bounds that are not
-    positive or out of order.
+    Raises
+    ------
+    ValueError
+        for shapes that do not fit, values that are not finite, and costs, steps and bounds that are not positive or out
+        of order
     """
     x, S = np.array(positions, dtype=np.float64, order="C"), np.array(covariances, dtype=np.float64, order="C")
     if x.ndim != 2 or not x.size or S.shape != (*x.shape, x.shape[1]):
@@ -101,9 +120,9 @@ def receding_horizon_gains(
 def modes(
     S: Array, r: float, lowest: float, highest: float, risk_share: float, risk_stiffness: float, k: Array, g: Array
 ) -> Array:
-    """Of a covariance (n, n): the eigenvectors (n, n), their stiffness k (n,) alone, and what authority g (n,) is left.
+    """Eigenvectors (n, n) of a covariance (n, n), with their stiffness k (n,) and the authority g (n,) that is left.
 
-    Covariances that are not definite, by rounding, are taken for as firm as permitted.
+    Covariances that are not definite, by rounding, get the largest stiffness.
     """
     values, vectors = np.linalg.eigh(S)
     for i in range(len(k)):
@@ -147,7 +166,7 @@ def moving_gains(
     X, Y, forward, back = np.empty((2 * n, 2 * n)), np.empty((2 * n, 2 * n)), np.empty(2 * n), np.empty((2 * n, 2 * n))
     for t in range(T - 2, -1, -1):
         if t < T - 2:
-            # the same velocity deviates by something else from the line before
+            # the same velocity has another deviation from the line before
             for j in range(n):
                 change = (2.0 * x[t + 1, j] - x[t, j] - x[t + 2, j]) / dt
                 for i in range(2 * n):
@@ -196,7 +215,7 @@ def moving_gains(
 
 @compiled
 def turned(P: Array, V: Array) -> Array:
-    """P (2n, 2n) in the axes that are the columns of V (n, n), for positions and velocities."""
+    """A value P (2n, 2n) in the axes that are the columns of V (n, n), for positions and velocities."""
     n = len(V)
     result, V_T = np.empty((2 * n, 2 * n)), np.ascontiguousarray(V.T)
     for a in range(0, 2 * n, n):
@@ -207,7 +226,7 @@ def turned(P: Array, V: Array) -> Array:
 
 @compiled
 def turned_vector(p: Array, V: Array) -> Array:
-    """p (2n,) in the axes that are the columns of V (n, n)."""
+    """A vector p (2n,) in the axes that are the columns of V (n, n)."""
     n = len(V)
     result = np.empty(2 * n)
     result[:n] = p[:n] @ V
@@ -217,7 +236,7 @@ def turned_vector(p: Array, V: Array) -> Array:
 
 @compiled
 def exponential(k: float, g: float, t: float, phi: Array) -> None:
-    """Writes exp(t H) (4, 4) of position, velocity and their costates: of `v' = -g l_v, l_x' = -k^2 x, l_v' = -l_x`."""
+    """Write exp(t H) (4, 4) of position, velocity and their costates: of `v' = -g l_v, l_x' = -k^2 x, l_v' = -l_x`."""
     a = math.sqrt(0.5 * k * math.sqrt(g))
     z = a * t
     ch, sh, c, s = math.cosh(z), math.sinh(z), math.cos(z), math.sin(z)

@@ -7,7 +7,7 @@ theta > 0 (risk-averse) also counts the variance of the cost and becomes stiffer
 risk-seeking. Above some theta the expectation is infinite for every controller: no gains exist, and ValueError says so.
 
 Both Riccati equations are solved by structure-preserving doubling (Chu, Fan and Lin 2005), compiled: it converges
-quadratically, and takes a quarter of the time of scipy's Schur form, which has the last word where it does not.
+quadratically, and takes a quarter of the time of scipy's Schur form, which is used where it does not converge.
 """
 
 from __future__ import annotations
@@ -29,8 +29,12 @@ SMALLEST_RISK = 1e-12  # times the noise: below it, risk is lost in rounding
 class Regulator:
     """The control law `u = -gain x`.
 
-    gain : (m, n)
-    value : (n, n), P: the cost from x on is x^T P x, but for what noise adds whatever x is
+    Parameters
+    ----------
+    gain
+        (m, n)
+    value
+        (n, n), P: the cost from x on is x^T P x, without the part of the noise that does not depend on x
     """
 
     gain: Array
@@ -52,16 +56,24 @@ def continuous_regulator(
 
     Parameters
     ----------
-    A : (n, n); B : (n, m)
-    state_cost : (n, n), Q, symmetric semidefinite
-    control_cost : scalar > 0 or (m, m) symmetric positive definite, R
-    noise : (n, n), W, symmetric semidefinite: covariance that the state gains per s; None means none
-    risk : theta, in 1 over the unit of the cost
+    A
+        (n, n)
+    B
+        (n, m)
+    state_cost
+        (n, n), Q, symmetric semidefinite
+    control_cost
+        scalar > 0 or (m, m) symmetric positive definite, R
+    noise
+        (n, n), W, symmetric semidefinite: covariance that the state gains per s; None means none
+    risk
+        theta, in 1 over the unit of the cost
 
     Raises
     ------
-    ValueError : shapes that do not fit, values that are not finite, costs for which no stabilising gain exists, a risk
-        beyond the breakdown.
+    ValueError
+        for shapes that do not fit, values that are not finite, costs for which no stabilising gain exists, and a risk
+        beyond the breakdown
     """
     A, B, Q, R, W = _checked(A, B, state_cost, control_cost, noise, risk)
     G = B @ np.linalg.solve(R, B.T) - risk * W
@@ -110,9 +122,12 @@ def discrete_regulator(
 
 
 def square_root(covariances: ArrayLike) -> Array:
-    """L (..., n, n) with `L L^T` = covariances (..., n, n), symmetric, semidefinite allowed.
+    """Square root L (..., n, n) with `L L^T` = covariances (..., n, n), symmetric, semidefinite allowed.
 
-    Raises ValueError for an indefinite matrix.
+    Raises
+    ------
+    ValueError
+        for an indefinite matrix
     """
     values, vectors = np.linalg.eigh(np.asarray(covariances, dtype=np.float64))
     if np.any(values[..., 0] < -1e-9 * np.abs(values[..., -1])):

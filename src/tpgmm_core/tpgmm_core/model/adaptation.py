@@ -23,20 +23,29 @@ from tpgmm_core.model.learned import Learned
 UNCONSTRAINED_VARIANCE = 1e6
 """Variance, in squared units of the data, with which a direction that no frame constrains stays at the state.
 
-Frames that say less than this of a direction are completed to it, so that a frame whose weight fades to
-nothing leaves without a jump; what is surer than this (a standard deviation below 1000 units) is not
+Where the frames are less certain than this, the missing precision is added, so that a frame whose weight fades to
+zero leaves without a jump; more certain directions (standard deviations below 1000 units) are not
 changed at all.
 """
 
 
 class Adapter:
-    """A fitted model with its precisions computed ahead; makes the mixture, or regression on it, for new
-    frames.
+    """A fitted model with its precisions computed ahead, which is adapted to new frames again and again.
 
-    In precision form frame j contributes weight_j (A_j^+)^T Lambda_j A_j^+ at A_j mu_j + b_j, for any A: it
-    says nothing about directions outside the range of its A. A frame's own inverse (`Frame.inverse`) takes the place of
-    A_j^+. The constructor makes sure that everything is
-    compiled, so that no later step waits for the compiler.
+    It makes the mixture in a new situation, or regression on it. In precision form frame j contributes weight_j
+    (A_j^+)^T Lambda_j A_j^+ at A_j mu_j + b_j, for any A: it says nothing about directions outside the range of its A.
+    A frame's own inverse (`Frame.inverse`) takes the place of A_j^+. The constructor compiles everything, so that no
+    later step waits for the compiler.
+
+    Parameters
+    ----------
+    model
+        a fitted model, such as `TPGMM`; what is needed of it is copied
+
+    Raises
+    ------
+    ValueError
+        for covariances that are not positive definite
     """
 
     def __init__(self, model: FittedModel) -> None:
@@ -67,7 +76,7 @@ class Adapter:
         return self.buffer.manifold
 
     def _compile(self) -> None:
-        """One step with one frame at the origin."""
+        """Make one step with one frame at the origin."""
         frames = self.buffer.identity_frame()
         self.situate(frames)
         if self.manifold.ambient_of_tangent[0] == 0:
@@ -82,13 +91,21 @@ class Adapter:
     ) -> GaussianMixture:
         """The mixture with means and covariances of Eq. (6), in the space that the frames map to.
 
-        frames : any of the model's frames by name, at least one; those that are missing contribute nothing
-        state : shape (D,), where the robot is; zeros (and no turn) where None. A direction that no frame
-            constrains stays there, with UNCONSTRAINED_VARIANCE
-        weights : how far each frame is trusted, 0 to 1; 1 where not named
+        Parameters
+        ----------
+        frames
+            any of the model's frames by name, at least one; those that are missing contribute nothing
+        state
+            shape (D,), where the robot is; zeros (and no turn) where None. A direction that no frame constrains stays
+            there, with UNCONSTRAINED_VARIANCE
+        weights
+            how far each frame is trusted, 0 to 1; 1 where not named
 
-        Raises ValueError for unknown names, matrices that do not fit, time-varying frames, weights outside 0..1, and
-        orientations so contradictory that their product does not converge (`kernels_product.fuse`).
+        Raises
+        ------
+        ValueError
+            for unknown names, matrices that do not fit, time-varying frames, weights outside 0..1, and orientations so
+            contradictory that their product does not converge (`kernels_product.fuse`)
         """
         self._take(frames, state, weights)
         means, covariances = np.empty(self._means_out.shape), np.empty(self._covariances_out.shape)
@@ -101,7 +118,18 @@ class Adapter:
         state: ArrayLike | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> None:
-        """As `adapt`, for `condition` and `mixture` to read from; nothing is copied."""
+        """Adapt to a situation without returning it: `condition` and `mixture` then read from it.
+
+        Parameters
+        ----------
+        frames, state, weights
+            as for `adapt`
+
+        Raises
+        ------
+        ValueError
+            like `adapt`
+        """
         self._take(frames, state, weights)
         self._check(kernels_adapt.adapt(*self._inputs(), *self._result()))
 
@@ -118,20 +146,48 @@ class Adapter:
         weights: Mapping[str, float] | None = None,
         state: ArrayLike | None = None,
     ) -> tuple[Array, Array, Array]:
-        """One step of a reproduction: adapt, then regression on the first dimension at times (H,).
+        """One step of a reproduction: adapt, then regression on the first dimension.
 
-        Returns means (H, D - 1), covariances (H, n - 1, n - 1) and the components' activations (K,) at the
-        first of the times, the same as `adapt(...).condition([0], [t])`. Raises like `adapt`.
+        Parameters
+        ----------
+        frames
+            as for `adapt`
+        times
+            shape (H,), values of the first dimension
+        weights, state
+            as for `adapt`
+
+        Returns
+        -------
+        tuple[Array, Array, Array]
+            means (H, D - 1), covariances (H, n - 1, n - 1) and the components' activations (K,) at the first of the
+            times, the same as `adapt(...).condition([0], [t])`
+
+        Raises
+        ------
+        ValueError
+            like `adapt`
         """
         self._take(frames, state, weights)
-        times = np.array(times, dtype=float)  # of one type for the compiled code, whatever comes
+        times = np.array(times, dtype=float)  # of one type for the compiled code
         means, covariances, activations = outputs = self._outputs(len(times))
         failed = kernels_regress.adapt_and_regress(*self._inputs(), *self._result(), self._log_priors, times, *outputs)
         self._check(failed)
         return means, covariances, activations[0]
 
     def condition(self, times: ArrayLike) -> tuple[Array, Array, Array]:
-        """Regression at times (H,) in the situation of the last call, without adapting to it again."""
+        """Regression in the situation of the last call, without adapting to it again.
+
+        Parameters
+        ----------
+        times
+            shape (H,), values of the first dimension
+
+        Returns
+        -------
+        tuple[Array, Array, Array]
+            as of `adapt_and_condition`
+        """
         times = np.array(times, dtype=float)
         means, covariances, activations = outputs = self._outputs(len(times))
         kernels_regress.regress_all(
@@ -170,7 +226,7 @@ class Adapter:
             self.buffer.refuse(failed)
 
     def _views(self, k: int) -> dict[str, Gaussian]:
-        """Component k as the frames that are there see it, in the common frame; on S³ these have one manifold."""
+        """Component k as each known frame sees it, in the common frame; on S³ these have one manifold."""
         s, K = self.buffer, len(self.priors)
         views = {}
         for j in np.flatnonzero(s.weights):

@@ -19,13 +19,20 @@ class Demonstration:
 
     Parameters
     ----------
-    times : shape (T,), s, strictly increasing
-    data : shape (T, D), in the common frame; all that the model is to encode (time first where it is wanted)
-    frames : name → Frame, constant or with T time steps
-    visible : name → mask (T,), False where the frame was not seen; frames not named were always seen.
-        Where a time-varying frame is not seen its A and b may hold anything finite.
+    times
+        shape (T,), s, strictly increasing
+    data
+        shape (T, D), in the common frame; all that the model is to encode (time first where it is wanted)
+    frames
+        name → Frame, constant or with T time steps
+    visible
+        name → mask (T,), False where the frame was not seen; frames not named were always seen. Where a time-varying
+        frame is not seen its A and b may hold anything finite
 
-    Raises ValueError that says what does not fit.
+    Raises
+    ------
+    ValueError
+        for shapes and times that do not fit, with what does not fit
     """
 
     times: Array
@@ -73,12 +80,24 @@ class Demonstration:
         return {name: frame.project(self.data) for name, frame in self.frames.items()}
 
     def is_visible(self, name: str) -> NDArray[np.bool_]:
-        """Mask (T,) of the samples at which the frame was seen."""
+        """Mask (T,) of the samples at which the frame was seen.
+
+        Parameters
+        ----------
+        name
+            of the frame
+        """
         assert self.visible is not None  # set by __post_init__
         return self.visible.get(name, np.ones(len(self.times), dtype=bool))
 
     def at(self, samples: NDArray[np.intp]) -> Demonstration:
-        """Some of the samples alone, by their indices, which increase."""
+        """The same demonstration with some of its samples only.
+
+        Parameters
+        ----------
+        samples
+            their indices, increasing
+        """
         frames = {name: frame.at(samples) for name, frame in self.frames.items()}
         visible = {name: mask[samples] for name, mask in (self.visible or {}).items()}
         return Demonstration(self.times[samples], self.data[samples], frames, visible)

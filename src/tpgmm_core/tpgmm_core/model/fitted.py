@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`FittedModel`: what adaptation needs of a model, whoever learned it."""
+"""`FittedModel`: what adaptation needs of a model, whatever learned it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from tpgmm_core.geometry.manifold import Manifold
 
 
 class FittedModel(Protocol):
-    """Gaussians as they are seen from frames (Section 3); every estimator of `tpgmm_core.learning` is one.
+    """Gaussians as seen from frames (Section 3); every estimator of `tpgmm_core.learning` is one.
 
-    It stands here so that adaptation does not depend on learning.
+    It is defined here so that adaptation does not depend on learning.
     """
 
     @property

@@ -15,13 +15,25 @@ from tpgmm_core.model.fitted import FittedModel
 
 
 class FrameBuffer:
-    """Which frames of a model are there, how far each is trusted, and where the robot is.
+    """Which frames of a model are known, how far each is trusted, and where the robot is.
 
-    manifold : that the frames map to; on R^D it follows the frames
-    sizes : (P, 2), ambient and tangent dimensions D_j, n_j of the data that each frame sees
-    A, b, weights : (P, D, D_max), (P, D), (P,); a frame that is not there has the weight 0
-    inverses, has_inverse : (P, D_max, D), (P,); what frames bring in place of A^+, and which do
-    state : (D,), where the robot is; zeros (and no turn) where it is not known
+    Parameters
+    ----------
+    model
+        whose frames they are
+
+    Attributes
+    ----------
+    manifold
+        the space that the frames map to; on R^D it follows the frames
+    sizes
+        (P, 2), ambient and tangent dimensions D_j, n_j of the data that each frame sees
+    A, b, weights
+        (P, D, D_max), (P, D), (P,); a frame that is not known has the weight 0
+    inverses, has_inverse
+        (P, D_max, D), (P,); inverses that frames have in place of A^+, and which frames have one
+    state
+        (D,), where the robot is; zeros (and no turn) where it is not known
     """
 
     manifold: Manifold
@@ -59,14 +71,25 @@ class FrameBuffer:
         return self.manifold.ambient_of_tangent, self.manifold.sphere_starts
 
     def identity_frame(self) -> dict[str, Frame]:
-        """One frame at the origin, which nothing contradicts, to make a step with before the first one that matters."""
+        """One frame at the origin, which nothing contradicts: for a first step that only compiles."""
         D = self.manifold.dim
         return {self.frame_names[0]: Frame(np.eye(D, self.sizes[0, 0]), np.zeros(D))}
 
     def take(
         self, frames: Mapping[str, Frame], state: ArrayLike | None = None, weights: Mapping[str, float] | None = None
     ) -> None:
-        """Be this situation from now on; parameters and errors are those of `Adapter.adapt`."""
+        """Copy the frames, weights and state of a situation into the arrays.
+
+        Parameters
+        ----------
+        frames, state, weights
+            as for `Adapter.adapt`
+
+        Raises
+        ------
+        ValueError
+            for unknown names, matrices and states that do not fit, time-varying frames, and weights outside 0..1
+        """
         if not frames:
             raise ValueError(f"a situation needs at least one of the frames {list(self.frame_names)}")
         self.weights[:] = 0.0
@@ -110,12 +133,12 @@ class FrameBuffer:
         self._shape(Manifold.euclidean(D))
 
     def frame(self, j: int) -> Frame:
-        """Frame j as it was taken last."""
+        """Frame j as it was given last."""
         D_j = self.sizes[j, 0]
         return Frame(self.A[j, :, :D_j], self.b[j], self.inverses[j, :D_j] if self.has_inverse[j] else None)
 
     def refuse(self, j: int) -> None:
-        """Raises ValueError: the matrix of frame j does not fit the manifold."""
+        """Raise the error that says why the matrix of frame j does not fit the manifold."""
         self.manifold.tangent_map(self.A[j, :, : self.sizes[j, 0]])  # raises, and says why
         raise ValueError(f"frame {self.frame_names[j]!r} does not fit the manifold {self.manifold}")
 

@@ -11,6 +11,11 @@ class Learned:
 
     Comparing takes a few microseconds, in proportion to the size of the model, and sees every change: another fit,
     attributes set by hand, and arrays changed in place.
+
+    Parameters
+    ----------
+    model
+        whose numbers are copied
     """
 
     __slots__ = ("frame_names", "manifold", "contents")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Reference`: what a reproduction hands on and a controller follows."""
+"""`Reference`: what a reproduction sends and a controller follows."""
 
 from __future__ import annotations
 
@@ -15,13 +15,22 @@ from tpgmm_core.geometry.gaussian import Gaussian
 class Reference:
     """One step of a reproduction.
 
-    phase: 0 at the start of the movement, 1 at its end.
-    gaussian: where to be and how much it matters, without the time dimension.
-    horizon_time_step: s between the Gaussians of the horizon; 0 where there is none.
-    horizon: the Gaussians ahead, the first one ``horizon_time_step`` after this step.
-    activations: (K,), the weights of the components at this time.
-    frames: names of the frames that took part.
-    dimensions: names of the mean's coordinates; empty where they go without saying.
+    Parameters
+    ----------
+    phase
+        0 at the start of the movement, 1 at its end
+    gaussian
+        where to be and how much it matters, without the time dimension
+    horizon_time_step
+        s between the Gaussians of the horizon; 0 where there is none
+    horizon
+        the Gaussians ahead, the first one ``horizon_time_step`` after this step
+    activations
+        shape (K,), the weights of the components at this time
+    frames
+        names of the frames that were used
+    dimensions
+        names of the mean's coordinates; empty for a pose
     """
 
     phase: float

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Samples`: what all frames saw of all demonstrations, stacked and checked: what every estimator starts from."""
+"""`Samples`: what all frames saw of all demonstrations, stacked and checked: the input of every estimator."""
 
 from __future__ import annotations
 
@@ -19,12 +19,20 @@ from tpgmm_core.model.demonstration import Demonstration
 class Samples:
     """What all frames saw.
 
-    manifolds : name → manifold of the frame's view
-    X : name → shape (N, D_j), finite
-    seen : shape (P, N)
-    times : shape (N,), s
-    lengths : samples per demonstration
-    manifold : space of the data; where not given, the largest of the views
+    Parameters
+    ----------
+    manifolds
+        name → space of what the frame sees
+    X
+        name → shape (N, D_j), finite
+    seen
+        shape (P, N), whether the frame saw the sample
+    times
+        shape (N,), s
+    lengths
+        number of samples of each demonstration
+    manifold
+        space of the data; where not given, the largest of `manifolds`
     """
 
     manifolds: Mapping[str, Manifold]
@@ -40,17 +48,28 @@ class Samples:
 
     @property
     def n_samples(self) -> int:
-        """N."""
+        """N, the number of samples of all demonstrations."""
         return self.seen.shape[1]
 
     @classmethod
     def from_demonstrations(
         cls, demonstrations: Sequence[Demonstration], manifold: Manifold | str, *, may_be_unseen: bool = False
     ) -> Self:
-        """Demonstrations, projected into their frames by Eq. (4), on the space of their data.
+        """Demonstrations, projected into their frames by Eq. (4).
 
-        may_be_unseen : frames may be hidden all the time, as where a model is only tested. Raises ValueError for
-        demonstrations that do not agree in dimensions or frames, and for data that do not fit the manifold.
+        Parameters
+        ----------
+        demonstrations
+            one or more, with the same frames
+        manifold
+            space of their data, or its text
+        may_be_unseen
+            whether a frame may be hidden all the time, as where a model is only tested
+
+        Raises
+        ------
+        ValueError
+            for demonstrations that do not agree in dimensions or frames, and for data that do not fit the manifold
         """
         demonstrations = list(demonstrations)
         if not demonstrations:
@@ -78,10 +97,23 @@ class Samples:
     def from_projected(
         cls, X: Mapping[str, ArrayLike], visible: Mapping[str, ArrayLike] | None, manifold: Manifold | str
     ) -> Self:
-        """Data that was already observed from each frame, as one demonstration.
+        """Data that were already observed from each frame, as one demonstration.
 
-        X : name → shape (N, D_j); visible : name → mask (N,), always seen where not named. The time is the
-        first dimension of the first frame. Raises ValueError for shapes that do not fit.
+        The first dimension of the first frame is the time.
+
+        Parameters
+        ----------
+        X
+            name → shape (N, D_j)
+        visible
+            name → mask (N,), always seen where not named
+        manifold
+            space of the data, or its text
+
+        Raises
+        ------
+        ValueError
+            for shapes that do not fit
         """
         if not X:
             raise ValueError("fit_projected needs the data of at least one frame")
@@ -125,7 +157,7 @@ class Samples:
 
 
 def parsed(manifold: Manifold | str, D: int) -> Manifold:
-    """Space of data with D dimensions, of a text such as "euclidean" where it is one."""
+    """The space of data with D dimensions, read from a text such as "euclidean" where it is one."""
     return manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold, D)
 
 

@@ -18,14 +18,17 @@ class Situation:
     """The frames of a moment, how far each is trusted, and where the robot is.
 
     Two situations are equal when their numbers are, whatever objects hold them: perception makes new ones all the time,
-    also while nothing changes. What is kept is a copy, so that a mapping that is written to later is another situation
-    then. Comparing costs little where the frames are the same objects, since a `Frame` does not change.
+    also while nothing changes. What is kept is a copy, so that writing to a mapping later does not change the
+    situation. Comparing costs little where the frames are the same objects, since a `Frame` does not change.
 
     Parameters
     ----------
-    frames : those that are known, by name
-    weights : how far each frame is trusted, 0 to 1; fully where not named, hence the same as where 1 is said
-    state : shape (D,), where the robot is, as far as that is known
+    frames
+        those that are known, by name
+    weights
+        how far each frame is trusted, 0 to 1; 1 where not named
+    state
+        shape (D,), where the robot is; None where that is not known
     """
 
     frames: Mapping[str, Frame]
@@ -43,7 +46,7 @@ class Situation:
             object.__setattr__(self, "state", np.array(self.state, dtype=float))
 
     def has_frames_of(self, other: Situation) -> bool:
-        """Whether frames and weights are equal, wherever the robot is."""
+        """Whether frames and weights are equal; the state of the robot does not matter."""
         return self.frames == other.frames and self.weights == other.weights
 
     def __eq__(self, other: object) -> bool:

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint states out of messages that hold what their publisher has: more joints, fewer, others, in any order.
+"""Joint states out of messages with any set of joints: more than the robot's, fewer, others, in any order.
 
-A robot's joints may come in one message or in several, one from each driver, and beside them those of a gripper on the
+A robot's joints may come in one message or in several, one from each driver, and those of a gripper on the
 same topic. A state is complete when each own joint has come since the last state, none of them older than a bound. Its
-stamp is that of its oldest part, so that its age is honest. What is only of others is nothing: no state and no fault.
+stamp is that of its oldest part, so that its age is not underestimated. A message about other joints only is ignored:
+no state and no fault.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from tpgmm_core.observation.streams import SECOND
 
 Places = NDArray[np.intp]
 
-#: The parts of one state may be this far apart, s, unless told otherwise.
+#: The parts of one state may be this far apart by default, s.
 MAX_SPREAD = 0.02
 
 
@@ -32,8 +33,12 @@ class JointStateError(ValueError):
 class JointSample:
     """One state.
 
-    stamp_ns : of its oldest part, ns
-    values : one (n,) for each field, in the order of the joints
+    Parameters
+    ----------
+    stamp_ns
+        of its oldest part, ns
+    values
+        one (n,) for each field, in the order of the joints
     """
 
     stamp_ns: int
@@ -41,12 +46,14 @@ class JointSample:
 
 
 class JointColumns:
-    """Finds joints in messages by name, never by position; the order is worked out once and kept while names stay.
+    """Finds joints in messages by name, never by position; the order is computed once and kept while names stay.
 
     Parameters
     ----------
-    joints : n names, in the order in which values are wanted
-    fields : what each column of a message is called
+    joints
+        n names, in the order in which values are wanted
+    fields
+        names of the columns of a message
     """
 
     def __init__(self, joints: Sequence[str], fields: Sequence[str]) -> None:
@@ -62,14 +69,16 @@ class JointColumns:
 
         Parameters
         ----------
-        names : of the message's joints
-        columns : as many numbers as names, for each field
+        names
+            of the message's joints
+        columns
+            as many numbers as names, for each field
 
         Raises
         ------
         JointStateError
-            An own joint is named twice, a column has another length than the names, or an own joint's value is not
-            finite. A message without own joints raises nothing, whatever it holds.
+            when an own joint is named twice, a column has another length than the names, or an own joint's value is not
+            finite. A message without own joints raises nothing, whatever it holds
         """
         if names != self.names:
             self._learn(names)
@@ -106,13 +115,15 @@ class JointColumns:
 class JointStateAssembler:
     """Messages in, complete states out; see the module.
 
-    A part that was overtaken by a newer one of the same joint is passed over. A whole message is a state by itself,
-    also one with the stamp of the last: whether a state is new is for `StreamWatch` to say.
+    A part that was overtaken by a newer one of the same joint is ignored. A whole message is a state by itself,
+    also one with the stamp of the last: `StreamWatch` decides whether a state is new.
 
     Parameters
     ----------
-    joints, fields : as for `JointColumns`
-    max_spread : the parts of one state may be this far apart, s
+    joints, fields
+        as for `JointColumns`
+    max_spread
+        the parts of one state may be this far apart, s
     """
 
     def __init__(self, joints: Sequence[str], fields: Sequence[str], max_spread: float = MAX_SPREAD) -> None:
@@ -121,14 +132,27 @@ class JointStateAssembler:
         self.forget()
 
     def forget(self) -> None:
-        """No message yet."""
+        """Start without any message."""
         n = len(self.columns.joints)
         self._values = np.zeros((len(self.columns.fields), n))
         self._stamps = np.zeros(n, dtype=np.int64)
         self._known, self._fresh = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
 
     def take(self, names: Sequence[str], columns: Sequence[ArrayLike], stamp_ns: int) -> JointSample | None:
-        """The state that a message completes, None where it completes none; raises JointStateError as `read` does."""
+        """The state that a message completes, None where it completes none.
+
+        Parameters
+        ----------
+        names, columns
+            as for `JointColumns.read`
+        stamp_ns
+            of the message
+
+        Raises
+        ------
+        JointStateError
+            like `JointColumns.read`
+        """
         found = self.columns.read(names, columns)
         if not found:
             return None
@@ -146,7 +170,7 @@ class JointStateAssembler:
         return JointSample(int(self._stamps.min()), tuple(values.copy() for values in self._values))
 
     def incomplete(self) -> str:
-        """Why what has come since the last state is none, in words."""
+        """Why the messages since the last state are no state yet, in words."""
         joints = self.columns.joints
         missing = [name for name, fresh in zip(joints, self._fresh, strict=True) if not fresh]
         if missing:
@@ -163,5 +187,5 @@ class JointStateAssembler:
 
 def _wrong_length(field: str, length: int, names: int) -> str:
     if length == 0:
-        return f"{field} is empty, and cannot be done without: have the driver publish {field} too"
+        return f"{field} is empty, but needed: let the driver publish {field} too"
     return f"{field} has {length} numbers for {names} joint names; expected as many"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`PoseFilter`: a pose that trembles is averaged while it is at rest, and followed when it moves.
+"""`PoseFilter`: a noisy pose is averaged while it is at rest, and followed when it moves.
 
 The estimate is the mean of the newest observations. How many of them is decided anew with each one: the longest window
 whose mean agrees with the means of all shorter windows, as far as the noise explains it (Lepski 1990; the intersection
@@ -9,15 +9,15 @@ the newest N > j observations of a fixed place differ by a Gaussian of covarianc
     |m_j - m_N|² <= AGREES v (1 / j - 1 / N),   v the largest eigenvalue of V.
 
 - At rest the window grows up to the memory, and the error falls with the square root of their number.
-- An object that moves leaves its former place behind as soon as that differs by more than noise would: at a steady
-  speed of u per observation about (4 sqrt(AGREES v) / u)^(2/3) observations are left, and the estimate lags by half of
-  these. That is 3.3 standard deviations at most, however fast it is; 4.5 since v is learned, and errs to the larger.
-- A leap, and a single outlier, is passed on at once and unchanged.
+- When an object moves, its former place drops out of the window as soon as the difference is more than noise: at a
+  steady speed of u per observation about (4 sqrt(AGREES v) / u)^(2/3) observations are left, and the estimate lags by
+  half of these. That is 3.3 standard deviations at most, at any speed; 4.5 since v is learned, and errs to the larger.
+- A jump, and a single outlier, is passed on at once and unchanged.
 
 V is learned, separately for positions and turns, from differences of neighbours, which drift hardly changes. A window
-shows noise where neighbours differ as much as observations that are independent (von Neumann 1941), most of them do
-differ, and no few of the differences make up their sum. Exact poses show none: what moves smoothly has neighbours that
-are alike, and what is at rest repeats itself. While no noise is known, poses pass as they are, bit by bit.
+shows noise where neighbours differ as much as independent observations do (von Neumann 1941), where most of them do
+differ, and where their sum does not come from a few of them. Exact poses show none: neighbours of a smooth motion are
+alike, and a pose at rest repeats itself. While no noise is known, poses pass as they are, bit by bit.
 """
 
 from __future__ import annotations
@@ -34,30 +34,30 @@ from tpgmm_core.geometry.kernels import compiled
 _SECOND = 1_000_000_000
 #: The quantile of chi squared with 3 degrees of freedom that noise exceeds with a probability of 1e-5.
 AGREES = 25.9
-#: Observations in which noise is recognised, at least.
+#: Least number of observations in which noise is recognised.
 FEWEST = 10
-#: Observations that are kept, at most: what 16 times less noise takes.
+#: Largest number of observations that are kept: it reduces noise to 1/16.
 MOST = 256
 #: Windows, as numbers of the newest observations.
 WINDOWS = np.array([1, 2, 3, 4, 6, 8, FEWEST, 14, 20, 28, 40, 56, 80, 112, 160, 208, MOST])
-#: Half the mean squared difference of neighbours, as a share of the variance: 1 of noise, near 0 of what moves.
+#: Half the mean squared difference of neighbours, as a share of the variance: 1 for noise, near 0 for a motion.
 INDEPENDENT = 0.6
-#: Of the squared differences: mean square by squared mean. Noise in one direction has 3, one outlier of many more.
+#: Mean square of the squared differences over their squared mean. Noise in one direction has 3, an outlier more.
 EVEN = 4.0
-#: By how much the variance may differ in a shorter window, before it is another noise.
+#: Factor by which the variance may differ in a shorter window, before the noise counts as changed.
 SIMILAR = 9.0
 #: Standard deviations, m and rad, that are rounding and not noise.
 ROUNDING = 1e-9
 
 
 class PoseFilter:
-    """Observations of one frame in, where it is out. Neither clock nor chance: equal observations, equal estimates.
+    """Filters the observations of one frame. It uses neither clock nor chance: equal observations, equal estimates.
 
     Parameters
     ----------
-    memory : float
-        How long an observation counts at most, s; 0 passes on what comes. Observations that are further apart are not
-        averaged, and after so long a gap everything begins anew.
+    memory
+        how long an observation counts at most, s; with 0 poses pass as they are. Observations that are further apart
+        are not averaged, and the filter starts anew after a gap of this length
     """
 
     def __init__(self, memory: float) -> None:
@@ -66,7 +66,7 @@ class PoseFilter:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew."""
+        """Start anew."""
         self._stamps = np.empty(0, dtype=np.int64)
         self._seen = np.empty((0, 7))
         for part in self._parts:
@@ -74,37 +74,37 @@ class PoseFilter:
 
     @classmethod
     def compile_kernels(cls) -> None:
-        """Take in as many poses as it needs to act, so that none that matters waits for the compiler."""
+        """Observe as many poses as needed until it averages, so that no later one waits for the compiler."""
         poses, rest = cls(1.0), [0.0, 0.0, 0.0, 1.0]
         for i, place in enumerate(1e-3 * np.random.default_rng(0).normal(size=(2 * FEWEST, 3))):
             poses.observe([*place, *rest], i)
 
     @property
     def noise(self) -> tuple[float, float]:
-        """Standard deviations in the direction that trembles most, m and rad; 0 where none is known."""
+        """Standard deviations in the direction of most noise, m and rad; 0 where none is known."""
         position, turn = (float(np.sqrt(part.variance)) for part in self._parts)
         return position, turn
 
     @property
     def windows(self) -> tuple[int, int]:
-        """Of how many observations the present position and orientation are the mean."""
+        """Numbers of observations that are averaged in the present position and orientation."""
         position, turn = (part.window for part in self._parts)
         return position, turn
 
     def observe(self, pose: ArrayLike, stamp_ns: int) -> Array:
-        """Take in an observation.
+        """Add an observation.
 
         Parameters
         ----------
-        pose : array-like, shape (7,)
-            ``[x, y, z, qx, qy, qz, qw]``, m, with a unit quaternion.
-        stamp_ns : int
-            When it was seen, ns. A stamp that is not newer than the last one begins anew.
+        pose
+            shape (7,) ``[x, y, z, qx, qy, qz, qw]``, m, with a unit quaternion
+        stamp_ns
+            when it was seen, ns. With a stamp that is not newer than the last one the filter starts anew
 
         Returns
         -------
-        estimate : ndarray, shape (7,)
-            Where the frame is, with a unit quaternion; `pose` itself where nothing is averaged.
+        Array
+            where the frame is, shape (7,), with a unit quaternion; `pose` itself where nothing is averaged
         """
         seen = np.array(pose, dtype=np.float64)
         if self.memory_ns == 0:
@@ -141,7 +141,7 @@ class _Part:
         return float(self._known[0])
 
     def mean(self, seen: Array) -> Array | None:
-        """Of the window, (3,); None where it is the newest alone. `seen` (N, 3), newest first, relative to that."""
+        """Mean of the window, (3,); None for a window of one. `seen` (N, 3): newest first, relative to it."""
         if len(seen) >= FEWEST:
             learn(seen, WINDOWS, self._known)
         if self._known[0] == 0.0:
@@ -153,10 +153,16 @@ class _Part:
 
 @compiled
 def learn(seen: Array, windows: NDArray[np.int64], known: Array) -> None:
-    """The noise, from the longest window of those that show it, the shortest being the newest `FEWEST` observations.
+    """Learn the noise from the longest window that shows it; the shortest window is the newest `FEWEST` observations.
 
-    seen : (N, 3), newest first, the first at the origin
-    known : [variance, from how many], changed
+    Parameters
+    ----------
+    seen
+        (N, 3), newest first, the first at the origin
+    windows
+        lengths of the windows, increasing
+    known
+        [variance, from how many], which is changed
     """
     longest, variance, k = 0, 0.0, 0
     differ, squares, fourths, spread = 0, 0.0, 0.0, 0.0

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Streams of stamped messages: which of them are new, how often they come, and whose they are; time is an argument.
 
-Whoever follows a stream asks here: controllers, reproductions, whatever answers joint states. A message that was
-overtaken on its way, or that comes twice, is no news and no fault; only time that has lastingly jumped back is a
+All that follow a stream use this: controllers, reproductions, whatever answers joint states. A message that was
+overtaken on its way, or that comes twice, is neither new nor a fault; only time that has jumped back for good is a
 restart.
 """
 
@@ -15,26 +15,26 @@ from collections.abc import Sequence
 import numpy as np
 
 SECOND = 1_000_000_000
-#: A clock that is behind a message by no more than this has been overtaken by it; by more, it has jumped back, s.
+#: A clock that is behind a message by no more than this is only late; by more, it has jumped back, s.
 OVERTAKEN = 0.05
-#: Stamps that are older for this long are not overtaken ones: time has jumped back, s. More than stamps may be ahead.
+#: When stamps are older for this long, time has jumped back, s. It is longer than stamps may be ahead.
 RESTARTED_AFTER = 0.25
 #: A period that differs by a larger share is another one.
 CHANGED = 0.1
 
 
 class Stamp(enum.Enum):
-    """What a message's stamp says about it."""
+    """The relation of a message's stamp to the last one and to the clock."""
 
     NEW = enum.auto()
     REPEATED = enum.auto()  # the stamp of the last message: nothing new, however often it comes
     OLD = enum.auto()  # overtaken by a newer one on its way
     FUTURE = enum.auto()
-    RESTARTED = enum.auto()  # older, after all that was newer has become stale: time has jumped backwards
+    RESTARTED = enum.auto()  # older, after all newer ones have become stale: time has jumped backwards
 
 
 class StreamWatch:
-    """Tells the messages of one stream that are new from those that are not, and how old the last one is.
+    """Distinguishes new messages of one stream from all others, and knows how old the last one is.
 
     Times in ns: stamps, `now_ns` of the clock that watches (steady), `clock_ns` of the clock of the stamps.
     """
@@ -43,7 +43,7 @@ class StreamWatch:
         self.forget()
 
     def forget(self) -> None:
-        """No message yet."""
+        """Start without any message."""
         self.stamp_ns: int | None = None
         self._received_ns = 0
 
@@ -55,10 +55,20 @@ class StreamWatch:
         return max(0.0, age) if age >= -OVERTAKEN else math.inf
 
     def judge(self, stamp_ns: int, now_ns: int, clock_ns: int, timeout: float, max_future: float) -> Stamp:
-        """What a message with this stamp is; it counts as the last one only if it is then accepted.
+        """Classify a message by its stamp; it counts as the last one only if it is then accepted.
 
-        timeout : after which the last message is stale, s. Only then an older stamp is a clock that jumped.
-        clock_ns : 0 while that clock is not known, in which case no stamp is called future.
+        Parameters
+        ----------
+        stamp_ns
+            of the message
+        now_ns
+            of its arrival
+        clock_ns
+            now, on the clock of the stamps; 0 while that clock is not known, so that no stamp is in the future
+        timeout
+            after which the last message is stale, s. Only then an older stamp means a clock that jumped
+        max_future
+            how far a stamp may be ahead of `clock_ns`, s
         """
         if clock_ns > 0 and stamp_ns - clock_ns > max_future * SECOND:
             return Stamp.FUTURE
@@ -70,22 +80,24 @@ class StreamWatch:
         return Stamp.RESTARTED if age > timeout else Stamp.OLD
 
     def accept(self, stamp_ns: int, now_ns: int) -> None:
-        """A message that counts as the last one."""
+        """Count a message as the last one."""
         self.stamp_ns, self._received_ns = stamp_ns, now_ns
 
 
 def standing_still(stamp_ns: int) -> str:
-    """The words for a stream that goes on while its stamps do not."""
+    """Words for a stream that goes on while its stamps do not."""
     return f"their stamps stand still at {stamp_ns / SECOND:.3f} s: the driver has to stamp each with its own time"
 
 
 class RateMeter:
-    """How often a stream's messages come: the median of their last intervals, which pauses and jitter do not move.
+    """How often a stream's messages come: the median of their last intervals, so that pauses and jitter do not matter.
 
     Parameters
     ----------
-    size : intervals that are remembered
-    enough : of them, before anything is said
+    size
+        number of intervals that are remembered
+    enough
+        number of them that a measurement needs
     """
 
     def __init__(self, size: int = 64, enough: int = 16) -> None:
@@ -94,26 +106,29 @@ class RateMeter:
         self.forget()
 
     def forget(self) -> None:
-        """No message yet."""
+        """Start without any message."""
         self._last_ns: int | None = None
         self._count = 0
         self._period: float | None = None
 
     def add(self, time_ns: int) -> None:
-        """A message, by its stamp or its arrival, ns; one that is not after the last one only sets a new beginning."""
+        """Add a message, by its stamp or its arrival, ns; one that is not after the last one starts anew."""
         if self._last_ns is not None and 0 < time_ns - self._last_ns < 100 * SECOND:
             self._intervals[self._count % len(self._intervals)] = time_ns - self._last_ns
             self._count += 1
         self._last_ns = time_ns
 
     def measured(self) -> float | None:
-        """Seconds from one message to the next, None while too few have come."""
+        """Seconds from one message to the next; None while too few have come."""
         if self._count < self._enough:
             return None
         return float(np.median(self._intervals[: min(self._count, len(self._intervals))])) / SECOND
 
     def period(self) -> float | None:
-        """The same as it was when last asked for, as long as that is still nearly true: what is said of it stays."""
+        """The measured period; it keeps its former value as long as that is nearly right.
+
+        So sentences about it do not change all the time.
+        """
         measured = self.measured()
         if measured is None:
             return None
@@ -123,14 +138,16 @@ class RateMeter:
 
 
 class Leader:
-    """Of several publishers on one topic, the one whose messages give the beat, told by the names that they hold.
+    """Of several publishers on one topic, the one whose messages are used as a clock, recognised by the names in them.
 
-    For those who take joint states as a clock and know no joint: a gripper's few joints are not to beat beside the
-    arm's many. It is who names most joints, and among equals who came first, until it has been silent for a while.
+    For programs that use joint states as a clock and know no joint: a gripper's few joints must not trigger steps
+    between the arm's many. The leader is the publisher with most joints, and among equals the first one, until it has
+    been silent for a while.
 
     Parameters
     ----------
-    patience : who is silent for this long no longer leads, s
+    patience
+        silence after which a publisher no longer leads, s
     """
 
     def __init__(self, patience: float = 0.5) -> None:
@@ -139,7 +156,7 @@ class Leader:
         self._heard_ns = 0
 
     def is_led_by(self, names: Sequence[str], now_ns: int) -> bool:
-        """Whether a message with these names gives the beat; `now_ns` is of a clock that does not jump."""
+        """Whether a message with these names triggers a step; `now_ns` is of a clock that does not jump."""
         names = list(names)
         if names != self._names:
             silent = now_ns - self._heard_ns > self._patience_ns

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of each frame right now: seen, remembered or lost, and how far it is to be trusted.
+"""What is known of each frame right now: seen, remembered or lost, and how far it can be trusted.
 
 A frame that is not seen for a moment keeps its last pose. Its confidence, which scales its precision in the product
 of Gaussians (Eqs. 5, 6), falls to zero slowly and rises slowly, so that a frame that disappears or comes back never
-makes the movement jump. The pose of a frame that trembles is averaged while it is at rest (`pose_filter`).
+makes the movement jump. A noisy pose is averaged while the frame is at rest (`pose_filter`).
 
 Two clocks enter, as arguments: the *stamp* of an observation (ROS time, when the camera saw it) and the *steady* time
 of its arrival. The status follows the steady clock, which no clock step can stall; stamps are checked when they come.
@@ -23,12 +23,12 @@ from tpgmm_core.common.settings import check_settings, setting
 from tpgmm_core.observation.pose_filter import PoseFilter
 
 _SECOND = 1_000_000_000
-#: Of a pose: positions in m farther than the size of the Earth, quaternions of no length that means anything.
+#: Largest number of a pose: beyond the size of the Earth, m, and any length of a quaternion.
 MAX_NUMBER = 1e8
 
 
 class FrameStatus(enum.IntEnum):
-    """As in ``tpgmm_msgs/TaskFrame``."""
+    """Statuses as in ``tpgmm_msgs/TaskFrame``."""
 
     VISIBLE = 0
     HELD = 1
@@ -54,11 +54,11 @@ class TrackingConfig:
     max_future: float = setting(0.05, 0.0, 60.0, "Poses with stamps further in the future are refused, s")
     max_age: float = setting(1.0, 0.001, 3600.0, "Poses with older stamps are refused, s")
     filter_time: float = setting(
-        1.0, 0.0, 60.0, "Poses that tremble are averaged over this time while the frame is at rest, s; 0: never"
+        1.0, 0.0, 60.0, "Noisy poses are averaged over this time while the frame is at rest, s; 0: never"
     )
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a value out of its range."""
+        """Raise ValueError for a value out of its range."""
         check_settings(self)
 
 
@@ -66,9 +66,18 @@ class TrackingConfig:
 class TrackedFrame:
     """One frame as it is known at one moment.
 
-    pose: ``[x, y, z, qx, qy, qz, qw]`` in the base frame, m, filtered; None as long as it was never seen.
-    confidence: 0..1, 0 where MISSING.
-    stamp_ns: ROS time of the observation that the pose comes from, ns.
+    Parameters
+    ----------
+    name
+        of the frame
+    status
+        VISIBLE, HELD or MISSING
+    confidence
+        0..1, 0 where MISSING
+    stamp_ns
+        ROS time of the observation that the pose comes from, ns
+    pose
+        ``[x, y, z, qx, qy, qz, qw]`` in the base frame, m, filtered; None as long as it was never seen
     """
 
     name: str
@@ -92,13 +101,19 @@ class _Track:
 class FrameTracker:
     """Observations in, statuses and confidences out.
 
-    Args:
-        frames: names of the frames to track.
-        fixed: poses of the frames that never move and are never lost, e.g. the robot's own base.
-        config: the timeouts.
+    Parameters
+    ----------
+    frames
+        names of the frames to track
+    fixed
+        poses of the frames that never move and are never lost, e.g. the robot's own base
+    config
+        the timeouts
 
-    Raises:
-        ValueError: no frames, or a fixed pose that is none.
+    Raises
+    ------
+    ValueError
+        for no frames, or a fixed pose that is invalid
     """
 
     def __init__(
@@ -123,27 +138,38 @@ class FrameTracker:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of the frames that are tracked."""
         return tuple(self._tracks)
 
     def refusals(self, name: str) -> dict[str, int]:
-        """How many observations of a frame were refused so far, by reason."""
+        """Number of refused observations of a frame so far, by reason."""
         return dict(self._tracks[name].refused)
 
     def observe(self, name: str, pose: ArrayLike, stamp_ns: int, now_ns: int, steady_ns: int) -> str | None:
-        """Take in one observation.
+        """Add one observation.
 
-        Args:
-            name: the frame.
-            pose: ``[x, y, z, qx, qy, qz, qw]`` in the base frame; the quaternion may have any non-zero length.
-            stamp_ns: when it was seen, ROS time.
-            now_ns: ROS time at arrival.
-            steady_ns: steady time at arrival.
+        Parameters
+        ----------
+        name
+            the frame
+        pose
+            ``[x, y, z, qx, qy, qz, qw]`` in the base frame; the quaternion may have any non-zero length
+        stamp_ns
+            when it was seen, ROS time
+        now_ns
+            ROS time at arrival
+        steady_ns
+            steady time at arrival
 
-        Returns:
-            None if it was taken, else why not; what was known before stays as it was.
+        Returns
+        -------
+        str | None
+            None if it was used, else why not; the frame then stays as it was
 
-        Raises:
-            KeyError: an unknown frame.
+        Raises
+        ------
+        KeyError
+            for an unknown frame
         """
         track = self._tracks[name]
         checked, reason = check_pose(pose)
@@ -155,10 +181,14 @@ class FrameTracker:
         return None
 
     def refuse(self, name: str, reason: str) -> str:
-        """Count an observation that is not taken; returns the reason with the frame's name.
+        """Count an observation that is not used; returns the reason with the frame's name.
 
-        Args:
-            reason: its kind, ":", and the details.
+        Parameters
+        ----------
+        name
+            the frame
+        reason
+            its kind, ":", and the details
         """
         kind = reason.split(":", 1)[0]
         refused = self._tracks[name].refused
@@ -167,14 +197,14 @@ class FrameTracker:
 
     def _check_stamp(self, track: _Track, stamp_ns: int, now_ns: int) -> str:
         if track.fixed:
-            return "fixed frame: its pose is given by the task file and takes no observations"
+            return "fixed frame: its pose is given by the task file, observations are not used"
         age = (now_ns - stamp_ns) / _SECOND
         if age < -self.config.max_future:
             return f"stamp in the future: {-age:.3f} s ahead of ROS time, {self.config.max_future} s allowed"
         if age > self.config.max_age:
             return f"stamp too old: {age:.3f} s behind ROS time, {self.config.max_age} s allowed"
         if stamp_ns == track.stamp_ns:
-            return "repeated stamp: the same observation again proves nothing new"
+            return "repeated stamp: the same observation came before"
         if stamp_ns < track.stamp_ns:
             return "stamp out of order: older than the observation that is known already"
         return ""
@@ -188,7 +218,7 @@ class FrameTracker:
         self._updated_ns = None
 
     def update(self, steady_ns: int) -> list[TrackedFrame]:
-        """All frames as they are known at a steady time; call it regularly, confidences move with it."""
+        """All frames as they are known at a steady time; call it regularly, since confidences change with time."""
         elapsed = 0.0 if self._updated_ns is None else max(0.0, (steady_ns - self._updated_ns) / _SECOND)
         first = self._updated_ns is None
         self._updated_ns = steady_ns
@@ -200,7 +230,7 @@ class FrameTracker:
         config = self.config
         unseen = math.inf if track.pose is None else (steady_ns - track.seen_ns) / _SECOND
         trusted = unseen <= config.visible_timeout + config.hold_time
-        # Before the first update nobody has been told of any confidence, so there is nothing to be continuous with.
+        # Before the first update no confidence was published, so there is nothing to be continuous with.
         change = 1.0 if first else elapsed / config.fade_time
         if trusted:
             track.confidence = min(1.0, track.confidence + change)
@@ -218,18 +248,20 @@ class FrameTracker:
 def check_pose(pose: ArrayLike) -> tuple[NDArray[np.float64] | None, str]:
     """The pose with its quaternion at unit length, or None and the reason why it is no pose.
 
-    Args:
-        pose: ``[x, y, z, qx, qy, qz, qw]``.
+    Parameters
+    ----------
+    pose
+        ``[x, y, z, qx, qy, qz, qw]``
     """
     checked = np.array(pose, dtype=np.float64)
     if checked.shape != (7,):
         return None, f"wrong size: shape {checked.shape}, expected 7 numbers x y z qx qy qz qw"
     if not np.isfinite(checked).all():
         return None, f"not finite: {checked.tolist()}"
-    if np.abs(checked).max() > MAX_NUMBER:  # squares of such numbers are not finite, and no camera sees so far
+    if np.abs(checked).max() > MAX_NUMBER:  # squares of larger numbers are not finite, and no camera sees so far
         return None, f"implausibly large: {checked.tolist()}, expected numbers up to {MAX_NUMBER:g} (m)"
     if np.any((checked != 0.0) & (np.abs(checked) < np.finfo(np.float64).tiny)):
-        # rclpy copies the bits of a Python int into a float field, and says nothing
+        # rclpy copies the bits of a Python int into a float field, without an error
         return None, f"not written as floats: {checked.tolist()}; an int in a float field reads so: write 1.0, not 1"
     length = float(np.linalg.norm(checked[3:]))
     if length < 1e-3:

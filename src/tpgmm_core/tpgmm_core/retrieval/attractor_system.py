@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`AttractorSystem`: what retrieval methods have in common that have a state of their own and go to a goal."""
+"""`AttractorSystem`: base of the retrieval methods that have a state of their own and go to a goal."""
 
 from __future__ import annotations
 
@@ -27,15 +27,26 @@ _SECOND = 1_000_000_000
 
 
 class AttractorSystem(ABC):
-    """A `Retrieval` whose scaled time is in units of the duration; only forwards.
+    """A `Retrieval` whose scaled time is in units of the duration, and never runs backwards.
 
-    model : fitted; manifold : of the references
-    duration : s, of the movement at speed 1; as demonstrated (`metadata_["duration_s"]`) where None. May be set at any
-        time: like a new speed it is taken over with `blend_time` as time constant
-    horizon_steps, horizon_time_step : how many Gaussians ahead each reference holds, and their distance in time, s
-    blend_time : time constant with which what changes at once is taken over, s
+    Parameters
+    ----------
+    model
+        fitted
+    manifold
+        of the references
+    duration
+        of the movement at speed 1, s; None: as demonstrated (`metadata_["duration_s"]`). It may be set at any time;
+        like a new speed it takes effect with `blend_time` as time constant
+    horizon_steps, horizon_time_step
+        how many Gaussians ahead each reference holds, and their distance in time, s
+    blend_time
+        time constant with which sudden changes take effect, s
 
-    Raises ValueError for times that are not positive.
+    Raises
+    ------
+    ValueError
+        for times that are not positive
     """
 
     def __init__(
@@ -49,7 +60,7 @@ class AttractorSystem(ABC):
     ) -> None:
         if not isinstance(model, EndpointTPGMM):
             raise ValueError(
-                f"the model is a {type(model).__name__}, which does not tell where movements end: fit an EndpointTPGMM"
+                f"the model is a {type(model).__name__}, which does not know where movements end: fit an EndpointTPGMM"
             )
         duration = demonstrated_duration(model) if duration is None else duration
         positive(duration=duration, horizon_time_step=horizon_time_step, blend_time=blend_time)
@@ -66,7 +77,7 @@ class AttractorSystem(ABC):
         self._situation: Situation | None = None
 
     def _compile(self) -> None:
-        """Two steps, so that no later one waits for the compiler; with one frame, since one contradicts no other."""
+        """Make two steps, so that no later one waits for the compiler; with one frame, which nothing contradicts."""
         D = 1 + self.manifold.dim
         frame = Frame(np.eye(D), np.zeros(D))
         self.start(0)
@@ -101,11 +112,21 @@ class AttractorSystem(ABC):
         self._time_scaling.target = self._target()
 
     def start(self, time_ns: int, state: ArrayLike | None = None, phase: float = 0.0) -> None:
-        """Begin at this time, ns, at rest: see `Retrieval.start`.
+        """Begin at rest: see `Retrieval.start`.
 
-        state : (D,), where to begin; None: where the robot is at the first step, or else where demonstrations began
+        Parameters
+        ----------
+        time_ns
+            of the beginning, ns
+        state
+            (D,), where to begin; None: where the robot is at the first step, or else where demonstrations began
+        phase
+            share of the movement that is already done, 0 to 1
 
-        Raises ValueError for a state that is not on the manifold, and a phase that is not 0 to 1.
+        Raises
+        ------
+        ValueError
+            for a state that is not on the manifold, and a phase that is not 0 to 1
         """
         if not 0.0 <= phase <= 1.0:
             raise ValueError(f"the phase to begin at is 0 to 1, got {phase!r}")
@@ -153,7 +174,7 @@ class AttractorSystem(ABC):
         )
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
-        """The next n Gaussians, dt (s) apart, should frames and robot do nothing: see `Retrieval.horizon`."""
+        """The next n Gaussians, dt (s) apart, if frames and robot stay where they are: see `Retrieval.horizon`."""
         positive(dt=dt)
         self._check_stepped()
         if n < 1:
@@ -161,12 +182,12 @@ class AttractorSystem(ABC):
         return self._shown_ahead(dt * np.arange(1, n + 1, dtype=np.float64))
 
     def mixture(self) -> GaussianMixture:
-        """The model in the situation of the last step, over all that it encodes."""
+        """The model in the situation of the last step, over all dimensions that it encodes."""
         self._check_stepped()
         return self._mixture()
 
     def _target(self) -> float:
-        """Scaled time per s that is wanted."""
+        """Target rate of scaled time, per s."""
         return self._speed / self._duration
 
     def _check_stepped(self) -> None:
@@ -198,11 +219,11 @@ class AttractorSystem(ABC):
 
     @abstractmethod
     def _situate(self, situation: Situation) -> None:
-        """Take another situation while moving."""
+        """Change to another situation during the movement."""
 
     @abstractmethod
     def _advance(self, seconds: float, robot: Array | None) -> None:
-        """Go on by a time > 0, s; robot (D,): where it is, as far as that is known."""
+        """Advance by a time > 0, s; robot (D,): where it is, or None."""
 
     @abstractmethod
     def _now(self) -> tuple[Array, Array, Array]:
@@ -214,14 +235,20 @@ class AttractorSystem(ABC):
 
     @abstractmethod
     def _phase(self) -> float:
-        """0 at the start, 1 at the end."""
+        """Share of the movement that is done: 0 at the start, 1 at the end."""
 
     @abstractmethod
     def _mixture(self) -> GaussianMixture: ...
 
 
 def positive(**values: float) -> None:
-    """Raises ValueError for the first value that is not positive and finite, by its name."""
+    """Check that all values are positive and finite.
+
+    Raises
+    ------
+    ValueError
+        for the first one that is not, with its name
+    """
     for name, value in values.items():
         if not (isinstance(value, int | float) and math.isfinite(value) and value > 0.0):
             raise ValueError(f"{name} is a positive number, got {value!r}")

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Symmetric banded matrices, compiled: Cholesky factor, solution, and the band of the inverse; linear in their size.
+"""Symmetric banded matrices, compiled: Cholesky factor, solution, and the band of the inverse, in linear time.
 
-A matrix of N rows with w entries below its diagonal is held by rows, (N, w + 1): entry (i, j), i - w <= j <= i, lies at
-[i, w - i + j]. Inner loops run along memory and add multiples of rows, which the compiler vectorises; sums of products
-it does not.
+A matrix of N rows with w entries below its diagonal is stored by rows, (N, w + 1): entry (i, j), i - w <= j <= i, is at
+[i, w - i + j]. Inner loops run along memory and add multiples of rows, which the compiler vectorises; it does not
+vectorise sums of products.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tpgmm_core.geometry.kernels import compiled
 
 @compiled
 def cholesky_band(band: Array) -> bool:
-    """band ← its Cholesky factor L (N, w + 1), with reciprocals on the diagonal; False when it is not definite."""
+    """Replace band by its Cholesky factor L (N, w + 1), reciprocals on the diagonal; False when it is not definite."""
     N, w = band.shape[0], band.shape[1] - 1
     column = np.empty(w)
     for j in range(N):
@@ -37,7 +37,7 @@ def cholesky_band(band: Array) -> bool:
 
 @compiled
 def solve_band(factor: Array, x: Array) -> None:
-    """x (N,) ← (L L^T)^-1 x, with the factor of `cholesky_band`."""
+    """Replace x (N,) by (L L^T)^-1 x, with the factor of `cholesky_band`."""
     N, w = factor.shape[0], factor.shape[1] - 1
     for i in range(N):
         total, row, shift = x[i], factor[i], w - i
@@ -53,12 +53,17 @@ def solve_band(factor: Array, x: Array) -> None:
 
 @compiled
 def inverse_band(factor: Array, inverse: Array) -> None:
-    """Entries of Z = (L L^T)^-1 within the band of the factor L of `cholesky_band` (Takahashi et al. 1973).
-
-    inverse : shape (N, 2 w + 1), what is written: Z[i, j], |i - j| <= w, at [i, w - i + j]
+    """Entries of Z = (L L^T)^-1 within the band (Takahashi et al. 1973).
 
     L^T Z = L^-1 is lower triangular with 1 / L[j, j] on its diagonal, so that from the last column to the first each
     entry of Z follows from later ones of the band.
+
+    Parameters
+    ----------
+    factor
+        L of `cholesky_band`, (N, w + 1)
+    inverse
+        shape (N, 2 w + 1), which is written: Z[i, j], |i - j| <= w, at [i, w - i + j]
     """
     N, w = factor.shape[0], factor.shape[1] - 1
     column, found = np.empty(w), np.empty(w)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""References that go on without a jump, although what they come from has become another one at once.
+"""References without jumps, although the movement that they come from is suddenly another one.
 
-The difference between where the reference was going and where it is to go now is kept as an *offset* that dies out as
-a critically damped spring does, continuous in velocity. Where courses move fast and differ for a moment only, as when
-one component takes over from another a little later, the difference of their velocities lasts no longer than that: the
-*swing*, which is kept apart. The ratio to the former covariance dies out beside it
-(`CovarianceFade`). Both are as large as the change was, and further changes add up: what differs by noise alone leaves
-the noise, smoothed, and the reference goes along with its course in time. Once all is gone, the reference is exactly
-what the course says.
+The *course* is the movement as the model has it in the present situation. The difference between the former course and
+the present one is kept as an *offset* that dies out as a critically damped spring does, continuous in velocity. Courses
+may move fast and differ for a moment only, for example when one component takes over from another a little later. Then
+the difference of their velocities lasts no longer than that: it is the *swing*, which is kept apart. The ratio to the
+former covariance dies out as well (`CovarianceFade`). Offset and ratio are as large as the change was, and further
+changes add up: differences that are noise alone leave smoothed noise, and the reference follows its course in time.
+Once all of it is gone, the reference is exactly the course.
 """
 
 from __future__ import annotations
@@ -29,22 +29,29 @@ from tpgmm_core.retrieval.covariance_fade import CovarianceFade
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.retrieval.spring import critically_damped
 
-#: Two moments this far apart, s, tell the velocity of a reference. Short, so that a controller which takes the velocity
-#: from a horizon of such steps sees what is kept continuous here.
+#: The velocity of a reference is taken from two moments this far apart, s. Short, so that a controller which takes it
+#: from a horizon of such steps sees the velocity that is kept continuous here.
 MOMENT = 0.005
 SWING = 0.25
-"""A swing leads less than this share as far as the courses are apart: its velocity was that of a moment."""
+"""A swing leads less than this share of the distance between the courses, since its velocity held for a moment only."""
 NEGLIGIBLE = 1e-13  # offsets (m, rad) that rounding hides
 _SECOND = 1_000_000_000
 
 
 class Continuity:
-    """What is left, at present, of a reference's former course.
+    """What remains, at present, of the former course of a reference.
 
-    manifold : of the references
-    time_constant : with which it dies out, s
+    Parameters
+    ----------
+    manifold
+        of the references
+    time_constant
+        with which it dies out, s
 
-    moments : (M,), s from now, where `take_over` has to know both courses
+    Attributes
+    ----------
+    moments
+        (M,), s from now: the times at which `take_over` needs both courses
     """
 
     def __init__(self, manifold: Manifold, time_constant: float) -> None:
@@ -57,7 +64,7 @@ class Continuity:
         manifold.exp(origin, manifold.log(origin, origin))  # compiled, or loaded from the cache
 
     def forget(self) -> None:
-        """Nothing of it is left."""
+        """Make the reference equal to the course from now on."""
         self._fade.forget()
         self._forget_offset()
 
@@ -74,17 +81,23 @@ class Continuity:
         covariances: Array,
         former_covariances: Array | None = None,
     ) -> None:
-        """Go on as before, in place and velocity.
+        """Continue from the former course without a jump, in place and velocity.
 
-        former : where the reference would have been, points (D,) at `moments`, or at the first two of them
-        means : where the course has it now, at the same times
-        shown : covariance (n, n) of the last reference
-        covariances, former_covariances : what the course says of it now, and what it said before, (M, n, n) at
-            `moments`. Of the former ones that are not known, nothing is left sooner
+        Parameters
+        ----------
+        former
+            where the reference would have been, points (D,) at `moments`, or at the first two of them
+        means
+            where the present course is at the same times
+        shown
+            covariance (n, n) of the last reference
+        covariances, former_covariances
+            of the present and of the former course, (M, n, n) at `moments`. None: without the former ones, the
+            difference dies out with `time_constant`
         """
         apart = [self.manifold.log(mean, one) for mean, one in zip(means, former, strict=True)]
         changes = [there - self._after(s) for s, there in zip(self.moments.tolist(), apart, strict=False)]
-        # The offset takes the difference of places over, the swing that of velocities.
+        # The offset takes the difference of places, the swing that of velocities.
         self._offset = apart[0] - self._swing
         self._swing_time = self._time_of_swing(changes)
         rate = 1.0 / self._swing_time
@@ -97,10 +110,13 @@ class Continuity:
         self._fade.take_over(shown, covariances[0], lasts)
 
     def _time_of_swing(self, changes: Sequence[Array]) -> float:
-        """Time constant, s, with which the swing leads no farther than the courses are apart within `time_constant`.
+        """Time constant, s, with which the swing goes no farther than the courses are apart within `time_constant`.
 
-        changes : (n,) each, by how much the courses are apart, at `moments`. A swing that goes on already counts by its
-        share of the velocity.
+        Parameters
+        ----------
+        changes
+            (n,) each, by how much the courses are apart, at `moments`. A swing that is still there counts by its share
+            of the velocity
         """
         change = (changes[1] - changes[0]) / MOMENT
         size = float(np.linalg.norm(change))
@@ -112,7 +128,7 @@ class Continuity:
         return (size * time + going_on * self._swing_time) / (size + going_on)
 
     def advance(self, seconds: float) -> None:
-        """Let time pass."""
+        """Let this time pass, s."""
         if seconds > 0.0:
             self._fade.advance(seconds)
             if not self._is_gone:
@@ -128,13 +144,13 @@ class Continuity:
             self._forget_offset()
 
     def mean(self, mean: Array, ahead: float = 0.0) -> Array:
-        """Where the reference is, (D,), where the course says `mean`; both so many seconds ahead."""
+        """Mean (D,) of the reference where the course has `mean`; both a time `ahead`, s."""
         if self._is_gone:
             return mean
         return self.manifold.exp(mean, self._after(ahead))
 
     def covariance(self, covariance: Array, ahead: float = 0.0) -> Array:
-        """Covariance (n, n) of the reference where the course says `covariance`."""
+        """Covariance (n, n) of the reference where the course has `covariance`; both a time `ahead`, s."""
         return self._fade.of(covariance, ahead)
 
     def gaussian(self, mean: Array, covariance: Array, ahead: float = 0.0) -> Gaussian:
@@ -145,7 +161,7 @@ class Continuity:
         return Gaussian(mean, covariance, self.manifold)  # says what is wrong
 
     def _after(self, seconds: float) -> Array:
-        """Offset and swing together, (n,), after a time."""
+        """Sum of offset and swing, (n,), after a time."""
         if seconds == 0.0:
             return self._offset + self._swing
         offset, _ = critically_damped(self._offset, self._rate, 1.0 / self.time_constant, seconds)
@@ -154,20 +170,28 @@ class Continuity:
 
 
 class Continued:
-    """A `Retrieval` that takes over from another one while the robot moves, whatever both are.
+    """A `Retrieval` that continues from another one while the robot moves, whatever methods both are.
 
-    retrieval : the new one, started
-    former, former_ns : the last reference of the former one, and its time, ns
-    time_constant : with which the difference dies out, s
+    Parameters
+    ----------
+    retrieval
+        the new one, started
+    former, former_ns
+        the last reference of the former one, and its time, ns
+    time_constant
+        with which the difference dies out, s
 
-    Raises ValueError when the references are on different manifolds.
+    Raises
+    ------
+    ValueError
+        when the references are on different manifolds
     """
 
     def __init__(self, retrieval: Retrieval, former: Reference, former_ns: int, time_constant: float) -> None:
         manifold = retrieval.manifold
         if manifold != former.gaussian.manifold:
             raise ValueError(
-                f"what is to take over is on {manifold}, the movement on {former.gaussian.manifold}: "
+                f"the new retrieval is on {manifold}, the movement on {former.gaussian.manifold}: "
                 "load a model of the same dimensions, or end the movement first"
             )
         self._retrieval = retrieval
@@ -177,18 +201,22 @@ class Continued:
 
     @property
     def manifold(self) -> Manifold:
+        """Manifold of the references, the same for both retrievals."""
         return self._retrieval.manifold
 
     @property
     def frame_names(self) -> tuple[str, ...]:
+        """The frames of the new retrieval's model."""
         return self._retrieval.frame_names
 
     @property
     def duration(self) -> float:
+        """Duration of the new retrieval at speed 1, s."""
         return self._retrieval.duration
 
     @property
     def speed(self) -> float:
+        """Speed of the new retrieval; setting it raises ValueError where that method cannot go at this speed."""
         return self._retrieval.speed
 
     @speed.setter
@@ -196,6 +224,7 @@ class Continued:
         self._retrieval.speed = speed
 
     def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
+        """Start the new retrieval afresh: the former one no longer matters."""
         self._continuity.forget()
         self._former = None
         self._retrieval.start(time_ns, state, phase)
@@ -207,6 +236,7 @@ class Continued:
         state: Array | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> Reference:
+        """The reference of the new retrieval, with what remains of the difference to the former one."""
         reference = self._retrieval.step(time_ns, frames, state, weights)
         since = max(0.0, (time_ns - self._last_ns) / _SECOND)
         self._last_ns = time_ns
@@ -226,15 +256,17 @@ class Continued:
         )
 
     def _take_over(self, former: Reference, reference: Reference, since: float) -> None:
-        """From where the former reference would be by now, with the velocity that it had."""
+        """Continue from where the former reference would be by now, with the velocity that it had."""
         velocity, start = former.velocity(), former.gaussian.mean
         paths = [self.manifold.exp(start, (since + ahead) * velocity) for ahead in (0.0, MOMENT)]
         means = [reference.gaussian.mean, self._retrieval.horizon(1, MOMENT)[0].mean]
         self._continuity.take_over(paths, means, former.gaussian.covariance, reference.gaussian.covariance[None])
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
+        """The next n Gaussians, dt (s) apart, with what will remain of the difference then."""
         ahead = self._retrieval.horizon(n, dt)
         return [self._continuity.gaussian(g.mean, g.covariance, dt * i) for i, g in enumerate(ahead, start=1)]
 
     def mixture(self) -> GaussianMixture:
+        """The model of the new retrieval in the situation of the last step."""
         return self._retrieval.mixture()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`CovarianceFade`: a covariance that has become another one at once, and is shown without a jump."""
+"""`CovarianceFade`: a covariance that changes suddenly, shown without a jump."""
 
 from __future__ import annotations
 
@@ -16,21 +16,26 @@ SHORTEST = 1.0 / 32.0  # of what lasts, as a share of the time constant
 
 
 class CovarianceFade:
-    """What is left, at present, of the difference to a former covariance: a ratio that dies out.
+    """What remains, at present, of the difference to a former covariance: a ratio that dies out.
 
-    Shown is M C M^T of the covariance C that the course says, whatever it is at that time. When C takes the place of a
-    covariance S that was shown, M = (S C^-1)^(1/2), hence nothing jumps; then log M dies out exponentially. With C at
+    The covariance of the reference is M C M^T, with C the covariance of the course at that time. When C replaces a
+    covariance S that was shown, M = (S C^-1)^(1/2), so that nothing jumps; then log M dies out exponentially. With C at
     rest this is the shortest way from S to C among covariances (the geodesic of the affine-invariant metric). So
 
-    - what is shown is positive definite and symmetric, as C is;
-    - it goes along with C in time: while all that changes is noise, M is the identity but for that noise, and the next
-      change begins where the former one has come to;
-    - another frame of reference, turned, scaled or skewed, sees the same.
+    - what is shown is positive definite and symmetric, as C is; - it follows C in time: while all changes are noise, M
+    is the identity except for that noise, and the next change begins
+      where the former one has come to;
+    - in another frame of reference, turned, scaled or skewed, it is the same.
 
-    A ratio that holds for a moment only, as when one component takes over from another a little later, dies out as fast
-    as it would have passed by itself.
+    A ratio that holds for a moment only, for example when one component takes over from another a little later, dies
+    out as fast as it would have passed by itself.
 
-    time_constant : s, of what lasts; n : size of the covariances
+    Parameters
+    ----------
+    n
+        size of the covariances
+    time_constant
+        s, of differences that last
     """
 
     def __init__(self, n: int, time_constant: float) -> None:
@@ -43,25 +48,40 @@ class CovarianceFade:
         self.forget()
 
     def forget(self) -> None:
-        """Nothing of it is left."""
+        """Show the covariance of the course from now on."""
         self._largest = 0.0
         self._logs[:] = 0.0
         self._time = self.time_constant
 
     @property
     def is_gone(self) -> bool:
-        """Whether what the course says is what is shown."""
+        """Whether the covariance of the course is shown as it is."""
         return self._largest == 0.0
 
     def lasting(self, former: Array, present: Array, moments: Array) -> float:
-        """The share of `moments` (M,), s, for which two courses (M, n, n) differ as much as at the first of them."""
+        """The share of the time for which two courses differ as much as at the first moment.
+
+        Parameters
+        ----------
+        former, present
+            covariances (M, n, n) of the courses
+        moments
+            (M,), s
+        """
         return float(lasting(np.array(former, order="C"), np.array(present, order="C"), moments))
 
     def take_over(self, shown: Array, present: Array, lasts: float = 1.0) -> None:
-        """Go on from what is shown, where the course now says `present`; both (n, n). What is singular is let go.
+        """Continue from the covariance that is shown. Singular covariances are ignored.
 
-        lasts : the share of the time constant with which the difference of both courses dies out; what is left of
-            former ones counts by its size
+        Parameters
+        ----------
+        shown
+            (n, n), the last one that was shown
+        present
+            (n, n), of the present course
+        lasts
+            the share of the time constant with which the difference of both courses dies out; what remains of former
+            differences counts by its size
         """
         shown, present = np.array(shown, order="C"), np.array(present, order="C")  # as compiled: not read-only
         left = self._largest
@@ -75,7 +95,7 @@ class CovarianceFade:
             self._time = (added * lasts * self.time_constant + left * self._time) / (added + left)
 
     def advance(self, seconds: float) -> None:
-        """Let time pass."""
+        """Let this time pass, s."""
         if self._largest > 0.0:
             left = math.exp(-seconds / self._time)
             self._logs *= left
@@ -84,7 +104,7 @@ class CovarianceFade:
                 self.forget()
 
     def of(self, covariance: Array, ahead: float = 0.0) -> Array:
-        """What is shown, (n, n), where the course says `covariance`; so many seconds ahead."""
+        """The covariance (n, n) that is shown where the course has `covariance`; both a time `ahead`, s."""
         if self._largest == 0.0:
             return covariance
         shown, share = np.empty(covariance.shape), math.exp(-ahead / self._time)
@@ -94,10 +114,11 @@ class CovarianceFade:
 
 @compiled
 def relate(shown: Array, present: Array, basis: Array, inverse: Array, logs: Array) -> bool:
-    """Writes the logarithm of M = (shown present^-1)^(1/2): basis diag(logs) inverse, where inverse = basis^-1.
+    """Write the logarithm of M = (shown present^-1)^(1/2): basis diag(logs) inverse, where inverse = basis^-1.
 
-    From the ratio as the present covariance sees it, L^-1 shown L^-T with L L^T = present, which is close to the
-    identity where little has changed, however long and thin both are. False where one is not positive definite.
+    It is computed from the ratio in coordinates of the present covariance, L^-1 shown L^-T with L L^T = present, which
+    is close to the identity where little has changed, however long and thin both are. False where one is not positive
+    definite.
     """
     n = len(logs)
     L, back = np.empty((n, n)), np.empty((n, n))
@@ -164,7 +185,7 @@ def _trace_of_ratio(one: Array, other: Array) -> float:
 
 @compiled
 def multiply(covariance: Array, basis: Array, inverse: Array, logs: Array, share: float, out: Array) -> None:
-    """out = M covariance M^T, with M = basis diag(exp(share logs)) inverse."""
+    """Product out = M covariance M^T, with M = basis diag(exp(share logs)) inverse."""
     n = len(logs)
     M, half = np.eye(n), np.zeros((n, n))
     for k in range(n):

@@ -11,14 +11,26 @@ from tpgmm_core.geometry.manifold import Manifold
 
 
 def difference_weights(times: ArrayLike, window: int = 3) -> tuple[NDArray[np.intp], Array]:
-    """What each sample of a window weighs in the derivatives at each time.
+    """Weights of the samples of a window in the derivatives at each time.
 
-    times : shape (T,), s, strictly increasing, not necessarily evenly; window : samples that each parabola is fitted to
+    Parameters
+    ----------
+    times
+        shape (T,), s, strictly increasing, not necessarily evenly
+    window
+        number of samples that each parabola is fitted to
 
-    Returns the first sample of the window of each time, (T,), and weights (3, T, window): x[t] itself, then the first
-    and the second derivative of the parabola through the window's samples, the best one by least squares where these
-    are more than three. Windows are centred, as far as the ends permit. Exact for parabolas.
-    Raises ValueError for less than three samples or a window that is even, below 3 or longer than the movement.
+    Returns
+    -------
+    tuple[NDArray[np.intp], Array]
+        the first sample of the window of each time, (T,), and weights (3, T, window): x[t] itself, then the first and
+        the second derivative of the parabola through the window's samples (by least squares for more than three).
+        Windows are centred, except at both ends of the movement. Exact for parabolas
+
+    Raises
+    ------
+    ValueError
+        for less than three samples or a window that is even, below 3 or longer than the movement
     """
     times = np.asarray(times, dtype=float)
     if times.ndim != 1 or len(times) < 3 or not np.all(np.diff(times) > 0.0):
@@ -37,10 +49,26 @@ def difference_weights(times: ArrayLike, window: int = 3) -> tuple[NDArray[np.in
 
 
 def derivatives(times: ArrayLike, data: ArrayLike, manifold: Manifold, window: int = 3) -> tuple[Array, Array]:
-    """Velocity and acceleration (T, n) of data (T, D) on a manifold, in its units per s and per s².
+    """Velocity and acceleration (T, n) of data on a manifold, in its units per s and per s².
 
-    On S³: angular velocity and acceleration about the fixed axes, rad/s and rad/s²; signs of quaternions do not
-    matter. Wide windows take noise away, and bends that are shorter. Raises like `difference_weights`.
+    On S³: angular velocity and acceleration about the fixed axes, rad/s and rad/s²; signs of quaternions do not matter.
+    Wide windows smooth noise, and also movements that are shorter than the window.
+
+    Parameters
+    ----------
+    times
+        shape (T,), s, strictly increasing
+    data
+        shape (T, D)
+    manifold
+        space of the data
+    window
+        number of samples that each parabola is fitted to
+
+    Raises
+    ------
+    ValueError
+        like `difference_weights`
     """
     data = np.asarray(data, dtype=float)
     first, weights = difference_weights(times, window)

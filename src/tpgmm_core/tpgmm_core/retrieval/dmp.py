@@ -7,10 +7,10 @@ A spring-damper is pulled to an attractor, whose path is learned over a decay te
     duration · z' = stiffness · log_x(attractor(s)) - 2 sqrt(stiffness) · z    (critically damped)
     duration · x' = z
 
-The attractor is the mean of N(attractor | s), by regression on the adapted mixture (Eqs. 5, 6). Towards the end it
-passes over to the goal, where demonstrations ended as the frames saw it (`EndpointTPGMM`), so that the movement ends
-there however many components the mixture has. Frames may move and the duration change while the movement runs:
-position and velocity never jump. On S³ z is a turn about the fixed axes.
+The attractor is the mean of N(attractor | s), by regression on the adapted mixture (Eqs. 5, 6). Towards the end the
+goal takes its place: the point where demonstrations ended, as seen from the frames (`EndpointTPGMM`), so that the
+movement ends there however many components the mixture has. Frames may move and the duration may change while the
+movement runs: position and velocity never jump. On S³ z is a turn about the fixed axes.
 """
 
 from __future__ import annotations
@@ -36,19 +36,26 @@ from tpgmm_core.retrieval.frames import require_time_kept, without_time
 from tpgmm_core.retrieval.spring import critically_damped
 
 LONGEST_STEP = 0.005
-"""Of the attractor along its path, in durations; MAX_STEPS of them are made at once at most, else longer ones."""
+"""Step of the attractor along its path, in durations; at most MAX_STEPS are made at once, else longer ones."""
 MAX_STEPS = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DmpParameters:
-    """The numbers that encoding and reproduction have in common.
+    """The numbers that encoding and reproduction share.
 
-    decay_rate : s falls to exp(-decay_rate) within the duration
-    stiffness : of the spring, per duration²; what is left of an error after the time t is about
-        exp(-sqrt(stiffness) t / duration)
+    Parameters
+    ----------
+    decay_rate
+        s falls to exp(-decay_rate) within the duration
+    stiffness
+        of the spring, per duration²; the share exp(-sqrt(stiffness) t / duration), about, of an error is left after the
+        time t
 
-    Raises ValueError for numbers that are not positive and finite.
+    Raises
+    ------
+    ValueError
+        for numbers that are not positive and finite
     """
 
     decay_rate: float = 3.0
@@ -60,15 +67,26 @@ class DmpParameters:
     def encode(
         self, demonstration: Demonstration, manifold: str | Manifold = "euclidean", window: int = 9
     ) -> Demonstration:
-        """What the attractor did in a demonstration, [s, attractor] in place of [time, data], in the same frames.
-
-        demonstration : data (T, 1 + d): time, then positions or poses; manifold : space of all of data, time included
-        window : samples of the parabolas that velocity and acceleration are taken from; at most as many as there are
+        """The attractor of a demonstration: [s, attractor] in place of [time, data], in the same frames.
 
         The attractor is y = exp_x((z' + 2 sqrt(stiffness) z) / stiffness) with times in units of the duration. Frames
         may move; what the robot did is seen from where they were. The last attractor is where the demonstration ended:
-        the goal, also of a movement that was not at rest yet. Raises ValueError for less than three samples, and
-        frames that change time.
+        the goal, also of a movement that was not at rest yet.
+
+        Parameters
+        ----------
+        demonstration
+            data (T, 1 + d): time, then positions or poses
+        manifold
+            space of all data, time included
+        window
+            number of samples of the parabolas that velocity and acceleration are taken from; at most as many as there
+            are
+
+        Raises
+        ------
+        ValueError
+            for less than three samples, and frames that change time
         """
         space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold, demonstration.data.shape[1])
         data_space = space.subset(range(1, space.dim))
@@ -86,20 +104,35 @@ class DmpParameters:
 class DynamicMovementPrimitive(AttractorSystem):
     """Reproduces a model of the attractor over the decay term.
 
-    model : fitted to what `parameters.encode` returns; init="bins" of `TPGMM` suits, since s is not even in time. Other
-        parameters as for `AttractorSystem`
-    goal_from : phase from where on the attractor passes over to the goal, smoothly; at 1 the model has the last word
-    wait_distance : m, or the unit of the data; an angle counts as its arc at metres_per_radian. With the robot that far
-        from the reference the movement goes on at half of its pace, by 1 / (1 + (distance / wait_distance)²): a robot
-        that is held makes it wait ("phase stopping", Ijspeert et al. 2013)
-
     - The phase is the time in durations, 1 when s has come to its end. s stays there, and the spring settles, so that
-      the system converges to `goal`, whatever happened before. Within the movement (`start`), too, it begins at rest.
+      the system converges to `goal`, whatever happened before. It begins at rest, also in the middle of the movement
+      (`start` with a phase).
     - The spring is solved exactly for an attractor that stays during a step (on S³ in the tangent space at the
       position), hence stable for steps of any length.
     - The covariance of a reference is that of the attractor.
 
-    Raises ValueError for a model without s, and numbers that are not positive.
+    Parameters
+    ----------
+    model
+        fitted to what `parameters.encode` returns; init="bins" of `TPGMM` suits, since s is not even in time
+    parameters
+        those that the model was encoded with
+    duration, horizon_steps, horizon_time_step, blend_time
+        as for `AttractorSystem`
+    goal_from
+        phase from which on the goal takes the place of the attractor, smoothly; with 1 it is that of the model to the
+        end
+    wait_distance
+        distance of the robot from the reference at which the movement goes on at half of its rate, m or the unit of the
+        data. The rate is 1 / (1 + (distance / wait_distance)²): a movement waits for a robot that is held ("phase
+        stopping", Ijspeert et al. 2013)
+    metres_per_radian
+        length that an angle counts as in this distance, m/rad
+
+    Raises
+    ------
+    ValueError
+        for a model without s, and numbers that are not positive
     """
 
     def __init__(
@@ -131,7 +164,7 @@ class DynamicMovementPrimitive(AttractorSystem):
         self._compile()
 
     def goal(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None = None) -> Gaussian:
-        """Where the movement ends in a situation: the product of what the frames saw of the attractors' ends."""
+        """Where the movement ends in a situation: the product of the frames' Gaussians of the attractors' ends."""
         return self._end(frames, weights, None, END)
 
     def _end(

@@ -34,7 +34,10 @@ def manifold_with_derivatives(manifold: str | Manifold) -> Manifold:
 def point_manifold(manifold: Manifold) -> Manifold:
     """The manifold of the point alone, for that of [time, point, velocity, acceleration].
 
-    Raises ValueError for one that `manifold_with_derivatives` does not give.
+    Raises
+    ------
+    ValueError
+        for one that `manifold_with_derivatives` does not give
     """
     n, rest = divmod(manifold.tangent_dim - 1, 3)
     D = n + len(manifold.spheres)
@@ -52,14 +55,24 @@ def with_derivatives(
 ) -> Demonstration:
     """The demonstration with velocities and accelerations, for a `TPGMM` that `TrajectoryModel` retrieves from.
 
-    demonstration : data (T, 1 + D): time, then positions or poses; frames may move
-    manifold : space of all of data, time included; the model's is `manifold_with_derivatives` of it
-    window : samples of the parabolas that derivatives are taken from (`difference_weights`), those of the frames too;
-        demonstrations of fewer samples take as many as they have
-
     Data become (T, 1 + D + 2 n), in 1/s and 1/s², on S³ rad/s and rad/s² about the fixed axes. A frame that moves sees
     velocities relative to its own motion; where it was not seen during a whole window, its motion is not known, and it
-    counts as not seen. Raises ValueError for less than three samples and frames that change time.
+    counts as not seen.
+
+    Parameters
+    ----------
+    demonstration
+        data (T, 1 + D): time, then positions or poses; frames may move
+    manifold
+        space of all data, time included; that of the model is `manifold_with_derivatives` of it
+    window
+        number of samples of the parabolas that derivatives are taken from (`difference_weights`), also those of the
+        frames; at most as many as there are
+
+    Raises
+    ------
+    ValueError
+        for less than three samples and frames that change time
     """
     times, data = demonstration.times, demonstration.data
     space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold, data.shape[1])
@@ -82,7 +95,10 @@ def with_derivatives(
 def standing_frames(frames: Mapping[str, Frame], points: Manifold) -> dict[str, Frame]:
     """Frames over [time, point] as frames over [time, point, velocity, acceleration] that stand still.
 
-    Raises ValueError for frames that vary with time or change it, and that do not fit the manifold of the points.
+    Raises
+    ------
+    ValueError
+        for frames that vary with time or change it, and that do not fit the manifold of the points
     """
     moving = [name for name, frame in frames.items() if frame.is_time_varying]
     if moving:
@@ -94,7 +110,7 @@ def standing_frames(frames: Mapping[str, Frame], points: Manifold) -> dict[str, 
 
 
 def _with_motion(frame: Frame, points: Manifold, times: Array, window: int) -> Frame:
-    """The frame over [point, velocity, acceleration], moving as parabolas over windows of samples say; times (T,)."""
+    """The frame over [point, velocity, acceleration], moving as parabolas over windows of samples do; times (T,)."""
     standing = frame_with_derivatives(frame, points, orders=2)
     A, b = standing.A.copy(), standing.b.copy()
     (D, D_j), n = frame.A.shape[-2:], points.tangent_dim

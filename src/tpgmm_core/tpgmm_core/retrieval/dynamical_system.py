@@ -33,6 +33,7 @@ down. Tests check the bound at every step, on random models, starts and time ste
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -51,18 +52,21 @@ from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval import kernels_dynamical_system as kernels
 from tpgmm_core.retrieval.attractor_system import AttractorSystem
+from tpgmm_core.retrieval.covariance_mean import CovarianceMean
 from tpgmm_core.retrieval.differences import derivatives
 from tpgmm_core.retrieval.frame_derivatives import frame_with_derivatives
 from tpgmm_core.retrieval.frames import without_time
 from tpgmm_core.retrieval.interface import demonstrated_duration
-from tpgmm_core.retrieval.spring import critically_damped
+from tpgmm_core.retrieval.spring import Smoothed, critically_damped
 
 MAX_TIME_STEP = 0.005
-"""Of the integration, in durations; MAX_STEPS of them are made at once at most, longer ones after a long pause."""
+"""Step of the integration, in durations; at most MAX_STEPS are made at once, longer ones after a long pause."""
 MAX_STEPS = 200
+MEMORY = 0.05
+"""Time constant with which a covariance follows the place, in durations, twice: it is late by a tenth of a duration."""
 BEFORE_THE_END = 1.0 - 1e-9
 GONE_AGAIN = 3.0
-"""A movement that has arrived is at its end until it is so many times as far from the goal as `Convergence.arrival`."""
+"""A movement that has arrived stays ended up to this many times the distance `Convergence.arrival` from the goal."""
 
 
 def with_velocity(
@@ -70,12 +74,22 @@ def with_velocity(
 ) -> Demonstration:
     """The demonstration as [x, v] in place of [time, x], for an `EndpointTPGMM` that `StableDynamics` retrieves from.
 
-    demonstration : data (T, 1 + D): time, then positions or poses; manifold : space of all of data, time included
-    window : samples of the parabolas that velocities are taken from; at most as many as there are
-
     Data become (T, D + n), on the manifold of x and R^n: "R1 x R3 x S3" gives "R3 x S3 x R6". Velocities are per s, on
-    S³ about the fixed axes; frames see them as vectors (`frame_with_derivatives`). Raises ValueError for less than
-    three samples, and frames that change time or do not fit the manifold.
+    S³ about the fixed axes; frames see them as vectors (`frame_with_derivatives`).
+
+    Parameters
+    ----------
+    demonstration
+        data (T, 1 + D): time, then positions or poses
+    manifold
+        space of all data, time included
+    window
+        number of samples of the parabolas that velocities are taken from; at most as many as there are
+
+    Raises
+    ------
+    ValueError
+        for less than three samples, and frames that change time or do not fit the manifold
     """
     space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold, demonstration.data.shape[1])
     points = space.subset(range(1, space.dim))
@@ -87,13 +101,19 @@ def with_velocity(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Convergence:
-    """How a system comes to its goal. Raises ValueError for a value out of its range."""
+    """How a system comes to its goal.
+
+    Raises
+    ------
+    ValueError
+        for a value out of its range
+    """
 
     rate: float = setting(
         2.0, 0.1, 20.0, "Rate of convergence: the goal is reached within about 3 / rate durations at the latest"
     )
     goal_rate: float = setting(
-        20.0, 0.1, 100.0, "Of the spring that the movement ends by, close to the goal, per duration"
+        20.0, 0.1, 100.0, "Rate of the spring that ends the movement, close to the goal, per duration"
     )
     detour: float = setting(0.5, 0.0, 10.0, "Share by which the distance to the goal may grow before it shrinks")
     metres_per_radian: float = setting(0.2, 1e-3, 10.0, "Length that an angle counts as in distances, m/rad")
@@ -108,24 +128,39 @@ class Convergence:
 class StableDynamics(AttractorSystem):
     """Reproduces a model over [x, v], by a system that converges to `goal`, wherever it is: see the module.
 
-    model : fitted to what `with_velocity` returns; other parameters as for `AttractorSystem`
-    convergence : how it comes to its goal
-
-    - The covariance of a reference is that of the positions in the active components: little matters along the
-      movement, more across it. Near the goal it passes over to that of the demonstrations' ends.
+    - The covariance of a reference is that of the positions in the active components: large along the movement,
+      smaller across it. Near the goal it becomes that of the demonstrations' ends. It is a mean in logarithms
+      (`CovarianceMean`) over the recent past (MEMORY): components take over from one another within some mm, and a
+      system without time reaches these places earlier or later with every disturbance. Stiffness has to follow the
+      place, without leaps.
     - The phase is the share of the way that is done, 1 - d / (the largest d since the start); 1 within
-      `Convergence.arrival`, so that it may fall when the goal moves away. Judged by a goal that follows the one of the
-      situation as a critically damped spring with blend_time: perception trembles.
+      `Convergence.arrival`, so that it may fall when the goal moves away. It is computed from a goal that follows the
+      one of the situation as a critically damped spring with blend_time: perceived poses are noisy.
     - When frames change, the velocity changes at once, and within some mm where one component takes over from another.
       What exceeds the acceleration from rest to top speed within blend_time goes into an offset of the reference, which
-      dies out as a critically damped spring with blend_time. So does the reference start at rest.
-    - A robot that is held has the reference wait for it, at one to two lengths of the leash; one that is pulled away
+      dies out as a critically damped spring with blend_time. In the same way the reference starts at rest.
+    - The reference waits for a robot that is held, at one to two lengths of the leash; a robot that is pulled away
       takes the reference along, by no more than leash_speed. The movement goes on from there.
 
-    Attributes of the last step: velocity, regressed : (n,) per s at speed 1 and the demonstrated duration, with and
-    without the correction (on the way to the former, too fast a velocity is shortened first).
+    Parameters
+    ----------
+    model
+        fitted to what `with_velocity` returns
+    duration, horizon_steps, horizon_time_step, blend_time
+        as for `AttractorSystem`
+    convergence
+        how it comes to its goal
 
-    Raises ValueError for a model that is not over [x, v].
+    Attributes
+    ----------
+    velocity, regressed
+        (n,) at the last step, per s at speed 1 and the demonstrated duration, with and without the correction (too fast
+        a velocity is shortened before it is corrected)
+
+    Raises
+    ------
+    ValueError
+        for a model that is not over [x, v]
     """
 
     def __init__(
@@ -151,11 +186,12 @@ class StableDynamics(AttractorSystem):
         self._log_priors = np.log(np.maximum(model.priors_, np.finfo(float).tiny))
         self._whitening, self._offsets, self._gains = np.empty((K, n, n)), np.empty(K), np.empty((K, n, n))
         self._activations, self.velocity, self.regressed = np.empty(K), np.zeros(n), np.zeros(n)
+        self._covariances = CovarianceMean(points, K)
         self._layout = points.ambient_of_tangent, points.sphere_starts
         self._compile()
 
     def goal(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None = None) -> Gaussian:
-        """Where the movement ends in a situation: the product of what the frames saw of the demonstrations' ends."""
+        """Where the movement ends in a situation: the product of the frames' Gaussians of the demonstrations' ends."""
         return self._end(self._with_derivatives(frames), weights, None, END)
 
     def _end(
@@ -188,23 +224,27 @@ class StableDynamics(AttractorSystem):
         self.velocity[:] = 0.0
         self._offset_rate = np.zeros_like(self.velocity)
         self._take_velocity(0.0)
+        self._of_late = Smoothed(self._place(self._x))
 
     def _situate(self, situation: Situation) -> None:
         slack, seen = self._radius - self.distance, self._seen_goal
         self._take(situation)
         self._goal_offset = self.manifold.log(self._goal.mean, seen)
-        self._radius = self.distance + slack  # what the goal goes back and forth by does not add up
+        self._radius = self.distance + slack  # noise of the goal does not add up
         self._take_velocity(0.0)
 
     def _take(self, situation: Situation) -> None:
-        """The mixture and the goal in a situation, prepared for regression."""
+        """Prepare the mixture and the goal of a situation for regression."""
         frames_with_derivatives, weights = self._with_derivatives(situation.frames), situation.weights
         self._adapted = self._adapter.adapt(frames_with_derivatives, self._with_rest(self._x), weights)
         self._goal = self._end(frames_with_derivatives, weights, self._x, END)
         self._centres = np.ascontiguousarray(self._adapted.means)
         self._spreads = np.ascontiguousarray(self._adapted.covariances)
         prepared = self._whitening, self._offsets, self._gains
-        if not kernels.prepare(self._log_priors, self._centres, self._spreads, self.manifold.dim, *prepared):
+        if not (
+            kernels.prepare(self._log_priors, self._centres, self._spreads, self.manifold.dim, *prepared)
+            and self._covariances.take(self._centres, self._spreads, self._goal)
+        ):
             raise ValueError("a covariance of the adapted mixture is not positive definite")
         n = self.manifold.tangent_dim
         scale, T = self.convergence, self._model_duration
@@ -220,13 +260,18 @@ class StableDynamics(AttractorSystem):
         )  # fmt: skip
 
     def _reach(self, at_least: float = 0.0) -> None:
-        """The longest distance since the start."""
+        """The longest distance from the goal since the start."""
         self._longest = self._law[2] = max(self._longest, self.distance, at_least)
 
     def _take_velocity(self, seconds: float, astray: Array | float = 0.0) -> None:
-        """`velocity` and `regressed` where the system is now; what of a change is too fast goes into the offset.
+        """Compute `velocity` and `regressed` where the system is now; too fast a change goes into the offset.
 
-        astray : (n,), how far the last step has led from where the former velocity would have led
+        Parameters
+        ----------
+        seconds
+            since the last call, s
+        astray
+            (n,), distance between where the last step led and where the former velocity would have led
         """
         former = self.velocity.copy()
         kernels.stable_velocity(self._x, max(self._radius, 1e-300), *self._system, self.velocity, np.empty(len(former)))
@@ -248,9 +293,10 @@ class StableDynamics(AttractorSystem):
         self._goal_offset, self._goal_rate = critically_damped(self._goal_offset, self._goal_rate, rate, seconds)
         self._reach()
         self._take_velocity(seconds, self.manifold.log(before, self._x) - scaled * self.velocity)
+        self._of_late.follow(self._place(self._x), self._memory_rate, seconds)
 
     def _go(self, x: Array, radius: float, scaled: float) -> float:
-        """x goes on by a scaled time, s as demonstrated; the radius then."""
+        """Advance x by a scaled time, s as demonstrated; returns the new radius."""
         n_steps = int(min(max(math.ceil(scaled / (MAX_TIME_STEP * self._model_duration)), 1), MAX_STEPS))
         return float(kernels.go(x, radius, scaled, n_steps, *self._system, np.empty(len(self.velocity))))
 
@@ -269,25 +315,35 @@ class StableDynamics(AttractorSystem):
             self._radius += pulled
 
     def _now(self) -> tuple[Array, Array, Array]:
-        covariance = self._covariance_at(self._x, self._activations)
+        covariance = self._covariance_at(self._x, self._of_late)
         return self.manifold.exp(self._x, self._offset), covariance, self._activations.copy()
 
-    def _covariance_at(self, x: Array, activations: Array) -> Array:
-        covariance = np.empty((len(self._metric), len(self._metric)))
-        kernels.position_covariance(x, activations, self._centres, self._spreads, *self._layout, covariance)
-        d = self._length(self.manifold.log(self._seen_goal, x))
+    @property
+    def _memory_rate(self) -> float:
+        return 1.0 / (MEMORY * self.duration)
+
+    def _place(self, x: Array) -> Array:
+        """What the covariance goes by: the activations (K,) and the way from the goal to x (n,)."""
+        return np.concatenate([self._activations, self.manifold.log(self._goal.mean, x)])
+
+    def _covariance_at(self, x: Array, of_late: Smoothed) -> Array:
+        K = len(self._activations)
+        d = self._length(of_late.value[K:])
         near = math.exp(-0.5 * (d / self._law[5]) ** 2)
-        covariance += near * (self._goal.covariance - covariance)
-        return np.asarray(0.5 * (covariance + covariance.T))
+        return self._covariances.at(x, (1.0 - near) * of_late.value[:K])
 
     def _ahead(self, seconds: Array) -> list[Gaussian]:
         x, radius = self._x.copy(), self._radius
         kept = self._activations.copy(), self.regressed.copy()
-        gaussians, gone = [], 0.0
-        for time, scaled in zip(seconds, self._time_scaling.ahead(seconds) * self._model_duration, strict=True):
+        of_late, gaussians, gone, before = copy.copy(self._of_late), [], 0.0, 0.0
+        for time, scaled in zip(
+            seconds.tolist(), self._time_scaling.ahead(seconds) * self._model_duration, strict=True
+        ):
             radius, gone = self._go(x, radius, scaled - gone), scaled
-            mean = self.manifold.exp(x, self._offset_after(float(time))[0])
-            gaussians.append(Gaussian(mean, self._covariance_at(x, self._activations), self.manifold))
+            of_late.follow(self._place(x), self._memory_rate, time - before)
+            before = time
+            mean = self.manifold.exp(x, self._offset_after(time)[0])
+            gaussians.append(Gaussian(mean, self._covariance_at(x, of_late), self.manifold))
         self._activations[:], self.regressed[:] = kept
         return gaussians
 
@@ -296,7 +352,7 @@ class StableDynamics(AttractorSystem):
 
     @property
     def _seen_goal(self) -> Array:
-        """Where the goal is (D,), without its trembling."""
+        """Position of the goal (D,), smoothed."""
         return self.manifold.exp(self._goal.mean, self._goal_offset)
 
     def _phase(self) -> float:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a demonstration [time, data] a model learns, so that a retrieval method can get the movement out of it again.
+"""What a model learns of a demonstration [time, data], so that a retrieval method can reproduce the movement.
 
 An encoding turns demonstrations over [time, data] into those that a model is fitted to. It is written into the model's
-metadata, texts and numbers, so that a model file says what it needs. Frames are over [time, data] outside, always.
+metadata, texts and numbers, so that a model file says what it needs. Users of a model always give frames over
+[time, data].
 """
 
 from __future__ import annotations
@@ -32,11 +33,19 @@ _KEY = "encoding"
 class Encoding(ABC):
     """What a model learns of demonstrations; its fields are numbers (see `settings`).
 
-    name : in files
-    init : where EM had better start from, where that is not the estimator's own default (see `TPGMM`)
-    description : what the rows of the model's data hold
+    Attributes
+    ----------
+    name
+        in files
+    init
+        where EM should start from, if not from the estimator's own default (see `TPGMM`)
+    description
+        what the rows of the model's data hold
 
-    Raises ValueError for a number out of its range.
+    Raises
+    ------
+    ValueError
+        for a number out of its range
     """
 
     name: ClassVar[str]
@@ -48,11 +57,19 @@ class Encoding(ABC):
 
     @abstractmethod
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
-        """What a model is fitted to.
+        """The data that a model is fitted to.
 
-        demonstration : data (T, D): time, s, then a point; manifold : space of all of it, time included
+        Parameters
+        ----------
+        demonstration
+            data (T, D): time, s, then a point
+        manifold
+            space of all of it, time included
 
-        Raises ValueError for a demonstration that cannot be encoded, with the reason.
+        Raises
+        ------
+        ValueError
+            for a demonstration that cannot be encoded, with the reason
         """
 
     def finish(self, model: TPGMM) -> None:  # noqa: B027  (most have nothing to add)
@@ -67,13 +84,13 @@ class Encoding(ABC):
         """Names of the model's ambient numbers, from those of the demonstrations."""
 
     def metadata(self) -> dict[str, str | float]:
-        """As a model keeps it: `encoding`, and a number for each option."""
+        """The encoding as a model keeps it: `encoding`, and a number for each option."""
         return {_KEY: self.name, **{f"{_KEY}.{option}": float(value) for option, value in asdict(self).items()}}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimeEncoding(Encoding):
-    """[time, data], as demonstrated, or thinned out: what was seen nearest to times an even distance apart.
+    """[time, data] as demonstrated, or with fewer samples: those nearest to evenly spaced times.
 
     Durations of states are counted in samples: with the same number of each demonstration, all count alike.
     """
@@ -85,6 +102,7 @@ class TimeEncoding(Encoding):
     )
 
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
+        """The demonstration itself, or at most `samples` of its samples."""
         times, n = demonstration.times, int(self.samples)
         if n == 0 or len(times) <= n:
             return demonstration
@@ -92,9 +110,11 @@ class TimeEncoding(Encoding):
         return demonstration.at(np.unique(np.abs(times - even[:, None]).argmin(axis=1)))
 
     def manifold(self, manifold: Manifold) -> Manifold:
+        """The same space: nothing is added."""
         return manifold
 
     def dimensions(self, names: Sequence[str], manifold: Manifold) -> tuple[str, ...]:
+        """The same names."""
         return tuple(names)
 
 
@@ -107,12 +127,15 @@ class DerivativesEncoding(Encoding):
     window: float = setting(9, 3, 999, _WINDOW)
 
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
+        """The demonstration with velocities and accelerations: see `with_derivatives`."""
         return with_derivatives(demonstration, manifold, int(self.window))
 
     def manifold(self, manifold: Manifold) -> Manifold:
+        """The space with R^n for the velocity and R^n for the acceleration."""
         return manifold_with_derivatives(manifold)
 
     def dimensions(self, names: Sequence[str], manifold: Manifold) -> tuple[str, ...]:
+        """The names, then those of the tangent dimensions with "v_" and with "a_" before them."""
         tangent = _tangent_names(names[1:], _data(manifold))
         return (*names, *(f"v_{name}" for name in tangent), *(f"a_{name}" for name in tangent))
 
@@ -130,16 +153,19 @@ class DmpEncoding(Encoding):
 
     @property
     def parameters(self) -> DmpParameters:
-        """The numbers that encoding and reproduction have in common."""
+        """The numbers that encoding and reproduction share."""
         return DmpParameters(decay_rate=self.decay_rate, stiffness=self.stiffness)
 
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
+        """The attractor over the decay term: see `DmpParameters.encode`."""
         return self.parameters.encode(demonstration, manifold, int(self.window))
 
     def manifold(self, manifold: Manifold) -> Manifold:
+        """The same space: s takes the place of time, the attractor that of the data."""
         return manifold
 
     def dimensions(self, names: Sequence[str], manifold: Manifold) -> tuple[str, ...]:
+        """The names, with "decay" in place of the time."""
         return ("decay", *names[1:])
 
 
@@ -153,13 +179,16 @@ class VelocityEncoding(Encoding):
     window: float = setting(9, 3, 999, _WINDOW)
 
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
+        """Data and velocity without time: see `with_velocity`."""
         return with_velocity(demonstration, manifold, int(self.window))
 
     def manifold(self, manifold: Manifold) -> Manifold:
+        """The space of the data without time, and R^n for the velocity."""
         data = _data(manifold)
         return Manifold((*data.factors, ("R", data.tangent_dim)))
 
     def dimensions(self, names: Sequence[str], manifold: Manifold) -> tuple[str, ...]:
+        """The names without that of the time, then those of the tangent dimensions with "v_" before them."""
         return (*names[1:], *(f"v_{name}" for name in _tangent_names(names[1:], _data(manifold))))
 
 
@@ -169,9 +198,17 @@ ENCODINGS: dict[str, type[Encoding]] = {
 
 
 def encoding_of(model: TPGMM) -> Encoding:
-    """What a model has learned of its demonstrations, as its metadata say; [time, data] where they say nothing.
+    """The encoding of a model's data, from its metadata; [time, data] where these name none.
 
-    Raises ValueError for an encoding that is not known, or options that do not fit it.
+    Parameters
+    ----------
+    model
+        with metadata
+
+    Raises
+    ------
+    ValueError
+        for an encoding that is not known, or options that do not fit it
     """
     metadata: Mapping[str, str | float] = model.metadata_
     name = current_name(str(metadata.get(_KEY, TimeEncoding.name)))

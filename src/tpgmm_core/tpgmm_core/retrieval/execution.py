@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One request to reproduce a movement, carried out: wait for the frames, move, settle, judge the end.
+"""One request to reproduce a movement: wait for the frames, move, settle, judge the end.
 
-A retrieval says where to be; an execution knows what was asked, when it may begin and when it is done: once the phase
-has come to 1. A movement that goes back waits at its start, from where it may go forward again. One that is waiting for
-a robot which is held, or cannot get where it is to be, is given up in the end. An execution goes on giving references
-after its end, so that the robot holds what it has reached.
+A retrieval says where to be. An execution knows what was requested, when it may begin, and when it is done: once the
+phase is 1. A movement that goes back waits at its start, from where it may go forward again. One that waits for a robot
+which is held, or which cannot get to its reference, is aborted in the end. An execution still gives references after
+its end, so that the robot stays at the place that it has reached.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from tpgmm_core.retrieval.interface import Retrieval
 
 _SECOND = 1_000_000_000
 _PROGRESS = 0.01
-"""Share of what a movement at its speed would advance by in a time: with less than that it stands still."""
+"""A movement stands still when it advances by less than this share of what its speed requires."""
 _HARDLY = 0.1
-"""Share of a way that is next to nothing of it."""
+"""A share of the way below this counts as none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExecutionConfig:
-    """What counts as begun and as done."""
+    """When an execution counts as begun and as done."""
 
     start_timeout: float = setting(
         5.0, 0.1, 600.0, "Time after a request within which all frames must have been seen, s"
@@ -55,7 +55,7 @@ class ExecutionConfig:
     )
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a value out of its range."""
+        """Raise ValueError for a value out of its range."""
         check_settings(self)
 
 
@@ -70,9 +70,19 @@ class Stage(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How it ended. Errors of the robot's pose against the end of the reference, m and rad; NaN if unknown, as they are
-    of movements of joints. `is_missed`: the robot did not get where the references went; whoever knows more of it may
-    say why."""
+    """How an execution ended.
+
+    Parameters
+    ----------
+    success
+        whether the robot came to the end of the movement
+    reason
+        a sentence for users
+    position_error, orientation_error
+        of the robot's pose from the end of the reference, m and rad; NaN where not known, as for movements of joints
+    is_missed
+        whether the robot did not follow the references to their end; a caller who knows more may add why
+    """
 
     success: bool
     reason: str
@@ -84,9 +94,12 @@ class Outcome:
 class Execution:
     """Steps a retrieval from the request to its end.
 
-    Args:
-        retrieval: a fresh one of the model that was asked for.
-        config: what counts as begun and as done.
+    Parameters
+    ----------
+    retrieval
+        a fresh one of the model that was requested
+    config
+        when it counts as begun and as done
     """
 
     def __init__(self, retrieval: Retrieval, config: ExecutionConfig | None = None) -> None:
@@ -111,11 +124,18 @@ class Execution:
         pose: Array | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> Reference | None:
-        """The reference at a time (ns), None before the movement may begin or while no frame is known.
+        """The reference at a time; None before the movement may begin and while no frame is known.
 
-        Args:
-            frames, weights: as ``Retrieval.step`` takes them.
-            pose: where the robot is, as far as that is known: (7,), or its configuration (n,) in movements of joints.
+        Parameters
+        ----------
+        time_ns
+            now, ns
+        frames
+            as for ``Retrieval.step``
+        pose
+            where the robot is: (7,), or its configuration (n,) for movements of joints; None where not known
+        weights
+            as for ``Retrieval.step``
         """
         if self._asked_ns is None:
             self._asked_ns = time_ns
@@ -142,21 +162,35 @@ class Execution:
         return self.reference
 
     def stop(self, time_ns: int, reason: str) -> None:
-        """End it here: the reference stays where it is now."""
+        """End it here: the reference stays where it is now.
+
+        Parameters
+        ----------
+        time_ns
+            now, ns
+        reason
+            for the outcome
+        """
         if self.stage is not Stage.ENDED:
             self._stopped_ns = time_ns
             self._end(False, reason)
 
     def take_over(self, retrieval: Retrieval, pose: Array | None = None, blend_time: float = 0.15) -> None:
-        """Go on with another retrieval, at the same share of the movement and without a jump of the reference.
+        """Continue with another retrieval, at the same share of the movement and without a jump of the reference.
 
-        Args:
-            retrieval: a fresh one, of another model or another method.
-            pose: as for ``step``.
-            blend_time: time constant with which the difference of the references dies out, s.
+        Parameters
+        ----------
+        retrieval
+            a fresh one, of another model or another method
+        pose
+            as for ``step``
+        blend_time
+            time constant with which the difference of the references dies out, s
 
-        Raises:
-            ValueError: its references are on another manifold; what was going on goes on.
+        Raises
+        ------
+        ValueError
+            when its references are on another manifold; the present retrieval then continues
         """
         if self.reference is not None:
             continued = Continued(retrieval, self.reference, self._reference_ns, blend_time)
@@ -182,7 +216,7 @@ class Execution:
         return False
 
     def _watch_progress(self, time_ns: int, phase: float, since_ns: int) -> None:
-        """Give up what has not advanced for too long; neither a pause counts, nor to have come back to the start."""
+        """Abort a movement that has not advanced for too long, unless it is paused or back at its start."""
         speed, timeout = self.retrieval.speed, self.config.stall_timeout
         if speed == 0.0 or (speed < 0.0 and phase <= 0.0):
             return
@@ -221,7 +255,7 @@ class Execution:
         self._end(near, words, position, orientation, is_missed=not near)
 
     def _off(self, manifold: Manifold, end: Array, pose: Array) -> float:
-        """How far a pose or a configuration is from another, in tolerances."""
+        """Distance of a pose or a configuration from another, in tolerances."""
         config, error = self.config, manifold.log(end, pose)
         if manifold.is_euclidean:
             return float(np.abs(error).max()) / config.joint_tolerance
@@ -229,7 +263,7 @@ class Execution:
         return max(position / config.position_tolerance, orientation / config.orientation_tolerance)
 
     def _cause(self, end: Gaussian, pose: Array) -> str:
-        """What the way that the robot has gone tells of why it is not at the end, in words."""
+        """Why the robot is not at the end, as far as its way shows, in words."""
         if self._first_pose is None or self._settling_pose is None:
             return "its pose came only at the end"
         manifold = end.manifold

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of points, made frames of points with their derivatives."""
+"""Frames of points, extended to frames of points with their derivatives."""
 
 from __future__ import annotations
 
@@ -12,13 +12,24 @@ from tpgmm_core.model.kernels_adapt import tangent_matrix
 
 
 def frame_with_derivatives(frame: Frame, manifold: Manifold, orders: int = 1) -> Frame:
-    """The frame for [x, derivatives of x], of a frame for points x (D,) on a manifold.
+    """The frame for [x, derivatives of x], from a frame for points x (D,) on a manifold.
 
-    orders : how many derivatives (n,) each, tangent vectors, on S³ about the fixed axes. A derivative is seen as the
-        vector that it is, turned with the frame: A = blkdiag(A_x, A_tangent, ...), b = [b_x, 0, ...], for poses
-        blkdiag(R, L(q), R, R). A frame that moves sees what moved in the world, not relative to itself.
+    A derivative is a vector that turns with the frame: A = blkdiag(A_x, A_tangent, ...), b = [b_x, 0, ...], for poses
+    blkdiag(R, L(q), R, R). A frame that moves sees velocities in the world, not relative to itself.
 
-    Raises ValueError for a frame that does not fit the manifold.
+    Parameters
+    ----------
+    frame
+        for points x
+    manifold
+        space of x
+    orders
+        number of derivatives, tangent vectors (n,) each, on S³ about the fixed axes
+
+    Raises
+    ------
+    ValueError
+        for a frame that does not fit the manifold
     """
     A, inverse = (
         None if M is None else block_diagonal(M, *[_tangent_map(M, manifold)] * orders)
@@ -31,7 +42,7 @@ def frame_with_derivatives(frame: Frame, manifold: Manifold, orders: int = 1) ->
 
 
 def _tangent_map(A: Array, manifold: Manifold) -> Array:
-    """`Manifold.tangent_map`, compiled for the single matrix that a loop has."""
+    """`Manifold.tangent_map`, compiled, for a single matrix."""
     if A.shape == (manifold.dim, manifold.dim):
         tangent = np.empty((manifold.tangent_dim, manifold.tangent_dim))
         if tangent_matrix(np.ascontiguousarray(A), manifold.ambient_of_tangent, manifold.sphere_starts, tangent):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The frames that all retrieval methods take: those over [time, data], as `Frame.with_time` makes them."""
+"""The frames that all retrieval methods use: those over [time, data], as `Frame.with_time` makes them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,22 @@ from tpgmm_core.model.frame_buffer import FrameBuffer
 def without_time(frames: Mapping[str, Frame]) -> dict[str, Frame]:
     """The frames' maps of the data alone.
 
-    Raises ValueError for a frame that changes the first dimension or mixes it with others.
+    Raises
+    ------
+    ValueError
+        for a frame that changes the first dimension or mixes it with others
     """
     return {name: _without_time(name, frame) for name, frame in frames.items()}
 
 
 def require_time_kept(buffer: FrameBuffer) -> None:
-    """Raises ValueError like `without_time`, fast enough for every change of the frames."""
+    """Check that no frame changes time, like `without_time`, but fast enough for every change of the frames.
+
+    Raises
+    ------
+    ValueError
+        for a frame that changes the first dimension or mixes it with others
+    """
     j = kernels_regress.time_changed(buffer.A, buffer.b, buffer.weights)
     if j >= 0:
         raise _time_changed(buffer.frame_names[j], buffer.A[j], buffer.b[j])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all methods of retrieving a movement have in common, as a loop uses them.
+"""The common interface of all retrieval methods.
 
-`Retrieval` is the interface of the loop: a reference for each step. Methods that know the whole movement as a function
+A control loop uses `Retrieval`: a reference for each step. Methods that know the whole movement as a function
 of time in a situation are `TimeParametrized`; `retrieval.reproduction.Reproduction` steps through any of them, on any
-phase, and keeps what it hands on free of jumps. Methods that have a state of their own are a `Retrieval` themselves.
+phase, and keeps its references free of jumps. Methods that have a state of their own implement `Retrieval` themselves.
 
 Frames are over [time, data] (`Frame.with_time`) for all methods, so that one situation serves all; a state is (D,), a
 point of the data's manifold, without time.
@@ -25,36 +25,44 @@ from tpgmm_core.model.reference import Reference
 
 
 class Retrieval(Protocol):
-    """A movement that is being reproduced.
-
-    manifold : of the references, without time
-    frame_names : the frames that the model was learned from
-    duration : of the whole movement at speed 1, s
-    speed : 1 as learned, 0 pauses, less than 0 goes back; may be set at any time, and is taken over without a jump.
-        Setting raises ValueError for a speed that is not finite or that this method cannot go
-    """
+    """A movement that is being reproduced."""
 
     @property
-    def manifold(self) -> Manifold: ...
+    def manifold(self) -> Manifold:
+        """Manifold of the references, without time."""
 
     @property
-    def frame_names(self) -> tuple[str, ...]: ...
+    def frame_names(self) -> tuple[str, ...]:
+        """The frames that the model was learned from."""
 
     @property
-    def duration(self) -> float: ...
+    def duration(self) -> float:
+        """Duration of the whole movement at speed 1, s."""
 
     @property
-    def speed(self) -> float: ...
+    def speed(self) -> float:
+        """Speed of the movement: 1 as learned, 0 pauses, less than 0 goes back.
+
+        It may be set at any time, and changes without a jump. Setting raises ValueError for a speed that is not finite
+        or that this method cannot go at.
+        """
 
     @speed.setter
     def speed(self, speed: float) -> None: ...
 
     def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
-        """Begin at this time, ns, from where the robot is (D,); what was going on is forgotten.
+        """Begin a movement; whatever went on before is forgotten.
 
-        phase : share of the movement that is done already, 0 to 1: where to go on when another method, or another
-            model, takes over while the robot moves. What is handed on then is kept without a jump by
-            `tpgmm_core.retrieval.continuity.Continued`, for all methods alike
+        Parameters
+        ----------
+        time_ns
+            of the beginning, ns
+        state
+            (D,), where the robot is; None where not known
+        phase
+            share of the movement that is already done, 0 to 1: where to continue when another method, or another model,
+            takes over while the robot moves. `tpgmm_core.retrieval.continuity.Continued` then keeps the references free
+            of jumps, for all methods alike
         """
 
     def step(
@@ -66,44 +74,64 @@ class Retrieval(Protocol):
     ) -> Reference:
         """The reference at a time.
 
-        time_ns : on the clock that `start` was given
-        frames : those that are known, by name, at least one. What counts as a change is another value: see
+        Parameters
+        ----------
+        time_ns
+            now, ns, on the clock of `start`
+        frames
+            those that are known, by name, at least one. Only different values are a change: see
             `tpgmm_core.model.situation.Situation`
-        state : (D,), where the robot is, as far as that is known
-        weights : how far each frame is trusted, 0 to 1; fully where not named
+        state
+            (D,), where the robot is; None where not known
+        weights
+            how far each frame is trusted, 0 to 1; 1 where not named
 
-        Raises ValueError for no frames, unknown ones, or when `start` was never called.
+        Raises
+        ------
+        ValueError
+            for no frames, unknown ones, or when `start` was never called
         """
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
-        """The next n Gaussians, dt (s) apart, the first one dt after the last step, should the frames stay.
+        """The next Gaussians, if the frames stay.
 
-        Raises ValueError when there was no step yet.
+        Parameters
+        ----------
+        n
+            number of Gaussians
+        dt
+            distance in time, s; the first one is dt after the last step
+
+        Raises
+        ------
+        ValueError
+            when there was no step yet
         """
 
     def mixture(self) -> GaussianMixture:
-        """The model in the situation of the last step, over all that it encodes.
+        """The model in the situation of the last step, over all dimensions that it encodes.
 
-        Raises ValueError when there was no step yet.
+        Raises
+        ------
+        ValueError
+            when there was no step yet
         """
 
 
 class TimeParametrized(Protocol):
-    """A movement as a function of the model's time, in one situation.
-
-    manifold : of the data, without time
-    frame_names : the frames that the model was learned from
-    duration : of the model's time, s
-    """
+    """A movement as a function of the model's time, in one situation."""
 
     @property
-    def manifold(self) -> Manifold: ...
+    def manifold(self) -> Manifold:
+        """Manifold of the data, without time."""
 
     @property
-    def frame_names(self) -> tuple[str, ...]: ...
+    def frame_names(self) -> tuple[str, ...]:
+        """The frames that the model was learned from."""
 
     @property
-    def duration(self) -> float: ...
+    def duration(self) -> float:
+        """Duration of the model's time, s."""
 
     def situate(
         self,
@@ -111,24 +139,43 @@ class TimeParametrized(Protocol):
         state: Array | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> None:
-        """Take this situation; parameters and errors are those of `Retrieval.step`."""
+        """Change to this situation; parameters and errors are those of `Retrieval.step`."""
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
-        """Means (H, D), covariances (H, n, n), and the activations (K,) at the first of the model's times (H,), s."""
+        """The movement at some of the model's times.
+
+        Parameters
+        ----------
+        times
+            (H,), s
+
+        Returns
+        -------
+        tuple[Array, Array, Array]
+            means (H, D), covariances (H, n, n), and the activations (K,) at the first of the times
+        """
 
     def mixture(self) -> GaussianMixture:
-        """The model in this situation, over all that it encodes."""
+        """The model in this situation, over all dimensions that it encodes."""
 
 
 def demonstrated_duration(model: TPGMM) -> float:
-    """How long the demonstrations of a model took on average, s.
+    """Mean duration of the demonstrations of a model, s.
 
-    Raises ValueError when the model's metadata do not say.
+    Parameters
+    ----------
+    model
+        with metadata
+
+    Raises
+    ------
+    ValueError
+        when the model's metadata do not hold it
     """
     duration = model.metadata_.get("duration_s")
     if not isinstance(duration, int | float) or not duration > 0.0:
         raise ValueError(
             f"the model's metadata say duration_s = {shown(duration)}; expected the demonstrations' mean duration in "
-            "s: a model that is to be reproduced over time is trained by 'train'"
+            "s, which 'train' writes into each model"
         )
     return float(duration)

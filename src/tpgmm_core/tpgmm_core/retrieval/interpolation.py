@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Between the points of a trajectory on a manifold, compiled."""
+"""Interpolation between the points of a trajectory on a manifold, compiled."""
 
 from __future__ import annotations
 

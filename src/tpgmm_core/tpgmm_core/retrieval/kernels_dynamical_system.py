@@ -12,10 +12,8 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower, transport
+from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
 from tpgmm_core.geometry.kernels_product import difference, move
-
-NEGLIGIBLE = 1e-12  # components with a smaller activation add nothing to a covariance
 
 
 @compiled
@@ -50,7 +48,7 @@ def regress_velocity(
     x: Array, means: Array, whitening: Array, offsets: Array, gains: Array, flat: Array, spheres: Array,
     activations: Array, v: Array,
 ) -> None:  # fmt: skip
-    """v (n,) = E[v | x], and the components' activations (K,), which sum to 1 also far from all of them."""
+    """Regression v (n,) = E[v | x], and the components' activations (K,), which sum to 1 also far from all of them."""
     K, n, D = whitening.shape[0], whitening.shape[1], len(x)
     e = np.empty((K, n))
     top = -np.inf
@@ -76,29 +74,6 @@ def regress_velocity(
             for m in range(n):
                 component += gains[k, i, m] * e[k, m]
             v[i] += activations[k] * component
-
-
-@compiled
-def position_covariance(
-    x: Array, activations: Array, means: Array, covariances: Array, flat: Array, spheres: Array, out: Array
-) -> None:
-    """out (n, n): the components' covariances of x, weighted by their activations, on S³ moved to x."""
-    K, n, D = len(activations), len(flat), len(x)
-    e, C = np.empty(n), np.empty((n, n))
-    out[:] = 0.0
-    for k in range(K):
-        if activations[k] < NEGLIGIBLE:
-            continue
-        for i in range(n):
-            for m in range(n):
-                C[i, m] = covariances[k, i, m]
-        difference(x, means[k, :D], flat, spheres, e)
-        for s in range(len(spheres)):
-            a = spheres[s, 1]
-            transport(C, a, e[a], e[a + 1], e[a + 2])
-        for i in range(n):
-            for m in range(n):
-                out[i, m] += activations[k] * C[i, m]
 
 
 @compiled
@@ -164,10 +139,10 @@ def go(
     whitening: Array, offsets: Array, gains: Array, flat: Array, spheres: Array, activations: Array,
     regressed: Array, v: Array,
 ) -> float:  # fmt: skip
-    """x goes on by time (in the unit of the model's velocities) in n_steps; returns the radius of the ball it is in.
+    """Advance x by a time, in the unit of the model's velocities, in n_steps; returns the radius of the ball it is in.
 
-    Midpoint steps along geodesics. Where one of them would leave the ball, as it has shrunk meanwhile, it ends at the
-    nearest point of the ball, on the geodesic to the goal: the bound holds for steps of any length.
+    Midpoint steps along geodesics. Where one of them would leave the ball, since it has shrunk meanwhile, it ends at
+    the nearest point of the ball, on the geodesic to the goal: the bound holds for steps of any length.
     """
     n = len(v)
     h, detour = time / n_steps, law[4]

@@ -32,26 +32,34 @@ from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 from tpgmm_core.retrieval.trajectory import SmoothTrajectory
 
 KEY = "retrieval"
-"""Of the method, in metadata and settings."""
+"""Key of the method, in metadata and settings."""
 
 DEFAULT = "adapt_regress"
 """The method of models whose metadata name none."""
 
 
 SEMI_MARKOV_SAMPLES = 200
-"""Of each demonstration, for models with durations: the time that learning takes is quadratic in it."""
+"""Samples of each demonstration, for models with durations: the time of learning is quadratic in it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RetrievalMethod:
     """A retrieval method.
 
-    name : in files and parameters
-    encoding : what its models encode
-    options : of the encoding, where they are other than its own defaults
-    estimator : the class that its models have to be of
-    course : makes the movement as a function of time, which `Reproduction` steps through; or else
-    movement : makes one that has a state of its own, with a duration (s; None: as demonstrated), and the settings of
+    Parameters
+    ----------
+    name
+        in files and parameters
+    encoding
+        what its models encode
+    options
+        of the encoding, where they differ from its own defaults
+    estimator
+        the class of its models
+    time_parametrized
+        makes the movement as a function of time, which `Reproduction` steps through; or else
+    movement
+        makes one that has a state of its own, with a duration (s; None: as demonstrated), and the settings of
         references by name
     """
 
@@ -63,7 +71,13 @@ class RetrievalMethod:
     movement: Callable[..., Retrieval] | None = None
 
     def check(self, model: TPGMM) -> None:
-        """Raises ValueError for a model that this method cannot retrieve from, with the reason and what to do."""
+        """Check that this method can retrieve from a model.
+
+        Raises
+        ------
+        ValueError
+            when it cannot, with the reason and what to do
+        """
         found = encoding_of(model)
         if not isinstance(found, self.encoding):
             raise ValueError(
@@ -106,7 +120,13 @@ METHODS: dict[str, RetrievalMethod] = {
 
 
 def method_named(name: str) -> RetrievalMethod:
-    """Raises ValueError for a name that is none of METHODS, and was none in an earlier version (`old_names`)."""
+    """The method of this name, or of a name that it had in an earlier version (`old_names`).
+
+    Raises
+    ------
+    ValueError
+        for a name that is not known
+    """
     current = current_name(name)
     if current not in METHODS:
         raise ValueError(f"there is no retrieval method {shown(name)}; known are {', '.join(METHODS)}")
@@ -114,7 +134,13 @@ def method_named(name: str) -> RetrievalMethod:
 
 
 def method_of(model: TPGMM) -> RetrievalMethod:
-    """The method that a model was learned for, as its metadata say. Raises ValueError for one that is not known."""
+    """The method that a model was learned for, from its metadata.
+
+    Raises
+    ------
+    ValueError
+        for one that is not known
+    """
     return method_named(str(model.metadata_.get(KEY, DEFAULT)))
 
 
@@ -129,14 +155,17 @@ def make_retrieval(
     horizon_time_step: float = 0.005,
     blend_time: float = 0.15,
 ) -> Retrieval:
-    """A movement that a loop can step through.
+    """Make a movement that a loop can step through.
 
     method : one of METHODS by name, or one that was made for a robot; what the model was learned for where None
     duration : of the movement, s; as demonstrated where None
     phase : one of PHASES: what the model's time follows; for the methods that are a function of time
     speed, horizon_steps, horizon_time_step (s), blend_time (s) : as for `Reproduction`
 
-    Raises ValueError for a model that does not suit the method, and for settings that it cannot have, with the reason.
+    Raises
+    ------
+    ValueError
+        for a model that does not suit the method, and for settings that it cannot have, with the reason
     """
     chosen = method_named(method) if isinstance(method, str) else method or method_of(model)
     chosen.check(model)
@@ -167,7 +196,17 @@ def make_retrieval(
 def load_model(path: str | PathLike[str]) -> TPGMM:
     """The model in a file, of the class that its method needs; `TPGMM.load` reads all as mixtures.
 
-    Raises ModelFileError for a file that is damaged or no model, OSError for one that cannot be read.
+    Parameters
+    ----------
+    path
+        the file
+
+    Raises
+    ------
+    ModelFileError
+        for a file that is damaged or no model
+    OSError
+        for one that cannot be read
     """
     kinds = {method.estimator.__name__: method.estimator for method in METHODS.values()}
     return model_file.read_as(path, lambda contents: kinds.get(contents.header.kind, TPGMM).from_contents(contents))

@@ -17,9 +17,9 @@ from tpgmm_core.retrieval.state_filter import NominalSchedule
 from tpgmm_core.retrieval.tracking_plan import Planner, TrackingPlan
 
 USUAL = 0.95
-"""Share of the positions in a state that count as fully fitting. Within it, only durations tell neighbours apart."""
+"""Share of a state's positions that fit it fully. Within it, only durations distinguish neighbouring states."""
 PLAN_STEPS = 24
-"""Steps of a plan, four to a time constant: what lies further ahead counts less than a hundredth."""
+"""Steps of a plan, four per time constant: later ones would change it by less than a hundredth."""
 
 
 @lru_cache
@@ -30,13 +30,24 @@ def _usual_distance(dimensions: int) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AdaptedStates:
-    """The K states in a situation, as points of the data's manifold, time (and derivatives) left out.
+    """The K states in a situation, as points of the data's manifold, without time (and derivatives).
 
-    means : (K, D), in the middle of a state; rates : (K, n), per sample
-    covariances, precisions : (K, n, n), given the time within the state
-    seen : (K, n, n), precisions of where the robot is seen at any time in a state, errors of tracking included
-    tolerance : (n,), standard deviations of the robot about its reference
-    mean_precisions : (n,), of a state of average precision: the same in all directions, of positions and of turns each
+    Parameters
+    ----------
+    manifold
+        of the data
+    means
+        (K, D), in the middle of a state
+    rates
+        (K, n), per sample
+    covariances, precisions
+        (K, n, n), given the time within the state
+    seen
+        (K, n, n), precisions of where the robot is seen at any time in a state, errors of tracking included
+    tolerance
+        (n,), standard deviations of the robot about its reference
+    mean_precisions
+        (n,), of a state of average precision: one number for all positions and one for all turns
     """
 
     manifold: Manifold
@@ -50,7 +61,19 @@ class AdaptedStates:
 
     @classmethod
     def of(cls, mixture: GaussianMixture, manifold: Manifold, sample_time: float, tolerance: Array) -> AdaptedStates:
-        """sample_time : s; the mixture is over [time, data, ...]."""
+        """Take the states from a mixture over [time, data, ...].
+
+        Parameters
+        ----------
+        mixture
+            the model in the situation
+        manifold
+            of the data
+        sample_time
+            time between samples of the demonstrations, s
+        tolerance
+            see the class
+        """
         means, n = mixture.means[:, 1 : 1 + manifold.dim], manifold.tangent_dim
         S = mixture.covariances[:, : 1 + n, : 1 + n]
         gains = S[:, 0, 1:] / S[:, :1, 0]
@@ -64,11 +87,19 @@ class AdaptedStates:
         return cls(manifold, means, gains * sample_time, covariances, precisions, seen, tolerance, mean_precisions)
 
     def fit(self, state: Array, given: Array) -> Array:
-        """How well a position (D,) fits each state, (K,), where the reference given to the robot was a position (D,).
+        """How well a position fits each state, (K,).
 
-        1 within what is usual of a state, and then as its Gaussian falls; the same of the reference, for all states:
-        a robot that follows is not held, wherever the reference is. On the way between two states it may be where
-        neither expects it, the more so the farther frames are from where they were demonstrated.
+        1 within the usual distance from a state, and beyond it falling as its Gaussian does; the same for the distance
+        from the reference, for all states: a robot that follows its reference is not held, wherever the reference is.
+        On the way between two states it may be where neither expects it, especially where frames are far from where
+        they were demonstrated.
+
+        Parameters
+        ----------
+        state
+            (D,), where the robot is
+        given
+            (D,), the reference that the robot was given
         """
         d = self.manifold.log(self.means, state[None])
         aside = self.manifold.log(given, state) / self.tolerance
@@ -77,7 +108,7 @@ class AdaptedStates:
 
 
 class PathFollower:
-    """The reference as it goes on: a place in the course, and a plan that is made anew as it is used up.
+    """The reference as it advances: a place in the sequence of states, and a plan that is renewed as it is used up.
 
     Time is counted in samples. Plans begin at whole samples, unless the situation changes.
     """
@@ -93,7 +124,7 @@ class PathFollower:
         self._planner = Planner(manifold, float(self._stride), PLAN_STEPS)
 
     def begin(self, place: tuple[int, float], states: AdaptedStates, state: Array | None) -> None:
-        """At rest at a position (D,), or where the place is expected to be."""
+        """Begin at rest, at a position (D,), or at the position that is expected at the place."""
         self.place, self.states = place, states
         self.fraction = 0.0
         position = self._targets(0.0)[0][0] if state is None else np.array(state)
@@ -101,12 +132,12 @@ class PathFollower:
         self.covariance = self._covariances[self.place[0]]
 
     def change(self, states: AdaptedStates) -> None:
-        """Take another situation over: position and velocity stay."""
+        """Change to the states of another situation: position and velocity stay."""
         self.states = states
         self._replan(*self.plan.at(self._planned))
 
     def advance(self, samples: float) -> bool:
-        """Go on, at most to the next whole sample; whether that was reached."""
+        """Advance, at most to the next whole sample; returns whether that was reached."""
         self._planned += samples
         self.fraction += samples
         share = 1.0 - math.exp(-samples / self._time_constant)
@@ -117,7 +148,7 @@ class PathFollower:
         return True
 
     def arrive(self, place: tuple[int, float]) -> None:
-        """Be at a place, at a whole sample."""
+        """Set the place, at a whole sample."""
         self.place = place
         if self._planned > self._stride - 1e-6:
             self._replan(*self.plan.at(self._planned))
@@ -139,7 +170,7 @@ class PathFollower:
         self._planned = 0.0
 
     def _targets(self, since: float) -> tuple[Array, list[int]]:
-        """What the states expect (PLAN_STEPS + 1, D) from so many samples after the place on, and which states."""
+        """Positions (PLAN_STEPS + 1, D) that states expect, from so many samples after the place, and which states."""
         schedule, states = self.schedule, self.states
         state, age = self.place
         if age >= schedule.longest[state]:

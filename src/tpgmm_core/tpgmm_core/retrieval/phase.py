@@ -25,19 +25,27 @@ SPEED_TIME_CONSTANT = 0.1  # s, with which a new speed is taken over
 MAX_SPEED = 10.0
 ARC_SAMPLES = 64
 STANDING_SHARE = 1e-3
-PROBE = 0.005  # half the step, as a share of the duration, that the slope of the course is taken from
+PROBE = 0.005  # half the step, as a share of the duration, for the slope of the movement
 MAX_DEVIATION = 0.1  # of an estimate of the model's time, as a share of its duration
 
 
 class ClockPhase:
-    """The model's time is that of the clock, scaled to the duration that is asked for."""
+    """The model's time is that of the clock, scaled to the duration that is requested."""
 
     def __init__(self) -> None:
         self._time_scaling = TimeScaling(1.0, SPEED_TIME_CONSTANT)
         self.start(0)
 
     def bind(self, course: TimeParametrized, duration: float) -> None:
-        """Serve this course from now on; duration : of the movement at speed 1, s."""
+        """Use this movement from now on.
+
+        Parameters
+        ----------
+        course
+            the movement as a function of the model's time
+        duration
+            of the movement at speed 1, s
+        """
         self._course, self._duration = course, duration
         self._model_duration = course.duration
 
@@ -48,10 +56,14 @@ class ClockPhase:
 
     @property
     def speed(self) -> float:
-        """1 as learned, 0 pauses, less than 0 goes back.
+        """Speed: 1 as learned, 0 pauses, less than 0 goes back.
 
-        May be set at any time, and is taken over as by a low-pass with SPEED_TIME_CONSTANT. Raises ValueError for one
-        that is not finite or beyond MAX_SPEED.
+        It may be set at any time, and changes through a low-pass with SPEED_TIME_CONSTANT.
+
+        Raises
+        ------
+        ValueError
+            for one that is not finite or beyond MAX_SPEED
         """
         return self._time_scaling.target
 
@@ -69,24 +81,24 @@ class ClockPhase:
         self._time_scaling.rate = self._time_scaling.target
 
     def situated(self) -> None:
-        """The course is in another situation now."""
+        """Be notified that the situation of the movement has changed."""
 
     def advance(self, time_ns: int) -> None:
-        """It is this time now, ns. A clock that steps back cannot get before the last change of speed."""
+        """Advance to this time, ns. A clock that steps back cannot get before the last change of speed."""
         self._last_ns = time_ns
         passed = float(self._passed(self._since_origin()))
         self._value = min(max(self._origin + passed / self._duration, 0.0), 1.0)
 
     def observe(self, reference: Gaussian, state: Array) -> None:
-        """The robot is at `state` (D,) while it should be at the reference."""
+        """Be notified that the robot is at `state` (D,) while it should be at the reference."""
 
     @property
     def value(self) -> float:
-        """How far the movement is: 0 at its start, 1 at its end."""
+        """Share of the movement that is done: 0 at its start, 1 at its end."""
         return self._value
 
     def times(self, ahead: Array) -> Array:
-        """The model's times (H,), s, so many seconds ahead (H,) of now."""
+        """The model's times (H,), s, at times (H,) ahead of now, s."""
         values = self._origin + self._passed(self._since_origin() + ahead) * (1.0 / self._duration)
         return self._model_times(np.minimum(np.maximum(values, 0.0), 1.0))
 
@@ -97,12 +109,12 @@ class ClockPhase:
         return max(0.0, (self._last_ns - self._origin_ns) / _SECOND)
 
     def _passed(self, seconds: float | Array) -> float | Array:
-        """Own time, s, that passes within some seconds from the last change of speed on."""
+        """Scaled time, s, that passes within some seconds from the last change of speed on."""
         scaling = self._time_scaling
         return scaling.target * seconds if scaling.rate == scaling.target else scaling.ahead(seconds)
 
     def _go_on_from(self, value: float) -> None:
-        """Let now, at this value, be the origin; at an end of the movement, what goes against it stands still."""
+        """Make now, with this value, the origin. At an end of the movement, a speed that leads beyond it is 0."""
         scaling = self._time_scaling
         scaling.advance(self._since_origin())
         if (value >= 1.0 and scaling.rate > 0.0) or (value <= 0.0 and scaling.rate < 0.0):
@@ -112,25 +124,25 @@ class ClockPhase:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArcLengthConfig:
-    """What a path's length is, and how fast it is gone along."""
+    """How the length of a path is measured, and how fast it is travelled."""
 
     metres_per_radian: float = setting(0.25, 0.0, 10.0, "Length that a turn adds to a path, m/rad")
     path_speed: float = setting(0.0, 0.0, 10.0, "Speed along the path, m/s; 0: whatever fits the duration")
     easing: float = setting(0.1, 0.01, 0.5, "Share of the duration for speeding up, and for slowing down")
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a value out of its range."""
+        """Raise ValueError for a value out of its range."""
         check_settings(self)
 
 
 class ArcLengthPhase(ClockPhase):
-    """The path is gone along at constant speed of arc length, whatever the timing of the demonstrations was.
+    """The path is travelled at constant speed of arc length, whatever the timing of the demonstrations was.
 
-    The length is that of the course's means, coordinates of R^n in m, turns with `metres_per_radian`. It comes from
+    The length is that of the movement's means, coordinates of R^n in m, turns with `metres_per_radian`. It comes from
     ARC_SAMPLES points between which the model's time is a monotone cubic of the length; the value is the share of the
-    duration, over which speed is a trapezium. Where the course stands still the model's time goes on at
-    1 / STANDING_SHARE times its usual rate, since there is no length to go by. When frames change, the model's time
-    goes on from where it is.
+    duration, over which the speed is a trapezium. Where the movement stands still, and there is no length to go by, the
+    model's time passes at 1 / STANDING_SHARE times its usual rate. When frames change, the model's time stays what it
+    is.
     """
 
     def __init__(self, config: ArcLengthConfig | None = None) -> None:
@@ -139,6 +151,7 @@ class ArcLengthPhase(ClockPhase):
         super().__init__()
 
     def bind(self, course: TimeParametrized, duration: float) -> None:
+        """Use this movement from now on; its length is computed with the first situation."""
         super().bind(course, duration)
         self._path = None
         self._metric = np.ones(course.manifold.tangent_dim)
@@ -146,10 +159,12 @@ class ArcLengthPhase(ClockPhase):
             self._metric[s.tangent] = self.config.metres_per_radian
 
     def start(self, time_ns: int, value: float = 0.0) -> None:
+        """Begin at this time, ns; the length is computed anew."""
         super().start(time_ns, value)
         self._path = None
 
     def situated(self) -> None:
+        """Compute the length of the path in the new situation; the model's time stays."""
         now = None if self._path is None else float(self._model_times(np.array([self._value]))[0])
         times = np.linspace(0.0, self._model_duration, ARC_SAMPLES)
         means = self._course.at(times)[0]
@@ -185,7 +200,7 @@ class ArcLengthPhase(ClockPhase):
 
 
 def share_at(path: PchipInterpolator, time: float) -> float:
-    """Where a path of model's times over shares, 0 to 1, that increases is at a time."""
+    """The share, 0 to 1, at which a path of increasing model's times over shares has a time."""
     if time <= path(0.0):
         return 0.0
     return 1.0 if time >= path(1.0) else float(brentq(lambda share: float(path(share)) - time, 0.0, 1.0, xtol=1e-14))
@@ -201,7 +216,7 @@ class StatePhaseConfig:
     catch_up: float = setting(2.0, 1.0, 10.0, "Largest correction, in multiples of the speed as learned")
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a value out of its range."""
+        """Raise ValueError for a value out of its range."""
         check_settings(self)
 
 
@@ -209,11 +224,11 @@ class StatePhase(ClockPhase):
     """The model's time t is estimated from where the robot is: a scalar extended Kalman(-Bucy) filter.
 
     Process: t' = speed · T / duration + noise, `timing_noise`² = Q (s² per s), for a model of duration T. Measurement:
-    the robot x ~ N(mu(t), Sigma(t)), the course's Gaussian, once per `memory`. With H = dmu/dt, the information in a
-    second is h = H^T Sigma^-1 H / memory, the variance P follows P' = Q - P² h within (MAX_DEVIATION T)², and t is
-    corrected by P H^T Sigma^-1 (x - mu) / memory per s. So a robot that is held lets the model's time wait, where it is
-    ahead by what makes correction and speed cancel out; one that is carried ahead is caught up with; a push across the
-    path, in the metric of Sigma, changes nothing; and where the course stands still the clock counts.
+    the robot x ~ N(mu(t), Sigma(t)), the Gaussian of the movement, once per `memory`. With H = dmu/dt, the information
+    in a second is h = H^T Sigma^-1 H / memory, the variance P follows P' = Q - P² h within (MAX_DEVIATION T)², and t is
+    corrected by P H^T Sigma^-1 (x - mu) / memory per s. So the model's time waits for a robot that is held, ahead of it
+    by as much as makes correction and speed cancel out; it catches up with a robot that is carried ahead; a push across
+    the path, in the metric of Sigma, changes nothing; and where the movement stands still the clock decides.
 
     Corrections pass a low-pass of `response`, and P h is at most 1 / (4 `response`), which damps the loop critically;
     the velocity of the reference does not jump even if the robot's position does. They are at most `catch_up` times
@@ -225,20 +240,23 @@ class StatePhase(ClockPhase):
         super().__init__()
 
     def start(self, time_ns: int, value: float = 0.0) -> None:
+        """Begin at this time, ns, without a correction and certain of the value."""
         super().start(time_ns, value)
         self._correction = self._observed = 0.0  # of the value, per s: in effect, and last observed
         self._variance = self._unobserved = 0.0
 
     def advance(self, time_ns: int) -> None:
+        """Advance to this time, ns, with the speed and the corrections that are in effect."""
         seconds = max(0.0, (time_ns - self._last_ns) / _SECOND)
         self._correction += -math.expm1(-seconds / self.config.response) * (self._observed - self._correction)
         value = self._value + self._time_scaling.ahead(seconds) / self._duration + self._effective(seconds)
         self._last_ns = time_ns
         self._go_on_from(min(max(float(value), 0.0), 1.0))
         self._unobserved += seconds
-        self._observed = 0.0  # a robot that is not seen any more corrects nothing
+        self._observed = 0.0  # a robot that is no longer seen corrects nothing
 
     def observe(self, reference: Gaussian, state: Array) -> None:
+        """Correct the model's time by where the robot is, `state` (D,), beside the reference."""
         seconds, self._unobserved = self._unobserved, 0.0
         config, T = self.config, self._model_duration
         at = T * np.clip(self._value + np.array([-PROBE, PROBE]), 0.0, 1.0)
@@ -255,11 +273,12 @@ class StatePhase(ClockPhase):
         self._observed = min(max(correction, -largest), largest)
 
     def times(self, ahead: Array) -> Array:
+        """The model's times (H,), s, at times (H,) ahead of now, s, with the corrections that are in effect."""
         values = self._value + self._time_scaling.ahead(ahead) / self._duration + self._effective(ahead)
         return self._model_times(np.minimum(np.maximum(values, 0.0), 1.0))
 
     def _effective[T: (float, Array)](self, seconds: T) -> T:
-        """What the correction adds to the value within some seconds."""
+        """Change of the value by the correction within some seconds."""
         return min(1.0, abs(self._time_scaling.rate)) * self._correction * seconds
 
 

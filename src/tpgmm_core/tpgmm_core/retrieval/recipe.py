@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Recipe`: how a model is learned from demonstrations, so that a retrieval method can get the movement out of it."""
+"""`Recipe`: how a model is learned from demonstrations, so that a retrieval method can reproduce the movement."""
 
 from __future__ import annotations
 
@@ -24,9 +24,14 @@ from tpgmm_core.retrieval.methods import DEFAULT, KEY, RetrievalMethod, method_n
 class Recipe:
     """A retrieval method, what it encodes, and how the model is fitted to that.
 
-    method : what the model is for
-    encoding : of the demonstrations
-    arguments : of the method's estimator, without the manifold
+    Parameters
+    ----------
+    method
+        what the model is for
+    encoding
+        of the demonstrations
+    arguments
+        of the method's estimator, without the manifold
     """
 
     method: RetrievalMethod
@@ -35,11 +40,19 @@ class Recipe:
 
     @classmethod
     def of(cls, settings: Mapping[str, Any], method: str | None = None) -> Self:
-        """From settings by name: `retrieval`, options of the encoding, arguments of the estimator.
+        """Make a recipe from settings by name: `retrieval`, options of the encoding, arguments of the estimator.
 
-        method : in place of `retrieval`
+        Parameters
+        ----------
+        settings
+            as task files hold them
+        method
+            in place of `retrieval`
 
-        Raises ValueError for a method that is not known, and a setting that neither encoding nor estimator have.
+        Raises
+        ------
+        ValueError
+            for a method that is not known, and a setting that neither encoding nor estimator have
         """
         rest = dict(settings)
         named = rest.pop(KEY, DEFAULT)
@@ -59,7 +72,7 @@ class Recipe:
 
     @property
     def max_iter(self) -> int:
-        """At most this many iterations of EM."""
+        """Largest number of iterations of EM."""
         return int(self.method.estimator(**self.arguments).max_iter)
 
     def learn(
@@ -71,10 +84,21 @@ class Recipe:
     ) -> TPGMM:
         """A model of demonstrations over [time, data], whose metadata say what it is for.
 
-        manifold : space of the demonstrations' data, time included; dimensions : names of its ambient numbers
-        progress : see `TPGMM.fit`
+        Parameters
+        ----------
+        demonstrations
+            one or more, with the same frames
+        manifold
+            space of the demonstrations' data, time included
+        dimensions
+            names of its ambient numbers
+        progress
+            see `TPGMM.fit`
 
-        Raises ValueError for demonstrations that cannot be encoded or learned from.
+        Raises
+        ------
+        ValueError
+            for demonstrations that cannot be encoded or learned from
         """
         space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold)
         model = self.method.estimator(**self.arguments, manifold=self.encoding.manifold(space))

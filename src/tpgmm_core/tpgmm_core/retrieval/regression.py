@@ -4,12 +4,13 @@
 The orders are the same for one component. Where several are active they differ:
 
 - Adapting first treats time as any other dimension. P frames that see the same times make the components' variances in
-  time P times smaller, so that they take over from one another in shorter time. Since times go with places, frames
-  that contradict each other on where a component is move it in time as well. Frames are weighed component by component.
+  time P times smaller, so that they take over from one another in shorter time. Since times are correlated with places,
+  frames that contradict each other on where a component is move it in time as well. Frames are weighed component by
+  component.
 - Regressing first keeps the transitions as learned, hence is smoother. The spread between the means of active
   components counts as uncertainty of that frame at that time, so that frames are weighed time by time.
 
-The farther a situation is from the demonstrated ones, the more frames contradict each other, and the orders too.
+The farther a situation is from the demonstrated ones, the more frames contradict each other, and the orders differ.
 """
 
 from __future__ import annotations
@@ -35,11 +36,19 @@ from tpgmm_core.retrieval.interface import demonstrated_duration
 
 
 class _Regression(ABC):
-    """What both orders have in common: all but `situate`, `at` and `mixture` of a `TimeParametrized`.
+    """What both orders share: all of `TimeParametrized` except `situate`, `at` and `mixture`.
 
-    model : fitted, with time as the first dimension, s
+    Parameters
+    ----------
+    model
+        fitted, with time as the first dimension, s
+    buffer
+        for the frames of a situation
 
-    Raises ValueError for a model without time.
+    Raises
+    ------
+    ValueError
+        for a model without time
     """
 
     def __init__(self, model: TPGMM, buffer: FrameBuffer) -> None:
@@ -75,18 +84,37 @@ class _Regression(ABC):
     def situate(
         self, frames: Mapping[str, Frame], state: ArrayLike | None = None, weights: Mapping[str, float] | None = None
     ) -> None:
-        """Take this situation.
+        """Change to this situation.
 
-        frames : over [time, data] (`Frame.with_time`), at least one of the model's
-        state : (D,), where the robot is: what no frame constrains stays there; the origin where None
-        weights : how far each frame is trusted, 0 to 1; fully where not named
+        Parameters
+        ----------
+        frames
+            over [time, data] (`Frame.with_time`), at least one of the model's
+        state
+            (D,), where the robot is: what no frame constrains stays there; the origin where None
+        weights
+            how far each frame is trusted, 0 to 1; 1 where not named
 
-        Raises ValueError like `Adapter.adapt`, and for frames that change time.
+        Raises
+        ------
+        ValueError
+            like `Adapter.adapt`, and for frames that change time
         """
 
     @abstractmethod
     def at(self, times: Array) -> tuple[Array, Array, Array]:
-        """Means (H, D), covariances (H, n, n), and the activations (K,) at the first of the times (H,), s."""
+        """The movement at some of the model's times.
+
+        Parameters
+        ----------
+        times
+            (H,), s
+
+        Returns
+        -------
+        tuple[Array, Array, Array]
+            means (H, D), covariances (H, n, n), and the activations (K,) at the first of the times
+        """
 
     @abstractmethod
     def mixture(self) -> GaussianMixture:
@@ -99,9 +127,21 @@ class _Regression(ABC):
         state: ArrayLike | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> list[Gaussian]:
-        """The movement in a situation (`situate`), one Gaussian without time for each of the times (T,), s.
+        """The movement in a situation, one Gaussian without time for each of the times.
 
-        Raises ValueError like `situate`, and for times that are not finite.
+        Parameters
+        ----------
+        frames
+            as for `situate`
+        times
+            (T,), s
+        state, weights
+            as for `situate`
+
+        Raises
+        ------
+        ValueError
+            like `situate`, and for times that are not finite
         """
         times = np.array(times, dtype=float)
         if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):
@@ -121,20 +161,23 @@ class AdaptThenRegress(_Regression):
     def situate(
         self, frames: Mapping[str, Frame], state: ArrayLike | None = None, weights: Mapping[str, float] | None = None
     ) -> None:
+        """Adapt the mixture to this situation."""
         self._adapter.situate(frames, _with_time(state), weights)
         require_time_kept(self._buffer)
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
+        """Regression on the adapted mixture at times (H,), s."""
         return self._adapter.condition(times)
 
     def mixture(self) -> GaussianMixture:
+        """The adapted mixture, over [time, data]."""
         return self._adapter.mixture()
 
 
 class RegressThenProduct(_Regression):
     """Regression on the first dimension in each frame, then the product of Eq. (6) at each time.
 
-    Activations are those of the frames, which differ where frames were not seen all the time, on the average.
+    Activations are the mean over the frames, which differ where frames were not seen all the time.
     """
 
     def __init__(self, model: TPGMM) -> None:
@@ -155,6 +198,7 @@ class RegressThenProduct(_Regression):
     def situate(
         self, frames: Mapping[str, Frame], state: ArrayLike | None = None, weights: Mapping[str, float] | None = None
     ) -> None:
+        """Keep the frames, weights and state of this situation for `at`."""
         self._buffer.take(frames, _with_time(state), weights)
         require_time_kept(self._buffer)
         self._A = np.ascontiguousarray(self._buffer.A[:, 1:, 1:])
@@ -162,6 +206,13 @@ class RegressThenProduct(_Regression):
         self._inverses = np.ascontiguousarray(self._buffer.inverses[:, 1:, 1:])
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
+        """Regression in each frame at times (H,), s, and the product over the frames.
+
+        Raises
+        ------
+        ValueError
+            for a singular covariance, and where the frames contradict each other so much that there is no product
+        """
         s, manifold = self._buffer, self.manifold
         H, n = len(times), manifold.tangent_dim
         means, covariances = np.empty((H, manifold.dim)), np.empty((H, n, n))
@@ -182,7 +233,7 @@ class RegressThenProduct(_Regression):
         return means, covariances, activations
 
     def _views_at(self, time: float) -> dict[str, Gaussian]:
-        """What the frames that are there expect at a time, in the common frame."""
+        """Gaussians that the known frames expect at a time, in the common frame."""
         s, model = self._buffer, self.model
         views = {}
         for j in np.flatnonzero(s.weights):
@@ -192,6 +243,7 @@ class RegressThenProduct(_Regression):
         return views
 
     def mixture(self) -> GaussianMixture:
+        """The mixture adapted to this situation, over [time, data]."""
         s = self._buffer
         frames = {name: s.frame(j) for j, name in enumerate(self.frame_names)}
         weights = dict(zip(self.frame_names, s.weights.tolist(), strict=True))

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned movement, step by step: where to be and how much it matters, for the frames as they are right now.
 
-Frames move, disappear and come back while the movement runs, and each time the course of the movement is another one
-at once. What is handed on does not jump: see `continuity`. While the frames stay, it is exactly what the
-course says.
+Frames move, disappear and come back while the movement runs, and each time the movement is suddenly another one. The
+references do not jump: see `continuity`. While the frames stay, they are exactly those of the movement.
 """
 
 from __future__ import annotations
@@ -31,16 +30,26 @@ _SECOND = 1_000_000_000
 
 
 class Reproduction:
-    """A `Retrieval` that goes along a `TimeParametrized`.
+    """A `Retrieval` that steps through a `TimeParametrized`.
 
-    course : the movement as a function of the model's time; of a fitted model with time as its first dimension it is
+    Parameters
+    ----------
+    course
+        the movement as a function of the model's time; a fitted model with time as its first dimension stands for its
         `AdaptThenRegress`
-    phase : how the model's time advances; with the clock where None. It serves one reproduction
-    duration : how long the movement is to take at speed 1, s; as demonstrated where None
-    horizon_steps, horizon_time_step : how many Gaussians ahead each reference holds, and their distance in time, s
-    blend_time : time constant with which a change of the frames is taken over, s
+    phase
+        how the model's time advances, for this reproduction alone; None: with the clock
+    duration
+        how long the movement takes at speed 1, s; None: as demonstrated
+    horizon_steps, horizon_time_step
+        how many Gaussians ahead each reference holds, and their distance in time, s
+    blend_time
+        time constant with which a change of the frames takes effect, s
 
-    Raises ValueError for a model that was not learned over time, and a time that is not positive.
+    Raises
+    ------
+    ValueError
+        for a model that was not learned over time, and a time that is not positive
     """
 
     def __init__(
@@ -88,7 +97,7 @@ class Reproduction:
 
     @property
     def speed(self) -> float:
-        """1 as learned, 0 pauses, less than 0 goes back; see `ClockPhase.speed`."""
+        """Speed: 1 as learned, 0 pauses, less than 0 goes back; see `ClockPhase.speed`."""
         return self.phase.speed
 
     @speed.setter
@@ -96,7 +105,7 @@ class Reproduction:
         self.phase.speed = speed
 
     def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
-        """Begin at this time, ns; whatever was going on is forgotten. See `Retrieval.start`."""
+        """Begin a movement; whatever went on before is forgotten. See `Retrieval.start`."""
         self.phase.start(time_ns, phase)
         self._last_ns = time_ns
         self._state = state
@@ -114,7 +123,7 @@ class Reproduction:
     ) -> Reference:
         """The reference at a time: see `Retrieval.step`.
 
-        A direction that no frame constrains stays where the robot is, hence goes with the state; otherwise the state
+        A direction that no frame constrains stays where the robot is, and so follows the state; otherwise the state
         matters to the phase alone.
         """
         if self._last_ns is None:
@@ -145,15 +154,15 @@ class Reproduction:
         )
 
     def _situate(self, time_ns: int, situation: Situation) -> tuple[Array, Array, Array]:
-        """The course at this time and ahead in a new situation, which begins where the last step was.
+        """The movement now and ahead in a new situation, which begins where the last step was.
 
-        Hence this step is already on the new course.
+        Hence this step already belongs to the new situation.
         """
         moments = self._continuity.moments
         if self._situation is not None:
             means, self._former_covariances, _ = self.course.at(self.phase.times(moments))
             self._former = [self._continuity.mean(mean, s) for mean, s in zip(means, moments.tolist(), strict=True)]
-            self._situation = None  # a situation that is refused must not be gone on with
+            self._situation = None  # a situation that is refused must not be used again
         self.course.situate(situation.frames, situation.state, situation.weights)
         self.phase.situated()
         near = self.phase.times(moments)
@@ -169,14 +178,26 @@ class Reproduction:
         return means, covariances, activations
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
-        """The next n Gaussians, dt (s) apart, should the frames stay. Raises ValueError when there was no step yet."""
+        """The next n Gaussians, dt (s) apart, if the frames stay.
+
+        Raises
+        ------
+        ValueError
+            when there was no step yet
+        """
         self._require_step()
         ahead = dt * np.arange(1, n + 1, dtype=np.float64)
         means, covariances, _ = self.course.at(self.phase.times(ahead))
         return [self._continuity.gaussian(means[i], covariances[i], s) for i, s in enumerate(ahead.tolist())]
 
     def mixture(self) -> GaussianMixture:
-        """The model in the situation of the last step, time first. Raises ValueError when there was no step yet."""
+        """The model in the situation of the last step, time first.
+
+        Raises
+        ------
+        ValueError
+            when there was no step yet
+        """
         self._require_step()
         return self.course.mixture()
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """`SemiMarkovMovement`: a movement from the states of a hidden semi-Markov model, and from where the robot is.
 
-Durations of states say when what is due (Yu 2010; Calinon et al., ICRA 2011), and where the robot is seen says whether
-it is: a robot that is held is waited for, one that is carried ahead is caught up with (`StateFilter`). The reference
-tracks what the states expect from there on (`Planner`). It goes on from where and as fast as it is, whatever states
-and frames do: position and velocity are continuous.
+Durations say when each state is due (Yu 2010; Calinon et al., ICRA 2011), and the position of the robot says whether it
+has come (`StateFilter`): the movement waits for a robot that is held, and catches up with one that is carried ahead.
+The reference tracks what the states expect from there on (`Planner`). It continues from its own position and velocity,
+whatever states and frames do: both are continuous.
 """
 
 from __future__ import annotations
@@ -37,24 +37,35 @@ _SECOND = 1e-9
 class SemiMarkovMovement:
     """A `Retrieval` (see `retrieval.interface`) by the states and durations of a `TPHSMM`.
 
-    Args:
-        model: fitted to [time, position or pose], or with `derivatives` to [time, position or pose, velocity,
-            acceleration]; of these, derivatives say only which state a demonstration was in. Its metadata hold
-            "duration_s". No state comes back ("left-right").
-        duration: of the whole movement, s; as demonstrated where None.
-        derivatives: whether the model's data hold them.
-        horizon_steps, horizon_time_step: of the references, s.
-        position_tolerance, orientation_tolerance: standard deviations of the robot about its reference while nothing
-            disturbs it, in units of the data and rad. A robot that is as near as usual to the reference that it was
-            given follows, whatever states expect there. They are added to what a state knows, too.
-        smoothing: time constant with which the reference tracks a state, as a share of a state's mean duration.
-        blend_time: time constant with which a change of speed is taken over, s.
-
     The path does not depend on the speed: all but `blend_time` is counted in samples of the demonstrations. Paused,
     the reference stays where it is, also when frames move. The speed is not negative: durations say how a state goes
     on, not how it came about.
 
-    Raises ValueError for a model that does not suit, and for numbers out of range.
+    Parameters
+    ----------
+    model
+        fitted to [time, position or pose], or with `derivatives` to [time, position or pose, velocity, acceleration];
+        of these, derivatives say only which state a demonstration was in. Its metadata hold "duration_s". No state
+        comes back ("left-right").
+    duration
+        of the whole movement, s; as demonstrated where None
+    derivatives
+        whether the model's data hold them
+    horizon_steps, horizon_time_step
+        of the references, s
+    position_tolerance, orientation_tolerance
+        standard deviations of the robot about its reference while nothing disturbs it, in units of the data and rad. A
+        robot that is as near as usual to the reference that it was given follows, whatever states expect there. They
+        are added to what a state knows, too.
+    smoothing
+        time constant with which the reference tracks a state, as a share of a state's mean duration
+    blend_time
+        time constant with which a change of speed is taken over, s
+
+    Raises
+    ------
+    ValueError
+        for a model that does not suit, and for numbers out of range
     """
 
     def __init__(
@@ -121,7 +132,13 @@ class SemiMarkovMovement:
 
     @property
     def speed(self) -> float:
-        """1 as learned, 0 pauses. Raises ValueError for what is negative or not finite."""
+        """Speed: 1 as learned, 0 pauses.
+
+        Raises
+        ------
+        ValueError
+            when it is negative or not finite
+        """
         return self._speed
 
     @speed.setter
@@ -160,9 +177,9 @@ class SemiMarkovMovement:
         since = max(0.0, (time_ns - self._last_ns) * _SECOND)
         self._last_ns = time_ns
         if self._situation is not None:
-            # what the robot could follow is what it was given, not what it is about to be given
+            # the robot could only follow the reference that it was given, not the next one
             given = self._follower.at()
-            samples = min(self._samples(since), self._schedule.total)  # after a gap as long as that, it is over anyway
+            samples = min(self._samples(since), self._schedule.total)  # after so long a gap the movement is over anyway
             self._rate = self._rate_after(since)
             self._advance(samples, state, given)
         situation = Situation(frames, weights, state)
@@ -188,7 +205,7 @@ class SemiMarkovMovement:
         )
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
-        """The next n Gaussians, dt (s) apart, should frames and robot do as they ought to: see `Retrieval.horizon`."""
+        """The next n Gaussians, dt (s) apart, if the frames stay and the robot follows: see `Retrieval.horizon`."""
         self._check_stepped()
         follower = copy.copy(self._follower)
         result, before = [], 0.0
@@ -200,12 +217,12 @@ class SemiMarkovMovement:
         return result
 
     def mixture(self) -> GaussianMixture:
-        """The states in the situation of the last step, over all that the model encodes."""
+        """The states in the situation of the last step, over all dimensions that the model encodes."""
         self._check_stepped()
         return self._mixture
 
     def _adopt(self, situation: Situation) -> None:
-        """Take a situation over; what no frame constrains stays where the robot, or else the reference, is."""
+        """Change to a situation; what no frame constrains stays where the robot, or else the reference, is."""
         frames, weights, where = situation.frames, situation.weights, situation.state
         if where is None:
             where = self._begin_state if self._situation is None else self._follower.at()
@@ -225,7 +242,10 @@ class SemiMarkovMovement:
         self._situation = situation
 
     def _advance(self, samples: float, state: Array | None, given: Array) -> None:
-        """Go on; at each whole sample, ask where the movement is, from where the robot is of what it was given (D,)."""
+        """Advance; at each whole sample, estimate the state from the robot's position.
+
+        `given` (D,) is the reference that the robot was given.
+        """
         follower = self._follower
         while samples > 0.0:
             part = min(samples, 1.0 - follower.fraction)
@@ -243,7 +263,7 @@ class SemiMarkovMovement:
             follower.arrive(place)
 
     def _follow(self, follower: PathFollower, samples: float) -> None:
-        """Go on without asking."""
+        """Advance without estimating the state."""
         while samples > 0.0:
             part = min(samples, 1.0 - follower.fraction)
             samples -= part
@@ -251,7 +271,7 @@ class SemiMarkovMovement:
                 follower.arrive(self._schedule.onwards(*follower.place, 1.0))
 
     def _samples(self, seconds: float) -> float:
-        """How many samples the movement goes on within a time, while the rate approaches the speed."""
+        """Number of samples by which the movement advances within a time, while the rate approaches the speed."""
         lag = self._blend_time * (1.0 - math.exp(-seconds / self._blend_time))
         return (self._speed * seconds + (self._rate - self._speed) * lag) * self._schedule.total / self._duration
 
@@ -269,7 +289,7 @@ class SemiMarkovMovement:
             raise ValueError("there was no step yet: call start(time_ns) and step(...)")
 
     def _compile(self) -> None:
-        """Two steps, so that no later one waits for the compiler; with one frame, since one contradicts no other."""
+        """Make two steps, so that no later one waits for the compiler; with one frame, which nothing contradicts."""
         name, view = next(iter(self.model.frame_manifolds_.items()))
         size = 1 + point_manifold(view).dim if self._derivatives else view.dim
         D = 1 + self._manifold.dim

@@ -36,8 +36,16 @@ NOT_DEFINITE, NOT_CONVERGED = -1, -2
 class Smooth:
     """What `smoothest` found.
 
-    points : (T, D); velocities, accelerations : (T, n), per s and s²; covariances : (T, n, n), in the tangent spaces
-    iterations : steps that were taken
+    Parameters
+    ----------
+    points
+        (T, D)
+    velocities, accelerations
+        (T, n), per s and s²
+    covariances
+        (T, n, n), in the tangent spaces
+    iterations
+        steps that were taken
     """
 
     points: Array
@@ -51,22 +59,37 @@ def smoothest(
     first: NDArray[np.intp], weights: Array, means: Array, precisions: Array, states: NDArray[np.intp],
     manifold: Manifold, start: Array, tolerance: float = STEP_TOLERANCE,
 ) -> Smooth:  # fmt: skip
-    """Points (T, D) that fit best to what the state at each time says of positions, velocities and accelerations.
+    """Points (T, D) that fit best the positions, velocities and accelerations that the state at each time expects.
 
-    first, weights : of `difference_weights` for the times, windows of three samples
-    means : (K, D + 2 n), what each state says; precisions : (K, 3 n, 3 n), in the tangent space at its position
-    states : (T,), the state that holds at each time; start : (T, D), where to begin; matters on S³ only
-    tolerance : steps shorter than this, relative to the extent of the points and in rad, end the iteration
-
-    On R^n the second or third step ends it: squaring differences costs half of the digits, and what the first solution
-    leaves over is found without squaring, and solved for again. On S³ steps that do not lower the sum are halved, down
-    to LINEAR_STEP; near the solution the factor is kept. What was demonstrated takes 4 to 5 steps, states that
-    contradict each other by up to half a turn a few dozens. The covariances are the diagonal blocks of the inverse
+    On R^n the second or third step is the last: squaring differences costs half of the digits, so that the residual of
+    the first solution is computed without squaring, and solved for again. On S³ steps that do not lower the sum are
+    halved, down to LINEAR_STEP; near the solution the factor is kept. Demonstrated states need 4 to 5 steps, states
+    that contradict each other by up to half a turn a few dozens. The covariances are the diagonal blocks of the inverse
     Gauss-Newton Hessian at the solution, or within FACTOR_HOLDS tolerances of it. Its condition grows with the number
-    of steps per state to the fourth power: at some hundreds of steps per state they are good to four digits, the points
-    to all.
+    of steps per state to the fourth power: at some hundreds of steps per state they are accurate to four digits, the
+    points to all.
 
-    Raises ValueError when rounding leaves nothing definite, and when MAX_ITERATIONS steps do not end.
+    Parameters
+    ----------
+    first, weights
+        of `difference_weights` for the times, windows of three samples
+    means
+        (K, D + 2 n), what each state expects
+    precisions
+        (K, 3 n, 3 n), in the tangent space at its position
+    states
+        (T,), the state at each time
+    manifold
+        of the points
+    start
+        (T, D), where to begin; matters on S³ only
+    tolerance
+        steps shorter than this, relative to the extent of the points and in rad, end the iteration
+
+    Raises
+    ------
+    ValueError
+        when the Hessian is not definite, and when MAX_ITERATIONS steps are not enough
     """
     points = np.array(start, dtype=float, order="C")
     T, n = len(points), manifold.tangent_dim
@@ -92,7 +115,7 @@ def smoothest(
 def _rate(
     points: Array, t: int, first: int, weights: Array, flat: Array, spheres: Array, steps: Array, rates: Array
 ) -> None:
-    """steps (3, n) to the window's points, and rates (2 n,) at x[t]; weights (3, T, 3)."""
+    """Steps (3, n) to the window's points, and rates (2 n,) at x[t]; weights (3, T, 3)."""
     n = len(flat)
     for p in range(3):
         if first + p == t:
@@ -107,7 +130,7 @@ def _rate(
 
 @compiled
 def _differences(first: Array, weights: Array, flat: Array, spheres: Array, points: Array, rates: Array) -> None:
-    """rates (T, 2 n) of points (T, D)."""
+    """Velocities and accelerations, rates (T, 2 n), of points (T, D)."""
     steps = np.empty((3, len(flat)))
     for t in range(len(points)):
         _rate(points, t, first[t], weights, flat, spheres, steps, rates[t])
@@ -149,7 +172,7 @@ def _differentiate(
 
 @compiled
 def _apply_transposed(plain: Array, turning: Array, flat: Array, spheres: Array, M: Array, out: Array) -> None:
-    """out = G^T M (3 n, columns), where G (3 n, 3 n) are the derivatives of `_differentiate`."""
+    """Product out = G^T M (3 n, columns), where G (3 n, 3 n) are the derivatives of `_differentiate`."""
     n, columns = len(flat), M.shape[1]
     for p in range(3):
         for i in range(n):
@@ -176,8 +199,10 @@ def _assemble(
     first: Array, weights: Array, means: Array, precisions: Array, states: Array, flat: Array, spheres: Array,
     points: Array, rates: Array, with_hessian: bool, band: Array, downhill: Array,
 ) -> float:  # fmt: skip
-    """Half the sum that is minimised; writes rates (T, 2 n), the negative gradient downhill (T n,) and, if asked for,
-    the Gauss-Newton Hessian band (T n, 3 n).
+    """Half the sum that is minimised.
+
+    Writes rates (T, 2 n), the negative gradient downhill (T n,) and, if asked for, the Gauss-Newton Hessian band
+    (T n, 3 n).
     """
     T, n, D = len(points), len(flat), points.shape[1]
     steps, residual, force = np.empty((3, n)), np.empty(3 * n), np.empty((3 * n, 1))

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The critically damped spring, solved exactly: no time is too long for it."""
+"""The critically damped spring, solved exactly, for times of any length."""
 
 from __future__ import annotations
 
 import math
+
+import numpy as np
 
 from tpgmm_core.common.types import Array
 
@@ -13,3 +15,19 @@ def critically_damped(error: Array, velocity: Array, rate: float, time: float) -
     slope = velocity + rate * error
     left = math.exp(-rate * time)
     return left * (error + time * slope), left * (velocity - rate * time * slope)
+
+
+class Smoothed:
+    """A value that follows another one as a critically damped spring: two low-pass filters, one behind the other.
+
+    Of weights that sum to 1 it makes such weights again, since each filter takes a mean.
+    """
+
+    def __init__(self, value: Array) -> None:
+        self.value = np.array(value)
+        self._velocity = np.zeros_like(self.value)
+
+    def follow(self, target: Array, rate: float, seconds: float) -> None:
+        """Let a time pass, s, while the target is (n,); rate : 1/s, of either filter."""
+        error, self._velocity = critically_damped(self.value - target, self._velocity, rate, seconds)
+        self.value = target + error

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where in a hidden semi-Markov chain a movement is: by its own course, and by what is seen of the robot.
+"""Where in a hidden semi-Markov chain a movement is, from the chain and from observations of the robot.
 
 Time is counted in samples of the demonstrations here. A place is a state and its age, the samples since it began.
 """
@@ -16,7 +16,7 @@ STANDING = 1e-3
 """What it counts that a sample is a disturbance and the movement stands still, where 1 is a sample that fits a state
 as it usually does. A robot is away from a state when it fits it less than this."""
 CARRIED = 1e-6
-"""Probability per sample that the robot is carried to any later state. Three samples there make up for it."""
+"""Probability per sample that the robot is carried to any later state; three samples there outweigh it."""
 LONGEST_HAZARD = 0.5
 """A state never ends with more than this probability per sample, however long it has lasted: durations get a geometric
 tail, so that time alone does not force a robot out of a state that it is seen in."""
@@ -28,17 +28,32 @@ LEAD = 0.5
 class NominalSchedule:
     """How a movement goes on from any place, when nothing disturbs it.
 
-    chain : no state comes back once it has been left, as in "left-right"
+    Parameters
+    ----------
+    chain
+        no state comes back once it has been left, as in "left-right"
 
-    nominal : (K,), expected durations of the states, made such that `total` is whole. (Their likeliest durations are
-        the same where durations are narrow; of a state that some demonstrations hardly visit, they would be 1)
-    following : (K,), the likeliest next state, or -1
-    longest : (K,), ages at which states are overdue, since the robot is still seen in them: a reference waits then,
-        LEAD of the next state ahead, which leads a free robot out of the state; infinite for the last one
-    after : (K,), samples from the end of each state to the end of the movement
-    first : the state that the movement begins with; total : its duration
+    Attributes
+    ----------
+    nominal
+        (K,), expected durations of the states, scaled such that `total` is whole. (Their most probable durations are
+        the same where durations are narrow; but for a state that most demonstrations skip, they would be 1)
+    following
+        (K,), the most probable next state, or -1
+    longest
+        (K,), ages at which states are overdue, since the robot is still seen in them: a reference then waits LEAD of
+        the next state ahead, which leads a free robot out of the state; infinite for the last one
+    after
+        (K,), samples from the end of each state to the end of the movement
+    first
+        the state that the movement begins with
+    total
+        duration of the movement
 
-    Raises ValueError for a chain with a state that comes back.
+    Raises
+    ------
+    ValueError
+        for a chain with a state that comes back
     """
 
     def __init__(self, chain: SemiMarkovChain) -> None:
@@ -60,7 +75,7 @@ class NominalSchedule:
         self.longest = np.where(self.following >= 0, self.nominal + LEAD * self.nominal[self.following], np.inf)
 
     def onwards(self, state: int, age: float, samples: float) -> tuple[int, float]:
-        """The place so many samples after another one; the last state goes on, and overdue ones count as `longest`."""
+        """The place some samples after another one; the last state goes on, and overdue ones count as `longest`."""
         age = min(age, self.longest[state]) + samples
         while self.following[state] >= 0 and age >= self.nominal[state]:
             age -= self.nominal[state]
@@ -73,16 +88,23 @@ class NominalSchedule:
 
 
 class StateFilter:
-    """Recursive estimate of the state and its age from what is seen of the robot, a sample at a time.
+    """Recursive estimate of the state and its age from observations of the robot, one per sample.
 
     The forward variable of the chain, for three things that may happen in a sample:
 
-    - the movement goes on as it was learned, and the robot is seen where the state fits;
-    - something holds or pushes the robot away from where it ought to be, and the movement stands still: STANDING;
+    - the movement goes on as it was learned, and the robot is where the state expects it;
+    - something holds or pushes the robot away from there, and the movement stands still: STANDING;
     - something carries the robot to a later state, in the middle of it: CARRIED.
 
-    A disturbed robot is thereby waited for, is caught up with when it is carried ahead, and is not taken for elsewhere
-    when it is pushed to where no state is.
+    So the movement waits for a robot that is disturbed, catches up with one that is carried ahead, and does not take a
+    robot that is pushed away from all states for one that is in another state.
+
+    Parameters
+    ----------
+    chain
+        the states and their durations
+    schedule
+        how the chain goes on
     """
 
     def __init__(self, chain: SemiMarkovChain, schedule: NominalSchedule) -> None:
@@ -104,12 +126,18 @@ class StateFilter:
         self.reset(schedule.first, 0.0)
 
     def reset(self, state: int, age: float) -> None:
-        """Be sure of a place."""
+        """Set the place, with certainty."""
         self._forward[:] = 0.0
         self._forward[state, min(round(age), self._forward.shape[1] - 1)] = 1.0
 
     def update(self, fit: Array | None) -> None:
-        """A sample later, seen to fit the states by (K,), 0 to 1, where 1 is what is usual; None: not seen at all."""
+        """Advance by one sample.
+
+        Parameters
+        ----------
+        fit
+            (K,), how well the robot's position fits each state, 0 to 1, where 1 is usual; None: it was not seen
+        """
         likelihood = kernels_semi_markov.advance(
             self._forward, self._hazards, self._onwards, self._carried, self._middle,
             self._anything if fit is None else fit, 0.0 if fit is None else STANDING, self._ahead,

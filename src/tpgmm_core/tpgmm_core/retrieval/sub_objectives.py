@@ -2,7 +2,7 @@
 """The inverse optimal control reading of a model (Section 5): each frame is a sub-objective, with learned weights.
 
 A reproduction minimises Eq. (3), the sum over the frames of `(xi - xi_j)^T Lambda_j (xi - xi_j)` at each time. The
-precisions Lambda_j were learned: they say how much the demonstrations cared for each frame, when, and in which
+precisions Lambda_j were learned: they say how much each frame mattered in the demonstrations, when, and in which
 directions. With Sigma the covariance of the product, the matrices `Sigma^(1/2) Lambda_j Sigma^(1/2)` add up to the
 identity, whatever the units: their diagonals are the shares of the frames in the objective.
 """
@@ -24,14 +24,22 @@ from tpgmm_core.retrieval.regression import RegressThenProduct
 
 @dataclass(frozen=True, slots=True)
 class SubObjectives:
-    """What each of P frames wants of a movement at T times, on n tangent dimensions.
+    """The objectives of P frames for a movement at T times, on n tangent dimensions.
 
-    frames : names, in the order of the axes P
-    means : (T, D), the movement: where the sum of all is least
-    covariances : (T, n, n), of the movement, in the tangent spaces at the means
-    precisions : (T, P, n, n), Lambda_j at the movement, in the unit of the data to the power of -2
-    shares : (T, P, n), of each frame in the objective along each dimension: 0 to 1, the sum over the frames is 1
-    costs : (T, P), what is left of each sub-objective: how far the frames contradict each other, in variances
+    Parameters
+    ----------
+    frames
+        names, in the order of the axes P
+    means
+        (T, D), the movement: where the sum of all is least
+    covariances
+        (T, n, n), of the movement, in the tangent spaces at the means
+    precisions
+        (T, P, n, n), Lambda_j at the movement, in the unit of the data to the power of -2
+    shares
+        (T, P, n), of each frame in the objective along each dimension: 0 to 1, the sum over the frames is 1
+    costs
+        (T, P), what remains of each sub-objective: how far the frames contradict each other, in variances
     """
 
     frames: tuple[str, ...]
@@ -42,16 +50,26 @@ class SubObjectives:
     costs: Array
 
     def weights(self, dimensions: slice | list[int] = slice(None)) -> Array:
-        """(T, P): the frames' shares, averaged over tangent dimensions (positions, say, or rotations)."""
+        """Shares of the frames, averaged over tangent dimensions (positions, say, or rotations): (T, P)."""
         return np.asarray(self.shares[..., dimensions].mean(axis=-1))
 
 
 def sub_objectives(model: TPGMM, times: ArrayLike, frames: Mapping[str, Frame]) -> SubObjectives:
     """The sub-objectives of a model's frames in one situation.
 
-    model : with time as the first dimension; times : (T,), of the model; frames : over [time, data], one or more
+    Parameters
+    ----------
+    model
+        with time as the first dimension
+    times
+        (T,), of the model
+    frames
+        over [time, data], one or more
 
-    Raises ValueError as `RegressThenProduct` and its `retrieve`.
+    Raises
+    ------
+    ValueError
+        like `RegressThenProduct` and its `retrieve`
     """
     retrieval = RegressThenProduct(model)
     movement = retrieval.retrieve(frames, times)

@@ -14,8 +14,17 @@ from tpgmm_core.common.types import Array
 class TimeScaling:
     """Scaled time passes at a rate that follows a target by a first-order low-pass, solved exactly.
 
-    rate : scaled time per s, at present; target : what it approaches; both may be set, the rate by whoever begins anew
-    time_constant : s
+    Parameters
+    ----------
+    target
+        rate that is approached, scaled time per s; may be set at any time
+    time_constant
+        of the low-pass, s
+
+    Attributes
+    ----------
+    rate
+        present rate, scaled time per s; may be set when a movement begins
     """
 
     def __init__(self, target: float, time_constant: float) -> None:
@@ -23,13 +32,13 @@ class TimeScaling:
         self.time_constant = time_constant
 
     def advance(self, seconds: float) -> float:
-        """Scaled time that passes within the next seconds; they are over then."""
+        """Let the seconds pass; returns the scaled time that passes within them."""
         passed = float(self.ahead(seconds))
         self.rate = self.target + (self.rate - self.target) * math.exp(-seconds / self.time_constant)
         return passed
 
     def ahead(self, seconds: ArrayLike) -> Array:
-        """Scaled time that will have passed after seconds (...,), should the target stay."""
+        """Scaled time that will have passed after seconds (...,), if the target stays."""
         seconds = np.asarray(seconds, dtype=float)
         settled = -np.expm1(-seconds / self.time_constant) * self.time_constant
         return np.asarray(self.target * seconds + (self.rate - self.target) * settled)

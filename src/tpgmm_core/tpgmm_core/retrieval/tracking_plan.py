@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A smooth path through Gaussians by linear quadratic tracking, from where and as fast as a reference moves already."""
+"""A smooth path through Gaussians by linear quadratic tracking, from a reference's present position and velocity."""
 
 from __future__ import annotations
 
@@ -18,7 +18,18 @@ from tpgmm_core.lqr.finite_horizon import finite_horizon_gains
 class TrackingPlan:
     """A path of H steps of constant acceleration, in the tangent space at where it begins.
 
-    begin : (D,), a point of the manifold; states : (H + 1, 2 n), [x, x']; accelerations : (H, n)
+    Parameters
+    ----------
+    manifold
+        of the path
+    time_step
+        duration of a step
+    begin
+        (D,), a point of the manifold
+    states
+        (H + 1, 2 n), [x, x']
+    accelerations
+        (H, n)
     """
 
     manifold: Manifold
@@ -41,11 +52,11 @@ class TrackingPlan:
 
 
 class Planner:
-    """Plans paths of n_steps steps of a length.
+    """Plans paths of n_steps steps of a given duration.
 
     The path minimises the sum of |log_mu(x)|² in the precision Lambda of each step and of control_cost |x''|² (Section
-    5): what matters is met closely, and what does not smoothly. Costs are quadratic in the tangent space at the
-    beginning, so that a plan on S³ is good near to it; it is made anew long before it ends.
+    5): it is close to Gaussians of high precision, and smooth between the others. Costs are quadratic in the tangent
+    space at the beginning, so that a plan on S³ is accurate near to it; it is renewed long before it ends.
     """
 
     def __init__(self, manifold: Manifold, time_step: float, n_steps: int) -> None:
@@ -61,10 +72,20 @@ class Planner:
     def plan(
         self, begin: Array, velocity: Array, targets: Array, precisions: Array, control_cost: Array
     ) -> TrackingPlan:
-        """The path from begin (D,) with velocity (n,) along targets (n_steps + 1, D).
+        """The path from a point and a velocity along targets.
 
-        precisions : (n_steps + 1, n, n), of the targets, moved to the tangent space at begin
-        control_cost : (n, n)
+        Parameters
+        ----------
+        begin
+            (D,), point
+        velocity
+            (n,)
+        targets
+            (n_steps + 1, D)
+        precisions
+            (n_steps + 1, n, n), of the targets, moved to the tangent space at begin
+        control_cost
+            (n, n)
         """
         n = self._manifold.tangent_dim
         self._costs[:, :n, :n] = precisions

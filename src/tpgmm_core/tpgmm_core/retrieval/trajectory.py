@@ -2,8 +2,8 @@
 """Trajectory models with dynamic features (Tokuda et al. 2000; Zen, Tokuda and Kitamura 2007).
 
 Position, velocity and acceleration are learned together. At each time one component, the state, says what all three
-should be, with the precision that it learned; the trajectory is that whose positions, velocities and accelerations
-are all together the most likely, hence smooth although states change at once.
+should be, with the precision that it learned; the trajectory is the one whose positions, velocities and accelerations
+together are the most probable, hence smooth although states change suddenly.
 """
 
 from __future__ import annotations
@@ -38,10 +38,22 @@ WARM_TOLERANCE = 1e-5
 class Trajectory:
     """A smooth trajectory of T steps on a manifold of D ambient and n tangent dimensions.
 
-    times : (T,), s; states : (T,), the component that held at each; positions : (T, D), signs of quaternions continuous
-    velocities, accelerations : (T, n), the differences of the positions that the model was compared to
-    covariances : (T, n, n), in the tangent spaces at the positions; each takes all other steps into account
-    iterations : Gauss-Newton steps that were taken
+    Parameters
+    ----------
+    times
+        (T,), s
+    states
+        (T,), the component at each time
+    positions
+        (T, D), signs of quaternions continuous
+    velocities, accelerations
+        (T, n), the differences of the positions that were compared with the model
+    covariances
+        (T, n, n), in the tangent spaces at the positions; each takes all other steps into account
+    manifold
+        of the positions
+    iterations
+        number of Gauss-Newton steps
     """
 
     times: Array
@@ -62,9 +74,15 @@ class Trajectory:
 class TrajectoryModel:
     """Retrieves whole smooth trajectories from a model of positions, velocities and accelerations.
 
-    model : fitted to what `with_derivatives` returns, on `manifold_with_derivatives`
+    Parameters
+    ----------
+    model
+        fitted to what `with_derivatives` returns, on `manifold_with_derivatives`
 
-    Raises ValueError for a model of other dimensions.
+    Raises
+    ------
+    ValueError
+        for a model of other dimensions
     """
 
     def __init__(self, model: TPGMM) -> None:
@@ -76,7 +94,7 @@ class TrajectoryModel:
         self._compile(model)
 
     def _compile(self, model: TPGMM) -> None:
-        """One solution and one interpolation, so that no later one waits for the compiler."""
+        """Compute one solution and one interpolation, so that no later one waits for the compiler."""
         name, view = next(iter(model.frame_manifolds_.items()))
         seen_as_it_is = GaussianMixture(model.priors_, model.means_[name], model.covariances_[name], view)
         manifold = point_manifold(view)
@@ -95,13 +113,23 @@ class TrajectoryModel:
     ) -> Trajectory:
         """The trajectory in a situation, in time linear in its length.
 
-        frames : over [time, position] (`Frame.with_time`), at least one of the model's; none moves
-        times : (T,), T >= 3, s, increasing
-        states : (T,), the component that holds at each time; those of `states` where None
-        weights : how far each frame is trusted, 0 to 1; fully where not named
-        state : (D,), where the robot is: what no frame constrains stays there; the origin where None
+        Parameters
+        ----------
+        frames
+            over [time, position] (`Frame.with_time`), at least one of the model's; none moves
+        times
+            (T,), T >= 3, s, increasing
+        states
+            (T,), the component at each time; None: the most active one (`states`)
+        weights
+            how far each frame is trusted, 0 to 1; 1 where not named
+        state
+            (D,), where the robot is: what no frame constrains stays there; the origin where None
 
-        Raises ValueError like `Adapter.adapt` and `smoothest`, and for times and states that do not fit.
+        Raises
+        ------
+        ValueError
+            like `Adapter.adapt` and `smoothest`, and for times and states that do not fit
         """
         mixture = self.adapt(frames, state, weights)
         times = np.asarray(times, dtype=float)
@@ -129,7 +157,7 @@ class TrajectoryModel:
         return point_manifold(self._adapter.manifold)
 
     def activations(self, times: Array) -> Array:
-        """Of the components at the model's times (T,), as learned: (T, K), the geometric mean over the frames.
+        """Activations (T, K) of the components at the model's times (T,), as learned: geometric means over the frames.
 
         Not those of the adapted mixture: frames that contradict each other on where a component is move it in time too.
         """
@@ -159,13 +187,20 @@ class TrajectoryModel:
 class SmoothTrajectory:
     """A trajectory model as a `TimeParametrized`: solved once for each situation, and interpolated between its steps.
 
-    model : as for `TrajectoryModel`, with duration_s in its metadata
-    steps : that a solution has, the first one at time 0 of the model, the last one at its duration
+    Where frames have moved little, the search begins at the former solution, which saves most of the Gauss-Newton
+    steps. The result depends on the situation alone, up to 1e-7 m or rad, and a thousandth of the covariances.
 
-    Where frames have moved little, it begins at the former solution, which saves most of the Gauss-Newton steps. What
-    it finds depends on the situation alone, but for less than 1e-7 m or rad, and a thousandth of the covariances.
+    Parameters
+    ----------
+    model
+        as for `TrajectoryModel`, with duration_s in its metadata
+    steps
+        number of steps of a solution, the first one at time 0 of the model, the last one at its duration
 
-    Raises ValueError as `TrajectoryModel`, for a duration that is not known, and less than three steps.
+    Raises
+    ------
+    ValueError
+        like `TrajectoryModel`, for a duration that is not known, and less than three steps
     """
 
     def __init__(self, model: TPGMM, *, steps: int = 100) -> None:
@@ -206,9 +241,22 @@ class SmoothTrajectory:
         return all(np.max(turn) < WARM_TURN for turn in turns)
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
-        """Means (H, D), covariances (H, n, n), and the activations (K,) at the first of the model's times (H,), s.
+        """The movement at some of the model's times.
 
-        Raises ValueError before `situate`.
+        Parameters
+        ----------
+        times
+            (H,), s
+
+        Returns
+        -------
+        tuple[Array, Array, Array]
+            means (H, D), covariances (H, n, n), and the activations (K,) at the first of the times
+
+        Raises
+        ------
+        ValueError
+            before `situate`
         """
         _, smooth = self._solution()
         means, covariances = _interpolated(self._grid, smooth, self.manifold, np.asarray(times, dtype=float))
@@ -217,13 +265,16 @@ class SmoothTrajectory:
     def mixture(self) -> GaussianMixture:
         """The model in this situation, over [time, position, velocity, acceleration].
 
-        Raises ValueError before `situate`.
+        Raises
+        ------
+        ValueError
+            before `situate`
         """
         return self._solution()[0]
 
     def _solution(self) -> tuple[GaussianMixture, Smooth]:
         if self._solved is None:
-            raise ValueError("the course knows no situation yet: call situate(frames) first")
+            raise ValueError("there is no situation yet: call situate(frames) first")
         return self._solved
 
 

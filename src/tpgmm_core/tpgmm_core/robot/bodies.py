@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether what a robot's joints move can be a body: its mass, and its inertia about its centre of mass.
 
-A URDF's links that are fixed to one another are one body. Published URDFs have links of a few grams with impossible
-numbers; what counts is the body.
+Links of a URDF that are fixed to one another are one body. Published URDFs have links of a few grams with impossible
+numbers; only the body as a whole is checked.
 """
 
 from __future__ import annotations
@@ -16,20 +16,26 @@ import pinocchio as pin
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 
-#: Of the largest one: principal inertias that are below zero by less than this are rounding.
+#: Share of the largest one: principal inertias below zero by less than this are rounding.
 ROUNDING = 1e-6
-#: Of the sum of the other two: a principal inertia that is larger than that by less is what people write down.
+#: Share of the sum of the other two: a principal inertia above it by less than this is rounding in the file.
 ROUGHLY = 1.05
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """What moves with a joint, without what the joints behind it move.
+    """The body that moves with a joint, without what the joints behind it move.
 
-    joint : name of the joint
-    links : names of the URDF's links
-    mass : kg
-    principal : (3,) inertias about the axes through the centre of mass, ascending, kg m²
+    Parameters
+    ----------
+    joint
+        name of the joint
+    links
+        names of the URDF's links
+    mass
+        kg
+    principal
+        (3,) inertias about the axes through the centre of mass, ascending, kg m²
     """
 
     joint: str
@@ -39,17 +45,17 @@ class Body:
 
     @property
     def is_possible(self) -> bool:
-        """No inertia is negative: else no torque may brake the joint, and the arm's equations have no solution."""
+        """Whether no inertia is negative: else no torque could brake the joint, and no motion could be computed."""
         return bool(self.principal[0] >= -ROUNDING * abs(self.principal[2]))
 
     @property
     def has_the_shape_of_a_body(self) -> bool:
-        """The triangle inequality: x² + y² about one axis is at most the sum of what there is about the other two."""
+        """Whether the triangle inequality holds: an inertia about one axis is at most the sum of the other two."""
         return bool(self.principal[2] <= ROUGHLY * (self.principal[0] + self.principal[1]))
 
     @property
     def is_a_point(self) -> bool:
-        """It has a mass and no extent."""
+        """Whether it has a mass and no extent."""
         return self.mass > 0.0 and not self.principal.any()
 
     def __str__(self) -> str:

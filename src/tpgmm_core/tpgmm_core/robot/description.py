@@ -40,7 +40,7 @@ FRICTION_KEYS = ("viscous", "coulomb")
 ARMATURE_KEYS = ("inertia",)
 MAX_URDF_BYTES = 4_000_000
 MAX_URDF_DEPTH, MAX_URDF_JOINTS = 50, 500
-"""The depth of a URDF's XML, and its joints: its parser descends both by recursion, to the end of the stack."""
+"""Limit of the depth of a URDF's XML, and of its joints: its parser is recursive in both."""
 
 
 _GEOMETRY = ("robot", "link", "joint", "origin", "mass", "inertia", "axis", "limit", "parent", "child", "mimic")
@@ -76,7 +76,18 @@ class RobotDescription:
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> RobotDescription:
-        """Read a robot file. Raises RobotFileError with the file, the key and what was expected."""
+        """Read a robot file.
+
+        Parameters
+        ----------
+        path
+            the file
+
+        Raises
+        ------
+        RobotFileError
+            with the file, the key and what was expected
+        """
         path = Path(path)
         try:
             return cls._of(path, Section.load(path, "a robot file"))
@@ -107,10 +118,21 @@ class RobotDescription:
 
 
 def resolve_urdf(reference: str, folder: Path) -> Path:
-    """File of `package://NAME/path` (in wheels and ROS workspaces), or of a path in `folder`.
+    """Find the file of `package://NAME/path` (in wheels and ROS workspaces), or of a path in `folder`.
 
-    Raises RobotFileError where there is none, and for a path that leads out of the package or the folder. Links that
-    lie in installed packages are followed, since workspaces are made of them; links in `folder` not out of it.
+    Links in installed packages are followed, since workspaces consist of them; links in `folder` only within it.
+
+    Parameters
+    ----------
+    reference
+        as the robot file names it
+    folder
+        of the robot file
+
+    Raises
+    ------
+    RobotFileError
+        where there is none, and for a path that leads out of the package or the folder
     """
     is_package = reference.startswith(PACKAGE_SCHEME)
     relative = Path(reference.removeprefix(PACKAGE_SCHEME))
@@ -138,11 +160,22 @@ def resolve_urdf(reference: str, folder: Path) -> Path:
 
 
 def read_xml(path: Path) -> bytes:
-    """The XML of a URDF, without what may stand before it: blank lines, and a byte order mark before these.
+    """Read the XML of a URDF, without a byte order mark and blank lines before it.
 
-    Raises RobotFileError for what its parsers should not be given: no XML, a xacro, too large or too deep, or with a
-    document type, which XML entities need that refer to files or unfold to gigabytes. Meshes are never opened. OSError
-    where the file cannot be read.
+    Meshes are never opened.
+
+    Parameters
+    ----------
+    path
+        the file
+
+    Raises
+    ------
+    OSError
+        where the file cannot be read
+    RobotFileError
+        for what its parsers should not be given: no XML, a xacro, too large or too deep, or with a document type, since
+        XML entities may refer to files or expand to gigabytes
     """
     with path.open("rb") as file:
         content = file.read(MAX_URDF_BYTES + 1)
@@ -162,7 +195,7 @@ def read_xml(path: Path) -> bytes:
             raise RobotFileError(
                 f"the URDF {path} has more than {MAX_URDF_JOINTS} joints or levels within {MAX_URDF_DEPTH} others"
             )
-        # an expanded xacro has no such elements and formulas any more
+        # an expanded xacro has no such elements and formulas
         is_formula = tag in _GEOMETRY and any("${" in text for text in attributes.values())
         is_xacro = is_xacro or is_formula or tag.startswith("xacro:")
 
@@ -178,7 +211,7 @@ def read_xml(path: Path) -> bytes:
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(content, True)
-    except (expat.ExpatError, LookupError) as error:  # LookupError: an encoding that nobody knows
+    except (expat.ExpatError, LookupError) as error:  # LookupError: an unknown encoding
         raise RobotFileError(f"the URDF {path} is no XML: {error}") from None
     if is_xacro:
         raise RobotFileError(f"{path} is a xacro, not a URDF; expand it first: xacro {path.name} > robot.urdf")
@@ -212,7 +245,7 @@ def _endpoint(section: Section, groups: Mapping[str, tuple[str, ...]]) -> Endpoi
 def _per_joint(
     top: Section, key: str, groups: Mapping[str, tuple[str, ...]], allowed: tuple[str, ...]
 ) -> dict[str, dict[str, float]]:
-    """Entries by joint or by group, spread over the joints."""
+    """Entries by joint or by group, copied to each joint."""
     spread: dict[str, dict[str, float]] = {}
     # groups first, so that a joint's own entry replaces what its group says
     for name, entry in sorted(top.sections(key, optional=True), key=lambda item: item[0] not in groups):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a robot file and what its URDF says of mechanisms and masses fit each other."""
+"""Whether a robot file and the mechanisms and masses of its URDF fit each other."""
 
 from __future__ import annotations
 
@@ -14,14 +14,19 @@ from tpgmm_core.robot.bodies import bodies
 from tpgmm_core.robot.description import RobotDescription, RobotFileError
 from tpgmm_core.robot.urdf_tree import UrdfTree
 
-#: A joint that moves less than this (kg m^2 or kg) moves nothing, and its acceleration under a torque means nothing.
+#: A joint that moves less than this (kg m^2 or kg) moves nothing, and its acceleration is meaningless.
 LEAST_INERTIA = 1e-9
 
 
 def check_mimics(description: RobotDescription, tree: UrdfTree) -> None:
-    """Raise RobotFileError for what is asked of joints that have no motor but mimic others.
+    """Check that the robot file does not use joints that mimic others as if they had motors.
 
-    Nobody commands them, which is wrong where they move an end point together with their leader.
+    Nobody commands such joints, which is wrong where they move an end point together with their leader.
+
+    Raises
+    ------
+    RobotFileError
+        for the first use of one
     """
     for name, end in description.endpoints.items():
         above = [joint for joint in tree.joints_above(end.frame) if not _is_held(joint, tree, description.locked)]
@@ -38,7 +43,7 @@ def check_mimics(description: RobotDescription, tree: UrdfTree) -> None:
         if mimics := [joint for joint in names if joint in tree.mimics and joint not in description.home]:
             raise RobotFileError(
                 f"{description.path}: {key} names {listed(mimics)}, which has no motor but mimics "
-                f"{shown(tree.mimics[mimics[0]].leader)}: leave it out (it stands where that puts it), or name it in "
+                f"{shown(tree.mimics[mimics[0]].leader)}: leave it out (it then follows that joint), or name it in "
                 "home too"
             )
 
@@ -51,7 +56,13 @@ def _is_held(joint: str, tree: UrdfTree, locked: Mapping[str, float]) -> bool:
 
 
 def check_inertia(description: RobotDescription, model: pin.Model, home: Array) -> None:
-    """Raise RobotFileError for bodies that cannot be, and for joints of which no torque can be computed."""
+    """Check the bodies of a robot.
+
+    Raises
+    ------
+    RobotFileError
+        for bodies that are not possible, and for joints of which no torque can be computed
+    """
     urdf, parts = description.urdf.name, list(bodies(model))
     for body in parts:
         if not body.is_possible:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`RobotModel`: a URDF and a robot file, and its kinematics and dynamics through Pinocchio.
 
-As in Pinocchio the model is constant and the scratch memory is apart: `RobotModel` may be shared, every loop
+As in Pinocchio the model is constant and the scratch memory is separate: `RobotModel` may be shared, every loop
 makes its own `RobotData`. Joint vectors (nv,) are in the order of `joint_names`; messages are brought into
 that order by name.
 """
@@ -22,10 +22,10 @@ from tpgmm_core.robot.fit import check_inertia, check_mimics
 from tpgmm_core.robot.urdf import read_urdf
 from tpgmm_core.robot.urdf_tree import Mimic
 
-# No joint of an arm has more (N m or N; rad/s or m/s): URDFs hold such numbers where nobody knew the limit.
+# No joint of an arm has more (N m or N; rad/s or m/s): URDFs hold larger numbers where the limit was not known.
 CREDIBLE_EFFORT = 1000.0
 CREDIBLE_VELOCITY = 100.0
-#: Of joints that turn, and of those that slide.
+#: Units of joints that turn, and of those that slide.
 UNITS = {
     "position": ("rad", "m"),
     "velocity": ("rad/s", "m/s"),
@@ -36,25 +36,46 @@ AXES = pin.LOCAL_WORLD_ALIGNED
 
 
 class RobotModel:
-    """A robot with a fixed base and joints of one degree of freedom each (nq = nv); those locked are none.
+    """A robot with a fixed base and joints of one degree of freedom each (nq = nv); locked joints are not part of it.
+
+    Parameters
+    ----------
+    description
+        the robot file
 
     Attributes
     ----------
-    pinocchio : the Pinocchio model, with the limits of the robot file; do not change it
-    joint_names, joint_units : (nv,) names in model order, and "rad" or "m"
-    base_frame : name of the frame in whose axes poses, Jacobians and wrenches are expressed
-    endpoints : name -> Endpoint(frame, joints)
-    joint_groups : name -> joint names
-    effort_limits, velocity_limits : (nv,), N m and N; rad/s and m/s
-    torque_rates : (nv,), N m/s and N/s, largest changes of torques that the robot takes; infinite where none is given
-    lower_limits, upper_limits : (nv,), rad and m; infinite for joints that may turn for ever
-    viscous_friction, coulomb_friction : (nv,), N m s/rad and N m (N s/m and N for prismatic joints)
-    home : (nv,) posture, rad and m
-    mimics : joint -> what it mimics; those that home does not name are none of the model, they stand where it puts them
+    pinocchio
+        the Pinocchio model, with the limits of the robot file; do not change it
+    joint_names, joint_units
+        (nv,) names in model order, and "rad" or "m"
+    base_frame
+        name of the frame in whose axes poses, Jacobians and wrenches are expressed
+    endpoints
+        name -> Endpoint(frame, joints)
+    joint_groups
+        name -> joint names
+    effort_limits, velocity_limits
+        (nv,), N m and N; rad/s and m/s
+    torque_rates
+        (nv,), N m/s and N/s, largest changes of torques that the robot accepts; infinite where none is given
+    lower_limits, upper_limits
+        (nv,), rad and m; infinite for joints that may turn for ever
+    viscous_friction, coulomb_friction
+        (nv,), N m s/rad and N m (N s/m and N for prismatic joints)
+    home
+        (nv,) posture, rad and m
+    mimics
+        joint -> what it mimics; those that home does not name are not in the model, their mechanism determines where
+        they are
+
+    Raises
+    ------
+    RobotFileError
+        where the robot file and the URDF do not fit each other
     """
 
     def __init__(self, description: RobotDescription) -> None:
-        """Load the URDF. Raises RobotFileError where the robot file and the URDF do not fit each other."""
         try:
             urdf = read_urdf(description.urdf, description.locked, description.home)
         except RobotFileError as error:
@@ -99,7 +120,18 @@ class RobotModel:
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> RobotModel:
-        """Read a robot file (see `tpgmm_core.robot.description`) and the URDF that it names. Raises RobotFileError."""
+        """Read a robot file (see `tpgmm_core.robot.description`) and the URDF that it names.
+
+        Parameters
+        ----------
+        path
+            of the robot file
+
+        Raises
+        ------
+        RobotFileError
+            for a file that cannot be used, with the reason
+        """
         return cls(RobotDescription.from_file(path))
 
     def create_data(self) -> RobotData:
@@ -107,13 +139,26 @@ class RobotModel:
         return RobotData(self)
 
     def unit(self, joint: str, quantity: str) -> str:
-        """Unit of a joint's "position", "velocity", "effort" or "inertia": those that turn have others than those that
-        slide."""
+        """Unit of a joint's "position", "velocity", "effort" or "inertia".
+
+        It depends on whether the joint turns or slides.
+        """
         is_prismatic = self.pinocchio.joints[self._index[joint] + 1].shortname().startswith("JointModelP")
         return UNITS[quantity][is_prismatic]
 
     def indices(self, joints: str | Sequence[str]) -> NDArray[np.intp]:
-        """Places in joint vectors of a group, or of joints by name. Raises ValueError for unknown names."""
+        """Indices in joint vectors of a group, or of joints by name.
+
+        Parameters
+        ----------
+        joints
+            a group of the robot file, or names of joints
+
+        Raises
+        ------
+        ValueError
+            for unknown names
+        """
         names = self.joint_groups.get(joints, (joints,)) if isinstance(joints, str) else joints
         unknown = [name for name in names if name not in self._index]
         if unknown:
@@ -122,7 +167,13 @@ class RobotModel:
         return np.array([self._index[name] for name in names], dtype=np.intp)
 
     def frame_id(self, frame: str) -> int:
-        """Pinocchio's index of a frame of the URDF, a link or else a joint. Raises ValueError for an unknown name."""
+        """Pinocchio's index of a frame of the URDF, a link or else a joint.
+
+        Raises
+        ------
+        ValueError
+            for an unknown name
+        """
         if not self.pinocchio.existFrame(frame):
             bodies = [f.name for f in self.pinocchio.frames if f.type == pin.FrameType.BODY]
             raise ValueError(f"the URDF has no frame {shown(frame)}; its links are {listed(bodies, 60)}")
@@ -133,7 +184,17 @@ class RobotModel:
     def ordered(self, names: Sequence[str], values: ArrayLike) -> Array:
         """Values (nv,) in model order from names and values in any order, as in a JointState.
 
-        Raises ValueError when a joint is missing, unknown or named twice, or the lengths differ.
+        Parameters
+        ----------
+        names
+            of all joints
+        values
+            one for each name
+
+        Raises
+        ------
+        ValueError
+            when a joint is missing, unknown or named twice, or the lengths differ
         """
         key = tuple(names)
         order = self._orders.get(key)
@@ -147,7 +208,7 @@ class RobotModel:
     def unwound(self, q: Array, near: Array) -> Array:
         """Positions (nv,) with those of endless joints at the turn that is nearest to `near` (nv,).
 
-        Many drivers wrap such angles to -pi..pi; what controls by differences of angles must not see the leap.
+        Many drivers wrap such angles to -pi..pi; control by differences of angles must not see the jump.
         """
         if len(self._endless) == 0:
             return q
@@ -185,8 +246,8 @@ class RobotModel:
         missing = [name for name in self.joint_names if name not in description.home]
         if missing:
             raise RobotFileError(
-                f"{description.path}: home lacks the joints {listed(missing, 40)}; give their positions, or take "
-                f"joints that nobody here commands out of the model: locked: {{{missing[0]}: POSITION}}"
+                f"{description.path}: home lacks the joints {listed(missing, 40)}; give their positions, or lock "
+                f"those that are not commanded here: locked: {{{missing[0]}: POSITION}}"
             )
         frames = [self.base_frame, *(end.frame for end in self.endpoints.values())]
         absent = [frame for frame in frames if not self.pinocchio.existFrame(frame)]
@@ -214,10 +275,10 @@ class RobotModel:
         return values
 
     def _more_to_say(self, first: str, word: str, values: Array, bound: float) -> str:
-        """Whether it mimics another, and the other joints of which the same is to be said."""
+        """Words about whether a joint mimics another, and about other joints with the same problem."""
         leader = ""
         if first in self.mimics:
-            leader = f". It mimics {self.mimics[first].leader}: left out of home, it stands where that puts it"
+            leader = f". It mimics {self.mimics[first].leader}: left out of home, it stands where its leader puts it"
         wrong = ~((values > 0.0) & (values <= bound))
         others = [joint for joint, bad in zip(self.joint_names, wrong, strict=True) if bad and joint != first]
         return leader + (f". So are the {word} limits of {listed(others, 40)}" if others else "")
@@ -228,7 +289,7 @@ class RobotModel:
             if not lower < upper:
                 raise RobotFileError(
                     f"{description.path}: {joint!r} may move from {lower:g} to {upper:g} "
-                    f"{self.unit(joint, 'position')}, which is nowhere; give the "
+                    f"{self.unit(joint, 'position')}, an empty range; give the "
                     f"real limits: limits: {{{joint}: {{lower: ..., upper: ...}}}}"
                 )
             if not lower <= home <= upper:
@@ -292,7 +353,7 @@ class RobotData:
         return self._in_base(pin.getFrameJacobian(self._model, self._data, frame_id, AXES))
 
     def bias_acceleration(self, endpoint: str) -> Array:
-        """`Jdot v` (6,): the acceleration of an end point when no joint accelerates, in base axes."""
+        """Acceleration `Jdot v` (6,) of an end point when no joint accelerates, in base axes."""
         motion = pin.getFrameClassicalAcceleration(self._model, self._data, self._frame_ids[endpoint], AXES)
         return self._in_base(motion.vector)
 

@@ -38,10 +38,16 @@ NO_WRENCHES: Mapping[str, ArrayLike] = {}
 class RobotState:
     """State of the simulated robot, joints in model order.
 
-    time : s since the start
-    q, v : (nv,), rad and rad/s (m and m/s for prismatic joints)
-    tau : (nv,), the torque that the motors applied in the last step, N m (N)
-    clamped : whether the commanded torque exceeded an effort limit in the last step
+    Parameters
+    ----------
+    time
+        s since the start
+    q, v
+        (nv,), rad and rad/s (m and m/s for prismatic joints)
+    tau
+        (nv,), the torque that the motors applied in the last step, N m (N)
+    clamped
+        whether the commanded torque exceeded an effort limit in the last step
     """
 
     time: float
@@ -52,13 +58,24 @@ class RobotState:
 
 
 class RobotSimulator:
-    """A robot that obeys joint torques and external wrenches; time advances only by `step`."""
+    """A robot that obeys joint torques and external wrenches; time advances only by `step`. It starts at rest.
+
+    Parameters
+    ----------
+    robot
+        to be simulated
+    time_step
+        s
+    q0
+        (nv,), posture at the start; None: the robot's home
+
+    Raises
+    ------
+    ValueError
+        for a time step outside (0, 0.01] or a q0 that is not finite or outside the limits
+    """
 
     def __init__(self, robot: RobotModel, time_step: float = 0.001, q0: ArrayLike | None = None) -> None:
-        """Start at rest in posture q0 (nv,), the robot's home if not given; time_step in s.
-
-        Raises ValueError for a time step outside (0, 0.01] or a q0 that is not finite or outside the limits.
-        """
         if not 0.0 < time_step <= 0.01:
             raise ValueError(f"time_step must be above 0 and at most 0.01 s, got {time_step}")
         self.robot = robot
@@ -76,7 +93,7 @@ class RobotSimulator:
         self.reset(q0)
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> RobotState:
-        """Back to time zero, at q (home if not given) with velocity v (zero if not given), both (nv,)."""
+        """Go back to time zero, at q (home if not given) with velocity v (zero if not given), both (nv,)."""
         zero = np.zeros(self.robot.nv)
         q = self._checked(self.robot.home if q is None else q, "q")
         v = self._checked(zero if v is None else v, "v")
@@ -88,12 +105,21 @@ class RobotSimulator:
         return self.state
 
     def step(self, tau: ArrayLike, wrenches: Mapping[str, ArrayLike] = NO_WRENCHES) -> RobotState:
-        """Advance by one time step under the commanded torque tau (nv,) and return the new state.
+        """Advance by one time step and return the new state.
 
-        wrenches : frame of the URDF -> (6,), force in N at the frame's origin and torque in N m, in base axes
+        Torques beyond the effort limits are clamped, and the state says so.
 
-        Raises ValueError, leaving the state as it was, for wrong shapes, values that are not finite and
-        unknown frames. Torques beyond the effort limits are clamped, and the state says so.
+        Parameters
+        ----------
+        tau
+            (nv,), commanded torque
+        wrenches
+            frame of the URDF -> (6,), force in N at the frame's origin and torque in N m, in base axes
+
+        Raises
+        ------
+        ValueError
+            for wrong shapes, values that are not finite and unknown frames; the state then stays as it was
         """
         robot, q, v, dt = self.robot, self.state.q, self.state.v, self.time_step
         command = self._checked(tau, "tau")
@@ -126,7 +152,7 @@ class RobotSimulator:
             if np.array_equal(side, touched) and np.array_equal(direction, racing):
                 break
             touched, racing = side, direction
-            # a stop brakes what comes, it does not hold back what leaves
+            # a stop brakes a joint that comes, it does not hold one that leaves
             brake = np.where(touched * v_new > 0.0, self._stop_damping, 0.0)
             stiffness = np.where(touched, self._stop_stiffness, 0.0)
             # a joint that touches nothing may have no stops

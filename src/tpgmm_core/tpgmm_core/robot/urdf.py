@@ -2,9 +2,9 @@
 """`read_urdf`: a Pinocchio model of a URDF in which every joint has one position and one velocity.
 
 Pinocchio keeps cosine and sine of a joint of type `continuous`; here it is a revolute joint without limits, as its
-`JointState` is one angle. What a joint's `<limit>` leaves out is taken as zero, so that the robot file can give it.
+`JointState` is one angle. What a joint's `<limit>` leaves out is read as zero, so that the robot file can give it.
 Joints that mimic others have no motor, and many drivers do not publish them: where `home` does not name them, they are
-part of their links, where the mechanism puts them. Named there, they are joints of their own.
+part of their links, at the position that the mechanism gives them. Named there, they are joints of their own.
 """
 
 from __future__ import annotations
@@ -25,9 +25,14 @@ from tpgmm_core.robot.urdf_tree import SINGLE, UrdfTree, read_tree
 class Urdf:
     """What a URDF says.
 
-    model : of nq = nv
-    endless : joints of type `continuous`; they may turn for ever
-    tree : its links and joints, those that are not in the model too
+    Parameters
+    ----------
+    model
+        of nq = nv
+    endless
+        joints of type `continuous`; they may turn for ever
+    tree
+        its links and joints, those that are not in the model too
     """
 
     model: pin.Model
@@ -36,12 +41,24 @@ class Urdf:
 
 
 def read_urdf(path: Path, locked: Mapping[str, float], home: Mapping[str, float]) -> Urdf:
-    """Read a URDF, and lock joints at positions (rad, m): they become part of their links.
+    """Read a URDF, and lock joints at positions: they become part of their links.
 
     Joints that mimic others, and are not in `home`, are locked too, where their leader puts them.
 
-    Raises RobotFileError: a file that cannot be read or is no URDF (see `read_tree`), an unknown joint to be locked,
-    joints of more degrees of freedom.
+    Parameters
+    ----------
+    path
+        the file
+    locked
+        joint -> position, rad or m
+    home
+        joint -> position, rad or m, of all joints that are not locked
+
+    Raises
+    ------
+    RobotFileError
+        for a file that cannot be read or is no URDF (see `read_tree`), an unknown joint to be locked, and joints of
+        more degrees of freedom
     """
     tree = read_tree(path)
     if unknown := [name for name in locked if tree.joints.get(name) is None or _type(tree, name) == "fixed"]:
@@ -92,7 +109,7 @@ def _refuse(name: str, kind: str, path: Path, is_locked: bool) -> None:
 
 
 def _place(name: str, tree: UrdfTree, places: Mapping[str, float]) -> float:
-    """Where a joint is, rad or m; 0 where nobody says (a fixed joint; one that home lacks is refused elsewhere)."""
+    """Position of a joint, rad or m; 0 where none is given (fixed joints; one that home lacks is refused elsewhere)."""
     if name in places or name not in tree.mimics:
         return places.get(name, 0.0)
     mimic = tree.mimics[name]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """`UrdfTree`: a URDF's XML, read and checked for what its parser would answer with a crash, a guess, or other words.
 
-Editors and exporters leave much before the XML and in its encoding, which changes nothing: a byte order mark, blank
-lines, a default namespace. What cannot be meant (a joint of a link that is not there, a number that is none, a negative
-mass) is refused by its name.
+Editors and exporters add much before the XML and to its encoding that changes nothing: a byte order mark, blank
+lines, a default namespace. What cannot be right (a joint of a link that does not exist, a number that is none, a
+negative mass) is refused by its name.
 """
 
 from __future__ import annotations
@@ -47,10 +47,16 @@ class Mimic:
 class UrdfTree:
     """A URDF as XML, without namespaces.
 
-    root : the element `<robot>`
-    joints : name -> `<joint>`
-    parents : link -> the joint that moves it, and the link that this one stands on; not of the root
-    mimics : joint -> what it mimics
+    Parameters
+    ----------
+    root
+        the element `<robot>`
+    joints
+        name -> `<joint>`
+    parents
+        link -> the joint that moves it, and the link that this one stands on; not of the root
+    mimics
+        joint -> what it mimics
     """
 
     root: Element
@@ -70,14 +76,22 @@ class UrdfTree:
 def read_tree(path: Path) -> UrdfTree:
     """Read a URDF.
 
-    Raises RobotFileError: a file that cannot be read or should not be (`read_xml`), another kind of XML, numbers that
-    are none, negative masses, joints and links that are no tree, mimic joints of joints that are not there.
+    Parameters
+    ----------
+    path
+        the file
+
+    Raises
+    ------
+    RobotFileError
+        for a file that cannot be read or should not be (`read_xml`), another kind of XML, numbers that are none,
+        negative masses, joints and links that are no tree, and mimic joints of joints that do not exist
     """
     try:
         root = ElementTree.fromstring(read_xml(path))
     except OSError as error:
         raise RobotFileError(f"cannot load the URDF {path}: {error.strerror or error}") from None
-    except (ElementTree.ParseError, LookupError, ValueError) as error:  # LookupError: an encoding that nobody knows
+    except (ElementTree.ParseError, LookupError, ValueError) as error:  # LookupError: an unknown encoding
         if isinstance(error, RobotFileError):
             raise
         raise RobotFileError(f"cannot load the URDF {path}: {one_line(error, 200)}") from None
@@ -158,7 +172,7 @@ def _parents(links: Mapping[str, Element], joints: Mapping[str, Element]) -> dic
         for role, link in (("parent", parent), ("child", child)):
             if link not in links:
                 raise RobotFileError(
-                    f"joint {shown(name)} has the {role} link {shown(link)}, which is not there; there are "
+                    f"joint {shown(name)} has the {role} link {shown(link)}, which does not exist; there are "
                     f"{listed(links)}"
                 )
         if child in parents:
@@ -194,7 +208,7 @@ def _mimics(joints: Mapping[str, Element]) -> dict[str, Mimic]:
             continue
         leader = element.get("joint") or ""
         if leader not in joints:
-            raise RobotFileError(f"joint {shown(name)} mimics {shown(leader)}, which is not there")
+            raise RobotFileError(f"joint {shown(name)} mimics {shown(leader)}, which does not exist")
         multiplier, offset = ((element.get(word) or "").strip() for word in ("multiplier", "offset"))
         mimics[name] = Mimic(leader, float(multiplier or 1.0), float(offset or 0.0))
     for name in mimics:

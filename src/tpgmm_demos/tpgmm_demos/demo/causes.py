@@ -46,10 +46,14 @@ def machine_figures(report: dict[str, Any]) -> list[str]:
 def cause_of_waiting_in_vain(load: float, cores: int, lockstep: bool) -> str:
     """The likely cause where nothing ended, but something did not come in time; empty if the machine had time for it.
 
-    Args:
-        load: programs that wanted to run, on average over the last minute.
-        cores: that there are for them.
-        lockstep: simulated time waits, and longer already.
+    Parameters
+    ----------
+    load
+        programs that wanted to run, on average over the last minute
+    cores
+        that there are for them
+    lockstep
+        simulated time waits, and longer already
     """
     if load <= cores + MAX_WAITING_PROGRAMS:
         return ""

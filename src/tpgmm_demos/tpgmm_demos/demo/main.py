@@ -132,11 +132,7 @@ def _start(graph: Graph, arguments: argparse.Namespace, model_file: Path) -> Non
         "reproduction": {"task_file": arguments.task, "model_file": model_file, **waiting, **answering},
         "impedance_controller": {"robot_file": arguments.robot, "lockstep": simulated, **answering},
     }
-    if arguments.separate:
-        for name, parameters in nodes.items():
-            processes.start(name, **parameters)
-    else:
-        processes.start_together("from_pose_to_torque", nodes)
+    processes.start_all("from_pose_to_torque", nodes, together=not arguments.separate)
     graph.bring_up("impedance_controller", START_TIMEOUT[simulated])
     graph.bring_up("reproduction", START_TIMEOUT[simulated])
 

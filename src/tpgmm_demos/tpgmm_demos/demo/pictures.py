@@ -37,9 +37,12 @@ _STATUS_COLORS = {FrameStatus.VISIBLE: "#4daf4a", FrameStatus.HELD: "#ff9f1c", F
 def draw(recording: RunRecord, world: World, mixture: GaussianMixture, limits: Array, directory: Path) -> list[Path]:
     """Draw ``path.png``, ``torques.png`` and ``frames.png`` into a directory.
 
-    Args:
-        mixture: the model adapted to the final placing, over [time, x, y, z, qx, qy, qz, qw].
-        limits: (nv,), effort limits of the joints, N m.
+    Parameters
+    ----------
+    mixture
+        the model adapted to the final placing, over [time, x, y, z, qx, qy, qz, qw]
+    limits
+        (nv,), effort limits of the joints, N m
     """
     directory.mkdir(parents=True, exist_ok=True)
     figures = {

@@ -50,10 +50,14 @@ class RunRecord:
     What comes waits in the subscriptions' queues until ``poll`` takes it, and is kept as bytes until it is asked for:
     an event for each message of a 1 kHz stream, and reading it, would take the cores from those who need them.
 
-    Args:
-        node: subscribes; an executor must not serve it.
-        task: the movement's topic and the frames.
-        joints: names of the robot's joints, the order of the recorded torques.
+    Parameters
+    ----------
+    node
+        subscribes; an executor must not serve it
+    task
+        the movement's topic and the frames
+    joints
+        names of the robot's joints, the order of the recorded torques
     """
 
     def __init__(self, node: Node, task: Task, joints: list[str]) -> None:

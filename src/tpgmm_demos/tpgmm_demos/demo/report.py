@@ -37,12 +37,18 @@ def evaluate(
 ) -> dict[str, Any]:
     """The report of one run.
 
-    Args:
-        recording: what was on the topics.
-        world: where things are at the end.
-        effort_limits: (nv,), N m.
-        outcome: what the action said.
-        lockstep: no tick was late, so that a jump has no excuse.
+    Parameters
+    ----------
+    recording
+        what was on the topics
+    world
+        where things are at the end
+    effort_limits
+        (nv,), N m
+    outcome
+        what the action said
+    lockstep
+        no tick was late, so that a jump has no excuse
     """
     assert world.started_ns is not None
     position, angle = pose_error(world.grasp.object, world.situation.target)

@@ -27,9 +27,14 @@ EXACT_RATE = 100.0 / 3.0
 class Disturbances:
     """What happens while the arm moves; times in s since the start of the movement.
 
-    push_start, push_duration: someone pushes the object on, smoothly ...
-    push: ... by this much (6,): m, and rad about the fixed axes.
-    hide_frame, hide_start, hide_duration: nobody sees this frame for a while.
+    Parameters
+    ----------
+    push_start, push_duration
+        someone pushes the object on, smoothly ...
+    push
+        ... by this much (6,): m, and rad about the fixed axes.
+    hide_frame, hide_start, hide_duration
+        nobody sees this frame for a while
     """
 
     push_start: float
@@ -67,19 +72,30 @@ class Disturbances:
 class World:
     """Publishes the poses of object and target as a camera would, and answers to what the hand does.
 
-    Args:
-        node: publishes and subscribes.
-        task: the topics.
-        situation: where things lie at first.
-        disturbances: what happens on the way.
-        camera: sees object and target.
-        lockstep: answer each pose of the hand with one message for each frame, also where it is not seen; the movement
-            starts with the first one.
+    Parameters
+    ----------
+    node
+        publishes and subscribes
+    task
+        the topics
+    situation
+        where things lie at first
+    disturbances
+        what happens on the way
+    camera
+        sees object and target
+    lockstep
+        answer each pose of the hand with one message for each frame, also where it is not seen; the movement starts
+        with the first one
 
-    Attributes:
-        started_ns: stamp of the movement's start, ns; as long as it is None, the disturbances wait.
-        in_sight_s: for how long each of the objects could be seen during the movement, s.
-        nearest: how near (m, rad) the hand came to where it could grasp the object.
+    Attributes
+    ----------
+    started_ns
+        stamp of the movement's start, ns; as long as it is None, the disturbances wait
+    in_sight_s
+        for how long each of the objects could be seen during the movement, s
+    nearest
+        how near (m, rad) the hand came to where it could grasp the object
     """
 
     def __init__(

@@ -55,7 +55,10 @@ def start_joint_reference(
     """Start what computes the references of these tasks, with the models <task>.tpgmm of a directory; without
     tasks the robot is free to be led.
 
-    Returns what sets the tasks that hold, once all nodes have answered the present state.
+    Returns
+    -------
+    Callable[[tuple[str, ...]], None]
+        what sets the tasks that hold, once all nodes have answered the present state
     """
     session.graph.processes.start(
         "joint_reference",

@@ -63,11 +63,18 @@ class Probed:
 class Sequence:
     """What is done in one sequence.
 
-    tasks : those that hold
-    kinds : of its pushes, whose ways are the same in all sequences
-    repeats : earlier sequences whose forces are repeated
-    probed : whether small forces tell in the end how soft the robot is
-    gripped : whether who pushes has a grip on the hand and keeps it level
+    Parameters
+    ----------
+    tasks
+        those that hold
+    kinds
+        of its pushes, whose ways are the same in all sequences
+    repeats
+        earlier sequences whose forces are repeated
+    probed
+        whether small forces tell in the end how soft the robot is
+    gripped
+        whether who pushes has a grip on the hand and keeps it level
     """
 
     name: str
@@ -98,8 +105,12 @@ SEQUENCES = (
 class SequenceResult:
     """What happened in one sequence.
 
-    rest : (nv,), the posture in which its tasks took hold
-    repeated : by the name of an earlier sequence, what its forces on the left hand did here
+    Parameters
+    ----------
+    rest
+        (nv,), the posture in which its tasks took hold
+    repeated
+        by the name of an earlier sequence, what its forces on the left hand did here
     """
 
     sequence: Sequence
@@ -137,7 +148,10 @@ def run_sequence(
 ) -> SequenceResult:
     """Lead the hands to the start, let the tasks take hold, push; `choose` says which tasks hold.
 
-    earlier : by name, the sequences whose forces are repeated
+    Parameters
+    ----------
+    earlier
+        by name, the sequences whose forces are repeated
     """
     choose(())
     session.run(1.0)  # what held before lets go

@@ -40,10 +40,18 @@ Wrench = Callable[[float, Array], Array]
 class Segment:
     """What happened in some time with the same contacts: samples at `SAMPLE_RATE`, extremes of all ticks.
 
-    time : (T,), s since its beginning; q, v, tau : (T, nv)
-    force : (T,), N, the sum over all contacts of their forces' lengths
-    torque_share : largest |tau| / effort limit of all ticks
-    stop_distance : (nv,), smallest distance to a position limit of all ticks, rad or m
+    Parameters
+    ----------
+    time
+        (T,), s since its beginning
+    q, v, tau
+        (T, nv)
+    force
+        (T,), N, the sum over all contacts of their forces' lengths
+    torque_share
+        largest |tau| / effort limit of all ticks
+    stop_distance
+        (nv,), smallest distance to a position limit of all ticks, rad or m
     """
 
     times: list[float] = field(default_factory=list)
@@ -141,7 +149,10 @@ class Session:
     def run(self, duration: float, contacts: Sequence[tuple[str, Wrench]] = ()) -> Segment:
         """Let `duration` s of the robot's time pass, while wrenches act on links; they end with it.
 
-        Raises GraphError when a node ends, or time stands still.
+        Raises
+        ------
+        GraphError
+            when a node ends, or time stands still
         """
         segment, begin = Segment(stop_distance=np.full(self.robot.nv, np.inf)), self._stamp_ns
         self._segment, self._begin_ns, self._end_ns = segment, begin, begin + round(duration * SECOND)

@@ -27,7 +27,10 @@ REG_COVAR = 1e-7
 def record_lesson(session: Session, task: Task, bag: Path, random: np.random.Generator) -> None:
     """Lead both hands through the lesson of a task, and record what is on the topics.
 
-    Raises FileExistsError where there is a bag already.
+    Raises
+    ------
+    FileExistsError
+        where there is a bag already
     """
     to_start(session)
     poses = [f"endpoint/{hand}/pose" for hand in HANDS]
@@ -39,7 +42,13 @@ def record_lesson(session: Session, task: Task, bag: Path, random: np.random.Gen
 
 
 def learn(task: Task, bag: Path) -> TPGMM:
-    """One Gaussian of the hand's pose in each frame of the task. Raises BagError for a bag that does not hold it."""
+    """One Gaussian of the hand's pose in each frame of the task.
+
+    Raises
+    ------
+    BagError
+        for a bag that does not hold it
+    """
     recording = read_recording(bag, task)
     frames = {name: Frame.from_pose(poses[:, :3], poses[:, 3:]) for name, poses in recording.frames.items()}
     demonstration = Demonstration(recording.times, recording.movement, frames, recording.visible)

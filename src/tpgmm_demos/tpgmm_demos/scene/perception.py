@@ -58,8 +58,12 @@ def perception(kind: str, exact_rate: float) -> CameraConfig:
 class Sighting:
     """What was found in one image.
 
-    stamp_ns : when the image was taken, ns
-    poses : (7,) of what was in sight, by name, as it looked
+    Parameters
+    ----------
+    stamp_ns
+        when the image was taken, ns
+    poses
+        (7,) of what was in sight, by name, as it looked
     """
 
     stamp_ns: int
@@ -69,8 +73,12 @@ class Sighting:
 class Camera:
     """Ask it regularly; it can only look when it is asked, so that its times are those at which it is.
 
-    config : what it is like
-    seed : of noise and jitter
+    Parameters
+    ----------
+    config
+        what it is like
+    seed
+        of noise and jitter
     """
 
     def __init__(self, config: CameraConfig, seed: int | list[int] = 0) -> None:
@@ -85,13 +93,17 @@ class Camera:
     def look(self, time_ns: int, places: Mapping[str, Array]) -> Sighting | None:
         """What is known at a time, ns, that was not known before: the newest image that has been worked on.
 
-        Args:
-            places: true poses (7,) of what is in sight now.
-
-        Returns:
-            None where there is nothing new.
-
         A time before the last one begins anew.
+
+        Parameters
+        ----------
+        places
+            true poses (7,) of what is in sight now
+
+        Returns
+        -------
+        Sighting | None
+            None where there is nothing new
         """
         if self._first_ns is None or time_ns < self._asked_ns:  # a simulation that was started again
             self._begin(time_ns, places)

@@ -48,10 +48,14 @@ MAX_ERROR = 0.04
 class Targets:
     """Where both targets are over time: wandering together, turning about each other, now and then too far apart.
 
-    Args:
-        hands: positions (3,) of both hands at the beginning, m.
-        first: the hand whose target wanders; the other target goes away from it and comes nearer.
-        random: where the variation comes from.
+    Parameters
+    ----------
+    hands
+        positions (3,) of both hands at the beginning, m
+    first
+        the hand whose target wanders; the other target goes away from it and comes nearer
+    random
+        where the variation comes from
     """
 
     def __init__(self, hands: dict[str, Array], first: str, random: np.random.Generator) -> None:
@@ -112,18 +116,29 @@ class _Held:
 class BarLesson:
     """One demonstration: the teacher's forces, answered to each state at which the simulation waits for them.
 
-    Args:
-        node: publishes and subscribes.
-        task: topics of the targets, by the frames `left_target` and `right_target`.
-        robot_file: the robot that is led.
-        first: the hand that has priority.
-        camera: sees the targets.
-        random: where the variation comes from.
+    Parameters
+    ----------
+    node
+        publishes and subscribes
+    task
+        topics of the targets, by the frames `left_target` and `right_target`
+    robot_file
+        the robot that is led
+    first
+        the hand that has priority
+    camera
+        sees the targets
+    random
+        where the variation comes from
 
-    Attributes:
-        done: whether it is over.
-        duration: s.
-        failure: what the teacher did not manage; empty if all went well.
+    Attributes
+    ----------
+    done
+        whether it is over
+    duration
+        s
+    failure
+        what the teacher did not manage; empty if all went well
     """
 
     def __init__(

@@ -42,12 +42,18 @@ EXACT_RATE = 100.0 / 3.0
 class LessonKind:
     """How a lesson is made, and what it asks of the simulation.
 
-    Attributes:
-        make: the lesson, from the program's node, the task, the robot file, the camera and where variation comes from.
-        exact_rate: exact perception sees the objects this often, Hz.
-        rate: steps of the simulation per second, Hz.
-        pose_rate: it publishes poses and waits for a wrench this often, Hz.
-        keep_every: one of so many poses of the hand is recorded.
+    Attributes
+    ----------
+    make
+        the lesson, from the program's node, the task, the robot file, the camera and where variation comes from
+    exact_rate
+        exact perception sees the objects this often, Hz
+    rate
+        steps of the simulation per second, Hz
+    pose_rate
+        it publishes poses and waits for a wrench this often, Hz
+    keep_every
+        one of so many poses of the hand is recorded
     """
 
     make: Callable[[Node, Task, Path, Camera, np.random.Generator], ScriptedLesson | BarLesson]
@@ -87,11 +93,15 @@ def record_scripted(
 ) -> list[Path]:
     """Record ``count`` demonstrations of one of LESSONS; existing ones are kept and not made again.
 
-    Args:
-        perceived: how the objects are seen, one of PERCEPTIONS.
+    Parameters
+    ----------
+    perceived
+        how the objects are seen, one of PERCEPTIONS
 
-    Raises:
-        GraphError: a node failed, or the scripted teacher did not manage what it is to show.
+    Raises
+    ------
+    GraphError
+        a node failed, or the scripted teacher did not manage what it is to show.
     """
     made = []
     # Nodes started here talk to each other and to nobody else.

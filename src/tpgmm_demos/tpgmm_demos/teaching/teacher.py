@@ -21,13 +21,22 @@ from tpgmm_demos.scene.pick_place import CLEARANCE, Placement, hand_at
 class TeacherConfig:
     """How the teacher moves and how firmly.
 
-    pace: relative standard deviation of the duration of each part of the movement.
-    via_noise, via_turn_noise: how far the hand misses a place that does not matter (standard deviation, m and rad).
-    aim_noise, aim_turn_noise: the same at a place that matters (the teacher looks, but nobody is perfect).
-    overshoot: share of a movement by which it reaches too far.
-    stiffness, damping: of the teacher's own arm; N/m and N s/m, then N m/rad and N m s/rad.
-    correction: how fast an offset that is seen is worked off, 1/s.
-    max_force, max_torque: what the teacher gives at most, N and N m.
+    Parameters
+    ----------
+    pace
+        relative standard deviation of the duration of each part of the movement
+    via_noise, via_turn_noise
+        how far the hand misses a place that does not matter (standard deviation, m and rad)
+    aim_noise, aim_turn_noise
+        the same at a place that matters (the teacher looks, but nobody is perfect)
+    overshoot
+        share of a movement by which it reaches too far
+    stiffness, damping
+        of the teacher's own arm; N/m and N s/m, then N m/rad and N m s/rad
+    correction
+        how fast an offset that is seen is worked off, 1/s
+    max_force, max_torque
+        what the teacher gives at most, N and N m
     """
 
     pace: float = 0.06
@@ -55,11 +64,16 @@ class _Part:
 class Intention:
     """Where the teacher wants the hand to be at each time: rest-to-rest movements of least jerk through the places.
 
-    Args:
-        home: where the hand is when the teaching starts.
-        situation: where the object and the target are.
-        config: how people vary.
-        random: where the variation comes from.
+    Parameters
+    ----------
+    home
+        where the hand is when the teaching starts
+    situation
+        where the object and the target are
+    config
+        how people vary
+    random
+        where the variation comes from
     """
 
     def __init__(self, home: Array, situation: Placement, config: TeacherConfig, random: np.random.Generator) -> None:
@@ -119,9 +133,12 @@ class Aim(Protocol):
 class Teacher[AimT: Aim]:
     """The force with which the teacher leads the hand: a spring and a damper towards the intention, and a correction.
 
-    Args:
-        intention: where the hand is to be.
-        config: how firmly.
+    Parameters
+    ----------
+    intention
+        where the hand is to be
+    config
+        how firmly
     """
 
     def __init__(self, intention: AimT, config: TeacherConfig) -> None:

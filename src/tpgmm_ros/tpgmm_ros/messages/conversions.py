@@ -97,8 +97,10 @@ def pose_with_covariance(gaussian: Gaussian, nanoseconds: int, frame_id: str) ->
 def wrench_to_array(message: WrenchStamped) -> Array:
     """(6,): force in N, torque in N m.
 
-    Raises:
-        MessageError: not finite, or more than any robot stands.
+    Raises
+    ------
+    MessageError
+        not finite, or more than any robot stands.
     """
     force, torque = message.wrench.force, message.wrench.torque
     wrench = np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z])
@@ -149,8 +151,10 @@ def task_parameters_message(frames: Iterable[TrackedFrame], nanoseconds: int, fr
 def task_parameters(message: TaskParameters) -> dict[str, TaskFrameState]:
     """The frames of a message by name.
 
-    Raises:
-        MessageError: sizes that contradict each other, not finite, an unknown status, a name given twice, too many.
+    Raises
+    ------
+    MessageError
+        sizes that contradict each other, not finite, an unknown status, a name given twice, too many.
     """
     if len(message.frames) > MAX_ITEMS:
         raise MessageError(f"task parameters name {len(message.frames)} frames; expected {MAX_ITEMS} at most")
@@ -270,8 +274,10 @@ def torque_terms(terms: Mapping[str, Array]) -> tuple[list[str], array[float]]:
 def terms_of(message: ControllerState) -> dict[str, Array]:
     """Each term's torques (n,), in the order of the message's joints.
 
-    Raises:
-        MessageError: as many numbers as no terms of these joints have, a name given twice.
+    Raises
+    ------
+    MessageError
+        as many numbers as no terms of these joints have, a name given twice.
     """
     names, joints = list(message.term_names), len(message.joints)
     if len(message.terms) != len(names) * joints or len(set(names)) != len(names):
@@ -306,8 +312,10 @@ def joint_state_message(
 class JointReader:
     """Reads arrays of all its joints out of single JointState messages: what has no use in parts, as torques.
 
-    Args:
-        names: the joints, in the order in which the arrays are wanted.
+    Parameters
+    ----------
+    names
+        the joints, in the order in which the arrays are wanted
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -317,8 +325,10 @@ class JointReader:
     def read(self, message: JointState, *fields: str) -> tuple[Array, ...]:
         """The named fields ("position", "velocity", "effort"), each (len(names),).
 
-        Raises:
-            MessageError: joints are missing or named twice, a field has another length than the names, not finite.
+        Raises
+        ------
+        MessageError
+            joints are missing or named twice, a field has another length than the names, not finite.
         """
         columns = self._columns.setdefault(fields, JointColumns(self.names, fields))
         try:
@@ -334,9 +344,12 @@ class JointReader:
 class JointStates:
     """Reads states of all its joints out of JointState messages, each of which may hold a part; see the core.
 
-    Args:
-        names, fields: which joints, and what of them, in which order.
-        max_spread: the parts of one state may be this far apart, s.
+    Parameters
+    ----------
+    names, fields
+        which joints, and what of them, in which order
+    max_spread
+        the parts of one state may be this far apart, s
     """
 
     def __init__(self, names: Sequence[str], fields: Sequence[str], max_spread: float) -> None:
@@ -347,8 +360,10 @@ class JointStates:
     def take(self, message: JointState) -> JointSample | None:
         """The state that a message completes, None where it completes none.
 
-        Raises:
-            MessageError: an own joint is named twice or not finite, or a field has another length than the names.
+        Raises
+        ------
+        MessageError
+            an own joint is named twice or not finite, or a field has another length than the names.
         """
         columns = [getattr(message, field) for field in self._fields]
         try:

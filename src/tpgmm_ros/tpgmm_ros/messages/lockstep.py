@@ -22,9 +22,14 @@ from tpgmm_ros.messages import conversions
 class Barrier[ItemT]:
     """Holds the newest item back until each of the other inputs has the stamp of the item's tick.
 
-    inputs : names of the other inputs
-    act : called with the item as soon as they are there
-    period_ns : of the ticks of the other inputs, ns; 1: they have a message for each item
+    Parameters
+    ----------
+    inputs
+        names of the other inputs
+    act
+        called with the item as soon as they are there
+    period_ns
+        of the ticks of the other inputs, ns; 1: they have a message for each item
     """
 
     def __init__(self, inputs: Iterable[str], act: Callable[[ItemT], None], period_ns: int = 1) -> None:
@@ -58,9 +63,14 @@ class LateBarrier[ItemT]:
     nothing. Inputs are in order, and time stands still until all have answered: so whatever is new belongs to the tick
     that is not yet answered, be its stamp as old as it may.
 
-    inputs : names of the inputs
-    act : called with the stamp of the tick, ns, and each input's item, None for nothing
-    again : called with the stamp of a tick that was answered already
+    Parameters
+    ----------
+    inputs
+        names of the inputs
+    act
+        called with the stamp of the tick, ns, and each input's item, None for nothing
+    again
+        called with the stamp of a tick that was answered already
     """
 
     def __init__(

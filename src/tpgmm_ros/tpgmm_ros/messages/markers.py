@@ -48,10 +48,14 @@ class Scene:
     ) -> MarkerArray:
         """Markers of one moment, and the deletion of those of former ones that are gone.
 
-        Args:
-            mixture: the adapted components over poses and whatever else the model encodes.
-            activations: (K,), how much each component takes part now; shown by its opacity.
-            frames: the frames that took part, over [time, pose].
+        Parameters
+        ----------
+        mixture
+            the adapted components over poses and whatever else the model encodes
+        activations
+            (K,), how much each component takes part now; shown by its opacity
+        frames
+            the frames that took part, over [time, pose]
         """
         header = conversions.header_at(nanoseconds, frame_id)
         added = _markers(mixture, activations, frames, header)

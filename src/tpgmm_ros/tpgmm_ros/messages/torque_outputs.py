@@ -38,9 +38,14 @@ Fields = Mapping[str, Any]
 class Leaving:
     """What leaves for n joints: torques and the state that they answer to, in the order of the names.
 
-    joints : (n,), places of the joints in the command's vectors
-    tau : (n,), N m (N); without gravity where the robot adds it itself
-    command : what it comes from, for all joints of the robot
+    Parameters
+    ----------
+    joints
+        (n,), places of the joints in the command's vectors
+    tau
+        (n,), N m (N); without gravity where the robot adds it itself
+    command
+        what it comes from, for all joints of the robot
     """
 
     names: list[str]
@@ -62,8 +67,12 @@ class Leaving:
 class Output:
     """One way for torques to leave.
 
-    package, message : the message, `package.msg.message`
-    fields : the fields of the message by name, those of messages within it as a mapping or as the message
+    Parameters
+    ----------
+    package, message
+        the message, `package.msg.message`
+    fields
+        the fields of the message by name, those of messages within it as a mapping or as the message
     """
 
     package: str
@@ -135,7 +144,13 @@ OUTPUTS: Mapping[str, Output] = {
 
 
 def message_class(name: str) -> Any:
-    """The message of an output. Raises ValueError: unknown output, or its package is not installed."""
+    """The message of an output.
+
+    Raises
+    ------
+    ValueError
+        unknown output, or its package is not installed
+    """
     output = OUTPUTS.get(name)
     if output is None:
         raise ValueError(f"torque_outputs names {shown(name)}; expected some of {', '.join(OUTPUTS)}")
@@ -161,15 +176,23 @@ def filled(message: Any, fields: Fields) -> Any:
 class TorqueOutputs:
     """Publishes torques in every way that was asked for.
 
-    Args:
-        node: a lifecycle node, which owns the publishers.
-        robot: the robot.
-        outputs: names of `OUTPUTS`.
-        joints: the group of the robot file whose torques leave, in its order; empty: all joints.
-        gravity_compensated: what drives the robot adds the torques of gravity itself, so that they are left out.
+    Parameters
+    ----------
+    node
+        a lifecycle node, which owns the publishers
+    robot
+        the robot
+    outputs
+        names of `OUTPUTS`
+    joints
+        the group of the robot file whose torques leave, in its order; empty: all joints
+    gravity_compensated
+        what drives the robot adds the torques of gravity itself, so that they are left out
 
-    Raises:
-        ValueError: no output, an unknown or doubled one, a package that is not installed, an unknown group.
+    Raises
+    ------
+    ValueError
+        no output, an unknown or doubled one, a package that is not installed, an unknown group.
     """
 
     def __init__(

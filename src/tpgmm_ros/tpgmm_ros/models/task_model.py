@@ -19,9 +19,12 @@ from tpgmm_ros.task.task_file import Task
 def load_task_model(path: str | Path, task: Task) -> TPGMM:
     """A model that fits a task, whatever it encodes of the task's movements.
 
-    Raises:
-        ValueError: the file is no model, or the model is of something else than the task describes.
-        OSError: the file cannot be read.
+    Raises
+    ------
+    ValueError
+        the file is no model, or the model is of something else than the task describes.
+    OSError
+        the file cannot be read.
     """
     model, space = load_model(path), task.space
     try:
@@ -49,9 +52,12 @@ def load_task_model(path: str | Path, task: Task) -> TPGMM:
 def make_task_retrieval(model: TPGMM, task: Task, method: str | None = None, **settings: Any) -> Retrieval:
     """A movement of a model that fits the task; settings as for `tpgmm_core.retrieval.methods.make_retrieval`.
 
-    Raises:
-        ValueError: a model that does not suit the method, or settings that it cannot have.
-        OSError: the robot file of kinematic frames cannot be read.
+    Raises
+    ------
+    ValueError
+        a model that does not suit the method, or settings that it cannot have.
+    OSError
+        the robot file of kinematic frames cannot be read.
     """
     return make_retrieval(model, task.space.method(method), **settings)
 
@@ -59,8 +65,10 @@ def make_task_retrieval(model: TPGMM, task: Task, method: str | None = None, **s
 def known_frames(states: Mapping[str, TaskFrameState]) -> dict[str, tuple[Frame, float]]:
     """Those frames that are not missing, as they act on [time, pose], and how far each is trusted.
 
-    Raises:
-        ValueError: a frame that does not act on poses.
+    Raises
+    ------
+    ValueError
+        a frame that does not act on poses.
     """
     known = {}
     for name, state in states.items():

@@ -21,12 +21,18 @@ _METRES_PER_RADIAN = 0.1
 class PathErrors:
     """How far a path is from the one that was shown, at the same phase. The sign of a quaternion is no error.
 
-    Attributes:
-        position_rmse_m: root of the mean squared distance.
-        position_end_m: distance at the last sample.
-        orientation_mean_deg: mean angle.
-        orientation_end_deg: angle at the last sample.
-        position_by_tenth_m: mean distance in each tenth of the movement, (10,): where the errors lie.
+    Attributes
+    ----------
+    position_rmse_m
+        root of the mean squared distance
+    position_end_m
+        distance at the last sample
+    orientation_mean_deg
+        mean angle
+    orientation_end_deg
+        angle at the last sample
+    position_by_tenth_m
+        mean distance in each tenth of the movement, (10,): where the errors lie
     """
 
     position_rmse_m: float
@@ -40,11 +46,16 @@ class PathErrors:
 class Fold:
     """One demonstration left out.
 
-    Attributes:
-        recording: what was left out.
-        model: errors of the reproduction by a model of the others.
-        nearest: errors of replaying the most similar of the others, as seen from the anchor; for comparison.
-        iterations: number of EM iterations.
+    Attributes
+    ----------
+    recording
+        what was left out
+    model
+        errors of the reproduction by a model of the others
+    nearest
+        errors of replaying the most similar of the others, as seen from the anchor; for comparison
+    iterations
+        number of EM iterations
     """
 
     recording: Recording
@@ -61,13 +72,19 @@ def cross_validate(
     The frames are those of the recording left out, over time. Its duration is not used: both paths are
     compared at the same phase.
 
-    Args:
-        recordings: at least two.
-        learn: a model of demonstrations.
-        anchor: frame from which the nearest demonstration is replayed.
+    Parameters
+    ----------
+    recordings
+        at least two
+    learn
+        a model of demonstrations
+    anchor
+        frame from which the nearest demonstration is replayed
 
-    Raises:
-        ValueError: fewer than two recordings.
+    Raises
+    ------
+    ValueError
+        fewer than two recordings.
     """
     if len(recordings) < 2:
         raise ValueError(f"leave-one-out needs at least two demonstrations, {len(recordings)} given: record more")
@@ -90,12 +107,17 @@ def reproduce(model: TPGMM, situation: Demonstration, method: str | None = None,
     has a state of its own is stepped through the times by a robot that is at once where it is to be. As long as no
     frame is visible the movement stays where it starts.
 
-    Args:
-        model: of [time, point] as any method encodes it.
-        situation: [time, point], in the space that the model was learned in.
-        method: in place of the model's own.
-        settle: a movement with a state of its own need not be at its end at the last time: it goes on in the last
-            situation for this share of the whole time, and then there are more than T points.
+    Parameters
+    ----------
+    model
+        of [time, point] as any method encodes it
+    situation
+        [time, point], in the space that the model was learned in
+    method
+        in place of the model's own
+    settle
+        a movement with a state of its own need not be at its end at the last time: it goes on in the last situation for
+        this share of the whole time, and then there are more than T points
     """
     chosen = method_of(model) if method is None else method_named(method)
     chosen.check(model)

@@ -64,7 +64,10 @@ MAX_PAUSE = 0.02
 def hand_task(task: Task, model: TPGMM, endpoints: list[str]) -> HandTask:
     """A task file and its model, by end points and fixed places.
 
-    Raises ValueError for frames that are observed elsewhere than on the robot, and a model that does not fit.
+    Raises
+    ------
+    ValueError
+        for frames that are observed elsewhere than on the robot, and a model that does not fit
     """
     topics = {f"endpoint/{name}/pose": name for name in endpoints}
     places: dict[str, str | np.ndarray] = {}

@@ -49,14 +49,22 @@ class JointStateStream:
 
     Of states that have waited together the newest is handed on: the others would be answered too late.
 
-    Args:
-        node: says in its log what is refused.
-        topic: of the messages.
-        answer: called with each state.
-        joints: whose states; None where no joint is known and states are only a beat, which `Leader` gives then.
-        fields: what of them, "position", "velocity".
-        max_spread: parts of one state may be this far apart, s.
-        max_future: called for what a stamp may be ahead of the clock, s; None: not asked.
+    Parameters
+    ----------
+    node
+        says in its log what is refused
+    topic
+        of the messages
+    answer
+        called with each state
+    joints
+        whose states; None where no joint is known and states are only a beat, which `Leader` gives then
+    fields
+        what of them, "position", "velocity"
+    max_spread
+        parts of one state may be this far apart, s
+    max_future
+        called for what a stamp may be ahead of the clock, s; None: not asked
     """
 
     def __init__(

@@ -44,18 +44,29 @@ type Prepared = tuple[TPGMM, Retrieval]
 class Movements:
     """Carries out one movement at a time for an active node.
 
-    Args:
-        node: serves action and service.
-        task: what models have to fit.
-        model: the one in use, as long as no other is loaded; None without.
-        parameters: of the node; RETRIEVAL_SETTINGS and those of ExecutionConfig.
-        why_silent: called where no ticks come: why, in words.
-        controller: what is said of the robot where it did not get to the end.
+    Parameters
+    ----------
+    node
+        serves action and service
+    task
+        what models have to fit
+    model
+        the one in use, as long as no other is loaded; None without
+    parameters
+        of the node; RETRIEVAL_SETTINGS and those of ExecutionConfig
+    why_silent
+        called where no ticks come: why, in words
+    controller
+        what is said of the robot where it did not get to the end
 
-    Attributes:
-        execution: of the movement that goes on or was the last one; None before, and while the node is not active.
-        frames: the known ones that its model has learned from.
-        state: (D,), where the robot is, as far as that is known: its pose, or its configuration.
+    Attributes
+    ----------
+    execution
+        of the movement that goes on or was the last one; None before, and while the node is not active
+    frames
+        the known ones that its model has learned from
+    state
+        (D,), where the robot is, as far as that is known: its pose, or its configuration
     """
 
     def __init__(
@@ -100,7 +111,13 @@ class Movements:
         self.goals.destroy()
 
     def set_speed(self, speed: float) -> None:
-        """Of the movement that goes on, if one does. Raises ValueError for one that its method cannot go."""
+        """Of the movement that goes on, if one does.
+
+        Raises
+        ------
+        ValueError
+            for one that its method cannot go
+        """
         if self.execution is not None and self.execution.stage is not Stage.ENDED:
             self.execution.retrieval.speed = speed
 

@@ -14,9 +14,12 @@ from tpgmm_ros.runtime.entry import INTERRUPTED
 def write_report(directory: str | Path, values: dict[str, Any] | list[dict[str, Any]]) -> Path:
     """Write `values` to report.json in a directory, which is made where it is missing.
 
-    Raises:
-        OSError: the directory cannot be made or written.
-        ValueError: a number is not finite, which JSON cannot hold.
+    Raises
+    ------
+    OSError
+        the directory cannot be made or written.
+    ValueError
+        a number is not finite, which JSON cannot hold.
     """
     path = Path(directory) / "report.json"
     write_json(path, values)
@@ -31,11 +34,16 @@ def run_with_report(
 ) -> int:
     """Run a program that leaves a report, whatever happens; returns its exit status.
 
-    Args:
-        directory: of report.json. One of an earlier success never stands beside a failure.
-        run: does the work, writes its report, and returns the verdict.
-        errors: what may go wrong, besides the disk; said in one line.
-        cause_of: the likely cause of an error, where there is one to tell.
+    Parameters
+    ----------
+    directory
+        of report.json. One of an earlier success never stands beside a failure.
+    run
+        does the work, writes its report, and returns the verdict
+    errors
+        what may go wrong, besides the disk; said in one line
+    cause_of
+        the likely cause of an error, where there is one to tell
     """
     status, cause = 1, ""
     try:

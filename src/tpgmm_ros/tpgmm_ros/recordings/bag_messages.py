@@ -38,10 +38,14 @@ class BagError(ValueError):
 class Messages:
     """Messages of one topic, in the order of the recorder.
 
-    Attributes:
-        topic: the topic's name in the bag.
-        recorded: (T,) times at which the recorder received them, in ns.
-        messages: the messages, at least one.
+    Attributes
+    ----------
+    topic
+        the topic's name in the bag
+    recorded
+        (T,) times at which the recorder received them, in ns
+    messages
+        the messages, at least one
     """
 
     topic: str
@@ -55,8 +59,10 @@ def read_messages(path: Path, topics: Iterable[str], message_type: str) -> dict[
     Topics are relative names. A bag recorded inside a namespace is understood when the namespace is the only
     one in which all of the topics exist.
 
-    Raises:
-        BagError: the bag is damaged or incomplete, or a topic is absent, empty or of another type.
+    Raises
+    ------
+    BagError
+        the bag is damaged or incomplete, or a topic is absent, empty or of another type.
     """
     if path.is_dir() and not (path / "metadata.yaml").exists():
         raise BagError(
@@ -104,8 +110,10 @@ def read_messages(path: Path, topics: Iterable[str], message_type: str) -> dict[
 def checked_poses(path: Path, topic: str, poses: Sequence[Any], frame_ids: Iterable[str], base_frame: str) -> Array:
     """Poses (T, 7) of geometry_msgs/Pose: x, y, z in m, qx, qy, qz, qw, unit quaternions of continuous sign.
 
-    Raises:
-        BagError: the poses are not in `base_frame`, or one is not finite or has no unit quaternion.
+    Raises
+    ------
+    BagError
+        the poses are not in `base_frame`, or one is not finite or has no unit quaternion.
     """
     foreign = sorted(set(frame_ids) - {base_frame, f"/{base_frame}"})
     if foreign:

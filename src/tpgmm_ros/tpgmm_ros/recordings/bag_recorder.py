@@ -35,14 +35,21 @@ class BagRecorder:
     The bag grows in ``.partial`` beside its final place and is put there when it is complete: a recording that was cut
     short by an error never looks like a whole one, and stays in ``.partial``. An existing bag is never overwritten.
 
-    Args:
-        node: the node that subscribes.
-        path: the bag's directory; must not exist yet.
-        topics: message classes by topic name (as the node resolves it).
-        keep_every: keep only every n-th message of a topic, for topics that come faster than they are needed.
+    Parameters
+    ----------
+    node
+        the node that subscribes
+    path
+        the bag's directory; must not exist yet
+    topics
+        message classes by topic name (as the node resolves it)
+    keep_every
+        keep only every n-th message of a topic, for topics that come faster than they are needed
 
-    Raises:
-        FileExistsError: there is something at ``path`` already.
+    Raises
+    ------
+    FileExistsError
+        there is something at ``path`` already.
     """
 
     def __init__(

@@ -44,14 +44,22 @@ _STORAGE_SUFFIXES = (".mcap", ".db3")
 class Recording:
     """What one bag holds of a task, sampled where the movement was.
 
-    Attributes:
-        path: the bag.
-        times: (T,) s from the first sample, strictly increasing.
-        movement: (T, 7) poses of what is demonstrated, in the base frame: x, y, z in m, qx, qy, qz, qw.
-        frames: poses (T, 7) of every frame of the task: the latest observation at or before each sample.
-        visible: masks (T,), False where a frame had not been seen yet.
-        notes: what was put right or left out while reading, in words.
-        configurations: (T, n) positions of the task's joints, rad and m; None for tasks that name none.
+    Attributes
+    ----------
+    path
+        the bag
+    times
+        (T,) s from the first sample, strictly increasing
+    movement
+        (T, 7) poses of what is demonstrated, in the base frame: x, y, z in m, qx, qy, qz, qw
+    frames
+        poses (T, 7) of every frame of the task: the latest observation at or before each sample
+    visible
+        masks (T,), False where a frame had not been seen yet
+    notes
+        what was put right or left out while reading, in words
+    configurations
+        (T, n) positions of the task's joints, rad and m; None for tasks that name none
     """
 
     path: Path
@@ -93,8 +101,10 @@ def _frame(poses: Array) -> Frame:
 def find_bags(paths: Iterable[str | Path]) -> list[Path]:
     """Bags among the given paths: each is a bag, or a directory with bags directly inside (in order of name).
 
-    Raises:
-        BagError: a path does not exist, or is neither.
+    Raises
+    ------
+    BagError
+        a path does not exist, or is neither.
     """
     bags: list[Path] = []
     for path in map(Path, paths):
@@ -128,13 +138,19 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
     the frame counts as seen from the start. Joints are interpolated between their messages. Of a PoseArray, times are
     the numbers of the poses times `period`, and frames stand still.
 
-    Args:
-        path: a bag.
-        task: names the topics, the frames and the base frame.
-        every: keep every n-th sample of the movement, and the last one.
+    Parameters
+    ----------
+    path
+        a bag
+    task
+        names the topics, the frames and the base frame
+    every
+        keep every n-th sample of the movement, and the last one
 
-    Raises:
-        BagError: anything that is wrong with the bag.
+    Raises
+    ------
+    BagError
+        anything that is wrong with the bag.
     """
     path = Path(path)
     recording = _from_streams(path, task) if task.recordings is None else _from_pose_array(path, task, task.recordings)
@@ -266,8 +282,10 @@ def read_recordings(
 def align(recordings: Sequence[Recording]) -> tuple[list[Demonstration], float]:
     """Demonstrations with their times stretched linearly to the mean duration, and that duration in s.
 
-    Raises:
-        ValueError: there are no recordings.
+    Raises
+    ------
+    ValueError
+        there are no recordings.
     """
     if not recordings:
         raise ValueError("there are no recordings to align; expected at least one")
@@ -285,8 +303,10 @@ def read_demonstrations(
 ) -> tuple[list[Demonstration], float]:
     """Read bags as demonstrations of one duration: their mean, in s, returned too. See `read_recording`.
 
-    Raises:
-        BagError: the first bad bag; the others stand in its notes.
+    Raises
+    ------
+    BagError
+        the first bad bag; the others stand in its notes.
     """
     good, bad = read_recordings(paths, task, progress=progress)
     if bad:

@@ -19,11 +19,16 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 class JointStream:
     """What the topic holds, in the order of the recorder.
 
-    Attributes:
-        topic: the topic's name in the bag.
-        stamps: (T,) header stamps in ns.
-        recorded: (T,) times at which the recorder received the messages, in ns.
-        positions: (T, n), rad or m.
+    Attributes
+    ----------
+    topic
+        the topic's name in the bag
+    stamps
+        (T,) header stamps in ns
+    recorded
+        (T,) times at which the recorder received the messages, in ns
+    positions
+        (T, n), rad or m
     """
 
     topic: str
@@ -42,9 +47,11 @@ def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> JointStr
     They become states as they do while a robot runs (`tpgmm_core.observation.joint_states`): a message may hold more
     joints, fewer, or others, in any order. A state has the times of its last message where these are the recorder's.
 
-    Raises:
-        BagError: the bag is damaged or incomplete, the topic is absent, empty or of another type, some joint never
-            came, or a message names a joint twice, or has a position of one that is not finite.
+    Raises
+    ------
+    BagError
+        the bag is damaged or incomplete, the topic is absent, empty or of another type, some joint never
+        came, or a message names a joint twice, or has a position of one that is not finite.
     """
     several = read_messages(path, [topic], JOINT_STATE)[topic]
     assembler, watch = JointStateAssembler(joints, ["position"]), StreamWatch()

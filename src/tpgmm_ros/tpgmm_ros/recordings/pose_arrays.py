@@ -25,9 +25,11 @@ def read_pose_array(
 ) -> tuple[Array, dict[str, Array]]:
     """Poses (T, 7) of the movement that a bag holds, and those (7,) of the frames that the file holds for this bag.
 
-    Raises:
-        BagError: the bag cannot be read, does not hold one PoseArray with good poses in `base_frame`, or the file of
-            frames does not tell each frame of this bag.
+    Raises
+    ------
+    BagError
+        the bag cannot be read, does not hold one PoseArray with good poses in `base_frame`, or the file of
+        frames does not tell each frame of this bag.
     """
     found = read_messages(path, [spec.pose_array], POSE_ARRAY)[spec.pose_array]
     if len(found.messages) != 1:

@@ -16,11 +16,16 @@ POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 class PoseStream:
     """What one topic holds, in the order of the recorder.
 
-    Attributes:
-        topic: the topic's name in the bag.
-        stamps: (T,) header stamps in ns.
-        recorded: (T,) times at which the recorder received the messages, in ns.
-        poses: (T, 7) x, y, z in m, qx, qy, qz, qw, unit quaternions of continuous sign.
+    Attributes
+    ----------
+    topic
+        the topic's name in the bag
+    stamps
+        (T,) header stamps in ns
+    recorded
+        (T,) times at which the recorder received the messages, in ns
+    poses
+        (T, 7) x, y, z in m, qx, qy, qz, qw, unit quaternions of continuous sign
     """
 
     topic: str
@@ -35,9 +40,11 @@ def read_pose_streams(path: Path, topics: Iterable[str], base_frame: str) -> dic
     Topics are relative names. A bag recorded inside a namespace is understood when the namespace is the only
     one in which all of the topics exist.
 
-    Raises:
-        BagError: the bag is damaged or incomplete, a topic is absent, empty or of another type, or a pose is
-            not in `base_frame`, not finite, or has no unit quaternion.
+    Raises
+    ------
+    BagError
+        the bag is damaged or incomplete, a topic is absent, empty or of another type, or a pose is
+        not in `base_frame`, not finite, or has no unit quaternion.
     """
     streams = {}
     for topic, several in read_messages(path, topics, POSE_STAMPED).items():

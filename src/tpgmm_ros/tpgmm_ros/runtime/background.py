@@ -19,7 +19,10 @@ _SWITCH_INTERVAL = 2e-4
 class Background:
     """One thread that does what it is given, one after the other, for a node.
 
-    node : its executor calls back
+    Parameters
+    ----------
+    node
+        its executor calls back
     """
 
     def __init__(self, node: Node) -> None:

@@ -28,11 +28,21 @@ from tpgmm_core.common.text import one_line
 from tpgmm_ros.runtime.composition import Member, composed
 from tpgmm_ros.runtime.parameters import Declared
 from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
-from tpgmm_ros.runtime.scheduling import request_realtime
+from tpgmm_ros.runtime.scheduling import cores_of, lock_memory, request_realtime, run_on
 
-REALTIME = Declared(
-    "realtime_priority", 0, "Run ahead of ordinary programs (SCHED_FIFO), 1 to 99; 0: as one of them", 0, 99, fixed=True
-)
+#: Of every process: nodes that share one agree on them, or the most that one of them asks for is done.
+PROCESS = [
+    Declared(
+        "realtime_priority",
+        0,
+        "Run ahead of ordinary programs (SCHED_FIFO), 1 to 99; 0: as one of them",
+        0,
+        99,
+        fixed=True,
+    ),
+    Declared("cpu_cores", "", "Cores to run on, such as 2-3; empty: all", fixed=True),
+    Declared("lock_memory", False, "Keep the memory of the process from being paged out", fixed=True),
+]
 
 
 class StopFlag:
@@ -61,11 +71,15 @@ def init(args: list[str]) -> None:
     A robot's controller that does not come up since a disk is full would be worse than one without a log file: what it
     has to say is still on the terminal and on /rosout.
 
-    Args:
-        args: command line with arguments of ROS.
+    Parameters
+    ----------
+    args
+        command line with arguments of ROS
 
-    Raises:
-        StartError: arguments that ROS does not take, or an environment that it cannot start in.
+    Raises
+    ------
+    StartError
+        arguments that ROS does not take, or an environment that it cannot start in.
     """
     if reason := _no_log_file():
         args = [*args, "--ros-args", "--disable-external-lib-logs"]
@@ -127,6 +141,7 @@ def serve(classes: Sequence[Callable[[], Node]], args: list[str]) -> int:
         if len(loops) > 1:
             names = " and ".join(node.get_name() for node in loops)
             raise ValueError(f"{names} cannot share a process: each of them makes time go on")
+        _prepare_process(nodes)
     except (ValueError, OSError, InvalidParameterValueException, InvalidParameterTypeException) as error:
         print(f"error: {one_line(error)}", file=sys.stderr)
         _end(nodes)
@@ -135,7 +150,6 @@ def serve(classes: Sequence[Callable[[], Node]], args: list[str]) -> int:
     executor = EventsExecutor()
     for node in nodes:
         executor.add_node(node)
-    _prepare_process(nodes)
     try:
         for node in loops:
             _loop(node, executor, stop)
@@ -171,15 +185,23 @@ def _end(nodes: Sequence[Node]) -> None:
 
 
 def _prepare_process(nodes: Sequence[Node]) -> None:
-    """What a loop needs of its process."""
-    priority = max(
-        node.declare_parameter(REALTIME.name, REALTIME.default, REALTIME.descriptor()).value for node in nodes
-    )
-    if priority and (refusal := request_realtime(priority)):
-        nodes[0].get_logger().warning(f"no real-time priority: {refusal}")
+    """What a loop needs of its process. Raises ValueError for cores that there are not."""
+    given = [
+        [node.declare_parameter(item.name, item.default, item.descriptor()).value for item in PROCESS] for node in nodes
+    ]
+    priorities, cores, locks = zip(*given, strict=True)
+    refusals = []
+    if chosen := set[int]().union(*map(cores_of, cores)):
+        run_on(chosen)
     # What start-up made stays for good; without this, each full collection walks through all of it.
     gc.collect()
     gc.freeze()
+    if any(locks) and (refusal := lock_memory()):
+        refusals.append(f"memory is not locked: {refusal}")
+    if max(priorities) and (refusal := request_realtime(max(priorities))):
+        refusals.append(f"no real-time priority: {refusal}")
+    for text in refusals:
+        nodes[0].get_logger().warning(text)
 
 
 def _parser(make_node: Callable[[], Node]) -> argparse.ArgumentParser:
@@ -197,5 +219,5 @@ def _parser(make_node: Callable[[], Node]) -> argparse.ArgumentParser:
 
 def parameter_help(declared: Sequence[Declared]) -> list[str]:
     """Lines of `--help` on the parameters of a node, with those that every process has."""
-    lines = [f"  {item.name}: {item.help()}" for item in [*declared, REALTIME]]
+    lines = [f"  {item.name}: {item.help()}" for item in [*declared, *PROCESS]]
     return ["parameters (--ros-args -p NAME:=VALUE):", *lines]

@@ -64,8 +64,10 @@ class ManagedNode(LifecycleNode):
     def start_itself(self) -> None:
         """Configure and activate without a lifecycle manager.
 
-        Raises:
-            ValueError: it refused; the text says why.
+        Raises
+        ------
+        ValueError
+            it refused; the text says why.
         """
         for name, trigger in (("configured", self.trigger_configure), ("activated", self.trigger_activate)):
             if trigger() is not TransitionCallbackReturn.SUCCESS:

@@ -46,11 +46,16 @@ class RecentTimes:
 class Monitor:
     """Counts and times the steps of one node and publishes them on ``/diagnostics``.
 
-    Args:
-        node: the node.
-        status: called once a second, returns (level, message, further key-value pairs).
-        rate: at which the ticks should come that ``tick`` is told of, Hz.
-        further: called once a second, returns warnings, which go to the log when they are new.
+    Parameters
+    ----------
+    node
+        the node
+    status
+        called once a second, returns (level, message, further key-value pairs)
+    rate
+        at which the ticks should come that ``tick`` is told of, Hz
+    further
+        called once a second, returns warnings, which go to the log when they are new
     """
 
     def __init__(

@@ -21,9 +21,14 @@ from tpgmm_ros.runtime.rclpy_workarounds import parameter_overrides
 class Declared:
     """One parameter.
 
-    default: its type is the parameter's type.
-    lower, upper: inclusive bounds of a number.
-    fixed: read at start only; a change while running is refused.
+    Parameters
+    ----------
+    default
+        its type is the parameter's type
+    lower, upper
+        inclusive bounds of a number
+    fixed
+        read at start only; a change while running is refused
     """
 
     name: str
@@ -61,23 +66,37 @@ def declared_of(config: type) -> list[Declared]:
 
 
 def fill[ConfigT](config: type[ConfigT], values: Mapping[str, Any]) -> ConfigT:
-    """A dataclass from the values of its fields' names. Raises ValueError: from the dataclass."""
+    """A dataclass from the values of its fields' names.
+
+    Raises
+    ------
+    ValueError
+        from the dataclass
+    """
     return config(**{item.name: values[item.name] for item in fields(config)})  # type: ignore[arg-type]
 
 
 class Parameters:
     """The declared parameters of a node and their present values, ``parameters["name"]``.
 
-    Args:
-        node: the node.
-        declared: what it takes.
-        check: called with all values as they would be after a change; a ``ValueError`` from it refuses the whole set
-            of changes, with its text as the reason.
-        changed: called after values have changed.
+    Parameters
+    ----------
+    node
+        the node
+    declared
+        what it takes
+    check
+        called with all values as they would be after a change; a ``ValueError`` from it refuses the whole set of
+        changes, with its text as the reason
+    changed
+        called after values have changed
 
-    Raises:
-        rclpy.exceptions.InvalidParameterValueException: a value given at start is out of its range.
-        ValueError: from ``check``, for the values given at start; or one of these has a name of an earlier version.
+    Raises
+    ------
+    rclpy.exceptions.InvalidParameterValueException
+        a value given at start is out of its range.
+    ValueError
+        from ``check``, for the values given at start; or one of these has a name of an earlier version.
     """
 
     def __init__(
@@ -104,8 +123,10 @@ class Parameters:
     def file(self, name: str) -> str:
         """The value of a parameter that names a file.
 
-        Raises:
-            ValueError: it is not set.
+        Raises
+        ------
+        ValueError
+            it is not set.
         """
         value = str(self[name])
         if not value:
@@ -116,7 +137,13 @@ class Parameters:
         return self._values[name]
 
     def fill[ConfigT](self, config: type[ConfigT]) -> ConfigT:
-        """A dataclass whose fields are parameters of the same names. Raises ValueError: from the dataclass."""
+        """A dataclass whose fields are parameters of the same names.
+
+        Raises
+        ------
+        ValueError
+            from the dataclass
+        """
         return fill(config, self._values)
 
     def _refuse(self, parameters: list[Parameter]) -> SetParametersResult:

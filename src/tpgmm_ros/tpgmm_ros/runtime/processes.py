@@ -59,9 +59,12 @@ def end_with_parent() -> None:
 class NodeProcesses:
     """Starts node processes and ends every one of them, whatever happens in between.
 
-    Args:
-        log_directory: one log file per node is written here; the end of it is shown when a node fails.
-        environment: further environment variables, such as ROS_DOMAIN_ID.
+    Parameters
+    ----------
+    log_directory
+        one log file per node is written here; the end of it is shown when a node fails
+    environment
+        further environment variables, such as ROS_DOMAIN_ID
     """
 
     def __init__(self, log_directory: Path, environment: Mapping[str, str] | None = None) -> None:
@@ -75,8 +78,22 @@ class NodeProcesses:
         """Start ``executable`` (a node of this package) with parameters."""
         self._start(executable, [f"tpgmm_ros.nodes.{executable}"], _given(parameters))
 
-    def start_together(self, name: str, nodes: Mapping[str, Mapping[str, Value]]) -> None:
-        """Start nodes in one process, each with parameters, in the order of the data. The process has a name too."""
+    def start_all(self, name: str, nodes: Mapping[str, Mapping[str, Value]], together: bool = True) -> None:
+        """Start nodes, each with parameters, named in the order of the data.
+
+        Parameters
+        ----------
+        name : str
+            Of the process that they share.
+        nodes : mapping
+            Executable -> its parameters.
+        together : bool
+            False: each of them in a process of its own.
+        """
+        if not together:
+            for node, parameters in nodes.items():
+                self.start(node, **parameters)
+            return
         given = [item for node, parameters in nodes.items() for item in _given(parameters, f"{node}:")]
         self._start(name, ["tpgmm_ros.programs.compose", *nodes], given)
         self._shared |= dict.fromkeys(nodes, name)
@@ -102,8 +119,8 @@ class NodeProcesses:
                 raise GraphError(f"{name} ended with status {status}; the end of its log:\n{self.log_tail(name)}")
 
     def pid(self, name: str) -> int:
-        """Process id of a node that was started."""
-        return self._processes[name].pid
+        """Process id of a node that was started, or of the process that it shares."""
+        return self._processes[self._shared.get(name, name)].pid
 
     def kill(self, name: str) -> None:
         """End a node as a crash would, by SIGKILL; it may be started again."""
@@ -151,10 +168,14 @@ def _given(parameters: Mapping[str, Value], node: str = "") -> list[str]:
 class Graph:
     """What a program needs to deal with running nodes: wait for conditions, call services, bring nodes up.
 
-    Args:
-        node: the program's own node.
-        executor: the executor that serves it.
-        processes: checked while waiting, so that a node that died ends the waiting at once.
+    Parameters
+    ----------
+    node
+        the program's own node
+    executor
+        the executor that serves it
+    processes
+        checked while waiting, so that a node that died ends the waiting at once
     """
 
     def __init__(self, node: Node, executor: Executor, processes: NodeProcesses) -> None:
@@ -165,9 +186,12 @@ class Graph:
     def wait_for(self, condition: Callable[[], bool], timeout: float, what: str) -> None:
         """Serve the node until ``condition()`` holds.
 
-        Raises:
-            GraphTimeoutError: it does not within ``timeout`` seconds of steady time.
-            GraphError: a process ended.
+        Raises
+        ------
+        GraphTimeoutError
+            it does not within ``timeout`` seconds of steady time.
+        GraphError
+            a process ended.
         """
         deadline = time.monotonic() + timeout
         while not condition():
@@ -179,15 +203,23 @@ class Graph:
                 )
 
     def result(self, future: Future, timeout: float, what: str) -> Any:
-        """What a future (of a service or an action) comes to. Raises GraphError like `wait_for`."""
+        """What a future (of a service or an action) comes to.
+
+        Raises
+        ------
+        GraphError
+            like `wait_for`
+        """
         self.wait_for(future.done, timeout, what)
         return future.result()
 
     def bring_up(self, name: str, timeout: float = 30.0) -> None:
         """Configure and activate a lifecycle node.
 
-        Raises:
-            GraphError: it does not appear, or refuses.
+        Raises
+        ------
+        GraphError
+            it does not appear, or refuses.
         """
         client = self.node.create_client(ChangeState, f"{name}/change_state")
         self.wait_for(client.service_is_ready, timeout, f"{name} to appear")

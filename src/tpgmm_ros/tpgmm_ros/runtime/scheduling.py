@@ -1,21 +1,80 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Priority of a process: a control loop that waits for its turn behind other programs misses its ticks."""
+"""What a control loop asks of the system: its turn ahead of others, cores of its own, memory that stays there.
+
+A loop that waits for its turn behind other programs, or for a page of memory, misses its ticks.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import os
+import re
 import sys
 from pathlib import Path
+
+from tpgmm_core.common.text import listed, shown
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h
+_CORES = re.compile(r"(?P<first>[0-9]{1,4})(-(?P<last>[0-9]{1,4}))?")
+
+
+def cores_of(text: str) -> set[int]:
+    """Numbers of cores, as in ``0,2-3``; none for an empty text.
+
+    Raises
+    ------
+    ValueError
+        Something else, or cores that this process may not use.
+    """
+    cores: set[int] = set()
+    for part in filter(None, text.replace(" ", "").split(",")):
+        if not (found := _CORES.fullmatch(part)):
+            raise ValueError(f"cpu_cores is {shown(text)}; expected numbers and ranges of cores, such as 0,2-3")
+        first, last = found["first"], found["last"]
+        cores |= set(range(int(first), int(last or first) + 1))
+    allowed = os.sched_getaffinity(0) if sys.platform == "linux" else cores
+    if cores - allowed:
+        raise ValueError(f"cpu_cores is {shown(text)}; this process may use {listed(map(str, sorted(allowed)))}")
+    return cores
+
+
+def run_on(cores: set[int]) -> None:
+    """Run all threads of this process on these cores only, and those that they start."""
+    if sys.platform == "linux":
+        for thread in Path("/proc/self/task").iterdir():
+            os.sched_setaffinity(int(thread.name), cores)
+
+
+def lock_memory() -> str:
+    """Keep all memory of this process where it is, now and from now on: no step waits for a page.
+
+    Returns
+    -------
+    refusal : str
+        Empty, or why it was refused; then the process goes on without.
+    """
+    try:
+        refused = ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT | _MCL_FUTURE)
+    except (OSError, AttributeError, TypeError) as error:  # a system without this call
+        return str(error)
+    if refused:
+        reason = os.strerror(ctypes.get_errno())
+        return f"{reason}; it needs CAP_IPC_LOCK, or 'memlock' in /etc/security/limits.conf"
+    return ""
 
 
 def request_realtime(priority: int) -> str:
     """Ask the system to run all threads of this process ahead of ordinary ones (SCHED_FIFO).
 
-    Args:
-        priority: 1 (least) to 99.
+    Parameters
+    ----------
+    priority
+        1 (least) to 99
 
-    Returns:
-        An empty text, or why it was refused; then the process goes on as an ordinary one.
+    Returns
+    -------
+    str
+        An empty text, or why it was refused; then the process goes on as an ordinary one
     """
     try:
         # The middleware's threads too: a message that waits for them is as late as one that waits for us.

@@ -81,8 +81,10 @@ class KinematicSpec:
     def of(cls, section: Section, objects: Collection[str]) -> KinematicSpec:
         """Read the section; `objects` are the frames of the task.
 
-        Raises:
-            YamlError: anything that does not describe kinematic frames.
+        Raises
+        ------
+        YamlError
+            anything that does not describe kinematic frames.
         """
         section.refuse_others("robot", "joints", "joint_states", "tasks", "hierarchies", "postures", "threshold")
         tasks, aims = _tasks(section.section("tasks"), objects)
@@ -182,9 +184,12 @@ class KinematicSpec:
     def frames(self) -> MovingFrames:
         """The candidates on the robot, for one user.
 
-        Raises:
-            ValueError: the robot file is none, or the robot has no such joints or points.
-            OSError: it cannot be read.
+        Raises
+        ------
+        ValueError
+            the robot file is none, or the robot has no such joints or points.
+        OSError
+            it cannot be read.
         """
         return MovingFrames(self._kinematics(), self.candidates, self.threshold)
 

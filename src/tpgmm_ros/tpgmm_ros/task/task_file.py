@@ -51,10 +51,14 @@ class TaskError(ValueError):
 class TaskFrameSpec:
     """One task frame: observed on a topic, or fixed in the base frame. Exactly one of the two is set.
 
-    Attributes:
-        name: name of the frame, as in the model.
-        topic: relative topic of its PoseStamped, or None.
-        pose: fixed pose (x, y, z in m, qx, qy, qz, qw, unit quaternion) in the base frame, or None.
+    Attributes
+    ----------
+    name
+        name of the frame, as in the model
+    topic
+        relative topic of its PoseStamped, or None
+    pose
+        fixed pose (x, y, z in m, qx, qy, qz, qw, unit quaternion) in the base frame, or None
     """
 
     name: str
@@ -66,10 +70,14 @@ class TaskFrameSpec:
 class PoseArraySpec:
     """Recordings whose movement is one PoseArray per bag, and whose frames stand in a file.
 
-    Attributes:
-        pose_array: relative topic of the PoseArray.
-        period: time from one pose to the next, s: a PoseArray does not tell.
-        frames: name of the file beside the bags that holds the constant pose of each observed frame in each bag.
+    Attributes
+    ----------
+    pose_array
+        relative topic of the PoseArray
+    period
+        time from one pose to the next, s: a PoseArray does not tell
+    frames
+        name of the file beside the bags that holds the constant pose of each observed frame in each bag
     """
 
     pose_array: str
@@ -107,8 +115,10 @@ class Task:
     def load(cls, path: str | Path) -> "Task":
         """Read a task file.
 
-        Raises:
-            TaskError: the file is missing, is no YAML, or does not describe a task.
+        Raises
+        ------
+        TaskError
+            the file is missing, is no YAML, or does not describe a task.
         """
         try:
             return cls._of(Section.load(Path(path), "a task file"))
@@ -119,8 +129,10 @@ class Task:
     def from_text(cls, text: str, source: str = "task") -> "Task":
         """Read a task from YAML text; `source` is what errors call it.
 
-        Raises:
-            TaskError: the text is no YAML, or does not describe a task.
+        Raises
+        ------
+        TaskError
+            the text is no YAML, or does not describe a task.
         """
         try:
             return cls._of(Section.from_text(text, source))

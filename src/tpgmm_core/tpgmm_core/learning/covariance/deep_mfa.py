@@ -25,11 +25,23 @@ from tpgmm_core.learning.covariance.structure import Structure
 class DeepFactorAnalyzers(LowRankCovariances):
     """Sigma_k = base_k L_k base_k^T + diag(noise_k), where base and noise are those of the component's parent.
 
-    loadings : shape (K, n, d), base_k times a root of L_k; base : shape (K, n, d), equal for siblings, which
-    follow one another; latent : the K covariances L_k (d, d); n_parents : components of the layer below
-
     The M-step moves L_k, and the means within the range of base_k; base and noise stay as the layer below
     learned them.
+
+    Parameters
+    ----------
+    structure
+        settings of the structure
+    loadings
+        shape (K, n, d), base_k times a root of L_k
+    noise
+        shape (K, n), diagonals of Psi_k
+    base
+        shape (K, n, d), equal for siblings, which follow one another
+    latent
+        the K covariances L_k (d, d)
+    n_parents
+        number of components of the layer below
     """
 
     base: Array
@@ -45,14 +57,16 @@ class DeepFactorAnalyzers(LowRankCovariances):
         latent: FactorAnalyzers | DeepFactorAnalyzers,
         n_parents: int,
     ) -> Self:
-        """From its parts; see the class."""
+        """Make one from base, noise and latent covariances, with the loadings that follow from them; see the class."""
         return cls(structure, base @ np.linalg.cholesky(latent.dense()), noise, base, latent, n_parents)
 
     @classmethod
     def start(cls, structure: Structure, counts: Array, scatters: Array) -> Self:
+        """Raise ValueError: deep mixtures start from "mfa" (`fit_deep_mixture`)."""
         raise ValueError('"deep_mfa" is learned layer by layer, from "mfa": see fit_deep_mixture')
 
     def maximised(self, counts: Array, scatters: Array) -> Self:
+        """M-step of the latent covariances L_k, for the expected scatters of the factors; base and noise stay."""
         R = self._latent_regressions
         latent_scatters = self.latent.dense() - R @ self.base @ self.latent.dense()
         latent_scatters = latent_scatters + R @ scatters @ np.swapaxes(R, 1, 2)
@@ -61,6 +75,7 @@ class DeepFactorAnalyzers(LowRankCovariances):
         return self.assembled(self.structure, self.base, self.noise, latent, self.n_parents)
 
     def mean_steps(self, steps: Array) -> Array:
+        """Steps (K, n) of the means within the range of base_k: the factors' expected steps, through the layers."""
         expected = np.einsum("kdn,kn->kd", self._latent_regressions, steps)
         return np.einsum("knd,kd->kn", self.base, self.latent.mean_steps(expected))
 
@@ -71,10 +86,12 @@ class DeepFactorAnalyzers(LowRankCovariances):
 
     @property
     def top_loadings(self) -> Array:
+        """Product of the loadings of all layers, (K, n, d of the topmost layer)."""
         return self.base @ self.latent.top_loadings
 
     @classmethod
     def from_arrays(cls, structure: Structure, arrays: Mapping[str, Array]) -> Self:
+        """Read the own arrays, and those of the layers above, whose names begin with "latent_"."""
         own = {name: array for name, array in arrays.items() if not name.startswith("latent_")}
         inner = {name.removeprefix("latent_"): array for name, array in arrays.items() if name not in own}
         base, noise, n_parents = own["base"], own["noise"], own["n_parents"]
@@ -90,24 +107,38 @@ class DeepFactorAnalyzers(LowRankCovariances):
         return cls.assembled(structure, base, noise, latent, int(n_parents[0]))
 
     def arrays(self) -> dict[str, Array]:
+        """`base`, `noise` and `n_parents`, and the arrays of the layers above with "latent_" before their names."""
         inner = {f"latent_{name}": array for name, array in self.latent.arrays().items()}
         return {"base": self.base, "noise": self.noise, "n_parents": np.array([float(self.n_parents)]), **inner}
 
     @property
     def n_parameters(self) -> int:
-        """Of the parents' loadings and noise, and of the latent covariances."""
+        """Free parameters of the parents' loadings and noise, and of the latent covariances."""
         n, d = self.base.shape[1:]
         return self.n_parents * (n_loadings(n, d) + n) + self.latent.n_parameters
 
     @property
     def n_mean_parameters(self) -> int:
+        """Free parameters of the parents' means in n dimensions, and of the latent means."""
         return self.n_parents * self.shape[1] + self.latent.n_mean_parameters
 
 
 def divided(
     covariances: FactorAnalyzers | DeepFactorAnalyzers, structure: Structure, n_parts: int, top: FactorAnalyzers
 ) -> DeepFactorAnalyzers:
-    """Each component in `n_parts`, whose topmost factors have the covariances `top` (of K n_parts) instead of I."""
+    """Divide each component into `n_parts`.
+
+    Parameters
+    ----------
+    covariances
+        of the K components
+    structure
+        settings of the result
+    n_parts
+        number of parts of each
+    top
+        covariances of the topmost factors of the K n_parts parts, in place of I
+    """
     K = covariances.shape[0]
     noise = np.repeat(covariances.noise, n_parts, axis=0)
     if isinstance(covariances, DeepFactorAnalyzers):

@@ -33,6 +33,7 @@ class FactorAnalyzers(LowRankCovariances):
 
     @classmethod
     def start(cls, structure: Structure, counts: Array, scatters: Array) -> Self:
+        """Factors from the principal axes of the scatters, followed by a few EM steps."""
         K, n = scatters.shape[:2]
         d = min(structure.n_factors, n - 1)
         eigenvalues, axes = np.linalg.eigh(scatters)
@@ -41,6 +42,7 @@ class FactorAnalyzers(LowRankCovariances):
         return cls(structure, np.stack([loadings for loadings, _ in parts]), noise)._climbed(scatters, START_STEPS)
 
     def maximised(self, counts: Array, scatters: Array) -> Self:
+        """Raise the likelihood by INNER_STEPS steps of EM on the factors."""
         return self._climbed(scatters, INNER_STEPS)
 
     def _climbed(self, scatters: Array, n_steps: int) -> Self:
@@ -51,9 +53,11 @@ class FactorAnalyzers(LowRankCovariances):
         return now
 
     def _step(self, scatters: Array, least: Array) -> Self:
-        """One EM step of factor analysis, all components at once (Ghahramani and Hinton 1996, Eqs. 5 and 6), with
-        the parameter expansion of Liu, Rubin and Wu (1998): the covariance that the factors have in the samples is
-        taken into the loadings, so that EM needs far fewer steps."""
+        """One EM step of factor analysis, all components at once (Ghahramani and Hinton 1996, Eqs. 5 and 6).
+
+        With the parameter expansion of Liu, Rubin and Wu (1998): the covariance that the factors have in the samples is
+        taken into the loadings, so that EM needs far fewer steps.
+        """
         B = self.regressions
         cross = scatters @ np.swapaxes(B, 1, 2)
         second = self.posterior_covariances + B @ cross
@@ -64,12 +68,13 @@ class FactorAnalyzers(LowRankCovariances):
 
     @property
     def n_parameters(self) -> int:
+        """Loadings up to a rotation, and n noises, per component; at most those of a full covariance."""
         K, n, d = self.loadings.shape
         return K * min(n_loadings(n, d) + n, n * (n + 1) // 2)
 
 
 def _least_noise(structure: Structure, scatters: Array) -> Array:
-    """What the noise (K, n) is kept above: enough for the arithmetic where there is no regularisation."""
+    """The lower limit (K, n) of the noise: enough for the arithmetic where there is no regularisation."""
     variances = np.diagonal(scatters, axis1=1, axis2=2)
     return np.maximum(structure.reg_covar / len(scatters), 1e-9 * variances)
 
@@ -83,10 +88,12 @@ class PrincipalComponentAnalyzers(LowRankCovariances):
 
     @classmethod
     def start(cls, structure: Structure, counts: Array, scatters: Array) -> Self:
+        """The closed form for `n_factors` dimensions, at most n - 1."""
         K, n = scatters.shape[:2]
         return cls._principal(structure, scatters, np.full(K, min(structure.n_factors, n - 1)))
 
     def maximised(self, counts: Array, scatters: Array) -> Self:
+        """M-step in closed form, with the same numbers of dimensions."""
         return self._principal(self.structure, scatters, self.dimensions)
 
     @classmethod
@@ -98,40 +105,53 @@ class PrincipalComponentAnalyzers(LowRankCovariances):
 
     @property
     def dimensions(self) -> NDArray[np.intp]:
-        """d_k, (K,)."""
+        """Number of factors d_k of each component, (K,)."""
         return np.full(self.shape[0], self.loadings.shape[2])
 
     @property
     def n_parameters(self) -> int:
+        """Loadings up to a rotation, and one noise, per component."""
         n = self.shape[1]
         return sum(n_loadings(n, int(d)) + 1 for d in self.dimensions)
 
 
 @dataclass(frozen=True, eq=False)
 class SubspaceCovariances(PrincipalComponentAnalyzers):
-    """The parsimonious model [a_kj b_k Q_k d_k]: each component has its own number of dimensions d_k, found by
-    Cattell's scree test, and one noise outside them (Bouveyron and Brunet 2014, Sections 4.2 and 5).
+    """The parsimonious model [a_kj b_k Q_k d_k] of Bouveyron and Brunet (2014, Sections 4.2 and 5).
 
-    After the start d_k only grows: then every M-step maximises over a family that holds the former one, and the
+    Each component has its own number of dimensions d_k, found by Cattell's scree test, and one noise outside them.
+    After the start d_k only grows: then every M-step maximises over a family that includes the former one, and the
     likelihood never falls.
     """
 
     @classmethod
     def start(cls, structure: Structure, counts: Array, scatters: Array) -> Self:
+        """The closed form for the dimensions that the scree test finds in the scatters."""
         return cls._principal(structure, scatters, scree_dimensions(scatters, structure.scree_threshold))
 
     def maximised(self, counts: Array, scatters: Array) -> Self:
+        """M-step in closed form, for the dimensions found in the scatters, or the present ones where these are more."""
         found = scree_dimensions(scatters, self.structure.scree_threshold)
         return self._principal(self.structure, scatters, np.maximum(found, self.dimensions))
 
     @property
     def dimensions(self) -> NDArray[np.intp]:
+        """d_k, (K,): the number of columns of the loadings that are not zero."""
         return np.any(self.loadings != 0.0, axis=1).sum(axis=1)
 
 
 def scree_dimensions(scatters: Array, threshold: float) -> NDArray[np.intp]:
-    """Index (K,), from 1, of the last drop between successive eigenvalues of scatters (K, n, n) that is at least
-    `threshold` of the largest drop (Cattell 1966); 0 in one dimension."""
+    """Numbers of dimensions (K,) by Cattell's scree test (1966); 0 in one dimension.
+
+    The index, from 1, of the last drop between successive eigenvalues that is at least `threshold` of the largest drop.
+
+    Parameters
+    ----------
+    scatters
+        shape (K, n, n)
+    threshold
+        share of the largest drop, between 0 and 1
+    """
     drops = np.diff(np.linalg.eigvalsh(scatters), axis=1)[:, ::-1]
     if drops.shape[1] == 0:
         return np.zeros(len(scatters), dtype=np.intp)

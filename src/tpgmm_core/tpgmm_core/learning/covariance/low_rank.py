@@ -26,9 +26,18 @@ MAX_ROUNDING = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class LowRankCovariances(Covariances):
-    """Sigma_k = Lambda_k Lambda_k^T + diag(noise_k); loadings Lambda : shape (K, n, d), noise : shape (K, n).
+    """Sigma_k = Lambda_k Lambda_k^T + diag(noise_k).
 
     Components that have fewer factors than others have columns of zeros.
+
+    Parameters
+    ----------
+    structure
+        settings of the structure
+    loadings
+        Lambda, shape (K, n, d)
+    noise
+        shape (K, n)
     """
 
     structure: Structure
@@ -42,6 +51,7 @@ class LowRankCovariances(Covariances):
 
     @classmethod
     def from_arrays(cls, structure: Structure, arrays: Mapping[str, Array]) -> Self:
+        """Read `loadings` (K, n, d) and `noise` (K, n) from the arrays of a model file."""
         loadings, noise = arrays["loadings"], arrays["noise"]
         if loadings.ndim != 3 or loadings.shape[:2] != noise.shape:
             raise ValueError(f"loadings have shape (K, n, d) and noise (K, n), got {loadings.shape} and {noise.shape}")
@@ -49,6 +59,7 @@ class LowRankCovariances(Covariances):
 
     @property
     def shape(self) -> tuple[int, int]:
+        """K and n, of the noise."""
         K, n = self.noise.shape
         return K, n
 
@@ -61,7 +72,7 @@ class LowRankCovariances(Covariances):
 
     @cached_property
     def projections(self) -> Array:
-        """L^-1 Lambda^T Psi^-1, (K, d, n): their squares are what the factors take off d Psi^-1 d^T."""
+        """L^-1 Lambda^T Psi^-1, (K, d, n): with d Psi^-1 d^T, their squares make the squared distance."""
         return self._inverse_roots @ np.swapaxes(self.loadings / self.noise[:, :, None], 1, 2)
 
     @cached_property
@@ -76,7 +87,7 @@ class LowRankCovariances(Covariances):
 
     @property
     def top_loadings(self) -> Array:
-        """What the topmost factors, of prior N(0, I), are multiplied with: (K, n, d)."""
+        """Loadings (K, n, d) of the topmost factors, whose prior is N(0, I)."""
         return self.loadings
 
     @cached_property
@@ -86,15 +97,17 @@ class LowRankCovariances(Covariances):
 
     @cached_property
     def log_determinants(self) -> Array:
+        """log|Sigma_k| (K,), by the matrix determinant lemma."""
         log_M = -2.0 * np.log(np.diagonal(self._inverse_roots, axis1=1, axis2=2)).sum(axis=1)
         return np.asarray(log_M + np.log(self.noise).sum(axis=1))
 
     def squared_distances(self, k: int, d: Array) -> Array:
+        """Squared Mahalanobis distances (N,) of d (N, n) to component k, by the Woodbury identity."""
         explained = d @ self.projections[k].T
         return np.asarray((d * d) @ (1.0 / self.noise[k]) - np.einsum("ni,ni->n", explained, explained))
 
     def log_densities(self, x: Array, means: Array) -> Array:
-        """All components by a few products of matrices, (x - mu)^2 multiplied out, where rounding allows it."""
+        """Log-densities (N, K) of all components by a few matrix products, where rounding allows to expand squares."""
         K, n = self.shape
         centre = means.mean(axis=0)
         x, means = x - centre, means - centre
@@ -110,23 +123,38 @@ class LowRankCovariances(Covariances):
         return -0.5 * (squares + (n * LOG_2PI + self.log_determinants))
 
     def dense(self) -> Array:
+        """Lambda_k Lambda_k^T + diag(noise_k), (K, n, n)."""
         n = self.shape[1]
         return self.loadings @ np.swapaxes(self.loadings, 1, 2) + self.noise[:, :, None] * np.eye(n)
 
     def inverse_traces(self) -> Array:
+        """tr(Sigma_k^-1), (K,), by the Woodbury identity."""
         return np.asarray((1.0 / self.noise).sum(axis=1) - (self.projections**2).sum(axis=(1, 2)))
 
 
 def n_loadings(n: int, d: int) -> int:
-    """Free numbers in a loadings matrix (n, d), which is determined up to a rotation of its columns."""
+    """Number of free parameters of a loadings matrix (n, d), which is determined up to a rotation of its columns."""
     return n * d - d * (d - 1) // 2
 
 
 def principal(eigenvalues: Array, axes: Array, d: int, n_columns: int) -> tuple[Array, Array]:
-    """Loadings (n, n_columns) along the d < n main axes, and noise (n,), the mean of the other eigenvalues.
+    """Maximum likelihood solution of probabilistic PCA (Tipping and Bishop 1999, Eqs. 7 and 8).
 
-    eigenvalues : shape (n,), ascending, with their axes (n, n) as columns; columns behind d are zero. This is the
-    maximum likelihood solution of probabilistic PCA (Tipping and Bishop 1999, Eqs. 7 and 8).
+    Parameters
+    ----------
+    eigenvalues
+        shape (n,), ascending
+    axes
+        shape (n, n), their axes as columns
+    d
+        number of main axes, d < n
+    n_columns
+        of the loadings, from d on; columns beyond d are zero
+
+    Returns
+    -------
+    tuple[Array, Array]
+        loadings (n, n_columns) along the main axes, and noise (n,), the mean of the other eigenvalues
     """
     n = len(eigenvalues)
     noise = eigenvalues[: n - d].mean()

@@ -24,8 +24,16 @@ SWEEPS = 3
 class SemiTiedCovariances(Covariances):
     """Sigma_k = H diag(variances_k) H^T; the columns of H are synergies that all components share.
 
-    Kept as transform A = H^-1, shape (n, n), in whose coordinates every component is diagonal, with
-    variances, shape (K, n). The paper's "tied structures ... reuse of previously acquired synergies".
+    The paper's "tied structures ... reuse of previously acquired synergies".
+
+    Parameters
+    ----------
+    structure
+        settings of the structure
+    transform
+        A = H^-1, shape (n, n), in whose coordinates every component is diagonal
+    variances
+        shape (K, n), in these coordinates
     """
 
     structure: Structure
@@ -38,8 +46,10 @@ class SemiTiedCovariances(Covariances):
 
     @classmethod
     def start(cls, structure: Structure, counts: Array, scatters: Array) -> Self:
-        """From the axes that make two pooled scatters diagonal at once, those of half of the components each
-        where there are several: exact for two components."""
+        """The axes that make two pooled scatters diagonal at once: exact for two components.
+
+        With more components, the scatters are those of every second one and of all.
+        """
         halves = [counts[::2] @ scatters[::2].reshape(-1, scatters[0].size)]
         halves.append(counts @ scatters.reshape(-1, scatters[0].size))
         one, both = (half.reshape(scatters[0].shape) / counts.sum() for half in halves)
@@ -48,6 +58,7 @@ class SemiTiedCovariances(Covariances):
         return cls(structure, A, _diagonals(A, scatters))
 
     def maximised(self, counts: Array, scatters: Array) -> Self:
+        """Raise the likelihood by SWEEPS updates of all rows of A, each followed by the diagonals."""
         A, variances = self.transform, self.variances
         _check_definite(np.einsum("k,kij->ij", counts, scatters), scatters)
         for _ in range(SWEEPS):
@@ -58,6 +69,7 @@ class SemiTiedCovariances(Covariances):
 
     @classmethod
     def from_arrays(cls, structure: Structure, arrays: Mapping[str, Array]) -> Self:
+        """Read `transform` (n, n), which is regular, and `variances` (K, n) from the arrays of a model file."""
         A, variances = arrays["transform"], arrays["variances"]
         if variances.ndim != 2 or A.shape != (variances.shape[1],) * 2 or np.linalg.matrix_rank(A) < len(A):
             raise ValueError(
@@ -68,6 +80,7 @@ class SemiTiedCovariances(Covariances):
 
     @property
     def shape(self) -> tuple[int, int]:
+        """K and n, of the variances."""
         K, n = self.variances.shape
         return K, n
 
@@ -78,27 +91,34 @@ class SemiTiedCovariances(Covariances):
 
     @cached_property
     def log_determinants(self) -> Array:
+        """log|Sigma_k| (K,), from the variances and the determinant of A."""
         return np.asarray(np.log(self.variances).sum(axis=1) - 2.0 * np.linalg.slogdet(self.transform)[1])
 
     def squared_distances(self, k: int, d: Array) -> Array:
+        """Squared Mahalanobis distances (N,) of d (N, n) to component k, in the coordinates A d."""
         y = d @ self.transform.T
         return np.asarray((y * y) @ (1.0 / self.variances[k]))
 
     def dense(self) -> Array:
+        """H diag(variances_k) H^T, (K, n, n)."""
         return (self.basis * self.variances[:, None, :]) @ self.basis.T
 
     def inverse_traces(self) -> Array:
+        """tr(Sigma_k^-1), (K,): the squared norms of the rows of A over the variances."""
         return np.asarray((1.0 / self.variances) @ (self.transform**2).sum(axis=1))
 
     @property
     def n_parameters(self) -> int:
-        """The scale of the rows of A is free: n (n - 1) + K n; one or two components are as good as full."""
+        """Free parameters: n (n - 1) + K n, since the scale of the rows of A is free.
+
+        For one or two components they are those of full covariances.
+        """
         K, n = self.shape
         return min(n * (n - 1) + K * n, K * n * (n + 1) // 2)
 
 
 def _check_variances(variances: Array) -> None:
-    """Raise ValueError for a component that is, but for rounding, a point along some axis."""
+    """Raise ValueError for a component whose variance along some axis is zero but for rounding."""
     if not np.all(variances > SINGULAR * variances.max(axis=0)):
         raise not_definite(int(np.argmin(variances.min(axis=1))))
 

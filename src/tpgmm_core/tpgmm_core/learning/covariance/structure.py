@@ -22,17 +22,28 @@ STRUCTURES = ("full", "diag", "spherical", "tied", "mfa", "mppca", "hddc", "semi
 class Structure:
     """Name and settings of a covariance structure; the same for all components and frames.
 
-    name : one of `STRUCTURES`
-    n_factors : d, columns of the loadings of "mfa", "mppca" and the first level of "deep_mfa"; a frame of n
-        dimensions has n - 1 at most. Other structures ignore it
-    reg_covar : variance that the regularisation adds, in squared units of the data
-    regularization : "add" or "prior": see `Emissions.penalty`
-    scree_threshold : "hddc" keeps the dimensions up to the last drop between successive eigenvalues that
-        exceeds this share of the largest drop
-    layers : of "deep_mfa", above the first: pairs of the number of components into which each component of the
-        layer below is divided, and of the columns of their loadings
+    Parameters
+    ----------
+    name
+        one of `STRUCTURES`
+    n_factors
+        d, columns of the loadings of "mfa", "mppca" and the first level of "deep_mfa"; at most n - 1 in a frame of n
+        dimensions. Other structures ignore it
+    reg_covar
+        variance that the regularisation adds, in squared units of the data
+    regularization
+        "add" or "prior": see `Emissions.penalty`
+    scree_threshold
+        "hddc" keeps the dimensions up to the last drop between successive eigenvalues that exceeds this share of the
+        largest drop
+    layers
+        of "deep_mfa", above the first: pairs of the number of components into which each component of the layer below
+        is divided, and of the columns of their loadings
 
-    Raises ValueError for values outside their range.
+    Raises
+    ------
+    ValueError
+        for values outside their range
     """
 
     name: str = "full"
@@ -64,7 +75,7 @@ def _is_count(value: object) -> bool:
 class Covariances(ABC):
     """K covariances (n, n) of one structure, in the tangent space of one frame; immutable.
 
-    Subclasses say how they are kept, and how they follow from weighted scatters (the M-step).
+    Subclasses define how they are stored, and how they follow from weighted scatters (the M-step).
     """
 
     arrays_of: ClassVar[tuple[str, ...]]
@@ -75,25 +86,53 @@ class Covariances(ABC):
     @classmethod
     @abstractmethod
     def start(cls, structure: Structure, counts: Array, scatters: Array) -> Self:
-        """Covariances near scatters (K, n, n) of components with counts (K,) samples, to start EM from."""
+        """Covariances to start EM from, near the scatters.
+
+        Parameters
+        ----------
+        structure
+            settings of the structure
+        counts
+            shape (K,), number of samples of each component
+        scatters
+            shape (K, n, n)
+        """
 
     @abstractmethod
     def maximised(self, counts: Array, scatters: Array) -> Self:
         """M-step: raises -1/2 sum_k counts_k (log|Sigma_k| + tr(Sigma_k^-1 S_k)), or keeps it.
 
-        counts : shape (K,); scatters : S, shape (K, n, n), covariances of the weighted samples about the means,
-        regularised. For a component without samples S is its own covariance.
+        Parameters
+        ----------
+        counts
+            shape (K,), weight of the samples of each component
+        scatters
+            S, shape (K, n, n), covariances of the weighted samples about the means, regularised. For a component
+            without samples S is its own covariance
         """
 
     @classmethod
     @abstractmethod
     def from_arrays(cls, structure: Structure, arrays: Mapping[str, Array]) -> Self:
-        """The inverse of `arrays`. Raises ValueError when they do not fit together."""
+        """Make covariances from the arrays that `arrays` gave.
+
+        Parameters
+        ----------
+        structure
+            settings of the structure
+        arrays
+            by name
+
+        Raises
+        ------
+        ValueError
+            when they do not fit together
+        """
 
     @property
     @abstractmethod
     def shape(self) -> tuple[int, int]:
-        """K, n."""
+        """Number of components K, and of tangent dimensions n."""
 
     @cached_property
     @abstractmethod
@@ -102,11 +141,11 @@ class Covariances(ABC):
 
     @abstractmethod
     def squared_distances(self, k: int, d: Array) -> Array:
-        """d Sigma_k^-1 d^T (N,) of tangent differences d (N, n)."""
+        """Squared Mahalanobis distances d Sigma_k^-1 d^T (N,) of tangent differences d (N, n)."""
 
     @abstractmethod
     def dense(self) -> Array:
-        """Sigma, (K, n, n)."""
+        """The covariances Sigma as full matrices, (K, n, n)."""
 
     @abstractmethod
     def inverse_traces(self) -> Array:
@@ -124,16 +163,16 @@ class Covariances(ABC):
         return K * n
 
     def mean_steps(self, steps: Array) -> Array:
-        """How far the means go, (K, n), when the weighted samples lie `steps` (K, n) away: all the way."""
+        """How far the means move, (K, n), when the weighted samples lie `steps` (K, n) away: here by all of it."""
         return steps
 
     def log_density(self, k: int, d: Array) -> Array:
-        """log N(d; 0, Sigma_k), (N,), of tangent differences d (N, n)."""
+        """Log-density log N(d; 0, Sigma_k), (N,), of tangent differences d (N, n)."""
         log_norm = -0.5 * (self.shape[1] * LOG_2PI + self.log_determinants[k])
         return np.asarray(log_norm - 0.5 * self.squared_distances(k, d))
 
     def log_densities(self, x: Array, means: Array) -> Array:
-        """log N(x_n; mu_k, Sigma_k), (N, K), of points x (N, n) of R^n and means (K, n)."""
+        """Log-densities log N(x_n; mu_k, Sigma_k), (N, K), of points x (N, n) of R^n and means (K, n)."""
         return np.stack([self.log_density(k, x - mean) for k, mean in enumerate(means)], axis=1)
 
     def arrays(self) -> dict[str, Array]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which class keeps the covariances of which structure."""
+"""Which class implements which covariance structure."""
 
 from __future__ import annotations
 
@@ -32,5 +32,5 @@ _CLASSES: dict[str, type[Covariances]] = {
 
 
 def covariances_class(structure: Structure) -> type[Covariances]:
-    """The class that starts, keeps and restores covariances of this structure."""
+    """The class that starts, stores and restores covariances of this structure."""
     return _CLASSES[structure.name]

@@ -16,7 +16,17 @@ from tpgmm_core.model.samples import Samples
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MixtureParameters:
-    """Parameters of a TP-GMM: priors (K,), and name → means (K, D_j), covariances (K, n_j, n_j)."""
+    """Parameters of a TP-GMM.
+
+    Parameters
+    ----------
+    priors
+        shape (K,)
+    means
+        name → shape (K, D_j)
+    covariances
+        name → shape (K, n_j, n_j)
+    """
 
     priors: Array
     means: Mapping[str, Array]
@@ -25,7 +35,17 @@ class MixtureParameters:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """Result of EM, with the course of the log-likelihood and of the objective, per sample, over the iterations."""
+    """Result of EM.
+
+    Parameters
+    ----------
+    parameters
+        after the last iteration
+    log_likelihoods, objectives
+        per sample, of every iteration
+    converged
+        whether the objective stopped rising before the last iteration that was allowed
+    """
 
     parameters: MixtureParameters
     log_likelihoods: Array
@@ -52,7 +72,25 @@ def expectation_maximisation(
     S³ the M-step takes the mean of the tangent vectors, which is the maximum for isotropic rotations and
     close to it otherwise.
 
-    Raises ValueError when a covariance loses its definiteness.
+    Parameters
+    ----------
+    samples
+        what all frames saw
+    start
+        parameters of K components
+    reg_covar, regularization
+        see above
+    tol
+        in log-likelihood per sample
+    max_iter
+        most iterations
+    progress
+        called with (iteration, log-likelihood per sample)
+
+    Raises
+    ------
+    ValueError
+        when a covariance is no longer positive definite
     """
     state = Workspace(samples, start)
     K = len(start.priors)
@@ -70,7 +108,7 @@ def expectation_maximisation(
 
 
 class Workspace:
-    """Samples and parameters in the arrangement of `kernels_em`, for whatever iterates over them."""
+    """Samples and parameters in the arrangement of `kernels_em`, for all algorithms that iterate over them."""
 
     def __init__(self, samples: Samples, start: MixtureParameters) -> None:
         self.names = list(samples.X)
@@ -101,6 +139,7 @@ class Workspace:
         self.responsibilities = np.zeros((K, N) if spheres else (0, 0))
 
     def iterate(self, added: float, prior_scatter: float) -> tuple[float, float, int]:
+        """Make one EM iteration in place: see `kernels_em.em_iteration`, whose results it returns."""
         result: tuple[float, float, int] = kernels_em.em_iteration(
             self.X, self.seen, self.layout, self.flat, self.spheres, self.log_priors, self.means,
             self.covariances, self.factors, self.log_norms, self.counts, self.first, self.second,
@@ -109,7 +148,7 @@ class Workspace:
         return result
 
     def expectation(self) -> float:
-        """The E-step alone, with the factors and normalisations as they are: the sum of the log-likelihoods."""
+        """Make the E-step alone, with the present factors and normalisations; returns the total log-likelihood."""
         result: float = kernels_em.expectation(
             self.X, self.seen, self.layout, self.flat, self.spheres, self.log_priors, self.means,
             self.factors, self.log_norms, self.counts, self.first, self.second, self.responsibilities,
@@ -117,11 +156,17 @@ class Workspace:
         return result
 
     def factorise(self) -> None:
-        """Factors and normalisations of the covariances. Raises ValueError for one that is not definite."""
+        """Compute the factors and normalisations of the covariances.
+
+        Raises
+        ------
+        ValueError
+            for one that is not positive definite
+        """
         self.check(kernels_em.factorise(self.layout, self.covariances, self.factors, self.log_norms))
 
     def check(self, failed: int) -> None:
-        """Raise for what `kernels_em.factorise` found."""
+        """Raise the error for what `kernels_em.factorise` returned, if it found one."""
         if failed >= 0:
             j, k = divmod(failed, len(self.log_priors))
             raise ValueError(
@@ -130,6 +175,7 @@ class Workspace:
             )
 
     def parameters(self) -> MixtureParameters:
+        """The present parameters as copies, by the names of the frames."""
         priors = np.exp(self.log_priors)
         means, covariances = {}, {}
         for j, (name, manifold) in enumerate(zip(self.names, self.manifolds, strict=True)):

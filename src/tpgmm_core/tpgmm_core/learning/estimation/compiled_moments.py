@@ -21,7 +21,7 @@ MAX_DIM = 20
 
 
 class CompiledMoments:
-    """Holds the samples in the arrangement of `kernels_em`, for one mixture after the other."""
+    """The samples in the arrangement of `kernels_em`, for the moments of any number of mixtures."""
 
     def __init__(self, samples: Samples, priors: Array, emissions: Emissions) -> None:
         self._workspace = Workspace(samples, MixtureParameters(priors, emissions.means, emissions.covariances))
@@ -52,7 +52,7 @@ class CompiledMoments:
         return log_likelihood, w.counts[-1].copy(), {name: self._moments(j) for j, name in enumerate(w.names)}
 
     def _moments(self, j: int) -> Moments:
-        """Of frame j, about its moved means."""
+        """Moments of frame j, about its new means."""
         w = self._workspace
         row, n = w.layout[j]
         counts = w.counts[j].copy()

@@ -30,12 +30,34 @@ def fit_deep_mixture(
     random_state: int | np.random.Generator | None = 0,
     progress: Progress | None = None,
 ) -> MixtureEstimate:
-    """The first layer, started from priors (K,) and "mfa" emissions, then the `layers` of the structure.
+    """The first layer, started from "mfa" emissions, then the `layers` of the structure.
 
-    Each layer is learned by EM on the data's likelihood, in which only the topmost factors' Gaussians and priors
-    move; the objective never falls within a layer. The result has K times the layers' numbers of components, and
-    the course of the last layer. Raises ValueError for S³, where factors would lie in different tangent spaces,
-    and for frames of so few dimensions that a layer has no factors.
+    Each layer is learned by EM on the data's likelihood, in which only the topmost factors' Gaussians and priors move;
+    the objective never falls within a layer. K is multiplied by the layers' numbers of components; log-likelihoods and
+    objectives are those of the last layer.
+
+    Parameters
+    ----------
+    samples
+        what all frames saw
+    priors
+        shape (K,), of the start
+    emissions
+        components of the start
+    structure
+        settings, with the layers
+    tol, max_iter
+        of EM in each layer
+    random_state
+        seed or generator for dividing components
+    progress
+        called with (iteration, log-likelihood per sample)
+
+    Raises
+    ------
+    ValueError
+        for S³, where factors would lie in different tangent spaces, and for frames of so few dimensions that a layer
+        has no factors
     """
     for name, manifold in samples.manifolds.items():
         if not manifold.is_euclidean:
@@ -64,8 +86,10 @@ def _with_layer(
     n_factors: int,
     rng: np.random.Generator,
 ) -> tuple[Array, Emissions]:
-    """Priors and emissions with each component's aggregated posterior in `n_parts`, found by k-means on the
-    topmost factors of all frames side by side."""
+    """Priors and emissions with each component's aggregated posterior divided into `n_parts`.
+
+    The parts are found by k-means on the topmost factors of all frames side by side.
+    """
     responsibilities, _ = expectation(estimate.priors, estimate.emissions, samples)
     parents = np.argmax(responsibilities, axis=1)
     frames: dict[str, FactorAnalyzers | DeepFactorAnalyzers] = {}

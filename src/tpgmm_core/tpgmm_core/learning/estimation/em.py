@@ -17,7 +17,19 @@ from tpgmm_core.model.samples import Samples
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MixtureEstimate:
-    """Result of EM: priors (K,), components, and the course of the log-likelihood and objective per sample."""
+    """Result of EM.
+
+    Parameters
+    ----------
+    priors
+        shape (K,)
+    emissions
+        the K components
+    log_likelihoods, objectives
+        per sample, of every iteration
+    converged
+        whether the objective stopped rising before the last iteration that was allowed
+    """
 
     priors: Array
     emissions: Emissions
@@ -26,7 +38,7 @@ class MixtureEstimate:
     converged: bool
 
     def with_dense_covariances(self) -> Estimate:
-        """The same as what EM of full covariances returns."""
+        """The same in the form that EM of full covariances returns."""
         parameters = MixtureParameters(self.priors, self.emissions.means, self.emissions.covariances)
         return Estimate(parameters, self.log_likelihoods, self.objectives, self.converged)
 
@@ -54,8 +66,27 @@ def fit_mixture(
 ) -> MixtureEstimate:
     """EM from the given start until an iteration gains less than `tol`, at the earliest after 5 iterations.
 
-    The objective is the log-likelihood less `Emissions.penalty`, per sample, taken before each M-step.
-    Raises ValueError when a covariance loses its definiteness.
+    The objective is the log-likelihood less `Emissions.penalty`, per sample, computed before each M-step.
+
+    Parameters
+    ----------
+    samples
+        what all frames saw
+    priors
+        shape (K,), of the start
+    emissions
+        components of the start
+    tol
+        in objective per sample
+    max_iter
+        most iterations
+    progress
+        called with (iteration, log-likelihood per sample)
+
+    Raises
+    ------
+    ValueError
+        when a covariance is no longer positive definite
     """
 
     def by_numpy(priors: Array, emissions: Emissions) -> tuple[float, Array, dict[str, Moments]]:

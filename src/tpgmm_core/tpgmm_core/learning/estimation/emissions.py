@@ -30,8 +30,16 @@ CHUNK_NUMBERS = 1 << 18
 class Moments:
     """Weighted moments of the samples of one frame: all that an M-step needs of them.
 
-    counts : shape (K,), summed weights; means : shape (K, D_j); scatters : shape (K, n_j, n_j), covariances of
-    the tangent vectors at these means. Where a count is 0, means and scatters mean nothing.
+    Where a count is 0, means and scatters have no meaning.
+
+    Parameters
+    ----------
+    counts
+        shape (K,), summed weights
+    means
+        shape (K, D_j)
+    scatters
+        shape (K, n_j, n_j), covariances of the tangent vectors at these means
     """
 
     counts: Array
@@ -43,11 +51,18 @@ class Moments:
 class Emissions:
     """K components seen from P frames, the same structure for all; immutable.
 
-    structure : kind of covariances, with regularisation
-    manifolds : name → space of the frame's view
-    means : name → shape (K, D_j), ambient
-    frames : name → the K covariances of that frame
-    prior_scatter : Psi of the prior exp(-1/2 tr(Psi Sigma^-1)) is prior_scatter I; 0 with "add"
+    Parameters
+    ----------
+    structure
+        kind of covariances, with regularisation
+    manifolds
+        name → space of the frame's view
+    means
+        name → shape (K, D_j), ambient
+    frames
+        name → the K covariances of that frame
+    prior_scatter
+        Psi of the prior exp(-1/2 tr(Psi Sigma^-1)) is prior_scatter I; 0 with "add"
     """
 
     structure: Structure
@@ -60,10 +75,20 @@ class Emissions:
     def from_labels(
         cls, structure: Structure, samples: Samples, labels: Labels, reg_covar: float | None = None
     ) -> Emissions:
-        """Components of labelled samples: labels (N,) are 0 to K - 1, or -1 for a sample that is left out.
+        """Components of labelled samples.
 
-        Unbiased covariances + reg_covar I (the structure's where None); K is the largest label + 1. A component
-        of which a frame saw nothing starts from all that the frame saw.
+        A component of which a frame saw nothing starts from all that the frame saw.
+
+        Parameters
+        ----------
+        structure
+            of the covariances
+        samples
+            what all frames saw
+        labels
+            shape (N,), 0 to K - 1, or -1 for a sample that is left out; K is the largest label + 1
+        reg_covar
+            added to the diagonals of the unbiased covariances; None: that of the structure
         """
         K = int(labels.max()) + 1
         reg_covar = structure.reg_covar if reg_covar is None else reg_covar
@@ -82,7 +107,21 @@ class Emissions:
         means: Mapping[str, Array],
         covariances: Mapping[str, Array],
     ) -> Emissions:
-        """The structure's nearest to full covariances, name → (K, n_j, n_j), of components with counts (K,)."""
+        """Components of a structure that are nearest to Gaussians with full covariances.
+
+        Parameters
+        ----------
+        structure
+            of the covariances
+        samples
+            what all frames saw
+        counts
+            shape (K,), number of samples of each component
+        means
+            name → shape (K, D_j)
+        covariances
+            name → shape (K, n_j, n_j)
+        """
         kind = covariances_class(structure)
         frames = {name: _named(name, kind.start, structure, counts, covariances[name]) for name in samples.X}
         K, is_prior = len(counts), structure.regularization == "prior"
@@ -91,12 +130,12 @@ class Emissions:
 
     @property
     def n_components(self) -> int:
-        """K."""
+        """K, from the means."""
         return len(next(iter(self.means.values())))
 
     @property
     def covariances(self) -> dict[str, Array]:
-        """Name → dense covariances (K, n_j, n_j), made when asked for."""
+        """Name → dense covariances (K, n_j, n_j), made on request."""
         return {name: frame.dense() for name, frame in self.frames.items()}
 
     @property
@@ -105,7 +144,7 @@ class Emissions:
         return sum(frame.n_parameters + frame.n_mean_parameters for frame in self.frames.values())
 
     def log_density(self, samples: Samples) -> Array:
-        """log prod_j N(x_n^(j); mu_k^(j), Sigma_k^(j)), (N, K), over the frames j that saw the sample."""
+        """Log-density log prod_j N(x_n^(j); mu_k^(j), Sigma_k^(j)), (N, K), over the frames j that saw the sample."""
         out = np.zeros((samples.n_samples, self.n_components))
         for (name, x), seen in zip(samples.X.items(), samples.seen, strict=True):
             manifold, frame = self.manifolds[name], self.frames[name]
@@ -129,7 +168,7 @@ class Emissions:
         """M-step from moments; components without samples, in all or in one frame, keep their Gaussian.
 
         The regularisation is the same for every structure: reg_covar I ("add") or prior_scatter / count I
-        ("prior") on every scatter, of which the M-step then takes what its structure can hold.
+        ("prior") is added to every scatter; the M-step then fits the structure to the sum.
         """
         means, frames = {}, {}
         for name, moment in moments.items():
@@ -146,14 +185,27 @@ class Emissions:
         return replace(self, means=means, frames=frames)
 
     def maximised(self, samples: Samples, responsibilities: Array) -> Emissions:
-        """M-step for responsibilities (N, K). Raises ValueError when a covariance loses its definiteness."""
+        """M-step for responsibilities.
+
+        Parameters
+        ----------
+        samples
+            what all frames saw
+        responsibilities
+            shape (N, K)
+
+        Raises
+        ------
+        ValueError
+            when a covariance is no longer positive definite
+        """
         return self.updated(self.moments(samples, responsibilities))
 
     def penalty(self) -> float:
-        """What the regularisation takes off the log-likelihood of all samples.
+        """What the regularisation subtracts from the log-likelihood of all samples.
 
         "add": 0, and the log-likelihood may fall in its last digits. "prior": -log of the prior exp(-1/2 tr(Psi
-        Sigma^-1)), Psi = reg_covar N / K I, summed over all covariances, up to its norm: the log-likelihood
+        Sigma^-1)), Psi = reg_covar N / K I, summed over all covariances, without its constant: the log-likelihood
         less this never falls on Euclidean data.
         """
         if self.prior_scatter == 0.0:
@@ -162,9 +214,20 @@ class Emissions:
 
 
 def frame_moments(manifold: Manifold, x: Array, weights: Array, base: Array) -> Moments:
-    """Moments of x (N, D_j) weighted by (N, K), in bounded memory.
+    """Weighted moments, in bounded memory.
 
-    base : shape (K, D_j), near the means. On S³ the mean is one step along the mean tangent vector at the base.
+    On S³ the mean is one step along the mean tangent vector at the base.
+
+    Parameters
+    ----------
+    manifold
+        space of the samples
+    x
+        shape (N, D_j)
+    weights
+        shape (N, K)
+    base
+        shape (K, D_j), near the means
     """
     counts = weights.sum(axis=0)
     share = np.where(counts > EMPTY, counts, 1.0)[:, None]
@@ -206,7 +269,7 @@ def chunks(n_samples: int, dim: int) -> Iterator[slice]:
 
 
 def _named(name: str, make: Callable[..., Covariances], *arguments: Any) -> Covariances:
-    """make(*arguments), whose errors tell which frame they are about."""
+    """Call make(*arguments); its errors then say which frame they are about."""
     try:
         return make(*arguments)
     except ValueError as error:

@@ -25,10 +25,25 @@ def assignments(
     random_state: int | np.random.Generator | None,
     n_starts: int = 5,
 ) -> Labels:
-    """The component (N,) of each sample that `init` asks for: "time", "bins", "kmeans", or the labels themselves.
+    """The component (N,) of each sample that `init` stands for.
 
-    n_starts : of k-means. Raises ValueError where that leaves a component without samples, and for labels
-    that do not fit.
+    Parameters
+    ----------
+    samples
+        what all frames saw
+    init
+        "time", "bins", "kmeans", or the labels themselves, integers (N,)
+    n_components
+        K
+    random_state
+        seed or generator for k-means
+    n_starts
+        number of starts of k-means
+
+    Raises
+    ------
+    ValueError
+        where a component has no samples, and for labels that do not fit
     """
     if not isinstance(init, str):
         labels = np.asarray(init)
@@ -54,10 +69,21 @@ def assignments(
 
 
 def time_bins(times: Array, n_components: int) -> Labels:
-    """Bins of equal width between the first and the last time, half-open: samples at the last time are left
-    out.
+    """Bins of equal width between the first and the last time.
 
-    times : shape (N,), s. Raises ValueError when a bin has no sample.
+    They are half-open: samples at the last time are left out.
+
+    Parameters
+    ----------
+    times
+        shape (N,), s
+    n_components
+        number of bins
+
+    Raises
+    ------
+    ValueError
+        when a bin has no sample
     """
     edges = np.linspace(times.min(), times.max(), n_components + 1)
     labels = np.searchsorted(edges, times, side="right") - 1
@@ -80,8 +106,17 @@ def equal_bins(lengths: Sequence[int], n_components: int) -> Labels:
 def joint_points(manifolds: Sequence[Manifold], X: Sequence[Array], seen: NDArray[np.bool_]) -> Array:
     """All frames' views side by side, (N, sum of tangent dimensions), for a joint k-means.
 
-    X : per frame (N, D_j); seen : shape (P, N). Every tangent dimension is scaled to unit variance, since
-    seconds, metres and radians do not compare; a view that was not seen lies at the frame's mean.
+    Every tangent dimension is scaled to unit variance, since seconds, metres and radians do not compare; a view that
+    was not seen lies at the frame's mean.
+
+    Parameters
+    ----------
+    manifolds
+        space of each frame's view
+    X
+        per frame (N, D_j)
+    seen
+        shape (P, N)
     """
     views = []
     for manifold, x, mask in zip(manifolds, X, seen, strict=True):
@@ -95,9 +130,28 @@ def joint_points(manifolds: Sequence[Manifold], X: Sequence[Array], seen: NDArra
 def kmeans(
     points: Array, n_components: int, random_state: int | np.random.Generator | None, n_starts: int = 5
 ) -> Labels:
-    """k-means from `n_starts` k-means++ starts; the assignment with the smallest sum of squared distances.
+    """k-means from several k-means++ starts; the assignment with the smallest sum of squared distances.
 
-    points : shape (N, D). Raises ValueError when there are fewer distinct points than components.
+    Parameters
+    ----------
+    points
+        shape (N, D)
+    n_components
+        number of clusters
+    random_state
+        seed or generator
+    n_starts
+        number of starts
+
+    Returns
+    -------
+    Labels
+        shape (N,)
+
+    Raises
+    ------
+    ValueError
+        when there are fewer distinct points than components
     """
     if len(np.unique(points, axis=0)) < n_components:
         raise ValueError(f"the data has fewer distinct samples than the {n_components} components")
@@ -109,7 +163,7 @@ def kmeans(
         for _ in range(100):
             distances = _squared_distances(points, centres)
             new_labels = np.argmin(distances, axis=1)
-            # a centre that lost all its points takes the point that is farthest from its own centre
+            # a centre that lost all its points moves to the point that is farthest from its centre
             for k in np.setdiff1d(np.arange(n_components), new_labels):
                 gaps = distances[np.arange(len(points)), new_labels]
                 alone = np.bincount(new_labels, minlength=n_components)[new_labels] == 1
@@ -125,7 +179,7 @@ def kmeans(
 
 
 def _plus_plus(points: Array, n_components: int, rng: np.random.Generator) -> Array:
-    """Starting centres (K, D), far apart by chance (Arthur and Vassilvitskii, 2007)."""
+    """Random starting centres (K, D), probably far apart (Arthur and Vassilvitskii, 2007)."""
     centres = points[rng.integers(len(points))][None]
     while len(centres) < n_components:
         nearest = _squared_distances(points, centres).min(axis=1)
@@ -140,8 +194,7 @@ def _squared_distances(points: Array, centres: Array) -> Array:
 def moments(
     manifold: Manifold, x: Array, seen: NDArray[np.bool_], labels: Labels, n_components: int, reg_covar: float
 ) -> tuple[Array, Array]:
-    """Means (K, D_j) and unbiased covariances + reg_covar I (K, n, n) of the assigned samples x (N, D_j) of
-    a frame.
+    """Means (K, D_j) and unbiased covariances + reg_covar I (K, n, n) of the samples x (N, D_j) of each label.
 
     A component of which the frame saw nothing starts from all that the frame saw.
     """

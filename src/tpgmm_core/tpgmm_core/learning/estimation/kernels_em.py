@@ -121,11 +121,10 @@ def expectation(
     X: Array, seen: Array, layout: Array, flat: Array, spheres: Array, log_priors: Array, means: Array,
     factors: Array, log_norms: Array, counts: Array, first: Array, second: Array, responsibilities: Array,
 ) -> float:  # fmt: skip
-    """E-step: the sum of the samples' log-likelihoods; adds up the moments about the means that the M-step
-    needs.
+    """E-step: returns the sum of the samples' log-likelihoods.
 
-    counts (P + 1, K): weight per frame and, last, of all samples; first (P, K, n), second (P, K, n, n);
-    responsibilities (K, N) are kept where there are S³ factors.
+    It also adds up the moments about the means that the M-step needs. counts (P + 1, K): weight per frame and, last, of
+    all samples; first (P, K, n), second (P, K, n, n); responsibilities (K, N) are kept where there are S³ factors.
     """
     P, K = log_norms.shape
     N = X.shape[1]
@@ -192,8 +191,10 @@ def recentre(
     X: Array, seen: Array, layout: Array, flat: Array, spheres: Array, means: Array, counts: Array,
     first: Array, second: Array, responsibilities: Array,
 ) -> None:  # fmt: skip
-    """Move the means by the first moments and take the moments about the moved means; for S³, where a shift
-    of the tangent space is not just a subtraction."""
+    """Move the means by the first moments and compute the moments about the new means.
+
+    For S³, where a shift of the tangent space is more than a subtraction.
+    """
     P, K = first.shape[:2]
     N = X.shape[1]
     move_means(layout, flat, spheres, means, counts, first)

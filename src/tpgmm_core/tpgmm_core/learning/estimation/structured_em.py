@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a start with full covariances, or from components that were learned before, to components of a structure."""
+"""From full covariances, or from components that were learned before, to components of a structure."""
 
 from __future__ import annotations
 
@@ -29,9 +29,21 @@ def fit_structure(
 ) -> MixtureEstimate:
     """EM with this structure, with the rules of `fit_mixture`.
 
-    begun : components of `start` as an earlier fit left them, which go on as they are where their structure is
-        the same; others start from the structure's nearest to the covariances of `start`
-    random_state : seed or generator for dividing the components of "deep_mfa"
+    Parameters
+    ----------
+    samples
+        what all frames saw
+    structure
+        of the covariances
+    start
+        parameters of K components with full covariances
+    begun
+        components of `start` as an earlier fit left them. Where their structure is the same EM continues from them,
+        else from the covariances of this structure that are nearest to those of `start`
+    random_state
+        seed or generator for dividing the components of "deep_mfa"
+    tol, max_iter, progress
+        as for `fit_mixture`
     """
     is_deep = structure.name == "deep_mfa"
     first = replace(structure, name="mfa") if is_deep else structure

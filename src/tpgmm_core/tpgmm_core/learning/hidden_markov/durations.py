@@ -2,9 +2,9 @@
 """`Durations`: how long the states of a hidden semi-Markov model last.
 
 The log-normal distribution on the integers 1 .. L: p(d) ∝ exp(eta_1 log d + eta_2 (log d)²), eta_2 <= 0. It is
-positive, its spread is in proportion to its mean, as the pace of people is, and it may be narrower than a Poisson
-distribution, which a negative binomial may not: the durations of a practised movement are. Normalised on its finite
-support it is an exponential family, so that its likelihood is concave and EM finds the exact maximum.
+positive, and its spread is in proportion to its mean, as in movements of people. It may also be narrower than a
+Poisson distribution, as the durations of a practised movement are; a negative binomial may not. Normalised on its
+finite support it is an exponential family, so that its likelihood is concave and EM finds the exact maximum.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 from tpgmm_core.common.types import Array
 
 PRIOR_SEGMENTS = 0.1
-"""Weight of the prior, in segments: what one demonstration says of the spread of a duration is nothing."""
+"""Weight of the prior, in segments: a single demonstration says nothing about the spread of a duration."""
 PRIOR_SPREAD = 0.5
 """Standard deviation of log d of the prior: durations that differ by a factor of about 1.6."""
 MAX_STEPS = 100  # of Newton's method, which takes about 10
@@ -29,10 +29,15 @@ MAX_STEPS = 100  # of Newton's method, which takes about 10
 class Durations:
     """Distributions of the durations of K states, in samples.
 
-    natural : shape (K, 2), eta
-    max_duration : L, the longest duration
-    prior_moments : shape (K, 2), moments of log d and (log d)² of the PRIOR_SEGMENTS segments that count as
-        seen before all others (the conjugate prior)
+    Parameters
+    ----------
+    natural
+        shape (K, 2), eta
+    max_duration
+        L, the longest duration
+    prior_moments
+        shape (K, 2), moments of log d and (log d)² of the PRIOR_SEGMENTS segments that count as seen before all others
+        (the conjugate prior)
     """
 
     natural: Array
@@ -41,7 +46,7 @@ class Durations:
 
     @classmethod
     def around(cls, means: ArrayLike, max_duration: int) -> Self:
-        """The prior itself: log d around the logarithms of `means` (K,), in samples, with PRIOR_SPREAD."""
+        """The prior itself: log d about the logarithms of `means` (K,), in samples, with the spread PRIOR_SPREAD."""
         centre = np.log(np.clip(np.asarray(means, dtype=float), 1.0, max_duration))
         precision = 1.0 / PRIOR_SPREAD**2
         natural = np.column_stack([precision * centre, np.full_like(centre, -0.5 * precision)])
@@ -50,7 +55,7 @@ class Durations:
 
     @property
     def log_probabilities(self) -> Array:
-        """log p(d), shape (K, L), for d = 1 .. L."""
+        """Logarithms log p(d), shape (K, L), for d = 1 .. L."""
         return _log_probabilities(self.natural, _features(self.max_duration))
 
     @property
@@ -66,12 +71,12 @@ class Durations:
 
     @property
     def log_survival(self) -> Array:
-        """log p(duration >= d), shape (K, L), for d = 1 .. L."""
+        """Logarithms log p(duration >= d), shape (K, L), for d = 1 .. L."""
         return np.logaddexp.accumulate(self.log_probabilities[:, ::-1], axis=1)[:, ::-1]
 
     @property
     def hazards(self) -> Array:
-        """p(duration = d | duration >= d), shape (K, L), for d = 1 .. L: how probably a state ends now."""
+        """p(duration = d | duration >= d), shape (K, L), for d = 1 .. L: how probable it is that a state ends now."""
         return np.exp(np.minimum(self.log_probabilities - self.log_survival, 0.0))
 
     @property
@@ -82,11 +87,15 @@ class Durations:
         return float(PRIOR_SEGMENTS * np.sum(np.sum(self.natural * self.prior_moments, axis=1) - log_normaliser))
 
     def maximised(self, counts: Array) -> Durations:
-        """M-step: the most probable parameters, given the expected numbers of segments `counts` (K, L) of each
-        duration.
+        """M-step: the most probable parameters, given the segments.
 
-        At the maximum the moments of log d and (log d)² are those of the segments and of the prior together (but for
+        At the maximum the moments of log d and (log d)² are those of the segments and of the prior together (except at
         eta_2 = 0, where the segments spread more than any log-normal distribution on 1 .. L).
+
+        Parameters
+        ----------
+        counts
+            shape (K, L), expected number of segments of each duration
         """
         features = _features(self.max_duration)
         weights = counts.sum(axis=1, keepdims=True) + PRIOR_SEGMENTS
@@ -106,10 +115,10 @@ def _log_probabilities(natural: Array, features: Array) -> Array:
 
 
 def _match_moments(target: Array, log_d: Array) -> Array:
-    """eta (2,) at which log d and (log d)² have the moments `target` (2,), or eta_2 = 0, by damped Newton steps on
-    the concave likelihood.
+    """Parameters eta (2,) at which log d and (log d)² have the moments `target` (2,), or eta_2 = 0.
 
-    Steps are taken in (x, x²) with x = (log d - mean) / scale, where the problem is well-conditioned.
+    Damped Newton steps on the concave likelihood, in (x, x²) with x = (log d - mean) / scale, where the problem is
+    well-conditioned.
     """
     centre = target[0]
     # durations are integers: a scale below half of their distance near the mean would see one of them alone

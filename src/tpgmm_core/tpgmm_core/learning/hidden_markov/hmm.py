@@ -27,7 +27,7 @@ Chain = MarkovChain | SemiMarkovChain
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChainEstimate(Estimate):
-    """Result of EM: as that of a mixture, whose priors are how often each state was; and states and their chain."""
+    """Result of EM with states and chain; priors are the shares of the samples in each state."""
 
     chain: Chain
     emissions: Emissions
@@ -45,8 +45,23 @@ def fit_chain(
     """Baum-Welch over several demonstrations from the given start, with the rules of `fit_mixture`.
 
     The objective is the log-likelihood, less `Emissions.penalty`, plus the prior of the chain, per sample; with
-    regularization "prior" it never falls on Euclidean data. Raises ValueError when a covariance loses its
-    definiteness, and for a demonstration that the chain cannot produce.
+    regularization "prior" it never falls on Euclidean data.
+
+    Parameters
+    ----------
+    samples
+        what all frames saw
+    chain
+        of the start
+    emissions
+        states of the start
+    tol, max_iter, progress
+        as for `fit_mixture`
+
+    Raises
+    ------
+    ValueError
+        when a covariance is no longer positive definite, and for a demonstration that the chain cannot produce
     """
     N = samples.n_samples
     priors = np.zeros(emissions.n_components)
@@ -70,19 +85,27 @@ class TPHMM(TPGMM):
 
     A sample of state k has the density prod_j N(x^(j); mu_k^(j), Sigma_k^(j)) over the frames that saw it, as a
     component of a TP-GMM; which state follows which is learned (Baum-Welch). Order comes from the transitions, so
-    that the data need not hold time, and may come back to where it was before.
+    that the data need not hold time, and may come back to where it was before. Parameters and attributes that are not
+    listed here are those of `TPGMM`.
 
-    Parameters (those of `TPGMM`, and)
+    Parameters
     ----------
-    n_components : K, the states
-    init : as for `TPGMM`, "bins" by default; or a fitted model of this class, whose chain is taken too
-    transitions : "left-right" (from the first state, each followed by the next), "ergodic" (any to any), or a
-        start (K, K) of EM, in which zeros stay zero
+    n_components
+        K, the number of states
+    init
+        as for `TPGMM`, "bins" by default; or a fitted model of this class, whose chain is used too
+    transitions
+        "left-right" (from the first state, each followed by the next), "ergodic" (any to any), or a start (K, K) of EM,
+        in which zeros stay zero
 
-    Attributes after fitting (those of `TPGMM`, and)
-    ------------------------
-    start_probabilities_ : shape (K,); transitions_ : shape (K, K), from row to column
-    priors_ : shape (K,), the share of the samples in each state
+    Attributes
+    ----------
+    start_probabilities_
+        shape (K,), of the states at the first sample
+    transitions_
+        shape (K, K), probabilities from row to column
+    priors_
+        shape (K,), the share of the samples in each state
     """
 
     chain_: Chain
@@ -116,8 +139,20 @@ class TPHMM(TPGMM):
         progress: Progress | None = None,
         lengths: Sequence[int] | None = None,
     ) -> Self:
-        """As `TPGMM.fit_projected`; `lengths` says how many samples each demonstration has, one after the other
-        (None: they are one)."""
+        """Learn from data that was already observed from each frame.
+
+        Parameters
+        ----------
+        X, visible, progress
+            as for `TPGMM.fit_projected`
+        lengths
+            number of samples of each demonstration, which follow one another; None: they are one demonstration
+
+        Raises
+        ------
+        ValueError
+            for shapes that do not fit
+        """
         self._check_parameters()
         samples = Samples.from_projected(X, visible, self.manifold)
         if lengths is not None:
@@ -145,14 +180,16 @@ class TPHMM(TPGMM):
         return np.split(found.responsibilities, np.cumsum(samples.lengths)[:-1])
 
     def score(self, demonstrations: Sequence[Demonstration]) -> float:
-        """Log-likelihood per sample."""
+        """Log-likelihood per sample of demonstrations, summed over all sequences of states."""
         samples = self._samples(demonstrations)
         found = self.chain_.posteriors(self.emissions_.log_density(samples), samples.lengths)
         return found.log_likelihood / samples.n_samples
 
     def state_probabilities(self, n_steps: int) -> Array:
-        """Probabilities (n_steps, K) of the states at each step when nothing is observed: with the Gaussians of
-        `adapt`, a reference to track."""
+        """Probabilities (n_steps, K) of the states at each step when nothing is observed.
+
+        With the Gaussians of `adapt` they are a reference to track.
+        """
         self._check_fitted()
         return self.chain_.state_probabilities(n_steps)
 
@@ -184,7 +221,7 @@ class TPHMM(TPGMM):
         return self._new_chain(per_demonstration.sum(axis=0) / visits, max(samples.lengths)), emissions
 
     def _new_chain(self, mean_durations: Array, longest: int) -> Chain:
-        """A chain to start from; mean_durations (K,) and the longest demonstration in samples."""
+        """A chain to start EM from; mean_durations (K,) and the longest demonstration in samples."""
         return MarkovChain.of(self.transitions, mean_durations)
 
     def _learned(self, estimate: Estimate, manifold: Manifold, emissions: Emissions | None = None) -> None:
@@ -197,7 +234,7 @@ class TPHMM(TPGMM):
 
     @property
     def start_probabilities_(self) -> Array:
-        """Of the states at the first sample, (K,)."""
+        """Probabilities (K,) of the states at the first sample."""
         return self.chain_.start
 
     @property

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`TPHSMM`: a hidden semi-Markov model whose states are Gaussians seen from several frames, and last (Section 7)."""
+"""`TPHSMM`: a hidden semi-Markov model whose states have explicit durations, seen from several frames (Section 7)."""
 
 from __future__ import annotations
 
@@ -20,18 +20,22 @@ class TPHSMM(TPHMM):
     """Hidden semi-Markov model that is observed from several frames at once (Yu, 2010).
 
     As `TPHMM`, but how long a state lasts is learned explicitly, log-normal (see `Durations`); in a Markov chain
-    every duration is geometric, whose likeliest value is one sample. The first and the last state of a
-    demonstration begin and end with it.
+    every duration is geometric, whose most probable value is one sample. The first state begins with the demonstration,
+    and the last one ends with it. Parameters and attributes that are not listed here are those of `TPHMM`.
 
-    Parameters (those of `TPHMM`, and)
+    Parameters
     ----------
-    max_duration : longest duration of a state, in samples; None: the longest demonstration. Cost grows with it
-    transitions : as for `TPHMM`, without a diagonal: a state is followed by another one
+    transitions
+        as for `TPHMM`, without a diagonal: a state is followed by another one
+    max_duration
+        longest duration of a state, in samples; None: the longest demonstration. Cost grows with it
 
-    Attributes after fitting (those of `TPHMM`, and)
-    ------------------------
-    mean_durations_, std_durations_ : shape (K,), samples
-    chain_ : the `SemiMarkovChain`, whose `durations` are the whole distributions
+    Attributes
+    ----------
+    mean_durations_, std_durations_
+        shape (K,), samples
+    chain_
+        the `SemiMarkovChain`, whose `durations` are the whole distributions
     """
 
     chain_: SemiMarkovChain
@@ -70,11 +74,25 @@ class TPHSMM(TPHMM):
         return self.chain_.durations.standard_deviations
 
     def likeliest_course(self, n_steps: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """The most probable states and their durations in samples, both (S,), of a movement of n_steps samples.
+        """The most probable states and their durations of a movement.
 
         The maximum of the forward variable when nothing is observed (Yu 2010; Calinon et al., ICRA 2011). The movement
-        ends in a state that nothing follows, where there is one. Raises ValueError when no sequence of states lasts
-        that long.
+        ends in a state that nothing follows, where there is one.
+
+        Parameters
+        ----------
+        n_steps
+            length of the movement, samples
+
+        Returns
+        -------
+        tuple[NDArray[np.intp], NDArray[np.intp]]
+            states and durations in samples, both (S,)
+
+        Raises
+        ------
+        ValueError
+            when no sequence of states lasts that long
         """
         self._check_fitted()
         K = len(self.priors_)

@@ -18,7 +18,7 @@ from tpgmm_core.geometry.kernels import compiled
 
 @compiled
 def log_sum(values: Array, n: int) -> float:
-    """log of the sum of exp(values[:n]); -inf for a sum of nothing."""
+    """Logarithm of the sum of exp(values[:n]); -inf for a sum of nothing."""
     top = -np.inf
     for i in range(n):
         top = max(top, values[i])

@@ -19,8 +19,10 @@ from tpgmm_core.learning.hidden_markov.kernels_hmm import log_sum
 
 @compiled
 def cumulate(log_densities: Array, total: Array) -> float:
-    """total[k, t] = sum of the log-densities of the samples before t, less the best of each sample; returns what
-    was taken off. Sums of what is near zero keep their digits."""
+    """Cumulative log-densities: total[k, t] is the sum over the samples before t, less the best of each sample.
+
+    Returns the sum of these best ones. Sums of what is near zero keep their digits.
+    """
     T, K = log_densities.shape
     taken = 0.0
     for k in range(K):
@@ -122,10 +124,10 @@ def posteriors(
     log_start: Array, log_transitions: Array, log_durations: Array, log_densities: Array,
     occupancy: Array, starts: Array, transitions: Array, durations: Array,
 ) -> float:  # fmt: skip
-    """Expected states of one sequence: occupancy (T, K) is set; the expected numbers starts (K,), transitions
-    (K, K) and durations (K, L) are added to.
+    """Expected states of one sequence; returns the log-likelihood.
 
-    Returns the log-likelihood; when it is -inf nothing else is written.
+    occupancy (T, K) is set; the expected numbers starts (K,), transitions (K, K) and durations (K, L) are added to.
+    When the log-likelihood is -inf nothing else is written.
     """
     T, K = log_densities.shape
     L = log_durations.shape[1]

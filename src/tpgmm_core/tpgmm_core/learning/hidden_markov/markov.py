@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hidden chains of states over demonstrations: a Markov chain, and one whose states last (semi-Markov).
+"""Hidden chains of states over demonstrations: a Markov chain, and a semi-Markov chain with explicit durations.
 
-Both offer the same: what the states of given samples were (`posteriors`, `most_likely`), the M-step from that
+Both offer the same: the states of given samples (`posteriors`, `most_likely`), the M-step from that
 (`maximised`), and how they go on by themselves (`state_probabilities`). They know nothing of Gaussians: samples
 come as log-densities (N, K), demonstrations one after the other, with their lengths.
 """
@@ -27,9 +27,18 @@ NEVER = 1e-10  # states that are expected less often than this keep their probab
 class Posteriors:
     """Expected states: what the M-steps need.
 
-    log_likelihood : sum over the demonstrations
-    responsibilities : shape (N, K)
-    starts : shape (K,), transitions : shape (K, K), durations : shape (K, L): expected numbers
+    Parameters
+    ----------
+    log_likelihood
+        sum over the demonstrations
+    responsibilities
+        shape (N, K)
+    starts
+        shape (K,), expected numbers
+    transitions
+        shape (K, K), expected numbers
+    durations
+        shape (K, L), expected numbers; (K, 0) for a Markov chain
     """
 
     log_likelihood: float
@@ -43,8 +52,12 @@ class Posteriors:
 class MarkovChain:
     """Hidden Markov chain (Rabiner, 1989).
 
-    start : shape (K,), sums to 1
-    transitions : shape (K, K), rows sum to 1. What is zero stays zero
+    Parameters
+    ----------
+    start
+        shape (K,), sums to 1
+    transitions
+        shape (K, K), rows sum to 1. What is zero stays zero
     """
 
     start: Array
@@ -52,7 +65,15 @@ class MarkovChain:
 
     @classmethod
     def of(cls, topology: str | ArrayLike, mean_durations: Array) -> MarkovChain:
-        """A chain to start EM from: see `_structure`; staying is as probable as the durations (K,) have it."""
+        """A chain to start EM from.
+
+        Parameters
+        ----------
+        topology
+            see `_structure`
+        mean_durations
+            shape (K,), samples: they determine the probability of staying in a state
+        """
         start, onwards = _structure(topology, len(mean_durations))
         if not isinstance(topology, str):
             return cls(start, onwards + np.diag(1.0 - onwards.sum(axis=1)))
@@ -61,7 +82,7 @@ class MarkovChain:
 
     @property
     def log_prior(self) -> float:
-        """There is none."""
+        """0: there is no prior."""
         return 0.0
 
     @property
@@ -70,7 +91,20 @@ class MarkovChain:
         return _free(self.start[None]) + _free(self.transitions)
 
     def posteriors(self, log_densities: Array, lengths: Sequence[int]) -> Posteriors:
-        """E-step by forward-backward. Raises ValueError for a demonstration that the chain cannot produce."""
+        """E-step by forward-backward.
+
+        Parameters
+        ----------
+        log_densities
+            shape (N, K)
+        lengths
+            number of samples of each demonstration
+
+        Raises
+        ------
+        ValueError
+            for a demonstration that the chain cannot produce
+        """
         N, K = log_densities.shape
         found = Posteriors(0.0, np.empty((N, K)), np.zeros(K), np.zeros((K, K)), np.zeros((K, 0)))
         total = 0.0
@@ -112,7 +146,20 @@ class MarkovChain:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array], n_states: int) -> MarkovChain:
-        """The inverse of `arrays`. Raises ValueError for arrays that are no chain of so many states."""
+        """Make a chain from the arrays that `arrays` gave.
+
+        Parameters
+        ----------
+        arrays
+            by name
+        n_states
+            K
+
+        Raises
+        ------
+        ValueError
+            for arrays that are no chain of K states
+        """
         start, transitions = _checked_probabilities(arrays, n_states)
         return cls(start, transitions)
 
@@ -124,9 +171,14 @@ class MarkovChain:
 class SemiMarkovChain:
     """Hidden semi-Markov chain with explicit durations (Yu, 2010).
 
-    start : shape (K,), sums to 1
-    transitions : shape (K, K), zero diagonal, rows sum to 1, or to 0 for a state that nothing follows
-    durations : of the states' segments, the first and the last of a demonstration included
+    Parameters
+    ----------
+    start
+        shape (K,), sums to 1
+    transitions
+        shape (K, K), zero diagonal, rows sum to 1, or to 0 for a state that nothing follows
+    durations
+        of the states' segments, the first and the last of a demonstration included
     """
 
     start: Array
@@ -135,7 +187,17 @@ class SemiMarkovChain:
 
     @classmethod
     def of(cls, topology: str | ArrayLike, mean_durations: Array, max_duration: int) -> SemiMarkovChain:
-        """A chain to start EM from: see `_structure`; durations (K,) in samples."""
+        """A chain to start EM from.
+
+        Parameters
+        ----------
+        topology
+            see `_structure`
+        mean_durations
+            shape (K,), samples
+        max_duration
+            longest duration of a state, samples
+        """
         start, onwards = _structure(topology, len(mean_durations))
         if np.diagonal(onwards).any():
             raise ValueError(
@@ -145,7 +207,7 @@ class SemiMarkovChain:
 
     @property
     def log_prior(self) -> float:
-        """That of the durations."""
+        """Logarithm of the prior of the durations."""
         return self.durations.log_prior
 
     @property
@@ -154,8 +216,20 @@ class SemiMarkovChain:
         return _free(self.start[None]) + _free(self.transitions) + self.durations.natural.size
 
     def posteriors(self, log_densities: Array, lengths: Sequence[int]) -> Posteriors:
-        """E-step by forward-backward with durations. Raises ValueError for a demonstration that the chain cannot
-        produce."""
+        """E-step by forward-backward with durations.
+
+        Parameters
+        ----------
+        log_densities
+            shape (N, K)
+        lengths
+            number of samples of each demonstration
+
+        Raises
+        ------
+        ValueError
+            for a demonstration that the chain cannot produce
+        """
         N, K = log_densities.shape
         counts = np.zeros((K, self.durations.max_duration))
         found = Posteriors(0.0, np.empty((N, K)), np.zeros(K), np.zeros((K, K)), counts)
@@ -187,8 +261,10 @@ class SemiMarkovChain:
         return states, total
 
     def state_probabilities(self, n_steps: int) -> Array:
-        """Probabilities (n_steps, K) of the states at each step when nothing is observed; a state that nothing
-        follows goes on."""
+        """Probabilities (n_steps, K) of the states at each step when nothing is observed.
+
+        A state that nothing follows goes on.
+        """
         K, L = self.durations.natural.shape[0], self.durations.max_duration
         p = np.exp(self.durations.log_probabilities)
         begins = np.zeros((n_steps + 1, K))
@@ -216,7 +292,20 @@ class SemiMarkovChain:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array], n_states: int) -> SemiMarkovChain:
-        """The inverse of `arrays`. Raises ValueError for arrays that are no chain of so many states."""
+        """Make a chain from the arrays that `arrays` gave.
+
+        Parameters
+        ----------
+        arrays
+            by name
+        n_states
+            K
+
+        Raises
+        ------
+        ValueError
+            for arrays that are no chain of K states
+        """
         start, transitions = _checked_probabilities(arrays, n_states)
         natural, prior_moments = arrays["durations"], arrays["duration_prior_moments"]
         longest = float(arrays["max_duration"].item())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where new samples ask for new components: a threshold as in DP-means (Kulis and Jordan, ICML 2012)."""
+"""Where new samples need new components: a threshold as in DP-means (Kulis and Jordan, ICML 2012)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,17 @@ MAX_SWEEPS = 1000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NewComponents:
-    """Components to add: counts (L,); name → means (L, D_j) and covariances (L, n_j, n_j)."""
+    """Components to add.
+
+    Parameters
+    ----------
+    counts
+        shape (L,), number of samples of each
+    means
+        name → shape (L, D_j)
+    covariances
+        name → shape (L, n_j, n_j)
+    """
 
     counts: Array
     means: Mapping[str, Array]
@@ -26,13 +36,24 @@ class NewComponents:
 
 
 def new_components(emissions: Emissions, priors: Array, samples: Samples, threshold: float) -> NewComponents | None:
-    """New components for samples that are far from all there are; None where the data ask for none.
+    """New components for samples that are far from all existing ones; None where no samples are.
 
     A sample is far when its squared Mahalanobis distance to each component, over all frames that saw it, is more
     than `threshold` times the number of its dimensions, which is what one expects of a sample of the component.
     Far samples are clustered by DP-means with the same threshold, in the metric of the components' mean
-    covariance (weighted by priors (K,)), which is also what the new components start from. Clusters with no more
-    samples than a frame has dimensions are outliers: they could not hold up a covariance.
+    covariance (weighted by the priors), which the new components also start from. Clusters with no more
+    samples than a frame has dimensions are outliers: too few for a covariance.
+
+    Parameters
+    ----------
+    emissions
+        the existing components
+    priors
+        shape (K,)
+    samples
+        the new ones
+    threshold
+        see above
     """
     sizes = np.array([manifold.tangent_dim for manifold in samples.manifolds.values()])
     dimensions = np.maximum(sizes @ samples.seen, 1)
@@ -66,9 +87,9 @@ def new_components(emissions: Emissions, priors: Array, samples: Samples, thresh
 
 
 def _dp_means(points: Array, weights: Array, threshold: float) -> Labels:
-    """Clusters (N,) of points (N, D) of which only what has weight 1 was seen; no cluster is empty.
+    """Clusters (N,) of points (N, D) of which only entries of weight 1 were seen; no cluster is empty.
 
-    A point that is farther than the threshold, per dimension seen, from all centres founds its own cluster.
+    A point that is farther than the threshold, per dimension seen, from all centres starts its own cluster.
     """
     dimensions = np.maximum(weights.sum(axis=1), 1.0)
     centres = _centre(points, weights)[None]

@@ -34,28 +34,38 @@ class OnlineTPGMM(TPGMM):
 
     How it compares with learning from all demonstrations at once: the objective is a lower bound of that of
     `TPGMM`, and equal to it with one component, with cells of one sample, and wherever the samples of each cell
-    are of one component. The search starts from the model as it was, so that it may end in another maximum.
+    belong to one component. The search starts from the model as it was, so that it may end in another maximum.
 
-    What it forgets: `retained_` is a lower bound of the log-likelihood of everything taken in, known without the
-    data. With `max_loss`, new demonstrations cost the old ones at most that much of it.
+    What it forgets: `retained_` is a lower bound of the log-likelihood of all data so far, known without the
+    data. With `max_loss`, new demonstrations lower it by at most that much.
 
-    Parameters (those of `TPGMM`, and)
+    Parameters and attributes that are not listed here are those of `TPGMM`.
+
+    Parameters
     ----------
-    cell_size : samples in a cell. A cell takes the room of about (n + 3) / 2 samples of n dimensions
-    max_cells : when there are more cells, neighbours are joined, so that memory is bounded
-    growth_threshold : samples of new demonstrations that are farther from all components, in mean squares of
-        standard deviations per dimension, found new ones: see `new_components`. None: the number of components stays
-    max_loss : nats per sample that `partial_fit` may cost what was learned before: new demonstrations that
-        contradict it get less weight. None: no limit; few old demonstrations then yield to what new ones show,
-        as they do in learning from all at once
+    cell_size
+        samples in a cell. A cell needs as much memory as about (n + 3) / 2 samples of n dimensions
+    max_cells
+        when there are more cells, neighbours are joined, so that memory is bounded
+    growth_threshold
+        samples of new demonstrations that are farther from all components, in mean squares of standard deviations per
+        dimension, start new ones: see `new_components`. None: the number of components stays
+    max_loss
+        nats per sample by which `partial_fit` may lower the likelihood of what was learned before: new demonstrations
+        that contradict it get less weight. None: no limit; a few old demonstrations then yield to new ones, as they do
+        in learning from all at once
 
-    Attributes after fitting (those of `TPGMM`, and)
-    ------------------------
-    cells_ : `SufficientStatistics` of everything taken in
-    retained_ : the mean log-likelihood per sample of everything taken in is at least this, each demonstration
-        counted by the influence that it was given
-    influence_ : weight of the last demonstrations, 1 where `max_loss` did not limit it, 0 if they were left out
-    log_likelihoods_, objectives_ : of the last call, per sample; old samples enter `partial_fit` by their bound
+    Attributes
+    ----------
+    cells_
+        `SufficientStatistics` of all data so far
+    retained_
+        the mean log-likelihood per sample of all data so far is at least this, each demonstration counted by the
+        influence that it was given
+    influence_
+        weight of the last demonstrations, 1 where `max_loss` did not limit it, 0 if they were left out
+    log_likelihoods_, objectives_
+        of the last call, per sample; old samples enter `partial_fit` by their bound
     """
 
     cells_: SufficientStatistics
@@ -91,9 +101,24 @@ class OnlineTPGMM(TPGMM):
         self.max_loss = max_loss
 
     def partial_fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
-        """Take in new demonstrations; the first call is `fit`.
+        """Learn from new demonstrations in addition; the first call is `fit`.
 
-        Raises ValueError for demonstrations whose frames or dimensions are not those of the model.
+        Parameters
+        ----------
+        demonstrations
+            the new ones, with the frames of the model
+        progress
+            called with (iteration, log-likelihood per sample)
+
+        Returns
+        -------
+        Self
+            the same object
+
+        Raises
+        ------
+        ValueError
+            for demonstrations whose frames or dimensions are not those of the model
         """
         if not hasattr(self, "cells_"):
             return self.fit(demonstrations, progress)
@@ -136,7 +161,7 @@ class OnlineTPGMM(TPGMM):
         if self.regularization == "prior":  # which counts in proportion to the samples
             scatter = self.reg_covar * cells.n_samples / emissions.n_components
             emissions = replace(emissions, prior_scatter=scatter)
-        # the old samples hardly move: what is gained is gained by the new
+        # the old samples hardly change: the new ones determine the gain
         tol = self.tol * weight * samples.n_samples / cells.n_samples
         return fit_cells(cells, priors, emissions, tol=tol, max_iter=self.max_iter, progress=progress)
 

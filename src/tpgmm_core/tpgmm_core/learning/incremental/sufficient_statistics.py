@@ -35,10 +35,16 @@ PARTS = ("counts", "means", "scatters")  # of moments, in the order of their arg
 class SufficientStatistics:
     """C groups of samples, in the order in which they were shown.
 
-    counts : shape (C,), samples, or their weight
-    demonstrations : shape (C,), which demonstration each is part of; does not decrease
-    frames : name → counts (C,) of the samples that the frame saw, their means (C, D_j) and scatters (C, n_j, n_j)
-    manifolds : name → space of the frame's view
+    Parameters
+    ----------
+    counts
+        shape (C,), samples, or their weight
+    demonstrations
+        shape (C,), which demonstration each is part of; does not decrease
+    frames
+        name → counts (C,) of the samples that the frame saw, their means (C, D_j) and scatters (C, n_j, n_j)
+    manifolds
+        name → space of the frame's view
     """
 
     counts: Array
@@ -48,7 +54,7 @@ class SufficientStatistics:
 
     @classmethod
     def of(cls, samples: Samples, weight: float = 1.0) -> SufficientStatistics:
-        """Every sample a cell of its own, of this weight."""
+        """Make a cell of every sample, each with this weight."""
         frames = {
             name: Moments(weight * seen, x, np.zeros((len(x), *2 * (samples.manifolds[name].tangent_dim,))))
             for (name, x), seen in zip(samples.X.items(), samples.seen, strict=True)
@@ -66,7 +72,20 @@ class SufficientStatistics:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array], manifolds: Mapping[str, Manifold]) -> SufficientStatistics:
-        """The inverse of `arrays`. Raises ValueError for arrays that do not fit the manifolds."""
+        """Make statistics from the arrays that `arrays` gave.
+
+        Parameters
+        ----------
+        arrays
+            by name
+        manifolds
+            name → space of the frame's view
+
+        Raises
+        ------
+        ValueError
+            for arrays that do not fit the manifolds
+        """
         counts, demonstrations = arrays["cells"], arrays["cells_demonstrations"]
         C = len(counts)
         frames = {}
@@ -91,7 +110,7 @@ class SufficientStatistics:
         return float(self.counts.sum())
 
     def followed_by(self, others: SufficientStatistics) -> SufficientStatistics:
-        """The cells of these demonstrations, and then those of others."""
+        """The cells of these demonstrations, followed by those of others."""
         joined = {}
         for name, a in self.frames.items():
             b = others.frames[name]
@@ -109,7 +128,7 @@ class SufficientStatistics:
         )
 
     def coarser(self, size: int) -> SufficientStatistics:
-        """Every `size` cells that follow each other in a demonstration become one."""
+        """Join every `size` cells that follow each other in a demonstration."""
         starts = np.searchsorted(self.demonstrations, self.demonstrations)
         places = (np.arange(len(self.counts)) - starts) // size
         _, first, labels = np.unique(
@@ -125,7 +144,7 @@ class SufficientStatistics:
             base[labels[by_count]] = moments.means[by_count]  # one that was seen, if any was
             manifold = self.manifolds[name]
             frames[name] = _moments(manifold, moments, members, base)
-            if not manifold.is_euclidean:  # from nearer, the mean is the mean
+            if not manifold.is_euclidean:  # seen from nearby, the mean is exact
                 frames[name] = _moments(manifold, moments, members, frames[name].means)
         return replace(self, counts=members.T @ self.counts, demonstrations=self.demonstrations[first], frames=frames)
 
@@ -166,9 +185,9 @@ class SufficientStatistics:
         }
 
     def bound(self, priors: Array, emissions: Emissions) -> float:
-        """F(theta), nats: the log-likelihood of all the samples is at least this.
+        """F(theta), nats: a lower bound of the log-likelihood of all the samples.
 
-        On S³ up to the curvature over the extent of a cell.
+        On S³ this holds up to the curvature over the extent of a cell.
         """
         log_joint = self.log_densities(emissions) + np.log(np.maximum(priors, np.finfo(float).tiny))
         return float(self.counts @ logsumexp(log_joint, axis=1))
@@ -185,7 +204,21 @@ def fit_cells(
 ) -> MixtureEstimate:
     """EM with shared responsibilities from the given start, with the rules of `fit_mixture`; log-likelihoods are F.
 
-    Raises ValueError when a covariance loses its definiteness.
+    Parameters
+    ----------
+    cells
+        statistics of the samples
+    priors
+        shape (K,), of the start
+    emissions
+        components of the start
+    tol, max_iter, progress
+        as for `fit_mixture`
+
+    Raises
+    ------
+    ValueError
+        when a covariance is no longer positive definite
     """
     N = cells.n_samples
 
@@ -204,8 +237,10 @@ def fit_cells(
 
 
 def _moments(manifold: Manifold, parts: Moments, weights: Array, base: Array) -> Moments:
-    """Moments (K) of parts (C) weighted by (C, K), about means one step along the mean tangent vector from the base
-    (K, D). Scatters move by parallel transport."""
+    """Moments (K) of parts (C) weighted by (C, K).
+
+    The means are one step along the mean tangent vector from the base (K, D). Scatters move by parallel transport.
+    """
     K, n = len(base), manifold.tangent_dim
     counts = np.zeros(K)
     means, scatters = base.copy(), np.zeros((K, n, n))
