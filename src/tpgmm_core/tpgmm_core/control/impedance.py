@@ -29,7 +29,8 @@ from tpgmm_core.control.kernels_impedance import (
     waiting_share,
 )
 from tpgmm_core.control.operational_space import bound_twist
-from tpgmm_core.control.pose_target import PoseReference, PoseTarget
+from tpgmm_core.control.pose_target import PoseReference, PoseTarget, receding_pose_target
+from tpgmm_core.control.receding_gains import RecedingGains
 from tpgmm_core.control.torque_limits import finite
 from tpgmm_core.lqr.double_integrator import double_integrator_gains
 from tpgmm_core.model.reference import Reference
@@ -79,6 +80,11 @@ class ImpedanceConfig(LawConfig):
     )
     posture_damping: float = setting(4.0, 1e-3, 1e3, "Damping of motions that do not move the hand (null space), 1/s")
 
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Of the stiffness, as the LQR takes them."""
+        return {"min_stiffness": self.min_stiffness, "max_stiffness": self.max_stiffness}
+
     def __post_init__(self) -> None:
         """Raise ValueError for values out of their range, or bounds out of order."""
         LawConfig.__post_init__(self)
@@ -103,6 +109,8 @@ class ImpedanceLaw:
         parameters
     rest_posture
         (nv,), where the null space draws the arm; None: the robot's home
+    ahead
+        where gains are those along the reference's horizon, not those of the reference alone
 
     Raises
     ------
@@ -116,10 +124,11 @@ class ImpedanceLaw:
         endpoint: str = "left",
         config: ImpedanceConfig | None = None,
         rest_posture: ArrayLike | None = None,
+        ahead: RecedingGains[PoseTarget] | None = None,
     ) -> None:
         if endpoint not in robot.endpoints:
             raise ValueError(f"the robot has no end point {shown(endpoint)}; it has {listed(robot.endpoints)}")
-        self.robot, self.endpoint = robot, endpoint
+        self.robot, self.endpoint, self.ahead = robot, endpoint, ahead
         rest = np.array(robot.home if rest_posture is None else rest_posture, dtype=np.float64)
         if rest.shape != (robot.nv,) or not np.isfinite(rest).all():
             raise ValueError(f"rest_posture must be {robot.nv} finite numbers, got {rest}")
@@ -152,6 +161,9 @@ class ImpedanceLaw:
         self._blend = 0.0
         self._hindered = False
         self._posture: Array | None = None
+        self._push = np.zeros(6)  # what the gains of a horizon ask for beside the error
+        if self.ahead is not None:
+            self.ahead.reset()
 
     def target(self, reference: Reference, moving: bool) -> PoseTarget:
         """Prepare a reference: the pose, its gains, and the velocity if it is moving.
@@ -159,13 +171,15 @@ class ImpedanceLaw:
         Raises
         ------
         ValueError
-            for a reference that is no pose, not finite, or whose covariance is not positive definite
+            for a reference that is no pose, not finite, whose covariance is not positive definite, or that lacks a
+            horizon which is needed
         """
         manifold = str(reference.gaussian.manifold)
         if manifold != POSE_MANIFOLD:
             raise ValueError(f"the reference is on '{manifold}'; expected a pose on '{POSE_MANIFOLD}'")
         twist = reference.velocity() if moving else np.zeros(6)
-        return self.pose_target(PoseReference(reference.gaussian.mean, reference.gaussian.covariance, twist))
+        target = self.pose_target(PoseReference(reference.gaussian.mean, reference.gaussian.covariance, twist))
+        return target if self.ahead is None else replace(target, course=self.ahead.course(reference, moving))
 
     def pose_target(self, reference: PoseReference) -> PoseTarget:
         """A pose with the gains of the LQR.
@@ -185,8 +199,7 @@ class ImpedanceLaw:
             gains = double_integrator_gains(
                 np.linalg.inv(reference.covariance),
                 self._control_cost,
-                min_stiffness=self.config.min_stiffness,
-                max_stiffness=self.config.max_stiffness,
+                **self.config.bounds,
             )
         except (np.linalg.LinAlgError, ValueError) as error:
             raise ValueError(f"the covariance of the reference is not positive definite ({error})") from error
@@ -298,6 +311,7 @@ class ImpedanceLaw:
         """Blend the target in, or the last one out; pose (7,) is the hand's."""
         change = dt / self.config.blend_time
         if target is not None:
+            target = self._with_gains_ahead(target, dt)
             self._blend = min(1.0, self._blend + change)
             self._target = self._approach(target, pose, dt)
             return
@@ -307,6 +321,19 @@ class ImpedanceLaw:
         elif self._target is not None:
             still = replace(self._target.reference, twist=np.zeros(6), acceleration=np.zeros(6))
             self._target = replace(self._target, reference=still)
+
+    def _with_gains_ahead(self, target: PoseTarget, dt: float) -> PoseTarget:
+        """With gains of the course that comes, where the target has one."""
+        config, ahead, course = self.config, self.ahead, target.course
+        if ahead is None or course is None:
+            return target
+        cost, length, bounds = config.control_cost, config.characteristic_length, config.bounds
+        planned = ahead.at_present(
+            dt, lambda: receding_pose_target(target.reference, course, ahead, cost, length, bounds)
+        )
+        # the feedforward belongs to the gains, and comes as they do
+        self._push += min(1.0, dt / config.gain_time) * (planned.reference.acceleration - self._push)
+        return replace(planned, reference=replace(target.reference, acceleration=self._push.copy()))
 
     def _waits(self, hand: Array) -> float:
         """Share of its speed with which the pose moves on; see `waiting_share`."""

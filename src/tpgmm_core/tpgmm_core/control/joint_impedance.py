@@ -23,9 +23,11 @@ import numpy as np
 from tpgmm_core.common.settings import setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import DynamicState, Lag, LawConfig, LawTorques
-from tpgmm_core.control.delay_margin import borne_share, delay_margin
+from tpgmm_core.control.delay_margin import borne_share
+from tpgmm_core.control.joint_target import JointGains, JointTarget, receding_joint_gains
 from tpgmm_core.control.kernels_impedance import standing_torques
 from tpgmm_core.control.kernels_joint import inertia_factor, joint_torques, precision_damping
+from tpgmm_core.control.receding_gains import RecedingGains
 from tpgmm_core.control.torque_limits import finite
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
@@ -50,6 +52,11 @@ class JointImpedanceConfig(LawConfig):
         1e4, 1e-3, 1e4, "Largest stiffness for references over joints, per unit of inertia, 1/s^2"
     )
 
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Of the stiffness, as the LQR takes them."""
+        return {"min_stiffness": self.joint_min_stiffness, "max_stiffness": self.joint_max_stiffness}
+
     def __post_init__(self) -> None:
         """Raise ValueError for values out of their range, or bounds out of order."""
         LawConfig.__post_init__(self)
@@ -58,64 +65,6 @@ class JointImpedanceConfig(LawConfig):
                 f"joint_min_stiffness {self.joint_min_stiffness} is above "
                 f"joint_max_stiffness {self.joint_max_stiffness}"
             )
-
-
-@dataclass(frozen=True, slots=True)
-class JointTarget:
-    """A reference that was checked.
-
-    Parameters
-    ----------
-    positions, velocities
-        (n,), rad and rad/s
-    precision
-        (n, n), 1/rad^2
-    accelerations
-        (n,), rad/s^2, of the reference; None: zero
-    """
-
-    positions: Array
-    velocities: Array
-    precision: Array
-    accelerations: Array | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class JointGains:
-    """Gains that lead to a target, in the coordinates L^T q of the inertia M = L L^T.
-
-    Parameters
-    ----------
-    damping
-        (n, n), D in joint coordinates, N m s/rad
-    ratio
-        (n, n), C of K = D L^-T C L^-1 D; I / 2 for the infinite horizon, which makes the damping ratio 1 / sqrt(2)
-    push
-        (n,), accelerations of these coordinates in addition to what follows the reference
-    rate, firmness
-        bounds of the eigenvalues of K_V = L^-1 D L^-T (1/s) and of C, which determine with what delay they are stable
-    """
-
-    damping: Array
-    ratio: Array
-    push: Array
-    rate: float
-    firmness: float = 0.5
-
-    @property
-    def delay_margin(self) -> float:
-        """Delay of the loop (s) below which these gains are stable."""
-        return float(delay_margin(self.firmness * self.rate**2, self.rate))
-
-    def towards(self, other: JointGains, share: float) -> JointGains:
-        """Gains a share (0 to 1) of the way to others. K stays definite, since D and C do."""
-        return JointGains(
-            self.damping + share * (other.damping - self.damping),
-            self.ratio + share * (other.ratio - self.ratio),
-            self.push + share * (other.push - self.push),
-            self.rate + share * (other.rate - self.rate),
-            self.firmness + share * (other.firmness - self.firmness),
-        )
 
 
 class JointImpedanceLaw:
@@ -133,6 +82,8 @@ class JointImpedanceLaw:
         groups of the robot file or joints by name, in the order of the references
     config
         parameters
+    ahead
+        where gains are those along the reference's horizon, not those of the reference alone
 
     Raises
     ------
@@ -140,8 +91,14 @@ class JointImpedanceLaw:
         for unknown joints, none, and one that is named twice
     """
 
-    def __init__(self, robot: RobotModel, joints: Sequence[str], config: JointImpedanceConfig | None = None) -> None:
-        self.robot = robot
+    def __init__(
+        self,
+        robot: RobotModel,
+        joints: Sequence[str],
+        config: JointImpedanceConfig | None = None,
+        ahead: RecedingGains[JointGains] | None = None,
+    ) -> None:
+        self.robot, self.ahead = robot, ahead
         self._joints = np.concatenate([robot.indices(group) for group in joints]) if joints else np.zeros(0, np.intp)
         if len(np.unique(self._joints)) != len(self._joints) or not len(self._joints):
             raise ValueError(f"the law moves one or more joints, each named once; got {list(joints)}")
@@ -171,6 +128,8 @@ class JointImpedanceLaw:
         self._gains: JointGains | None = None
         self._leash = np.inf
         self._posture: Array | None = None
+        if self.ahead is not None:
+            self.ahead.reset()
 
     def target(self, reference: Reference, moving: bool) -> JointTarget:
         """Prepare a reference: positions, velocities if it is moving, and the precision.
@@ -192,7 +151,8 @@ class JointImpedanceLaw:
             precision = gaussian.precision
         except ValueError as error:
             raise ValueError(f"the reference cannot be followed: {error}") from error
-        return JointTarget(np.array(gaussian.mean), velocities, precision)
+        course = None if self.ahead is None else self.ahead.course(reference, moving)
+        return JointTarget(np.array(gaussian.mean), velocities, precision, course=course)
 
     def step(self, moment: DynamicState, target: JointTarget | None, dt: float) -> LawTorques:
         """Torques dt seconds after the last step.
@@ -303,7 +263,11 @@ class JointImpedanceLaw:
 
     def _wanted(self, target: JointTarget, L: Array, F: Array, dt: float) -> JointGains | None:
         """The gains of a target, L and F = L^-1 (n, n) of the inertia; None where they cannot be computed."""
-        config, n = self.config, len(L)
+        config, n, ahead, course = self.config, len(L), self.ahead, target.course
+        if ahead is not None and course is not None:
+            where = course.means, course.covariances, course.time_step
+            cost, bounds = config.joint_control_cost, config.bounds
+            return ahead.at_present(dt, lambda: receding_joint_gains(L, *where, cost, bounds, ahead.along))
         damping = np.empty((n, n))
         cost, lowest, highest = config.joint_control_cost, config.joint_min_stiffness, config.joint_max_stiffness
         rate = precision_damping(L, F, target.precision, cost, lowest, highest, damping)

@@ -20,8 +20,7 @@ from tpgmm_core.control.control_law import ControlLaw, DynamicState, LawTorques
 from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw
 from tpgmm_core.control.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
 from tpgmm_core.control.planning import PlanConfig, Planning, Submit, at_once
-from tpgmm_core.control.receding_impedance import RecedingHorizonImpedanceLaw
-from tpgmm_core.control.receding_joint_impedance import RecedingHorizonJointImpedanceLaw
+from tpgmm_core.control.receding_gains import RecedingGains
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
@@ -116,8 +115,9 @@ class ReferenceLaw:
         """Use other parameters, also while a reference is followed."""
         self._settings = settings
         for law in (self._of_pose, self._of_joints[1]):
-            if isinstance(law, Planning):
-                law.plan = settings.plan
+            for planning in (law, law.ahead):
+                if isinstance(planning, Planning):
+                    planning.plan = settings.plan
             if isinstance(law, ImpedanceLaw):
                 law.configure(settings.pose)
             else:
@@ -188,27 +188,18 @@ class ReferenceLaw:
         return LAWS[self.name](self.robot, self.endpoint, joints, self._settings, self._submit)
 
 
-def _still(robot: RobotModel, endpoint: str, joints: Joints, settings: LawSettings, submit: Submit[Any]) -> _Law:
-    if joints:
-        return JointImpedanceLaw(robot, joints, settings.joint)
-    return ImpedanceLaw(robot, endpoint, settings.pose)
-
-
-def _receding_horizon(
+def _impedance(
     robot: RobotModel,
     endpoint: str,
     joints: Joints,
     settings: LawSettings,
     submit: Submit[Any],
-    risk_sensitive: bool = False,
+    gains: Callable[[PlanConfig], RecedingGains[Any]] | None = None,
 ) -> _Law:
+    ahead = None if gains is None else gains(settings.plan)
     if joints:
-        return RecedingHorizonJointImpedanceLaw(
-            robot, joints, settings.joint, plan=settings.plan, risk_sensitive=risk_sensitive
-        )
-    return RecedingHorizonImpedanceLaw(
-        robot, endpoint, settings.pose, plan=settings.plan, risk_sensitive=risk_sensitive
-    )
+        return JointImpedanceLaw(robot, joints, settings.joint, ahead)
+    return ImpedanceLaw(robot, endpoint, settings.pose, ahead=ahead)
 
 
 def _predictive(robot: RobotModel, endpoint: str, joints: Joints, settings: LawSettings, submit: Submit[Any]) -> _Law:
@@ -222,10 +213,10 @@ def _predictive(robot: RobotModel, endpoint: str, joints: Joints, settings: LawS
 
 #: The laws of minimal intervention control; docs/how-to/choose-a-law.md says which to choose.
 LAWS: Mapping[str, Callable[[RobotModel, str, Joints, LawSettings, Submit[Any]], _Law]] = {
-    "infinite_horizon": _still,
-    "finite_horizon": _receding_horizon,
+    "infinite_horizon": _impedance,
+    "finite_horizon": partial(_impedance, gains=RecedingGains),
     "predictive": _predictive,
-    "risk_sensitive": partial(_receding_horizon, risk_sensitive=True),
+    "risk_sensitive": partial(_impedance, gains=partial(RecedingGains, risk_sensitive=True)),
 }
 
 

@@ -39,7 +39,7 @@ class PlanConfig:
 
 @runtime_checkable
 class Planning(Protocol):
-    """A law that looks ahead: its `plan` may be set at any time, before `configure`."""
+    """What looks ahead, a law or its gains: its `plan` may be set at any time, before `configure`."""
 
     plan: PlanConfig
 

@@ -25,12 +25,12 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import DynamicState, Lag, LawTorques
 from tpgmm_core.control.impedance import ANGULAR_LEASH
 from tpgmm_core.control.impedance import LEASH as HAND_LEASH
-from tpgmm_core.control.joint_impedance import LEASH, JointGains, JointImpedanceConfig, JointImpedanceLaw, JointTarget
+from tpgmm_core.control.joint_impedance import LEASH, JointImpedanceConfig, JointImpedanceLaw
+from tpgmm_core.control.joint_target import JointGains, JointTarget, receding_joint_gains
 from tpgmm_core.control.operational_space import bound_twist
 from tpgmm_core.control.planning import PlanConfig, Schedule, Submit, at_once
 from tpgmm_core.control.predictive import JointLimits, JointReference, PredictiveController, PredictivePlan
-from tpgmm_core.control.receding_impedance import check_horizon
-from tpgmm_core.control.receding_joint_impedance import receding_horizon_joint_gains
+from tpgmm_core.control.receding_gains import Course
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.kinematics.joint_space import to_joint_space
 from tpgmm_core.model.reference import Reference
@@ -183,16 +183,15 @@ class PredictiveLaw(JointImpedanceLaw):
             super().target(reference, moving)
         elif reference.gaussian.manifold != POSE:
             raise ValueError(f"the reference is on '{reference.gaussian.manifold}'; expected a pose on '{POSE}'")
-        check_horizon(reference, needed=False)
-        course = (reference.gaussian, *reference.horizon) if moving else (reference.gaussian,)
-        means = np.stack([ahead.mean for ahead in course])
+        course = Course.of(reference, moving, needed=False)
+        means = course.means
         if not np.isfinite(means).all():
             raise ValueError("the reference is not finite")
         try:
-            precisions = np.stack([ahead.precision for ahead in course])
+            precisions = np.stack([ahead.precision for ahead in course.gaussians])
         except ValueError as error:
             raise ValueError(f"the reference cannot be followed: {error}") from error
-        return PredictiveTarget(means, precisions, reference.horizon_time_step)
+        return PredictiveTarget(means, precisions, course.time_step)
 
     def step(self, moment: DynamicState, target: PredictiveTarget | None, dt: float) -> LawTorques:  # type: ignore[override]
         """Torques as of `JointImpedanceLaw.step`; before the first plan is ready, those without a target."""
@@ -294,7 +293,8 @@ def _solve(
     knot = np.searchsorted(known, solver.times, side="right") - 1
     try:
         L = np.linalg.cholesky(problem.inertia)
-        gains = receding_horizon_joint_gains(L, positions, np.linalg.inv(precisions), dt, config)
+        cost, covariances = config.joint_control_cost, np.linalg.inv(precisions)
+        gains = receding_joint_gains(L, positions, covariances, dt, cost, config.bounds)
     except np.linalg.LinAlgError as error:
         raise ValueError(f"no plan can be made: {error}") from error
     # the fourth power: K_P is the square root of the precision, and goes with the square of the share
