@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -282,3 +283,38 @@ def test_joint_names_are_those_of_the_robot(loop: Loop) -> None:
     """What goes out over topics is whole, also when it was handed over as values inside."""
     loop.move()
     assert list(loop.torques.last.name) == NAMES
+
+
+# -- more joint states than can be answered
+
+
+def test_where_joint_states_come_faster_than_they_are_answered_other_topics_get_their_turn(loop: Loop) -> None:
+    """Poses reach the task parameters at once, although the node was flooded for seconds."""
+    loop.move()
+    frames = Inbox(loop.node, TaskParameters, "task_parameters", ALL_LATCHED)
+    loop.torques.clear()
+    began = time.monotonic()
+    waits: list[float] = []
+
+    def flood() -> None:
+        for _ in range(5):
+            loop.hand.stamp_ns = loop.node.get_clock().now().nanoseconds
+            loop.hand.states.publish(loop.hand.state())
+
+    while time.monotonic() < began + 6.0:
+        stamp_ns = loop.node.get_clock().now().nanoseconds
+        pose = np.array([0.65, 0.4, 0.0, 0.0, 0.0, 0.0, 1.0])
+        loop.poses["object"].publish(conversions.pose_stamped(pose, stamp_ns, "base"))
+        sent = time.monotonic()
+
+        def is_seen(stamp_ns: int = stamp_ns) -> bool:
+            flood()
+            seen = [item.stamp for message in frames.messages[-5:] for item in message.frames if item.name == "object"]
+            return any(conversions.time_to_ns(stamp) >= stamp_ns for stamp in seen)
+
+        loop.wait(is_seen, "the pose to be in the task parameters", 20.0)
+        waits.append(time.monotonic() - sent)
+    answered = len(set(stamps_of(loop.torques.messages)))
+    print(f"{len(waits)} poses, at most {1e3 * max(waits):.0f} ms late, {answered} states answered")
+    # each pose waits for few answers, however fast the machine is: 1.6 of them; 18 where each state had its own event
+    assert len(waits) > 20 and answered < 6 * len(waits)

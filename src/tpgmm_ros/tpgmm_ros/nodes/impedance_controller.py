@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -39,9 +39,10 @@ from tpgmm_ros.messages.values import StampedReference
 from tpgmm_ros.nodes.controller_status import limited, loop_values
 from tpgmm_ros.nodes.joint_states import SPREAD
 from tpgmm_ros.runtime.background import Background
+from tpgmm_ros.runtime.batches import Batches
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.lifecycle import ManagedNode
-from tpgmm_ros.runtime.local_topics import receive_values, waiting_messages
+from tpgmm_ros.runtime.local_topics import receive_values
 from tpgmm_ros.runtime.monitor import Monitor, RecentTimes
 from tpgmm_ros.runtime.parameters import Declared, Parameters, declared_of, fill
 from tpgmm_ros.runtime.timing import clock_trouble, loop_clock
@@ -152,7 +153,7 @@ class ImpedanceControllerNode(ManagedNode):
         self._states = self.create_lifecycle_publisher(ControllerState, "controller_state", LATCHED)
         references = self.create_subscription(ReferenceMessage, "reference", self._take_reference, STREAM)
         receive_values(references, self._take_stamped_reference)
-        self._state_messages = self.create_subscription(JointState, "joint_states", self._take_states, STATES)
+        Batches(self, JointState, "joint_states", self._take_states, STATES)
         # The steady clock, also under simulated time: it calls even where that stands still. Ages are the loop clock's.
         self.create_timer(WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return TransitionCallbackReturn.SUCCESS
@@ -237,9 +238,9 @@ class ImpedanceControllerNode(ManagedNode):
         self.controller.refuse_reference(str(error))
         self.get_logger().error(f"reference refused: {error}", throttle_duration_sec=1.0)
 
-    def _take_states(self, message: JointState) -> None:
+    def _take_states(self, messages: Sequence[JointState]) -> None:
         """All that wait, since a state may come in parts; the newest state is answered, others would be too late."""
-        samples = [self._sample(item) for item in (message, *waiting_messages(self._state_messages)) if self._active]
+        samples = [self._sample(message) for message in messages if self._active]
         newest = next((sample for sample in reversed(samples) if sample is not None), None)
         if newest is None:
             return

@@ -17,7 +17,7 @@ from tpgmm_core.observation.streams import RESTARTED_AFTER, Leader, Stamp, Strea
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointStates, MessageError
 from tpgmm_ros.messages.qos import STATES
-from tpgmm_ros.runtime.local_topics import waiting_messages
+from tpgmm_ros.runtime.batches import Batches
 from tpgmm_ros.runtime.parameters import Declared
 from tpgmm_ros.runtime.timing import clock_trouble
 
@@ -83,10 +83,10 @@ class JointStateStream:
         self._max_future = max_future
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._trouble: Callable[[], str] = str
-        self._subscription = node.create_subscription(JointState, topic, self._take_all, STATES)
+        Batches(node, JointState, topic, self._take_all, STATES)
 
-    def _take_all(self, message: JointState) -> None:
-        heard = [item for item in map(self.take, [message, *waiting_messages(self._subscription)]) if item is not None]
+    def _take_all(self, messages: Sequence[JointState]) -> None:
+        heard = [item for item in map(self.take, messages) if item is not None]
         if heard:
             newest = heard[-1]
             restarted = any(item.kind is Stamp.RESTARTED for item in heard)

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Streams that may be faster than the node that answers them: what waits is taken together, in turn with others."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from tpgmm_ros.runtime.composition import guarded
+from tpgmm_ros.runtime.local_topics import waiting_messages
+
+#: Messages that wait at most; of more, the newest.
+MOST = 64
+
+
+class Batches:
+    """A subscription whose callback gets all messages that wait.
+
+    A message that comes alone is handed on at once. Where several have waited, the node is slower than the stream. It
+    hands them on at the end of the executor's queue then. Otherwise the event of each message would find still newer
+    ones, which came while the last was answered: each would be answered in full, the queue would grow without end, and
+    timers, services and other topics would come later and later.
+
+    Parameters
+    ----------
+    node : Node
+        Subscribes.
+    kind : type
+        Of the messages.
+    topic : str
+        Their topic.
+    take : callable
+        Gets the messages, oldest first, at least one.
+    qos : QoSProfile
+        Of the subscription; its depth bounds how many can wait.
+    """
+
+    def __init__(
+        self, node: Node, kind: type, topic: str, take: Callable[[Sequence[Any]], object], qos: QoSProfile
+    ) -> None:
+        self._node, self._take = node, take
+        self._messages: deque[Any] = deque(maxlen=MOST)
+        self._due = False
+        self._subscription = node.create_subscription(kind, topic, self._come, qos)
+
+    def _come(self, message: Any) -> None:
+        self._messages.append(message)
+        self._messages.extend(waiting_messages(self._subscription))
+        executor = self._node.executor
+        if self._due:
+            return
+        if len(self._messages) == 1 or executor is None:
+            self._hand_on()
+        else:
+            self._due = True
+            executor.create_task(guarded(self._node, self._hand_on))
+
+    def _hand_on(self) -> None:
+        self._due = False
+        messages = list(self._messages)
+        self._messages.clear()
+        if messages:
+            self._take(messages)
