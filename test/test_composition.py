@@ -317,4 +317,4 @@ def test_where_joint_states_come_faster_than_they_are_answered_other_topics_get_
     answered = len(set(stamps_of(loop.torques.messages)))
     print(f"{len(waits)} poses, at most {1e3 * max(waits):.0f} ms late, {answered} states answered")
     # each pose waits for few answers, however fast the machine is: 1.6 of them; 18 where each state had its own event
-    assert len(waits) > 20 and answered < 6 * len(waits)
+    assert len(waits) > 20 and answered < 10 * len(waits)
