@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demo in lockstep, twice at each rate: equal, bit by bit? And how fast compared with real time?
+"""Whether the demo in lockstep gives the same twice, bit by bit, and how fast it is compared with real time.
 
 All nodes, as processes of their own; the robot's dynamics are computed at 1 kHz at least, whatever the rate of joint
 states, references and torques. Writes out/determinism/report.json.
@@ -20,6 +20,7 @@ RATES = (1000.0, 500.0)
 
 
 def main() -> int:
+    """Run it; returns the exit status, 0 where all runs are equal."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=1, help="of the demo's situation (default: %(default)s)")
     parser.add_argument("--rates", type=float, nargs="+", default=RATES, help="Hz (default: %(default)s)")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes at 1 kHz beside peers that come and go and want another quality of service: does a node ever stand still?
+"""Whether a node at 1 kHz ever stands still beside peers that come and go and want another quality of service.
 
 Real processes: simulator, controller, tracker and reproduction, and two peers that make and destroy publishers and
 subscriptions that do not fit, several times a second, and are killed now and then. Every node says once a second on
@@ -59,6 +59,7 @@ while True:
 
 
 def main() -> int:
+    """Run it; returns the exit status, 0 where no node stopped."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=10.0, help="how long (default: %(default)s)")
     parser.add_argument("--rate", type=float, default=1000.0, help="of joint states, Hz (default: %(default)s)")

@@ -50,6 +50,7 @@ class Scene:
             self.show_one(name)
 
     def show_one(self, name: str) -> None:
+        """Publish where one object is, with the stamp of this moment."""
         stamp = self.node.get_clock().now().nanoseconds
         self._publishers[name].publish(conversions.pose_stamped(self.places[name], stamp, self._base_frame))
 

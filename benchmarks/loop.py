@@ -30,6 +30,7 @@ class Counters:
         scene.node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
 
     def clear(self) -> None:
+        """Forget what was said so far."""
         self.rows.clear()
 
     def _take(self, array: DiagnosticArray) -> None:

@@ -22,6 +22,7 @@ NOISES = Noise(0.5), Noise(2.0)
 
 
 def main(seeds: list[int]) -> None:
+    """Print the table of all methods for these seeds of the noise."""
     print("| method | filter | standard deviations | beyond 10 % | off by |")
     for method in METHODS:
         model, start = learned(method)

@@ -148,8 +148,10 @@ def learned(
 
 
 def errors(path: Array, recording: Recording) -> dict[str, float]:
-    """Errors of a path (T or more, 3 or 7) against the one that was shown: at the same times, and at the same shares of
-    the method; at the end of both. Of orientations as well where the path has them."""
+    """Errors of a path (T or more, 3 or 7) against the one that was shown.
+
+    At the same times, at the same shares of the way, and at the end; of orientations too where the path has them.
+    """
     shown = recording.movement
     if path.shape[1] == 3:
         path = np.hstack([path, np.tile(quaternion.IDENTITY, (len(path), 1))])

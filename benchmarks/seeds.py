@@ -46,6 +46,7 @@ def seeds_of(text: str) -> list[int]:
 
 
 def main() -> int:
+    """Run the demo for each seed and print the table; returns the exit status, 0 where all passed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     shown = "(default: %(default)s)"
     parser.add_argument("--seeds", type=seeds_of, default="1001-1030", help=f"numbers and ranges {shown}")

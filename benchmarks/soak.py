@@ -74,6 +74,7 @@ class Memory:
         self._due = 0.0
 
     def sample(self, processes: NodeProcesses) -> None:
+        """Read the memory of all nodes, at most every SAMPLE_PERIOD."""
         now = time.monotonic()
         if now < self._due:
             return
@@ -84,6 +85,7 @@ class Memory:
             self._samples.setdefault((node, pid), []).append((now, 1e-6 * pages * os.sysconf("SC_PAGE_SIZE")))
 
     def lives(self) -> list[Life]:
+        """What was read, one for each process that a node had."""
         lives = []
         for (node, _), samples in self._samples.items():
             times, sizes = np.array(samples).T
@@ -238,6 +240,7 @@ def _report(soak: Soak, arguments: argparse.Namespace, took: float, error: str) 
 
 
 def main() -> int:
+    """Run it; returns the exit status, 0 where nothing was lost and nothing grew."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=30.0, help="of simulated time (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of tasks and faults (default: %(default)s)")

@@ -52,6 +52,7 @@ def shaken(frames: dict[str, Frame], hands: int, rng: np.random.Generator) -> di
 
 
 def measure(text: str, demos: list[Demonstration], hands: int, steps: int) -> Row:
+    """Time of one plan of `steps` steps on a manifold, and how far it is from the whole solution."""
     rng = np.random.default_rng(0)
     manifold = manifold_with_derivatives(text)
     model = TPGMM(6, reg_covar=1e-5, manifold=manifold).fit([with_derivatives(d, text) for d in demos])
@@ -76,6 +77,7 @@ def measure(text: str, demos: list[Demonstration], hands: int, steps: int) -> Ro
 
 
 def main() -> None:
+    """Print the table."""
     poses = pose_demonstrations(8)
     work = (
         ("R1 x R3", demonstrations(W1), 0),

@@ -53,8 +53,11 @@ PANELS = (
 
 @dataclass(frozen=True, slots=True)
 class New:
-    """A situation: how many times the demonstrated range it lies out, how far the last frame is from the middle of the
-    demonstrated ones (m, or units of the data), where a movement starts, its frames, and the end that is expected."""
+    """A situation that was not demonstrated.
+
+    It lies `factor` times the demonstrated range out; the last frame is so far from the middle of the demonstrated ones
+    (m, or units of the data). Then: where a movement starts, its frames, and the end that is expected.
+    """
 
     factor: float
     distance: float
@@ -159,8 +162,10 @@ def of_trajectory(demonstrations: Sequence[Demonstration], situations: Sequence[
 
 
 def speeds(demonstrations: Sequence[Demonstration], situations: Sequence[New]) -> list[Row]:
-    """Along the way from the first state of trajectory's model to the last one, in the plane: what speed that way needs
-    in its time, and what the states say of it on average."""
+    """Speeds along the way from the first state of trajectory's model to the last one, in the plane.
+
+    What that way needs in its time, and what the states say of it on average.
+    """
     model = TrajectoryModel(
         Recipe.of({"n_components": 3, "reg_covar": 1e-4}, "trajectory").learn(demonstrations, "R1 x R2")
     )

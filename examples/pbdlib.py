@@ -15,8 +15,9 @@ DATA = Path("../shared/data/pbdlib")
 
 
 def demonstrations(directory: Path) -> list[Demonstration]:
-    """Data02.mat: four movements of 200 samples, [time in s, x, y], with two frames, of which the second is a
-    reflection. The file's own views agree with Eq. (4) to its rounding.
+    """Data02.mat: four movements of 200 samples, [time in s, x, y], with two frames.
+
+    The second one is a reflection. The file's own views agree with Eq. (4) to its rounding.
 
     Raises FileNotFoundError when the data are not there.
     """

@@ -21,6 +21,7 @@ TAKEN = re.compile(r"^\s*(Collecting|Processing|Requirement already satisfied)\b
 
 
 def main() -> int:
+    """Install a lock; returns pip's exit status."""
     if sys.prefix == sys.base_prefix or not sys.argv[1:]:
         sys.exit("usage: .venv/bin/python tools/install_requirements.py LOCK [PIP'S OWN ARGUMENTS]")
     lock, *further = sys.argv[1:]

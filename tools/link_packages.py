@@ -53,6 +53,7 @@ def hook(directory: Path) -> None:
 
 
 def main() -> None:
+    """Link the packages that the arguments name into the environment."""
     if sys.prefix == sys.base_prefix or not sys.argv[1:]:
         sys.exit("usage: .venv/bin/python tools/link_packages.py DIRECTORY...")
     for directory in sys.argv[1:]:

@@ -27,6 +27,7 @@ WIDTH = 90
 
 
 def main() -> int:
+    """Run the command that the arguments name; returns its exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=re.compile, help="count the lines that match this regular expression")
     parser.add_argument("--of", type=int, default=0, help="how many there will be")

@@ -110,6 +110,7 @@ def ask_node(name: str, parameters: dict[str, Any]) -> NodeFacts:
 
 
 def endpoints(found: Any) -> list[Endpoint]:
+    """Topics of a node that are its own, in the order of their names."""
     return sorted(
         {
             Endpoint(relative(name), type_name(kind), "" if qos is None else quality(qos))
@@ -131,6 +132,7 @@ def type_name(kind: Any) -> str:
 
 
 def quality(qos: Any) -> str:
+    """A quality of service in words."""
     words = [qos.reliability.name.lower().replace("_", " "), qos.durability.name.lower().replace("_", " ")]
     return f"{', '.join(words)}, depth {qos.depth}"
 
@@ -150,6 +152,7 @@ def facts_of(name: str, parameters: dict[str, Any], lockstep: dict[str, Any]) ->
 
 
 def node_page(name: str, facts: NodeFacts, texts: dict[str, Any]) -> str:
+    """The page of a node."""
     start = " ".join(f"-p {key}:={value}" for key, value in texts["nodes"][name]["start"].items())
     about = re.sub(r"``(.*?)``", r"`\1`", facts.about).replace(f"{name}: ", "", 1)
     lines = [f"# {name}", "", MADE, "", about[:1].upper() + about[1:], ""]
@@ -183,6 +186,7 @@ PARAMETERS_TEXT = """\
 
 
 def parameter_row(item: Any) -> str:
+    """A parameter as a row of a table."""
     default = f'"{item.default}"' if isinstance(item.default, str) else str(item.default)
     default = default.lower() if isinstance(item.default, bool) else default
     bounds = "" if item.lower is None or item.upper is None else f"{item.lower:g} to {item.upper:g}"
@@ -196,6 +200,7 @@ def linked(kind: str, folder: str = "../messages/") -> str:
 
 
 def topics_page(nodes: dict[str, NodeFacts], texts: dict[str, Any]) -> str:
+    """The page of all topics."""
     lines = ["# Topics", "", MADE, "", texts["topics_page"].strip(), ""]
     lines += ["| topic | type | from | to | quality of service | rate |", "| --- | --- | --- | --- | --- | --- |"]
     for name, text in texts["topics"].items():
@@ -241,6 +246,7 @@ def message_page(path: Path) -> str:
 
 
 def paragraphs(header: str) -> list[str]:
+    """The comment at the head of an interface file as text."""
     lines = [line.removeprefix("#").strip() for line in header.splitlines() if not line.startswith("# SPDX")]
     return [*lines, ""]
 
@@ -276,6 +282,7 @@ def fields_table(text: str) -> list[str]:
 
 
 def field_type(kind: str) -> str:
+    """A type, linked to its page where it is one of ours."""
     plain = kind.removesuffix("[]")
     if (INTERFACES / "msg" / f"{plain}.msg").exists():
         return f"[{kind.replace('[]', '\\[\\]')}]({plain}.md)"
@@ -296,6 +303,7 @@ def programs() -> dict[str, str]:
 
 
 def help_of(name: str, target: str) -> str:
+    """What a program prints for --help."""
     module, _, function = target.partition(":")
     code = f"import sys; sys.argv = [{name!r}, '--help']; from {module} import {function}; sys.exit({function}())"
     run = subprocess.run(
@@ -307,6 +315,7 @@ def help_of(name: str, target: str) -> str:
 
 
 def programs_page(nodes: set[str], texts: dict[str, Any]) -> str:
+    """The page of all programs."""
     lines = ["# Programs", "", MADE, "", texts["programs_page"].strip(), ""]
     for name, target in sorted(programs().items()):
         if name not in nodes:
@@ -331,6 +340,7 @@ def pages() -> dict[Path, str]:
 
 
 def main() -> int:
+    """Write the pages, or check them; returns the exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--check", action="store_true", help="write nothing; status 1 where a page is stale")
     check = parser.parse_args().check

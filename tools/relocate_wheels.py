@@ -31,6 +31,7 @@ def relocate(prefix: Path) -> list[Path]:
 
 
 def main() -> None:
+    """Point the CMake files of this environment to where it is."""
     if sys.prefix == sys.base_prefix:
         sys.exit("run this with the virtual environment's Python: .venv/bin/python tools/relocate_wheels.py")
     print(f"pointed {len(relocate(Path(sys.prefix)))} CMake files of the ROS wheels to {sys.prefix}")

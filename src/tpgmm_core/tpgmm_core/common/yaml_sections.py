@@ -48,12 +48,15 @@ class Section:
         return cls(source, "", parse_yaml(text, source))
 
     def error(self, text: str) -> YamlError:
+        """An error that names the file and the place in it."""
         return YamlError(f"{self.source}: {f"'{one_line(self.where)}'" if self.where else 'the file'} {text}")
 
     def path(self, key: str) -> str:
+        """Where a key of this section is, from the top of the file."""
         return f"{self.where}.{key}" if self.where else key
 
     def refuse_others(self, *known: str) -> None:
+        """Refuse keys that are not known. Raises YamlError, with the known key that is most like it."""
         for key in self.values:
             if key not in known:
                 close = difflib.get_close_matches(key, known, n=1)
@@ -61,6 +64,7 @@ class Section:
                 raise self.error(f"has the unknown key {shown(key)}, expected {', '.join(known)}{hint}")
 
     def required(self, key: str, read: Callable[[Any], Any]) -> Any:
+        """The value of a key, as `read` makes it. Raises YamlError where it is missing or `read` refuses it."""
         if key not in self.values:
             raise self.error(f"lacks the key '{key}'")
         try:
@@ -70,6 +74,7 @@ class Section:
             raise YamlError(f"{self.source}: '{one_line(self.path(key))}' is {found}, expected {error}") from None
 
     def section(self, key: str, optional: bool = False) -> Section:
+        """What is below a key, as a section. Raises YamlError where it is missing and not optional."""
         if key not in self.values and not optional:
             raise self.error(f"lacks the key '{key}'")
         return Section(self.source, self.path(key), self.values.get(key, {}))
@@ -94,18 +99,21 @@ def is_name(text: str) -> bool:
 
 
 def a_name(value: Any) -> str:
+    """A value that must be a name. Raises ValueError with what was expected."""
     if not isinstance(value, str) or not is_name(value):
         raise ValueError("a name of letters, digits and underscores")
     return value
 
 
 def a_text(value: Any) -> str:
+    """A value that must be a text. Raises ValueError with what was expected."""
     if not isinstance(value, str):
         raise ValueError("a text; quote it if it looks like something else")
     return value
 
 
 def some_names(value: Any) -> tuple[str, ...]:
+    """A value that must be a list of names, at least one. Raises ValueError with what was expected."""
     if not isinstance(value, list) or not value or not all(isinstance(name, str) for name in value):
         raise ValueError("a list of names; quote names that look like something else, such as '1' or 'on'")
     if len(set(value)) != len(value):
@@ -114,12 +122,15 @@ def some_names(value: Any) -> tuple[str, ...]:
 
 
 def a_topic(value: Any) -> str:
+    """A value that must be a relative topic. Raises ValueError with what was expected."""
     if not isinstance(value, str) or not _TOPIC.fullmatch(value):
         raise ValueError("a relative topic such as object/pose (no leading slash, so that namespaces work)")
     return value
 
 
 def a_number(least: float = -math.inf) -> Callable[[Any], float]:
+    """A reader of finite numbers of at least `least`."""
+
     def read(value: Any) -> float:
         what = "a finite number" + (f" of at least {least:g}" if math.isfinite(least) else "")
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -136,6 +147,8 @@ def a_number(least: float = -math.inf) -> Callable[[Any], float]:
 
 
 def numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
+    """A reader of lists of so many finite numbers."""
+
     def read(value: Any) -> tuple[float, ...]:
         if not isinstance(value, list) or len(value) != count:
             raise ValueError(f"{count} finite numbers")
@@ -148,6 +161,7 @@ def numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
 
 
 def a_quaternion(value: Any) -> tuple[float, ...]:
+    """A value that must be four numbers of unit length, which are normalised. Raises ValueError otherwise."""
     try:
         quaternion = numbers(4)(value)
     except ValueError:
@@ -159,6 +173,8 @@ def a_quaternion(value: Any) -> tuple[float, ...]:
 
 
 def an_integer(least: int) -> Callable[[Any], int]:
+    """A reader of whole numbers of at least `least`."""
+
     def read(value: Any) -> int:
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value < 2**32:
             raise ValueError(f"a whole number of at least {least}")
@@ -168,6 +184,8 @@ def an_integer(least: int) -> Callable[[Any], int]:
 
 
 def a_choice(*choices: str) -> Callable[[Any], str]:
+    """A reader of texts that are one of these."""
+
     def read(value: Any) -> str:
         if not isinstance(value, str) or value not in choices:
             raise ValueError("one of " + ", ".join(choices))

@@ -62,9 +62,9 @@ def condition(
     priors: Array, means: Array, covariances: Array, plan: Array, values: Array, out_means: Array,
     out_covariances: Array, out_activations: Array,
 ) -> int:  # fmt: skip
-    """Regression at all values (T, D_i): writes out_means, out_covariances and out_activations (T, K), which sum to 1,
-    or (0, K) where nobody asks for them.
+    """Regression at all values (T, D_i).
 
+    Writes out_means, out_covariances, and out_activations (T, K), which sum to 1, or (0, K) where nobody asks for them.
     out_means (D_o, T) and out_covariances (n_o, n_o, T) on R^n, side by side as they are worked out, since to move
     them costs as much as to work them out; (T, D_o) and (T, n_o, n_o) where there are S³ factors.
     priors (K,), means (K, D), covariances (K, n, n): of the mixture. The Gaussians are moment-matched; on S³ the mean
@@ -150,8 +150,9 @@ def activate(
     values: Array, log_norms: Array, whitening: Array, means: Array, flat: Array, spheres: Array, wanted: bool,
     lanes: Array, z: Array, h: Array, active: Array,
 ) -> int:  # fmt: skip
-    """Activations h (K, T) of values (T, D_i), which sum to 1, and their whitened differences z (K, n_i, T) from the
-    means (K, D_i). Side by side, in logarithms; what is negligible everywhere is 0, if it is not wanted.
+    """Activations h (K, T) of values (T, D_i), which sum to 1, and their whitened differences from the means (K, D_i).
+
+    The differences are z (K, n_i, T), side by side. In logarithms; what is negligible everywhere is 0, if not wanted.
 
     active : (K, 3), written: components that are not negligible, and where they are so, the first and behind the last
     lanes : scratch (4 + n_i, T)

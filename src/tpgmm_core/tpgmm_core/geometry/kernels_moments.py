@@ -53,8 +53,10 @@ def match_flat(
     active: Array, h: Array, means: Array, steps: Array, within: Array, start: int, size: int,
     out_means: Array, out_covariances: Array,
 ) -> None:  # fmt: skip
-    """Moments on R^n of the active ones of K Gaussians at means (K, n) + steps (K, n, size), weighted by h (K, size),
-    side by side: out_means (n, T) and out_covariances (n, n, T) from start on.
+    """Moments on R^n of the active ones of K Gaussians.
+
+    They lie at means (K, n) + steps (K, n, size), weighted by h (K, size), side by side. Writes out_means (n, T) and
+    out_covariances (n, n, T) from start on.
 
     active : (A, 3), as `activate` writes it; steps are overwritten.
     """

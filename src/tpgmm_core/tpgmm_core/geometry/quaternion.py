@@ -42,7 +42,7 @@ def conjugate(q: ArrayLike) -> Array:
 
 
 def normalize(q: ArrayLike) -> Array:
-    """q / |q|, shape (..., 4); one that is of unit length up to rounding stays as it is, bit by bit.
+    """Q / |q|, shape (..., 4); one that is of unit length up to rounding stays as it is, bit by bit.
 
     So what was normalised, written and read is the same. Raises ValueError for zero or non-finite quaternions.
     """

@@ -58,6 +58,7 @@ class KinematicEncoding(Encoding):
         """Nothing is a number with a range here."""
 
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
+        """See `Encoding`. Raises ValueError where an object is not seen from the beginning."""
         frames = self.frames()
         late = sorted(name for name in frames.objects if not demonstration.is_visible(name).all())
         if late:
@@ -70,15 +71,19 @@ class KinematicEncoding(Encoding):
         return frames.demonstration(demonstration.times, configurations, objects, with_time=self.over_time)
 
     def finish(self, model: TPGMM) -> None:
+        """See `Encoding`: where the targets of objects are in the model that was fitted."""
         target_object_origins(model, self.aims, self.over_time)
 
     def manifold(self, manifold: Manifold) -> Manifold:
+        """See `Encoding`: joint positions, with time where the model is over time."""
         return Manifold.euclidean(_n_joints(manifold) + self.over_time)
 
     def dimensions(self, names: Sequence[str], manifold: Manifold) -> tuple[str, ...]:
+        """See `Encoding`: the names of the joints, after that of time where the model is over time."""
         return (*names[: 1 if self.over_time else 0], *names[-_n_joints(manifold) :])
 
     def metadata(self) -> dict[str, str | float]:
+        """See `Encoding`: the kinematic frames as text, so that a model of others is refused."""
         return {_TEXT: self.text}
 
 
@@ -113,6 +118,7 @@ class KinematicMethod(RetrievalMethod):
         return cls(name=NAME, encoding=KinematicEncoding, movement=movement, text=text)
 
     def check(self, model: TPGMM) -> None:
+        """See `RetrievalMethod`. Raises ValueError for a model of other frames than the task's."""
         if model.metadata_.get(KEY) != NAME:
             raise ValueError(
                 "the model was not learned from the task's kinematic frames: train it again, from joint states"

@@ -142,7 +142,7 @@ def exponential(
 
 @compiled
 def spectral(values: Array, V: Array, out: Array) -> None:
-    """out = V diag(values) V^T."""
+    """Out = V diag(values) V^T."""
     n = len(values)
     for i in range(n):
         for m in range(i + 1):

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Run the demo: ``python -m tpgmm_demos.demo``."""
+
 import sys
 
 from tpgmm_demos.demo.main import main

@@ -51,6 +51,7 @@ PHYSICS_RATE = 1000.0
 
 
 def main() -> int:
+    """Run the demo; returns the exit status, 0 where all criteria are met."""
     arguments = _parser().parse_args()
 
     def cause_of(error: Exception) -> str:

@@ -36,6 +36,7 @@ class Series:
     values: Array
 
     def since(self, stamp_ns: int) -> Series:
+        """What is not older than a stamp, ns."""
         chosen = self.stamps_ns >= stamp_ns
         return Series(self.stamps_ns[chosen], self.values[chosen])
 

@@ -66,6 +66,7 @@ class Disturbances:
         return POSE.exp(place, s**3 * (10.0 - 15.0 * s + 6.0 * s**2) * self.push)
 
     def hides(self, frame: str, time: float) -> bool:
+        """Whether a frame cannot be seen at a time, s since the start of the movement."""
         return frame == self.hide_frame and 0.0 <= time - self.hide_start < self.hide_duration
 
 

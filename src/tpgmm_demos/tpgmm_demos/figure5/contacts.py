@@ -127,6 +127,7 @@ class Record:
         self._forces: list[Array] = []
 
     def __call__(self, time: float, pose: Array) -> Array:
+        """Wrench (6,) at a time, s, with the link at a pose (7,); it is kept."""
         wrench = self._wrench(time, pose)
         self._times.append(time)
         self._forces.append(wrench[:3])

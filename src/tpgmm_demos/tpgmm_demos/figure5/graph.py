@@ -52,8 +52,9 @@ def start_controller(session: Session, robot_file: Path) -> None:
 def start_joint_reference(
     session: Session, robot_file: Path, tasks: Sequence[str], models: Path
 ) -> Callable[[tuple[str, ...]], None]:
-    """Start what computes the references of these tasks, with the models <task>.tpgmm of a directory; without
-    tasks the robot is free to be led.
+    """Start what computes the references of these tasks, with the models <task>.tpgmm of a directory.
+
+    Without tasks the robot is free to be led.
 
     Returns
     -------

@@ -27,6 +27,7 @@ TASKS = (CUP, SUGAR)
 
 
 def main() -> int:
+    """Run the experiment; returns the exit status, 0 where all criteria are met."""
     arguments = _parser().parse_args()
     return run_with_report(arguments.output, lambda: _run(arguments), (GraphError,))
 

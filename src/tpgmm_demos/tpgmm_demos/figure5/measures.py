@@ -27,8 +27,21 @@ AT_ONCE = 1e3
 
 @dataclass(frozen=True, slots=True)
 class Measures:
-    """Over the samples of a segment: tilt (T,), deg; offset (T,), m, of the sugar from its place; where (T, 3), m, the
-    link is; left, right (T, 3), m: the hands; turned (T, 3): rotation vector of the left hand since the beginning."""
+    """What is measured over the samples of a segment.
+
+    Attributes
+    ----------
+    tilt
+        (T,), deg
+    offset
+        (T,), of the sugar from its place, m
+    where
+        (T, 3), of the link, m
+    left, right
+        (T, 3), of the hands, m
+    turned
+        (T, 3), rotation vector of the left hand since the beginning, rad
+    """
 
     tilt: Array
     offset: Array

@@ -174,8 +174,10 @@ def _spread(values: Sequence[float]) -> dict[str, float]:
 
 
 def _softness(robot: RobotModel, course: SequenceResult) -> dict[str, Any]:
-    """Forces for 5 cm, N: free directions beside constrained ones. In proportion to what small forces did at rest: 5 cm
-    in a constrained direction are beyond the motors."""
+    """Forces for 5 cm, N: free directions beside constrained ones.
+
+    In proportion to what small forces did at rest: 5 cm in a constrained direction are beyond the motors.
+    """
     forces: dict[str, float] = {}
     for probed in course.probes:
         m = measure(robot, probed.segment, probed.link)

@@ -31,8 +31,11 @@ PROBE_GROWS, PROBE_STAYS, PROBE_REST = 1.5, 3.0, 2.0
 
 @dataclass(frozen=True, slots=True)
 class Push:
-    """One push, planned: "hand" moves the left hand by a way (3,), m; "elbow" moves an elbow by a distance, m, in the
-    direction in which it can give way while its hand stays."""
+    """One push, planned.
+
+    "hand" moves the left hand by a way (3,), m; "elbow" moves an elbow by a distance, m, in the direction in which it
+    can give way while its hand stays.
+    """
 
     kind: str
     hand: str

@@ -73,22 +73,27 @@ class Segment:
 
     @property
     def time(self) -> Array:
+        """Times (T,), s."""
         return np.array(self.times)
 
     @property
     def q(self) -> Array:
+        """Joint positions (T, n), rad or m."""
         return np.stack([q for q, _, _ in self.states])
 
     @property
     def v(self) -> Array:
+        """Joint velocities (T, n), rad/s or m/s."""
         return np.stack([v for _, v, _ in self.states])
 
     @property
     def tau(self) -> Array:
+        """Joint torques (T, n), N m or N."""
         return np.stack([tau for _, _, tau in self.states])
 
     @property
     def force(self) -> Array:
+        """Forces (T, 3) on the link that is pushed, N."""
         return np.array(self.forces)
 
 
@@ -132,6 +137,7 @@ class Session:
 
     @property
     def priority(self) -> int:
+        """Real-time priority of the nodes; 0 in lockstep, where time waits."""
         return 0 if self.lockstep else REALTIME_PRIORITY
 
     def pose(self, link: str) -> Array:

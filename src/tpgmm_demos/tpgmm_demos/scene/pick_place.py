@@ -84,6 +84,7 @@ class Grasp:
 
     @property
     def holds(self) -> bool:
+        """Whether the object is in the hand."""
         return self._in_hand is not None
 
     def move_object(self, lies: Array) -> None:

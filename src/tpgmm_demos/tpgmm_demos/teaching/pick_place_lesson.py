@@ -52,6 +52,7 @@ class ScriptedLesson:
         return "" if self._grasp.holds else "the scripted teacher did not bring the hand to the object"
 
     def close(self) -> None:
+        """Take its subscription and publishers away."""
         self._node.destroy_subscription(self._subscription)
         for publisher in (self._wrenches, *self._places.values()):
             self._node.destroy_publisher(publisher)

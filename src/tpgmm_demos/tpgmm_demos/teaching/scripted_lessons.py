@@ -165,6 +165,7 @@ def _record_lesson(
 
 
 def main() -> int:
+    """Record the lessons; returns the exit status."""
     scripted = "--scripted" in sys.argv[1:]
     parser = argparse.ArgumentParser(
         prog="teach --scripted" if scripted else "scripted_lessons",

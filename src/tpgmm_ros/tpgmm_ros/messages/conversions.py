@@ -57,11 +57,13 @@ def time_to_ns(stamp: TimeMessage) -> int:
 
 
 def time_from_ns(nanoseconds: int) -> TimeMessage:
+    """A time as a message."""
     seconds, rest = divmod(nanoseconds, 1_000_000_000)
     return TimeMessage(sec=seconds, nanosec=rest)
 
 
 def header_at(nanoseconds: int, frame_id: str) -> Header:
+    """A header with a stamp, ns, and a frame."""
     return Header(stamp=time_from_ns(nanoseconds), frame_id=frame_id)
 
 
@@ -75,6 +77,7 @@ def pose_to_array(pose: Pose) -> Array:
 
 
 def pose_from_array(pose: Sequence[float] | Array) -> Pose:
+    """A pose (7,), m and unit quaternion, as a message."""
     message = Pose()
     message.position.x, message.position.y, message.position.z = (float(value) for value in pose[:3])
     orientation = message.orientation
@@ -83,6 +86,7 @@ def pose_from_array(pose: Sequence[float] | Array) -> Pose:
 
 
 def pose_stamped(pose: Sequence[float] | Array, nanoseconds: int, frame_id: str) -> PoseStamped:
+    """A pose (7,) with its stamp, ns, and the frame that it is expressed in."""
     return PoseStamped(header=header_at(nanoseconds, frame_id), pose=pose_from_array(pose))
 
 
@@ -112,6 +116,7 @@ def wrench_to_array(message: WrenchStamped) -> Array:
 
 
 def wrench_from_array(wrench: Sequence[float] | Array, nanoseconds: int, link: str) -> WrenchStamped:
+    """A wrench (6,) on a link, N and N m, with its stamp, ns."""
     message = WrenchStamped(header=header_at(nanoseconds, link))
     force, torque = message.wrench.force, message.wrench.torque
     force.x, force.y, force.z, torque.x, torque.y, torque.z = (float(value) for value in wrench)
@@ -131,6 +136,7 @@ class TaskFrameState:
 
 
 def task_parameters_message(frames: Iterable[TrackedFrame], nanoseconds: int, frame_id: str) -> TaskParameters:
+    """All frames of a task at a time, ns; of those that were never seen only the names."""
     message = TaskParameters(header=header_at(nanoseconds, frame_id))
     for tracked in frames:
         item = TaskFrame(
@@ -196,6 +202,7 @@ def _frame(item: TaskFrame) -> Frame:
 
 
 def gaussian_message(gaussian: Gaussian) -> GaussianMessage:
+    """A Gaussian as a message."""
     return GaussianMessage(
         manifold=str(gaussian.manifold),
         mean=floats(gaussian.mean),
@@ -232,6 +239,7 @@ def gaussian(message: GaussianMessage) -> Gaussian:
 def reference_message(
     reference: Reference, dimensions: Sequence[str], nanoseconds: int, frame_id: str
 ) -> ReferenceMessage:
+    """A reference at a time, ns; `dimensions` are the names of its mean's coordinates."""
     return ReferenceMessage(
         header=header_at(nanoseconds, frame_id),
         phase=reference.phase,

@@ -119,6 +119,7 @@ def nothing_seen(stamp_ns: int, frame_id: str) -> PoseStamped:
 
 
 def is_nothing_seen(message: PoseStamped) -> bool:
+    """Whether a message is one of `nothing_seen`."""
     return bool(np.isnan(conversions.pose_to_array(message.pose)).all())
 
 
@@ -128,4 +129,5 @@ def no_reference(stamp_ns: int, frame_id: str) -> ReferenceMessage:
 
 
 def is_no_reference(message: ReferenceMessage) -> bool:
+    """Whether a message is one of `no_reference`."""
     return not message.gaussian.mean

@@ -60,6 +60,8 @@ class _Push:
 
 
 class BaxterSimulatorNode(Node):
+    """A robot that obeys torques, simulated by the core's `RobotSimulator`."""
+
     def __init__(self) -> None:
         super().__init__("baxter_simulator")
         self.parameters = Parameters(self, PARAMETERS)
@@ -242,6 +244,7 @@ class BaxterSimulatorNode(Node):
 
 
 def main() -> int:
+    """Run the node; returns the exit status."""
     return run(BaxterSimulatorNode)
 
 

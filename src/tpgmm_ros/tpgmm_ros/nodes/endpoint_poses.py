@@ -27,6 +27,8 @@ PARAMETERS = [
 
 
 class EndpointPosesNode(Node):
+    """Publishes where the end points are for the joint states that come."""
+
     def __init__(self) -> None:
         super().__init__("endpoint_poses")
         parameters = Parameters(self, PARAMETERS)
@@ -61,6 +63,7 @@ class EndpointPosesNode(Node):
 
 
 def main() -> int:
+    """Run the node; returns the exit status."""
     return run(EndpointPosesNode)
 
 

@@ -51,6 +51,8 @@ MAX_CHANGES = 10
 
 
 class FrameTrackerNode(Node):
+    """Publishes the frames of a task as the core's `FrameTracker` knows them."""
+
     def __init__(self) -> None:
         super().__init__("frame_tracker")
         parameters = Parameters(self, PARAMETERS)
@@ -159,6 +161,7 @@ class FrameTrackerNode(Node):
 
 
 def main() -> int:
+    """Run the node; returns the exit status."""
     return run(FrameTrackerNode)
 
 

@@ -46,7 +46,7 @@ class Goals:
         return self._goal is not None and self._goal.is_cancel_requested
 
     def begin(self, goal: ServerGoalHandle) -> None:
-        """This one is carried out from now on."""
+        """Carry this one out from now on."""
         self._goal = goal
 
     def tell(self, phase: float, frames: Sequence[str]) -> None:

@@ -86,6 +86,8 @@ RELEASE_STEP, RELEASE_TIME = 0.001, 0.2
 
 
 class ImpedanceControllerNode(ManagedNode):
+    """Answers joint states with the torques of the core's `SupervisedController`."""
+
     def __init__(self) -> None:
         super().__init__("impedance_controller")
         # Every value may be in its range and the whole still make no sense.
@@ -119,6 +121,7 @@ class ImpedanceControllerNode(ManagedNode):
     # -- lifecycle ----------------------------------------------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Read the robot, make the law and subscribe; FAILURE where that cannot be done, with the reason in the log."""
         super().on_configure(state)
         try:
             self.robot = RobotModel.from_file(self.parameters.file("robot_file"))
@@ -163,6 +166,7 @@ class ImpedanceControllerNode(ManagedNode):
         return self.controller.slow if self._active else []
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to answer joint states, with nothing known of references from before."""
         result = super().on_activate(state)
         self.controller.start()
         self._joint_states.forget()
@@ -175,14 +179,17 @@ class ImpedanceControllerNode(ManagedNode):
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Lead the torques to the safe one, and send no more."""
         self._let_go()
         return super().on_deactivate(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """The same as `on_deactivate`."""
         self._let_go()
         return super().on_shutdown(state)
 
     def destroy_node(self) -> None:
+        """Lead the torques to the safe one, then end."""
         self._let_go()
         self._background.close()
         super().destroy_node()
@@ -360,6 +367,7 @@ class ImpedanceControllerNode(ManagedNode):
 
 
 def main() -> int:
+    """Run the node; returns the exit status."""
     return run(ImpedanceControllerNode)
 
 

@@ -84,6 +84,8 @@ def hand_task(task: Task, model: TPGMM, endpoints: list[str]) -> HandTask:
 
 
 class JointReferenceNode(Node):
+    """Publishes the product of the active tasks for each joint state."""
+
     def __init__(self) -> None:
         super().__init__("joint_reference")
         self.active: ActiveTasks | None = None
@@ -149,6 +151,7 @@ def _names(text: str) -> list[str]:
 
 
 def main() -> int:
+    """Run the node; returns the exit status."""
     return run(JointReferenceNode)
 
 

@@ -93,6 +93,8 @@ MARKER_PERIOD_NS = 100_000_000
 
 
 class ReproductionNode(ManagedNode):
+    """Publishes the references of the movement that `Movements` carries out."""
+
     def __init__(self) -> None:
         super().__init__("reproduction")
         self.movements: Movements | None = None
@@ -122,6 +124,7 @@ class ReproductionNode(ManagedNode):
     # -- lifecycle ----------------------------------------------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Read task and model and subscribe; FAILURE where that cannot be done, with the reason in the log."""
         super().on_configure(state)
         try:
             self.task = Task.load(self.parameters.file("task_file"))
@@ -161,17 +164,20 @@ class ReproductionNode(ManagedNode):
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take goals from now on."""
         assert self.movements is not None
         self.movements.activate()
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the movement that goes on, and take no more goals."""
         assert self.movements is not None
         self.movements.deactivate()
         self._hide(self.get_clock().now().nanoseconds)
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget model and movement."""
         assert self.movements is not None
         self.movements.close()
         self.movements = None
@@ -309,6 +315,7 @@ class ReproductionNode(ManagedNode):
 
 
 def main() -> int:
+    """Run the node; returns the exit status."""
     return run(ReproductionNode)
 
 

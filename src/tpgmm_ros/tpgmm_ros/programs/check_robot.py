@@ -31,6 +31,7 @@ POSE_HEADER = ("at home", "x y z (m)", "qx qy qz qw", "roll pitch yaw (deg)")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Check a robot file; returns the exit status, 0 where the nodes can use it."""
     parser = argparse.ArgumentParser(prog="check_robot", description=__doc__)
     parser.add_argument("robot", type=Path, help="robot file (YAML)")
     options = parser.parse_args(arguments)

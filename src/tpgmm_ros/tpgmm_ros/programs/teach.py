@@ -63,6 +63,7 @@ def _scripted() -> int:
 
 
 def main() -> int:
+    """Record a demonstration; returns the exit status."""
     if "--scripted" in sys.argv[1:]:
         return _scripted()
     parser = argparse.ArgumentParser(

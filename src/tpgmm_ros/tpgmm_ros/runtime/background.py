@@ -32,8 +32,11 @@ class Background:
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="background", initializer=yield_realtime)
 
     def run[ResultT](self, work: Callable[[], ResultT], then: Callable[[Future[ResultT]], None]) -> None:
-        """Do the work in the background; ``then`` gets it in the executor's thread, where ``result()`` gives what
-        it returned or raises what it raised. Nothing is called after ``close``."""
+        """Do the work in the background.
+
+        ``then`` gets it in the executor's thread, where ``result()`` gives what it returned or raises what it raised.
+        Nothing is called after ``close``.
+        """
 
         def finish(job: Future[ResultT]) -> None:
             if self._open:

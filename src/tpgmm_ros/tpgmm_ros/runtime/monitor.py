@@ -32,6 +32,7 @@ class RecentTimes:
         self.count = 0
 
     def add(self, value: float) -> None:
+        """Record a value, s."""
         self._values[self.count % len(self._values)] = value
         self.count += 1
 
@@ -90,6 +91,7 @@ class Monitor:
         self.asked = round(self._ticks)
 
     def publish(self) -> None:
+        """Publish what was counted and timed, with the warnings of this moment."""
         level, message, extra = self._status()
         warned, self._warnings = self._warnings, [*self._further(), *graph_problems(self._node)]
         if trouble := clock_trouble(self._node):

@@ -39,6 +39,7 @@ class Declared:
     fixed: bool = False
 
     def descriptor(self) -> ParameterDescriptor:
+        """What ROS is told of it: description, range, and whether it may change."""
         descriptor = ParameterDescriptor(name=self.name, description=self.description, read_only=self.fixed)
         if self.lower is not None and self.upper is not None:
             if isinstance(self.default, int):

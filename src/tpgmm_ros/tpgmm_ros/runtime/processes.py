@@ -235,11 +235,14 @@ class Graph:
 
 @contextmanager
 def own_domain(domain: int | None = None, ros_log: Path | None = None) -> Iterator[None]:
-    """rclpy on a ROS domain that nobody else on this machine uses, and that no other machine sees.
+    """Rclpy on a ROS domain that nobody else on this machine uses, and that no other machine sees.
 
-    Args:
-        domain: in place of a free one, for those who want to watch.
-        ros_log: directory of the log files that ROS writes; where it usually writes them without.
+    Parameters
+    ----------
+    domain
+        in place of a free one, for those who want to watch.
+    ros_log
+        directory of the log files that ROS writes; where it usually writes them without.
     """
     with ExitStack() as stack:
         if domain is None:
@@ -257,10 +260,14 @@ def own_domain(domain: int | None = None, ros_log: Path | None = None) -> Iterat
 def open_graph(name: str, log_directory: Path, use_sim_time: bool = False) -> Iterator[Graph]:
     """A program's own node, and processes that end with it, within `own_domain`.
 
-    Args:
-        name: of the node.
-        log_directory: see `NodeProcesses`.
-        use_sim_time: whether the node's clock is the simulated one.
+    Parameters
+    ----------
+    name
+        of the node.
+    log_directory
+        see `NodeProcesses`.
+    use_sim_time
+        whether the node's clock is the simulated one.
     """
     node = Node(name, parameter_overrides=[Parameter("use_sim_time", value=use_sim_time)])
     executor = EventsExecutor()

@@ -105,8 +105,10 @@ def guard_transitions(node: LifecycleNode, tell: Callable[[Exception], None]) ->
 
 
 def create_deferred_service(node: Node, kind: type, name: str, callback: Callable[[Any], Future[Any]]) -> None:
-    """A service whose response may come after its callback has returned: as soon as the future that the callback
-    returns has it, set in the executor's thread. Meanwhile the node goes on.
+    """A service whose response may come after its callback has returned.
+
+    It is sent as soon as the future that the callback returns has it, set in the executor's thread. Meanwhile the node
+    goes on.
 
     rclpy sends what the callback returns as soon as it does, and `EventsExecutor` takes no coroutine for a callback.
     """

@@ -6,8 +6,10 @@ from rclpy.node import Node
 
 
 def loop_clock(node: Node) -> Clock:
-    """The steady clock, which no step of the system's clock can stall; the simulation's clock under ``use_sim_time``,
-    so that a simulation that runs faster or slower than real time meets the same time-outs.
+    """The clock of time-outs: the steady one, which no step of the system's clock can stall.
+
+    Under ``use_sim_time`` it is the simulation's, so that a simulation that runs faster or slower than real time meets
+    the same time-outs.
     """
     if node.get_parameter("use_sim_time").value:
         return node.get_clock()

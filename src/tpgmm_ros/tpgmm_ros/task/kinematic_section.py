@@ -55,16 +55,26 @@ PREVIOUS = "previous"
 class KinematicSpec:
     """What the section says, checked as far as that goes without the robot: states are configurations (`StateSpace`).
 
-    Attributes:
-        robot: the robot file.
-        joint_groups: groups of the robot file, or joints by name, in the order of the configuration.
-        joint_states: relative topic of the JointState.
-        objects: names of the task's frames.
-        tasks: name → task.
-        aims: names of the tasks that aim at the objects that they are relative to, whatever was demonstrated.
-        hierarchies: name → levels, most important first, each a task or several of equal rank.
-        postures: for each posture the tasks that it is below; none for the posture of all joints.
-        threshold: of the damping, m/rad and rad/rad.
+    Attributes
+    ----------
+    robot
+        the robot file.
+    joint_groups
+        groups of the robot file, or joints by name, in the order of the configuration.
+    joint_states
+        relative topic of the JointState.
+    objects
+        names of the task's frames.
+    tasks
+        name → task.
+    aims
+        names of the tasks that aim at the objects that they are relative to, whatever was demonstrated.
+    hierarchies
+        name → levels, most important first, each a task or several of equal rank.
+    postures
+        for each posture the tasks that it is below; none for the posture of all joints.
+    threshold
+        of the damping, m/rad and rad/rad.
     """
 
     robot: Path
@@ -140,24 +150,31 @@ class KinematicSpec:
         return names
 
     def joints(self) -> tuple[str, ...]:
+        """See `StateSpace`."""
         return self._kinematics().joint_names
 
     def manifold(self) -> Manifold:
+        """See `StateSpace`: time, pose and joint positions."""
         return Manifold.parse(f"{MANIFOLD} x R{len(self.joints())}")
 
     def dimensions(self) -> tuple[str, ...]:
+        """See `StateSpace`."""
         return (*DIMENSIONS, *self.joints())
 
     def state_dimensions(self) -> tuple[str, ...]:
+        """See `StateSpace`: the joints."""
         return self.joints()
 
     def of_pose(self, pose: Array) -> Array | None:
+        """See `StateSpace`: a pose says nothing of the joints."""
         return None
 
     def of_joints(self, positions: Array) -> Array | None:
+        """See `StateSpace`."""
         return positions
 
     def takes(self, setting: str) -> bool:
+        """See `StateSpace`."""
         # one method leads from such models to movements, and it needs the covariances as they are
         return setting in inspect.signature(TPGMM).parameters and setting != "covariance"
 
@@ -167,10 +184,12 @@ class KinematicSpec:
         return Recipe(self.method(method), self._encoding(arguments["n_components"] > 1), arguments)
 
     def encoding_of(self, model: TPGMM) -> Encoding:
+        """See `StateSpace`. Raises ValueError for a model of other kinematic frames."""
         self.method(None).check(model)
         return self._encoding((model.dimensions_ or ("",))[0] == "time")
 
     def method(self, name: str | None) -> RetrievalMethod:
+        """See `StateSpace`. Raises ValueError for any other method."""
         if name not in (None, NAME):
             raise ValueError(
                 f"a model of kinematic frames is reproduced by one method, {NAME}; got {shown(name)}: leave retrieval "

@@ -27,27 +27,37 @@ DIMENSIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 class StateSpace(Protocol):
     """The states of a task, and the models that are about them.
 
-    Attributes:
-        joint_states: relative topic of the JointState.
-        needs_state: whether a movement can begin only where the state is known.
-        frame_names: what frames of a model may be called.
+    Attributes
+    ----------
+    joint_states
+        relative topic of the JointState.
+    needs_state
+        whether a movement can begin only where the state is known.
+    frame_names
+        what frames of a model may be called.
     """
 
     @property
-    def joint_states(self) -> str: ...
+    def joint_states(self) -> str:
+        """Relative topic of the JointState."""
 
     @property
-    def needs_state(self) -> bool: ...
+    def needs_state(self) -> bool:
+        """Whether a movement can begin only where the state is known."""
 
     @property
-    def frame_names(self) -> Collection[str]: ...
+    def frame_names(self) -> Collection[str]:
+        """What frames of a model may be called."""
 
     def joints(self) -> tuple[str, ...]:
         """The joints that a state consists of, in this order; none where it is a pose.
 
-        Raises:
-            ValueError: the robot has no such joints.
-            OSError: the robot file cannot be read.
+        Raises
+        ------
+        ValueError
+            the robot has no such joints.
+        OSError
+            the robot file cannot be read.
         """
 
     def manifold(self) -> Manifold:
@@ -71,8 +81,10 @@ class StateSpace(Protocol):
     def recipe(self, settings: Mapping[str, Any], method: str | None = None) -> Recipe:
         """How a model is learned, by settings of the task file; a method in place of theirs.
 
-        Raises:
-            ValueError: settings or a method that a model of these states has not.
+        Raises
+        ------
+        ValueError
+            settings or a method that a model of these states has not.
         """
 
     def encoding_of(self, model: TPGMM) -> Encoding:
@@ -91,31 +103,41 @@ class PoseSpace:
     needs_state: bool = False
 
     def joints(self) -> tuple[str, ...]:
+        """None: a state is a pose."""
         return ()
 
     def manifold(self) -> Manifold:
+        """Time and pose."""
         return Manifold.parse(MANIFOLD)
 
     def dimensions(self) -> tuple[str, ...]:
+        """Names of time and pose."""
         return DIMENSIONS
 
     def state_dimensions(self) -> tuple[str, ...]:
+        """Names of the pose."""
         return DIMENSIONS[1:]
 
     def of_pose(self, pose: Array) -> Array | None:
+        """The pose itself."""
         return pose
 
     def of_joints(self, positions: Array) -> Array | None:
+        """None: joints say nothing of the pose."""
         return None
 
     def takes(self, setting: str) -> bool:
+        """All settings."""
         return True
 
     def recipe(self, settings: Mapping[str, Any], method: str | None = None) -> Recipe:
+        """See `StateSpace`."""
         return Recipe.of(settings, method)
 
     def encoding_of(self, model: TPGMM) -> Encoding:
+        """What the model's own metadata say."""
         return encoding_of(model)
 
     def method(self, name: str | None) -> RetrievalMethod | None:
+        """See `StateSpace`."""
         return None if name is None else method_named(name)

@@ -89,16 +89,26 @@ class PoseArraySpec:
 class Task:
     """What a task file says, checked.
 
-    Attributes:
-        name: name of the task.
-        base_frame: frame_id in which all poses are expressed.
-        movement: relative topic of the PoseStamped that is demonstrated and reproduced.
-        endpoint: end point of the robot that follows the movement.
-        frames: task frames by name, in the order of the file.
-        tracking: settings of the frame tracker in s; their names and ranges are the tracker's to check.
-        model: `retrieval`, options of what it encodes, arguments of its estimator: what `Recipe.of` takes.
-        recordings: how demonstrations were recorded where that is not as PoseStamped on the topics above.
-        space: what states are: poses of the end point, or configurations where the file has the part `kinematic`.
+    Attributes
+    ----------
+    name
+        name of the task.
+    base_frame
+        frame_id in which all poses are expressed.
+    movement
+        relative topic of the PoseStamped that is demonstrated and reproduced.
+    endpoint
+        end point of the robot that follows the movement.
+    frames
+        task frames by name, in the order of the file.
+    tracking
+        settings of the frame tracker in s; their names and ranges are the tracker's to check.
+    model
+        `retrieval`, options of what it encodes, arguments of its estimator: what `Recipe.of` takes.
+    recordings
+        how demonstrations were recorded where that is not as PoseStamped on the topics above.
+    space
+        what states are: poses of the end point, or configurations where the file has the part `kinematic`.
     """
 
     name: str
