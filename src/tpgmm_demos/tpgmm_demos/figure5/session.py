@@ -40,7 +40,7 @@ Wrench = Callable[[float, Array], Array]
 class Segment:
     """What happened in some time with the same contacts: samples at `SAMPLE_RATE`, extremes of all ticks.
 
-    Parameters
+    Attributes
     ----------
     time
         (T,), s since its beginning
