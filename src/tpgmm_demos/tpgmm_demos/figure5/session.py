@@ -73,7 +73,7 @@ class Segment:
 
     @property
     def time(self) -> Array:
-        """Times (T,), s."""
+        """Times (T,) since the beginning, s."""
         return np.array(self.times)
 
     @property
@@ -93,7 +93,7 @@ class Segment:
 
     @property
     def force(self) -> Array:
-        """Forces (T, 3) on the link that is pushed, N."""
+        """Sum (T,) of the lengths of the forces of all contacts, N."""
         return np.array(self.forces)
 
 
