@@ -126,7 +126,10 @@ def run_together(classes: Sequence[type[Node]], args: list[str]) -> int:
 
 
 def serve(classes: Sequence[Callable[[], Node]], args: list[str]) -> int:
-    """Create nodes, serve them until they are told to stop, and end them. Returns the exit status, as `run` does."""
+    """Create nodes, serve them until they are told to stop or the loop of one is over, and end them.
+
+    Returns the exit status, as `run` does.
+    """
     try:
         init(args)
     except StartError as error:
@@ -150,10 +153,11 @@ def serve(classes: Sequence[Callable[[], Node]], args: list[str]) -> int:
     executor = EventsExecutor()
     for node in nodes:
         executor.add_node(node)
+        if isinstance(node, Member) and node.failure is not None:  # at something that another one said as it started
+            node.leave()
     try:
-        for node in loops:
-            _loop(node, executor, stop)
-        while not stop.set and not all(map(_failed, nodes)):
+        is_over = any([_loop(node, executor, stop) for node in loops])
+        while not (is_over or stop.set or all(map(_failed, nodes))):
             executor.spin_once(timeout_sec=0.1)
     finally:
         for node in nodes:
@@ -163,14 +167,19 @@ def serve(classes: Sequence[Callable[[], Node]], args: list[str]) -> int:
     return int(any(map(_failed, nodes)))
 
 
-def _loop(node: Any, executor: Executor, stop: StopFlag) -> None:
-    """Give a node the thread. Where others share it, what it raises is the end of this node alone."""
+def _loop(node: Any, executor: Executor, stop: StopFlag) -> bool:
+    """Give a node the thread; whether it came to its end, which is that of the process.
+
+    Where others share the process, what it raises is the end of this node alone.
+    """
     try:
         node.loop(executor, stop)
     except Exception as error:
         if not isinstance(node, Member):
             raise
         node.fail(error)
+        return False
+    return True
 
 
 def _failed(node: Node) -> bool:
