@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ ROOT = Path(__file__).resolve().parents[1]
 ROBOT_FILE = ROOT / "config" / "baxter.yaml"
 TASK_FILE = ROOT / "config" / "pick_place.yaml"
 SECOND = 1_000_000_000
+#: A request without an answer for so long is sent again, s.
+ASK_AGAIN = 8.0
 
 #: Keeps all that comes from a stream, which is best effort.
 ALL = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -73,11 +76,26 @@ def result_of(node: Node, future: Future, what: str, timeout: float = STARTUP_TI
 
 
 def call(node: Node, kind: type, name: str, request: Any) -> Any:
-    """The response of a service."""
+    """The response of a service.
+
+    It is asked again after some seconds: on a busy machine the middleware may drop a response, where the server has
+    not discovered the client's side of the response yet when it has the request.
+    """
     client = node.create_client(kind, name)
+    asked: list[Future] = []
+    due = 0.0
+
+    def is_answered() -> bool:
+        nonlocal due
+        if time.monotonic() >= due:
+            due = time.monotonic() + ASK_AGAIN
+            asked.append(client.call_async(request))
+        return any(future.done() for future in asked)
+
     try:
         spin_until(node, client.service_is_ready, message=f"service {name}")
-        return result_of(node, client.call_async(request), f"{name} to answer")
+        spin_until(node, is_answered, message=f"{name} to answer")
+        return next(future.result() for future in asked if future.done())
     finally:
         node.destroy_client(client)
 
