@@ -49,6 +49,8 @@ MAX_FUTURE = 0.05
 REPEAT_AFTER = 0.1
 #: In lockstep, Hz of simulated time: every node hears the clock, and what is to be exact has a stamp of its own.
 CLOCK_RATE = 100.0
+#: Events that are served in each tick, however late it is.
+SERVED_AT_LEAST = 3
 #: After a pause (a suspended process) time is let go of rather than simulated in one go, ticks.
 MAX_CATCH_UP = 50
 
@@ -189,6 +191,9 @@ class BaxterSimulatorNode(Node):
         tick = time.perf_counter()
         while not stop.set:
             tick += self.time_step
+            # Also where the machine is too slow and no time remains: torques, services and diagnostics want their turn
+            for _ in range(SERVED_AT_LEAST):
+                executor.spin_once(timeout_sec=0.0)
             while (remaining := tick - time.perf_counter()) > 0.0:
                 executor.spin_once(timeout_sec=remaining)
             start = time.perf_counter()
