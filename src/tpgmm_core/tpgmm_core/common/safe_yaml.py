@@ -71,6 +71,11 @@ def parse_yaml(text: str, source: str) -> Any:
     source
         what errors call it
 
+    Returns
+    -------
+    Any
+        mappings, lists, texts, numbers and dates, as the text holds them
+
     Raises
     ------
     YamlError

@@ -24,7 +24,7 @@ STUCK = 0.1
 
 
 def workspace(robot: RobotModel, endpoint: str, postures: int = 3000, random_state: int = 0) -> Array:
-    """Corners (2, 3) of the box around the positions that an end point has in random postures, m, in the base frame.
+    """Box around the positions that an end point has in random postures.
 
     The joints of the end point's group take postures within their limits, the others are at home.
 
@@ -38,6 +38,11 @@ def workspace(robot: RobotModel, endpoint: str, postures: int = 3000, random_sta
         number of random postures
     random_state
         seed
+
+    Returns
+    -------
+    Array
+        its corners (2, 3), m, in the base frame
     """
     rng, data, q = np.random.default_rng(random_state), robot.create_data(), robot.home.copy()
     joints = robot.indices(robot.endpoints[endpoint].joints)

@@ -138,7 +138,18 @@ class FrameBuffer:
         return Frame(self.A[j, :, :D_j], self.b[j], self.inverses[j, :D_j] if self.has_inverse[j] else None)
 
     def refuse(self, j: int) -> None:
-        """Raise the error that says why the matrix of frame j does not fit the manifold."""
+        """Raise the error that says why the matrix of a frame does not fit the manifold.
+
+        Parameters
+        ----------
+        j
+            index of the frame
+
+        Raises
+        ------
+        ValueError
+            always
+        """
         self.manifold.tangent_map(self.A[j, :, : self.sizes[j, 0]])  # raises, and says why
         raise ValueError(f"frame {self.frame_names[j]!r} does not fit the manifold {self.manifold}")
 

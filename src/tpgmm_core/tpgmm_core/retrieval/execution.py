@@ -136,6 +136,11 @@ class Execution:
             where the robot is: (7,), or its configuration (n,) for movements of joints; None where not known
         weights
             as for ``Retrieval.step``
+
+        Returns
+        -------
+        Reference | None
+            None before the movement may begin and while no frame is known
         """
         if self._asked_ns is None:
             self._asked_ns = time_ns

@@ -44,7 +44,7 @@ def machine_figures(report: dict[str, Any]) -> list[str]:
 
 
 def cause_of_waiting_in_vain(load: float, cores: int, lockstep: bool) -> str:
-    """The likely cause where nothing ended, but something did not come in time; empty if the machine had time for it.
+    """The likely cause where nothing ended, but something did not come in time.
 
     Parameters
     ----------
@@ -54,6 +54,11 @@ def cause_of_waiting_in_vain(load: float, cores: int, lockstep: bool) -> str:
         that there are for them
     lockstep
         simulated time waits, and longer already
+
+    Returns
+    -------
+    str
+        empty if the machine had time for it
     """
     if load <= cores + MAX_WAITING_PROGRAMS:
         return ""

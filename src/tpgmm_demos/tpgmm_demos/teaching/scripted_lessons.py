@@ -98,6 +98,11 @@ def record_scripted(
     perceived
         how the objects are seen, one of PERCEPTIONS
 
+    Returns
+    -------
+    list[Path]
+        the bags
+
     Raises
     ------
     GraphError
