@@ -73,7 +73,7 @@ def _of_joints(robot: RobotModel) -> Iterator[str]:
             unit = robot.unit(joint, "position")
             yield f"home of {joint} is {room:.3g} {unit} from its limit: choose one further inside"
         if carried[i] > MUCH_EFFORT:
-            yield f"{joint} needs {carried[i]:.0%} of its effort to hold the robot at home: are masses right?"
+            yield f"{joint} needs {carried[i]:.0%} of its effort to hold the robot at home: are the masses right?"
         if stuck[i] > STUCK:
             yield (
                 f"{joint} moves so little ({felt[i]:.2g} {robot.unit(joint, 'inertia')}) that its friction holds an "
@@ -94,7 +94,7 @@ def _of_bodies(robot: RobotModel) -> Iterator[str]:
     moved = {joint for joints in robot.joint_groups.values() for joint in joints}
     for name, mimic in robot.mimics.items():
         if mimic.leader in moved and name not in robot.joint_names:
-            yield f"{name} mimics {mimic.leader}: here it stands still, at its position for home"
+            yield f"{name} mimics {mimic.leader}: here it does not move, and stays at its position for home"
 
 
 def _of_groups(robot: RobotModel) -> Iterator[str]:

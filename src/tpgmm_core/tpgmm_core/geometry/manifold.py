@@ -75,7 +75,7 @@ class Manifold:
             raise ValueError(f"a manifold is a text of at most {MAX_TEXT} characters, got {len(text)}")
         if text.strip().lower() == "euclidean":
             if dim is None:
-                raise ValueError('"euclidean" says nothing of the dimension: give dim, or write "R3"')
+                raise ValueError('"euclidean" leaves the dimension open: give dim, or write "R3"')
             return cls.euclidean(dim)
         factors = []
         for part in text.split("x"):

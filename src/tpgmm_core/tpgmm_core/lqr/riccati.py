@@ -250,4 +250,4 @@ def _no_solution(risk: float) -> str:
         return (
             f"no stabilising gains exist for these costs at the risk {risk:g}: it may be beyond the breakdown; lower it"
         )
-    return "no stabilising gains exist for these costs: what is not stable by itself needs a cost and a control"
+    return "no stabilising gains exist for these costs: each unstable direction needs a cost and a control"

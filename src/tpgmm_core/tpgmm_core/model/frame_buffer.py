@@ -104,7 +104,9 @@ class FrameBuffer:
             self.has_inverse[j] = frame.inverse is not None
             if frame.inverse is not None:
                 if not self.manifold.is_euclidean:
-                    raise ValueError(f"frame {name!r} brings an inverse of its own: on {self.manifold} A^+ serves")
+                    raise ValueError(
+                        f"frame {name!r} has its own inverse, which only R^n permits, not {self.manifold}: leave it out"
+                    )
                 self._inverse_of[j][...] = frame.inverse
             self.weights[j] = 1.0
         for name, weight in (weights or {}).items():

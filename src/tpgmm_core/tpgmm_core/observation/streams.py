@@ -91,7 +91,7 @@ class StreamWatch:
 
 def standing_still(stamp_ns: int) -> str:
     """Words for a stream that goes on while its stamps do not."""
-    return f"their stamps stand still at {stamp_ns / SECOND:.3f} s: the driver has to stamp each with its own time"
+    return f"their stamps stay at {stamp_ns / SECOND:.3f} s: the driver must stamp each message with its own time"
 
 
 class RateMeter:

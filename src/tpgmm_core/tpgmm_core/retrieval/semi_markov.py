@@ -146,7 +146,7 @@ class SemiMarkovMovement:
         if not (math.isfinite(speed) and speed >= 0.0):
             raise ValueError(
                 f"the speed of a movement by states and durations is finite and not negative, got {speed!r}: durations "
-                "say how states go on, not how they came about; go back with a method that is a function of time"
+                "say how states go on, not how they began; go back with a method that is a function of time"
             )
         self._speed = float(speed)
 

@@ -78,9 +78,7 @@ def evaluate(
     everything = sequences.values()
     ways = [row["hand"]["moved_m"] for row in (cup, follow, both)]
     checks = {
-        "the relevant frames come out by themselves": all(
-            f["relevant_frame_stands_out"] for f in report["frames"].values()
-        ),
+        "the relevant frames are found": all(f["relevant_frame_stands_out"] for f in report["frames"].values()),
         "taught directions are 100 times as precise": all(
             f["precision_ratio"] >= PRECISION_RATIO for f in report["frames"].values()
         ),

@@ -132,7 +132,7 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
         if not found:
             raise BagError(
                 path,
-                "is no bag and holds none; expected a rosbag2 directory (metadata.yaml and .mcap "
+                "is not a bag and contains none; expected a rosbag2 directory (metadata.yaml and .mcap "
                 "or .db3), a .bag, .mcap or .db3 file, or a directory of such bags",
             )
         bags += (bag for bag in found if bag not in bags)
