@@ -111,7 +111,7 @@ def stress(log: Path, seconds: float, rate: float) -> dict[str, Any]:
         start("impedance_controller", robot_file=config_file("baxter.yaml"), autostart=True)
         start("reproduction", task_file=config_file("pick_place.yaml"), autostart=True)
         try:
-            graph.wait_for(lambda: len(heard) >= len(NODES), 120.0, "all nodes to say that they live")
+            graph.wait_for(lambda: len(heard) >= len(NODES), 120.0, "diagnostics of all nodes")
             begun = told = time.monotonic()
             due = [0.0, 0.0]
             while time.monotonic() - begun < seconds:
@@ -136,7 +136,7 @@ def stress(log: Path, seconds: float, rate: float) -> dict[str, Any]:
                     silences[name] = max(silences[name], now - heard[name])
                     if now - heard[name] > SILENCE:
                         graph.processes.show_stacks(name)
-                        raise GraphError(f"{name} stands still: nothing on /diagnostics for {SILENCE:g} s")
+                        raise GraphError(f"{name} stalled: nothing on /diagnostics for {SILENCE:g} s")
                 if now - told >= 30.0:
                     told = now
                     print(f"{now - begun:5.0f} of {seconds:.0f} s: {lives} peers, {torques} torques", flush=True)

@@ -536,7 +536,7 @@ def test_stamps_that_stand_still_end_the_goal_and_are_named(player: Player) -> N
     spin_until(player.node, ended, message="the result", processes=(player.process,))
     assert set_parameters(player.node, NODE, start_timeout=STARTUP_TIMEOUT).successful
     reason = future.result().result.reason
-    assert f"their stamps stand still at {player.stamp_ns / SECOND:.3f} s" in reason, reason
+    assert f"their stamps stay at {player.stamp_ns / SECOND:.3f} s" in reason, reason
 
 
 def test_a_robot_that_is_stuck_elsewhere_is_named_with_what_its_controller_says(player: Player) -> None:
@@ -549,5 +549,5 @@ def test_a_robot_that_is_stuck_elsewhere_is_named_with_what_its_controller_says(
         player.tick(unless=future.done, pose=pose)
     player.node.destroy_publisher(says)
     result = future.result().result
-    assert not result.success and "the robot stands still there" in result.reason
+    assert not result.success and "the robot has stopped there" in result.reason
     assert "the controller says 'DAMPING: no reference yet'" in result.reason

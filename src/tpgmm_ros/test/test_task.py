@@ -121,7 +121,7 @@ def test_a_missing_key_is_named(key: str) -> None:
         ),
         (changed(model={"retrieval": "dmp", "stiffness": 0}), "stiffness is 0.0, expected 10 to 10000"),
         ("on: 1", "quote them"),
-        ("name: a\nname: b", "stands here twice"),
+        ("name: a\nname: b", "is here twice"),
         ("a: &x 1\nb: *x", "aliases"),
         ("a: [", "is not a YAML file"),
         ("!!python/object/apply:os.getcwd []", "is not a YAML file"),

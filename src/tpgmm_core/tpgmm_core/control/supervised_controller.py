@@ -157,6 +157,11 @@ class SupervisedController[TargetT]:
             of the state
         now_ns, clock_ns
             see the module
+
+        Returns
+        -------
+        Answer | None
+            None where the state is not answered
         """
         timeouts = self.timeouts
         kind = self._states.judge(stamp_ns, now_ns, clock_ns, timeouts.joint_state_timeout, timeouts.max_future)
@@ -219,7 +224,22 @@ class SupervisedController[TargetT]:
         return self._send(command, state_ns, now_ns, to_state=False)
 
     def refuse_state(self, reason: str, stamp_ns: int, now_ns: int) -> Answer | None:
-        """Answer a joint state that cannot be used: by the safe torque where the robot was last."""
+        """Answer a joint state that cannot be used: by the safe torque where the robot was last.
+
+        Parameters
+        ----------
+        reason
+            why it cannot be used
+        stamp_ns
+            of the state
+        now_ns
+            now, on the clock of the time-outs
+
+        Returns
+        -------
+        Answer | None
+            None while there was no good state yet
+        """
         self._state_fault = reason
         return self._rest(stamp_ns, now_ns)
 
@@ -241,11 +261,21 @@ class SupervisedController[TargetT]:
         return self._rest(self.stamp_ns, now_ns)
 
     def release(self, dt: float) -> tuple[TorqueCommand | None, bool]:
-        """The next of the last torques before the end, dt s after the one before, and whether it is the last one.
+        """The next of the last torques before the end.
 
         They approach the safe torque as fast as the rate limit permits. The robot should be left with that torque: it
         balances gravity where the robot is, so that a robot which keeps the last command for a while
         neither falls nor moves on, and a robot's own watchdog applies the same next.
+
+        Parameters
+        ----------
+        dt
+            since the one before, s
+
+        Returns
+        -------
+        tuple[TorqueCommand | None, bool]
+            the torques, None while there was no good state yet; and whether they are the last ones
         """
         if not self.decision.sends:
             return None, True

@@ -71,6 +71,11 @@ class StreamWatch:
             after which the last message is stale, s. Only then an older stamp means a clock that jumped
         max_future
             how far a stamp may be ahead of `clock_ns`, s
+
+        Returns
+        -------
+        Stamp
+            how its stamp relates to the last one and to the clock
         """
         if clock_ns > 0 and stamp_ns - clock_ns > max_future * SECOND:
             return Stamp.FUTURE
@@ -88,7 +93,7 @@ class StreamWatch:
 
 def standing_still(stamp_ns: int) -> str:
     """Words for a stream that goes on while its stamps do not."""
-    return f"their stamps stand still at {stamp_ns / SECOND:.3f} s: the driver has to stamp each with its own time"
+    return f"their stamps stay at {stamp_ns / SECOND:.3f} s: the driver must stamp each message with its own time"
 
 
 class RateMeter:
@@ -130,6 +135,11 @@ class RateMeter:
         """The measured period; it keeps its former value as long as that is nearly right.
 
         So sentences about it do not change all the time.
+
+        Returns
+        -------
+        float | None
+            s; None while it is not known
         """
         measured = self.measured()
         if measured is None:

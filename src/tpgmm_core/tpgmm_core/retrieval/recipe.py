@@ -49,6 +49,11 @@ class Recipe:
         method
             in place of `retrieval`
 
+        Returns
+        -------
+        Self
+            the recipe
+
         Raises
         ------
         ValueError
@@ -94,6 +99,11 @@ class Recipe:
             names of its ambient numbers
         progress
             see `TPGMM.fit`
+
+        Returns
+        -------
+        TPGMM
+            a fitted model
 
         Raises
         ------

@@ -19,6 +19,18 @@ from tpgmm_ros.task.task_file import Task
 def load_task_model(path: str | Path, task: Task) -> TPGMM:
     """A model that fits a task, whatever it encodes of the task's movements.
 
+    Parameters
+    ----------
+    path
+        of the model file
+    task
+        what the model is for
+
+    Returns
+    -------
+    TPGMM
+        a fitted model
+
     Raises
     ------
     ValueError
@@ -50,7 +62,23 @@ def load_task_model(path: str | Path, task: Task) -> TPGMM:
 
 
 def make_task_retrieval(model: TPGMM, task: Task, method: str | None = None, **settings: Any) -> Retrieval:
-    """A movement of a model that fits the task; settings as for `tpgmm_core.retrieval.methods.make_retrieval`.
+    """A movement of a model that fits the task.
+
+    Parameters
+    ----------
+    model
+        a fitted model
+    task
+        what it is for
+    method
+        retrieval method by name; None: what the model was learned for
+    **settings
+        as for `tpgmm_core.retrieval.methods.make_retrieval`
+
+    Returns
+    -------
+    Retrieval
+        the movement, before its start
 
     Raises
     ------
@@ -64,6 +92,16 @@ def make_task_retrieval(model: TPGMM, task: Task, method: str | None = None, **s
 
 def known_frames(states: Mapping[str, TaskFrameState]) -> dict[str, tuple[Frame, float]]:
     """Those frames that are not missing, as they act on [time, pose], and how far each is trusted.
+
+    Parameters
+    ----------
+    states
+        by name
+
+    Returns
+    -------
+    dict[str, tuple[Frame, float]]
+        by name
 
     Raises
     ------

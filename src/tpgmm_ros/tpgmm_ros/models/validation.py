@@ -81,6 +81,11 @@ def cross_validate(
     anchor
         frame from which the nearest demonstration is replayed
 
+    Yields
+    ------
+    Fold
+        errors of the recording that was left out
+
     Raises
     ------
     ValueError
@@ -118,6 +123,11 @@ def reproduce(model: TPGMM, situation: Demonstration, method: str | None = None,
     settle
         a movement with a state of its own need not be at its end at the last time: it goes on in the last situation for
         this share of the whole time, and then there are more than T points
+
+    Returns
+    -------
+    Array
+        shape (T, D)
     """
     chosen = method_of(model) if method is None else method_named(method)
     chosen.check(model)
@@ -172,7 +182,22 @@ def without_frames(demonstration: Demonstration) -> Demonstration:
 
 
 def replay_nearest(others: Sequence[Recording], situation: Recording, anchor: str) -> Array:
-    """Poses (T, 7) of the recording whose frames were most like these at the start, moved with `anchor`."""
+    """The recording whose frames were most like those of a situation at the start, moved with a frame.
+
+    Parameters
+    ----------
+    others
+        recordings to choose from
+    situation
+        the recording that is to be met
+    anchor
+        the frame that the movement is moved with
+
+    Returns
+    -------
+    Array
+        poses (T, 7)
+    """
 
     def distance(other: Recording) -> float:
         return sum(_distance(other.frames[name][0], pose[0]) for name, pose in situation.frames.items())

@@ -197,7 +197,7 @@ class Movements:
             answer.set_result(LoadModel.Response(success=False, reason=one_line(error)))
             return
         self._model = model
-        loaded = f"loaded {one_line(path)}" if path else "the model in use goes on as the parameters say"
+        loaded = f"loaded {one_line(path)}" if path else "the model in use was set up again with the current parameters"
         self._node.get_logger().info(loaded)
         answer.set_result(LoadModel.Response(success=True))
 
@@ -226,7 +226,7 @@ class Movements:
         if goal.is_cancel_requested:
             finish(goal, Outcome(False, "canceled"))
             return
-        self._end("another movement was asked for")
+        self._end("another movement was requested")
         self.goals.begin(goal)
         self.execution = Execution(retrieval, self._parameters.fill(ExecutionConfig))
         self._duration = goal.request.duration

@@ -78,7 +78,15 @@ class Recording:
     def to_demonstration(self, duration: float | None = None) -> Demonstration:
         """Demonstration of [time, pose], and of configurations where there are some, which frames leave as they are.
 
-        With a `duration` (s), time is stretched linearly to it.
+        Parameters
+        ----------
+        duration
+            that the time is stretched to linearly, s; None: as recorded
+
+        Returns
+        -------
+        Demonstration
+            the demonstration
         """
         times = self.times if duration is None else self.times * (duration / self.duration)
         joints = np.empty((len(times), 0)) if self.configurations is None else self.configurations
@@ -99,7 +107,17 @@ def _frame(poses: Array) -> Frame:
 
 
 def find_bags(paths: Iterable[str | Path]) -> list[Path]:
-    """Bags among the given paths: each is a bag, or a directory with bags directly inside (in order of name).
+    """Bags among some paths.
+
+    Parameters
+    ----------
+    paths
+        each a bag, or a directory with bags directly inside
+
+    Returns
+    -------
+    list[Path]
+        in the order given, those of a directory in order of name
 
     Raises
     ------
@@ -114,7 +132,7 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
         if not found:
             raise BagError(
                 path,
-                "is no bag and holds none; expected a rosbag2 directory (metadata.yaml and .mcap "
+                "is not a bag and contains none; expected a rosbag2 directory (metadata.yaml and .mcap "
                 "or .db3), a .bag, .mcap or .db3 file, or a directory of such bags",
             )
         bags += (bag for bag in found if bag not in bags)
@@ -146,6 +164,11 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
         names the topics, the frames and the base frame
     every
         keep every n-th sample of the movement, and the last one
+
+    Returns
+    -------
+    Recording
+        the recording
 
     Raises
     ------
@@ -266,7 +289,24 @@ def _hold(seen: Nanoseconds, poses: Array, at: Nanoseconds) -> tuple[Array, NDAr
 def read_recordings(
     paths: Sequence[str | Path], task: Task, every: int = 1, progress: Callable[[Path], None] | None = None
 ) -> tuple[list[Recording], list[BagError]]:
-    """Read several bags: the good ones, and what is wrong with the others; calls `progress` after each."""
+    """Read several bags.
+
+    Parameters
+    ----------
+    paths
+        of the bags
+    task
+        what they are for
+    every
+        keep every n-th sample of the movement, and the last one
+    progress
+        called after each bag
+
+    Returns
+    -------
+    tuple[list[Recording], list[BagError]]
+        the good ones, and what is wrong with the others
+    """
     good: list[Recording] = []
     bad: list[BagError] = []
     for path in map(Path, paths):
@@ -280,7 +320,17 @@ def read_recordings(
 
 
 def align(recordings: Sequence[Recording]) -> tuple[list[Demonstration], float]:
-    """Demonstrations with their times stretched linearly to the mean duration, and that duration in s.
+    """Recordings as demonstrations of one duration.
+
+    Parameters
+    ----------
+    recordings
+        one or more
+
+    Returns
+    -------
+    tuple[list[Demonstration], float]
+        demonstrations with their times stretched linearly to the mean duration, and that duration, s
 
     Raises
     ------
@@ -301,7 +351,21 @@ def read_demonstration(path: str | Path, task: Task) -> Demonstration:
 def read_demonstrations(
     paths: Sequence[str | Path], task: Task, progress: Callable[[Path], None] | None = None
 ) -> tuple[list[Demonstration], float]:
-    """Read bags as demonstrations of one duration: their mean, in s, returned too. See `read_recording`.
+    """Read bags as demonstrations of one duration. See `read_recording`.
+
+    Parameters
+    ----------
+    paths
+        of the bags
+    task
+        what they are for
+    progress
+        called after each bag
+
+    Returns
+    -------
+    tuple[list[Demonstration], float]
+        demonstrations, and their mean duration, s
 
     Raises
     ------

@@ -125,6 +125,16 @@ class Task:
     def load(cls, path: str | Path) -> "Task":
         """Read a task file.
 
+        Parameters
+        ----------
+        path
+            of the file
+
+        Returns
+        -------
+        Task
+            what it says, checked
+
         Raises
         ------
         TaskError
@@ -137,7 +147,19 @@ class Task:
 
     @classmethod
     def from_text(cls, text: str, source: str = "task") -> "Task":
-        """Read a task from YAML text; `source` is what errors call it.
+        """Read a task from YAML text.
+
+        Parameters
+        ----------
+        text
+            the YAML
+        source
+            what errors call it
+
+        Returns
+        -------
+        Task
+            what it says, checked
 
         Raises
         ------
