@@ -203,13 +203,18 @@ class SupervisedController[TargetT]:
     def answer_again(self, now_ns: int) -> Answer | None:
         """Answer the last joint state again, where the last reference was made after it and before the next one.
 
-        So it does when frames have changed: the torques that follow from it need not wait for the next joint state. Its
-        stamp tells: it lies between theirs. Once for each joint state at most; None where there is nothing to answer.
+        A reproduction makes such a reference when frames have changed: the torques that follow from it need not wait for
+        the next joint state. Its stamp tells: it lies between theirs.
 
         Parameters
         ----------
         now_ns
             see the module
+
+        Returns
+        -------
+        Answer or None
+            with the stamp of that joint state, once for each at most; None where there is nothing to answer
         """
         state_ns, reference_ns = self._states.stamp_ns, self._references.stamp_ns
         if state_ns is None or reference_ns is None or not self._answered_state:
