@@ -156,6 +156,7 @@ def _train(task: Task, recipe: Recipe, recordings: list[Recording]) -> Training:
         "endpoint": task.endpoint,
         "demonstrations": len(recordings),
         "samples": sum(len(recording.times) for recording in recordings),
+        **task.derived.metadata(),
     }
     return Training(model, recipe.method.name, recordings, duration, elapsed)
 
@@ -164,7 +165,7 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
     model, durations = training.model, [recording.duration for recording in training.recordings]
     report |= {
         "task": task.name,
-        "frames": list(task.frames),
+        "frames": list(model.frame_names_),
         "retrieval": training.method,
         "demonstrations": len(durations),
         "samples": sum(len(recording.times) for recording in training.recordings),
@@ -179,7 +180,7 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
     }
     hint = "" if report["converged"] else " (not converged: raise max_iter)"
     rows = {
-        "task": f"{task.name} (frames: {', '.join(task.frames)})",
+        "task": f"{task.name} (frames: {', '.join(model.frame_names_)})",
         "retrieval": report["retrieval"],
         "demonstrations": report["demonstrations"],
         "samples": report["samples"],
