@@ -12,10 +12,11 @@ import pytest
 
 from synthetic_bags import REACH_TASK, reach, write_bag
 from tpgmm_core import TPGMM, Frame
+from tpgmm_core.choice.reproducing import reproduce
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_ros.models.task_model import load_task_model
-from tpgmm_ros.models.validation import path_errors, replay_nearest, reproduce
+from tpgmm_ros.models.validation import path_errors, replay_nearest
 from tpgmm_ros.programs.train import main
 from tpgmm_ros.recordings.bags import Recording, read_recording
 from tpgmm_ros.task.task_file import Task
