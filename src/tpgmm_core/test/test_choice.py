@@ -124,7 +124,7 @@ def problem(demonstrations: int = 5) -> tuple[Problem, Plan]:
     extended, order, _ = offered([reach(i) for i in range(demonstrations)])
     kept = tuple(screen_frames(extended, order).shares())
     plan = Plan(
-        (("object", "bin"), kept), order, {"n_components": 5, "reg_covar": 1e-5, "max_iter": 30}, ("regress_product",)
+        ("object", "bin"), kept, order, {"n_components": 5, "reg_covar": 1e-5, "max_iter": 30}, ("regress_product",)
     )
     return Problem.of(extended, SPACE, ("object", "bin")), plan
 
@@ -206,7 +206,7 @@ def test_a_budget_of_time_ends_the_search_with_the_best_so_far() -> None:
     ticks = iter(range(10_000))
     search = run_search(posed, plan.rounds, seconds=20.0, clock=lambda: float(next(ticks)))
     assert search.ended == "time" and 1 <= len(search.results) < 25
-    assert search.best.cost == min(result.cost for result in search.results if result.is_complete)
+    assert search.best.merit == min(result.merit for result in search.results if result.is_complete)
 
 
 def test_an_interruption_leaves_the_best_so_far_and_before_the_first_one_it_ends_all() -> None:
@@ -236,6 +236,14 @@ def test_likelihood_decides_only_between_what_reproduces_as_well() -> None:
     assert Search([result(0.1, 1.0), result(0.1005, 2.0)]).best.log_likelihood == 2.0
     assert Search([result(0.1, 1.0), result(0.11, 2.0)]).best.log_likelihood == 1.0
     assert Search([result(0.1, 1.0), result(0.1005, 2.0, "trajectory")]).best.log_likelihood == 1.0
+
+
+def test_a_frame_has_to_be_worth_its_place() -> None:
+    def result(cost: float, *frames: str) -> TrialResult:
+        return TrialResult(Trial("dmp", frames), {0: HeldOutError(cost, 0.0, cost, cost, cost)})
+
+    assert Search([result(0.1, "a"), result(0.0995, "a", "b")]).best.trial.frames == ("a",)
+    assert Search([result(0.1, "a"), result(0.095, "a", "b")]).best.trial.frames == ("a", "b")
 
 
 def test_a_search_without_success_says_why() -> None:

@@ -16,6 +16,8 @@ STRUCTURES = ("diag", "full")
 MORE_STRUCTURES = ("tied", "mppca", "semi_tied")
 PRIORS = (1e-5, 1e-4, 1e-3, 1e-2)
 """Tried as `reg_covar` that is added, and as prior."""
+MORE_FRAMES = 2
+"""Declared frames that the screen drops, up to which they are tried with every method all the same."""
 START = 7
 """Components while methods and frames are compared."""
 
@@ -26,17 +28,20 @@ class Plan:
 
     Parameters
     ----------
-    frame_sets
-        frames to begin with, such as those of the task file and those of the screen
+    declared
+        frames that the task file names
+    kept
+        frames that the screen keeps
     candidates
-        all frames
+        frames that may be added one by one
     settings
         of the task file: what is not searched for stays as it says
     methods
         of retrieval
     """
 
-    frame_sets: tuple[tuple[str, ...], ...]
+    declared: tuple[str, ...]
+    kept: tuple[str, ...]
     candidates: tuple[str, ...]
     settings: Mapping[str, Any]
     methods: tuple[str, ...] = tuple(METHODS)
@@ -59,12 +64,12 @@ class Plan:
         """What the task file says, then every method; functions of time first, which are quick to try."""
         settings = {name: value for name, value in self.settings.items() if name != KEY}
         methods = sorted(self.methods, key=lambda name: METHODS[name].time_parametrized is None)
-        given = Trial.of(
-            str(self.settings.get(KEY, methods[0])), self.frame_sets[0], {"n_components": START, **settings}
-        )
+        given = Trial.of(str(self.settings.get(KEY, methods[0])), self.declared, {"n_components": START, **settings})
+        # With many frames that the screen drops, every model of all of them would be slow to learn, and poor
+        sets = [self.kept, *([self.declared] if len(self.declared) <= len(self.kept) + MORE_FRAMES else [])]
         others = [
             Trial.of(method, frames, {**settings, "covariance": structure, "n_components": START})
-            for frames in reversed(dict.fromkeys(self.frame_sets))
+            for frames in sets
             for method in methods
             for structure in STRUCTURES
         ]

@@ -54,8 +54,7 @@ class FrameScreen:
 
     def shares(self) -> dict[str, float]:
         """Frames that are kept, and the share of the time for which each was taken; the first explains most of it."""
-        means = self.mean_errors
-        is_good = means <= (1.0 + MARGIN) * means.min(axis=0) + 1e-9  # (J, S)
+        is_good = self._is_good()
         shares: dict[str, float] = {}
         while True:
             gains = is_good.mean(axis=1)
@@ -64,6 +63,15 @@ class FrameScreen:
             chosen = int(np.argmax(gains >= (1.0 - ALIKE) * gains.max()))
             shares[self.names[chosen]] = float(gains[chosen])
             is_good = is_good & ~is_good[chosen]
+
+    def rivals(self) -> tuple[str, ...]:
+        """Frames that are nearly the best for at least LEAST_SHARE of the time, those with most of it first."""
+        good = dict(zip(self.names, self._is_good().mean(axis=1).tolist(), strict=True))
+        return tuple(sorted((name for name in good if good[name] >= LEAST_SHARE), key=lambda name: -good[name]))
+
+    def _is_good(self) -> NDArray[np.bool_]:
+        means = self.mean_errors
+        return np.asarray(means <= (1.0 + MARGIN) * means.min(axis=0) + 1e-9)  # (J, S)
 
     def relevance(self, names: Sequence[str], parts: int = 10) -> dict[str, Array]:
         """What each of some frames says of where the hand is, in each part of the time: name → shares (parts,).

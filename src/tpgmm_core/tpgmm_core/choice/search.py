@@ -2,7 +2,7 @@
 """A search among trials, in rounds, within a budget; any time it is ended it knows the best so far.
 
 The trials of a round do not depend on each other and run side by side; the next round starts from the best ones. A
-trial whose cost cannot become one of the best any more is given up. So neither the number of workers nor the order in
+trial whose error cannot become one of the best any more is given up. So neither the number of workers nor the order in
 which they finish changes what is chosen from the same number of trials.
 """
 
@@ -23,7 +23,7 @@ from tpgmm_core.choice.trial import Problem, Trial, TrialResult
 LEADERS = 3
 """So many of the best are never given up: the next round starts from them."""
 AS_GOOD = 0.01
-"""Trials whose costs differ by less than this share are as good; the likelihood of what was left out then decides."""
+"""Trials whose merits differ by less than this share are as good; the likelihood of what was left out then decides."""
 
 type Progress = Callable[[TrialResult, TrialResult], None]
 """Called after each trial with its result, and the best so far."""
@@ -47,11 +47,11 @@ class Search:
     @property
     def leaders(self) -> list[TrialResult]:
         """The best of all that are complete, best first; of equals, what was asked for first."""
-        return sorted((result for result in self.results if result.is_complete), key=lambda result: result.cost)
+        return sorted((result for result in self.results if result.is_complete), key=lambda result: result.merit)
 
     @property
     def best(self) -> TrialResult:
-        """The one with the least cost; of those of the same method and frames that are as good, the likeliest.
+        """The one with the least merit; of those of the same method and frames that are as good, the likeliest.
 
         Raises
         ------
@@ -68,15 +68,15 @@ class Search:
         rivals = [
             result
             for result in leaders
-            if result.cost <= (1.0 + AS_GOOD) * first.cost
+            if result.merit <= (1.0 + AS_GOOD) * first.merit
             and (result.trial.method, set(result.trial.frames)) == (first.trial.method, set(first.trial.frames))
         ]
-        return max(rivals, key=lambda r: (-math.inf if math.isnan(r.log_likelihood) else r.log_likelihood, -r.cost))
+        return max(rivals, key=lambda r: (-math.inf if math.isnan(r.log_likelihood) else r.log_likelihood, -r.merit))
 
     def limits(self, deadline: float) -> tuple[float, float]:
-        """Cost beyond which, and time after which, a trial is of no use: as long as nothing is known, all are."""
+        """Merit beyond which, and time after which, a trial is of no use: as long as nothing is known, all are."""
         leaders = self.leaders
-        return leaders[LEADERS - 1].cost if len(leaders) >= LEADERS else math.inf, deadline if leaders else math.inf
+        return leaders[LEADERS - 1].merit if len(leaders) >= LEADERS else math.inf, deadline if leaders else math.inf
 
 
 type Rounds = Callable[[Search], Iterable[Sequence[Trial]]]
@@ -202,7 +202,7 @@ def _finished(running: dict[Future[TrialResult], int]) -> Iterator[tuple[int, Tr
 
 def _judge(problem: Problem, trial: Trial, bound: float, deadline: float, clock: Callable[[], float]) -> TrialResult:
     """Give up what is too poor or too late."""
-    return problem.judge(trial, lambda cost: cost > bound or clock() > deadline)
+    return problem.judge(trial, lambda merit: merit > bound or clock() > deadline)
 
 
 # -- in the other processes

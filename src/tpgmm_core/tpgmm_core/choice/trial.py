@@ -27,6 +27,8 @@ from tpgmm_core.model.derived_frames import with_frames
 from tpgmm_core.retrieval.methods import KEY, method_named
 from tpgmm_core.retrieval.recipe import Recipe
 
+WORTH = 0.01
+"""A frame has to make the error less by this share: one that does not matter may do so a little by chance."""
 MAX_FOLDS = 8
 """Of more demonstrations, several are left out at once: so many models are learned for each trial at most."""
 SAMPLES = 60
@@ -159,6 +161,11 @@ class TrialResult:
         return self._mean("cost") if self.is_complete else math.inf
 
     @property
+    def merit(self) -> float:
+        """The cost, and WORTH of it for each frame: what trials are compared by, m; the less, the better."""
+        return self.cost * price(self.trial)
+
+    @property
     def standard_error(self) -> float:
         """Of the cost's mean over demonstrations, m."""
         costs = [error.cost for error in self.errors.values()]
@@ -221,7 +228,7 @@ class Problem:
         trial
             what to learn with
         give_up
-            called after each fold with the least that the mean cost can become; True ends the trial
+            called after each fold with the least that the trial's merit can become; True ends it
         """
         M = len(self.demonstrations)
         errors: dict[int, HeldOutError] = {}
@@ -244,9 +251,14 @@ class Problem:
                     refusals.append(f"demonstration {i}: {error}")
                     path = np.tile(whole.data[:1, 1:], (len(whole.times), 1))
                 errors[i] = HeldOutError.of(path, whole, self.objects)
-            if len(errors) < M and give_up(sum(error.cost for error in errors.values()) / M):
+            if len(errors) < M and give_up(price(trial) * sum(error.cost for error in errors.values()) / M):
                 return TrialResult(trial, errors, is_complete=False, refusals=tuple(refusals))
         return TrialResult(trial, errors, float(np.mean(scores)) if scores else math.nan, refusals=tuple(refusals))
+
+
+def price(trial: Trial) -> float:
+    """What a trial's cost is multiplied with, for its frames."""
+    return 1.0 + WORTH * len(trial.frames)
 
 
 def thinned(demonstration: Demonstration, n: int) -> Demonstration:
