@@ -14,7 +14,9 @@ from tpgmm_core.choice.candidates import frame_candidates, in_order_of_preferenc
 from tpgmm_core.choice.plan import Plan
 from tpgmm_core.choice.screen import METRES_PER_RADIAN, FrameScreen, screen_frames
 from tpgmm_core.choice.search import Progress, Search, run_search
-from tpgmm_core.choice.trial import Problem, TrialResult
+from tpgmm_core.choice.trial import SAMPLES, Problem, TrialResult, thinned
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.iteration import Progress as EmProgress
 from tpgmm_core.learning.tpgmm import TPGMM
@@ -22,6 +24,7 @@ from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.derived_frames import BASE, HAND, DerivedFrames, with_frames
 from tpgmm_core.retrieval.methods import METHODS
 
+POSITIONS = "R1 x R3"
 STILL = 0.02
 """A frame that moves by less, m (a turn by 0.2 rad counts as that), has hardly moved: its influence cannot be known."""
 MORE = 8
@@ -82,11 +85,16 @@ class Choice:
         dimensions: Sequence[str] | None = None,
         progress: EmProgress | None = None,
     ) -> TPGMM:
-        """A model as it was chosen, which says in its metadata what its frames are made of."""
+        """A model as it was chosen, which says in its metadata what its frames are made of.
+
+        It is learned from as many samples of each demonstration as those were that trials were judged by: the window of
+        derivatives and the weight of priors are in samples.
+        """
         trial = self.best.trial
         derived = self.derived.only(trial.frames)
         missing = [name for name in derived.sources if name not in demonstrations[0].frames]
-        shown = [with_frames(derived.only(missing).extended(item), trial.frames) for item in demonstrations]
+        extended = [derived.only(missing).extended(item) for item in demonstrations]
+        shown = [thinned(with_frames(item, trial.frames), SAMPLES) for item in extended]
         model = trial.recipe.learn(shown, manifold, dimensions, progress)
         model.metadata_ |= derived.metadata()
         return model
@@ -142,7 +150,8 @@ def choose(
     Parameters
     ----------
     demonstrations
-        three or more, over [time, position] or [time, pose]
+        three or more, over [time, position] or [time, pose]; where every orientation is 0 0 0 1 none was recorded, and
+        positions alone are compared
     manifold
         space of their data
     settings
@@ -160,6 +169,8 @@ def choose(
         for too few demonstrations, and where nothing could be learned
     """
     derived = DerivedFrames() if declared is None else declared
+    if not any(_has_orientations(shown) for shown in demonstrations):
+        demonstrations, manifold = [positions_alone(shown) for shown in demonstrations], POSITIONS
     candidates = frame_candidates(demonstrations, derived)
     names = tuple(demonstrations[0].frames)
     every = DerivedFrames({**derived.sources, **candidates.sources})
@@ -174,6 +185,16 @@ def choose(
     _ = search.best  # raises where there is none
     observed = [name for name in names if name not in derived.sources]
     return Choice(search, screen, every, names, tuple(name for name in observed if _moved(extended, name) < STILL))
+
+
+def _has_orientations(shown: Demonstration) -> bool:
+    return not (shown.data.shape[1] == 8 and (shown.data[:, 4:] == quaternion.IDENTITY).all())
+
+
+def positions_alone(shown: Demonstration) -> Demonstration:
+    """A demonstration over [time, position] out of one over [time, pose]: where no orientation was recorded."""
+    frames = {name: Frame(frame.A[..., :4, :4], frame.b[..., :4]) for name, frame in shown.frames.items()}
+    return Demonstration(shown.times, shown.data[:, :4], frames, shown.visible)
 
 
 def _moved(demonstrations: Sequence[Demonstration], name: str) -> float:

@@ -32,7 +32,7 @@ WORTH = 0.01
 MAX_FOLDS = 8
 """Of more demonstrations, several are left out at once: so many models are learned for each trial at most."""
 SAMPLES = 60
-"""Samples of each demonstration that trials learn from; the model that is chosen learns from all."""
+"""Samples of each demonstration that trials learn from, and the model that is chosen."""
 
 
 @dataclass(frozen=True, slots=True)
