@@ -203,8 +203,8 @@ class SupervisedController[TargetT]:
     def answer_again(self, now_ns: int) -> Answer | None:
         """Answer the last joint state again, where the last reference was made after it and before the next one.
 
-        A reproduction makes such a reference when frames have changed: the torques that follow from it need not wait for
-        the next joint state. Its stamp tells: it lies between theirs.
+        A reproduction makes such a reference when frames have changed: the torques that follow from it need not wait
+        for the next joint state. Its stamp tells: it lies between theirs.
 
         Parameters
         ----------

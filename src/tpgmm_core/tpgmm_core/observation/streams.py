@@ -209,9 +209,17 @@ class Beat:
         self.step_ns = stamp_ns if restarted else max(stamp_ns, self.step_ns)
 
     def between(self, now_ns: int) -> int | None:
-        """The time of a step that is made now, on the clock of the stamps, ns.
+        """The time of a step that is made now, on the clock of the stamps.
 
-        None where the next message is near: as long after the last one as that came after the one before.
+        Parameters
+        ----------
+        now_ns : int
+            By the clock of `take`, ns.
+
+        Returns
+        -------
+        int or None
+            ns; None where the next message is near: as long after the last one as that came after the one before.
         """
         elapsed = now_ns - self._received_ns
         if not 0 < elapsed < BETWEEN * self._period_ns:

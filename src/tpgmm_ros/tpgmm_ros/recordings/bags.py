@@ -2,7 +2,7 @@
 """Bags to demonstrations: one clock, every frame at every sample of the movement, one common duration."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tpgmm_core import Demonstration, Frame
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds
 from tpgmm_ros.recordings.joint_streams import JointStream, read_joint_stream
 from tpgmm_ros.recordings.pose_arrays import read_pose_array
@@ -60,6 +61,8 @@ class Recording:
         what was put right or left out while reading, in words
     configurations
         (T, n) positions of the task's joints, rad and m; None for tasks that name none
+    derived
+        the task's frames that are made of those above, and of the first pose of the movement
     """
 
     path: Path
@@ -69,6 +72,7 @@ class Recording:
     visible: dict[str, NDArray[np.bool_]]
     notes: tuple[str, ...] = ()
     configurations: Array | None = None
+    derived: DerivedFrames = field(default_factory=DerivedFrames)
 
     @property
     def duration(self) -> float:
@@ -91,12 +95,13 @@ class Recording:
         times = self.times if duration is None else self.times * (duration / self.duration)
         joints = np.empty((len(times), 0)) if self.configurations is None else self.configurations
         same = [Frame(np.eye(joints.shape[1]), np.zeros(joints.shape[1]))] if joints.size else []
-        return Demonstration(
+        demonstration = Demonstration(
             times=times,
             data=np.column_stack([times, self.movement, joints]),
             frames={name: Frame.stacked([_frame(poses), *same]).with_time() for name, poses in self.frames.items()},
             visible=self.visible,
         )
+        return self.derived.extended(demonstration)
 
 
 def _frame(poses: Array) -> Frame:
@@ -214,6 +219,7 @@ def _from_pose_array(path: Path, task: Task, spec: PoseArraySpec) -> Recording:
         {name: np.tile(places[name], (T, 1)) for name in task.frames},
         {name: np.ones(T, bool) for name in task.frames},
         tuple(notes),
+        derived=task.derived,
     )
 
 
@@ -250,7 +256,7 @@ def _from_streams(path: Path, task: Task) -> Recording:
         if unseen:
             notes.append(f"{name}: not seen in the first {unseen} of {len(ns)} samples")
     configurations = None if joints is None else _configurations(path, joints, ns, bool(problem))
-    return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes), configurations)
+    return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes), configurations, task.derived)
 
 
 def _configurations(path: Path, joints: JointStream, at: Nanoseconds, by_recorder: bool) -> Array:
