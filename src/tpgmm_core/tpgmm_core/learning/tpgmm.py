@@ -25,6 +25,7 @@ from tpgmm_core.learning.estimation.compiled_em import (
     Workspace,
     expectation_maximisation,
 )
+from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
 from tpgmm_core.learning.estimation.em import expectation
 from tpgmm_core.learning.estimation.emissions import Emissions
 from tpgmm_core.learning.estimation.iteration import Progress
@@ -65,8 +66,8 @@ class TPGMM(Estimator):
     regularization
         "add", or "prior", whose objective never falls: see `expectation_maximisation`
     n_init
-        starts of EM, of which the one with the best objective is kept: the first from `init`, the others from random
-        k-means
+        starts of EM, of which the one with the best objective (log-likelihood with `prior_strength`) is kept: the first
+        from `init`, the others from random k-means
     covariance
         "full", or a structure with fewer parameters, for all components and frames: "diag", "spherical", "tied", "mfa",
         "mppca", "hddc", "semi_tied", "deep_mfa" (which divides the K components further)
@@ -74,6 +75,9 @@ class TPGMM(Estimator):
         columns of the loadings of "mfa", "mppca" and "deep_mfa", for frames of more dimensions
     covariance_options
         other fields of `tpgmm_core.learning.covariance.structure.Structure` by name, or None
+    prior_strength
+        weight, in demonstrations, of an inverse-Wishart prior of the covariances whose scale the data give
+        (`tpgmm_core.learning.estimation.covariance_prior`); 0: none. 3 is a good value for demonstrations of poses
 
     Attributes
     ----------
@@ -133,6 +137,7 @@ class TPGMM(Estimator):
         covariance: str = "full",
         n_factors: int = 1,
         covariance_options: Mapping[str, Any] | None = None,
+        prior_strength: float = 0.0,
     ) -> None:
         self.n_components = n_components
         self.init = init
@@ -146,6 +151,7 @@ class TPGMM(Estimator):
         self.covariance = covariance
         self.n_factors = n_factors
         self.covariance_options = covariance_options
+        self.prior_strength = prior_strength
 
     def fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
         """Learn from demonstrations, projected into their frames by Eq. (4).
@@ -217,7 +223,10 @@ class TPGMM(Estimator):
         if not estimates:
             assert failure is not None
             raise failure
-        best, emissions = max(estimates, key=lambda e: e[0].objectives[-1])
+        # with a prior from the data, each start has its own, and objectives are not comparable
+        best, emissions = max(
+            estimates, key=lambda e: (e[0].log_likelihoods if self.prior_strength else e[0].objectives)[-1]
+        )
         self._learned(best, samples.manifold, emissions)
         return self
 
@@ -225,14 +234,26 @@ class TPGMM(Estimator):
         self, samples: Samples, start: MixtureParameters, progress: Progress | None
     ) -> tuple[Estimate, Emissions | None]:
         """Run EM from one start; returns the components as well where their structure is not full."""
-        rules: dict[str, Any] = {"tol": self.tol, "max_iter": self.max_iter, "progress": progress}
         structure = self._structure()
+        prior = self._prior(samples, start)
+        rules: dict[str, Any] = {"tol": self.tol, "max_iter": self.max_iter, "prior": prior, "progress": progress}
         if structure.name == "full":
             regularization: dict[str, Any] = {"reg_covar": self.reg_covar, "regularization": self.regularization}
             return expectation_maximisation(samples, start, **regularization, **rules), None
         begun = self.init.emissions_ if isinstance(self.init, TPGMM) and start.priors is self.init.priors_ else None
         estimate = fit_structure(samples, structure, start, begun, self.random_state, **rules)
         return estimate.with_dense_covariances(), estimate.emissions
+
+    def _prior(self, samples: Samples, start: MixtureParameters) -> CovariancePrior | None:
+        """The prior of the covariances, from the components that EM starts from."""
+        if self.prior_strength == 0.0:
+            return None
+        full = Structure(reg_covar=self.reg_covar)
+        emissions = Emissions.from_gaussians(
+            full, samples, samples.n_samples * start.priors, start.means, start.covariances
+        )
+        responsibilities, _ = expectation(start.priors, emissions, samples)
+        return CovariancePrior.of_data(samples, start.means, responsibilities, self.prior_strength)
 
     def _learned(self, estimate: Estimate, manifold: Manifold, emissions: Emissions | None = None) -> None:
         self.priors_ = estimate.parameters.priors
@@ -288,7 +309,7 @@ class TPGMM(Estimator):
             value = getattr(self, name)
             if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < lowest:
                 raise ValueError(f"{name} is an integer from {lowest}, got {value!r}")
-        for name in ("reg_covar", "tol"):
+        for name in ("reg_covar", "tol", "prior_strength"):
             value = getattr(self, name)
             if not isinstance(value, int | float | np.number) or not (np.isfinite(value) and value >= 0.0):
                 raise ValueError(f"{name} is a finite number from 0, got {value!r}")
@@ -347,6 +368,11 @@ class TPGMM(Estimator):
         frames, state, weights
             as for `Adapter.adapt`
 
+        Returns
+        -------
+        GaussianMixture
+            over the frames' common space, with the model's priors
+
         Raises
         ------
         ValueError
@@ -374,6 +400,11 @@ class TPGMM(Estimator):
         ----------
         demonstrations
             with the frames of the model
+
+        Returns
+        -------
+        float
+            nats
 
         Raises
         ------
@@ -448,6 +479,11 @@ class TPGMM(Estimator):
         path
             the file
 
+        Returns
+        -------
+        Self
+            a fitted model
+
         Raises
         ------
         ModelFileError
@@ -461,7 +497,20 @@ class TPGMM(Estimator):
     def from_contents(cls, contents: model_file.ModelContents) -> Self:
         """Make the model that a file holds.
 
-        Raises ModelFileError for another kind of model, and for arrays that do not fit it.
+        Parameters
+        ----------
+        contents
+            of the file
+
+        Returns
+        -------
+        Self
+            a fitted model
+
+        Raises
+        ------
+        ModelFileError
+            for another kind of model, and for arrays that do not fit it
         """
         header = contents.header
         if cls is not TPGMM and header.kind != cls.__name__:

@@ -22,45 +22,21 @@ NEGLIGIBLE = 1e-20  # components with a smaller activation add nothing to a cova
 
 
 @compiled
-def regress(
-    log_priors: Array, means: Array, covariances: Array, t: float, flat: Array, spheres: Array, mean: Array,
-    covariance: Array, activations: Array,
+def regress_given(
+    activations: Array, means: Array, covariances: Array, t: float, flat: Array, spheres: Array, mean: Array,
+    covariance: Array,
 ) -> None:  # fmt: skip
-    """Gaussian mixture regression on the first dimension.
-
-    The Gaussian is moment-matched; on S³ its mean is where the weighted tangent vectors cancel out, and the
-    components' covariances move there by parallel transport.
+    """`regress` with given activations.
 
     Parameters
     ----------
-    log_priors, means, covariances
-        of the mixture, (K,), (K, D) and (K, n, n)
-    t
-        value of the first dimension
-    flat, spheres
-        arrangement of the manifold, see `kernels_manifold`
-    mean, covariance
-        (D - 1,) and (n - 1, n - 1), written
     activations
-        (K,), written: they sum to 1
+        (K,), they sum to 1
+    means, covariances, t, flat, spheres, mean, covariance
+        of `regress`
     """
     K, D = means.shape
-    n = len(flat)
-    top = -np.inf
-    for k in range(K):
-        variance = covariances[k, 0, 0]
-        d = t - means[k, 0]
-        activations[k] = log_priors[k] - 0.5 * (math.log(variance) + d * d / variance)
-        top = max(top, activations[k])
-    total = 0.0
-    for k in range(K):
-        activations[k] = math.exp(activations[k] - top)
-        total += activations[k]
-    likeliest = 0
-    for k in range(K):
-        activations[k] /= total
-        if activations[k] > activations[likeliest]:
-            likeliest = k
+    n, likeliest = len(flat), np.argmax(activations)
     conditionals = means.copy()
     steps = np.empty((K, n))
     for k in range(K):
@@ -104,6 +80,50 @@ def regress(
     for i in range(n - 1):
         for m in range(i):
             covariance[m, i] = covariance[i, m]
+
+
+@compiled
+def regress(
+    log_priors: Array, means: Array, covariances: Array, t: float, flat: Array, spheres: Array, mean: Array,
+    covariance: Array, activations: Array,
+) -> None:  # fmt: skip
+    """Gaussian mixture regression on the first dimension at t: mean (D - 1,), covariance (n - 1, n - 1).
+
+    The Gaussian is moment-matched; on S³ its mean is where the weighted tangent vectors cancel out, and the
+    components' covariances move there by parallel transport. activations (K,) sum to 1.
+    """
+    K = len(means)
+    top = -np.inf
+    for k in range(K):
+        variance = covariances[k, 0, 0]
+        d = t - means[k, 0]
+        activations[k] = log_priors[k] - 0.5 * (math.log(variance) + d * d / variance)
+        top = max(top, activations[k])
+    total = 0.0
+    for k in range(K):
+        activations[k] = math.exp(activations[k] - top)
+        total += activations[k]
+    for k in range(K):
+        activations[k] /= total
+    regress_given(activations, means, covariances, t, flat, spheres, mean, covariance)
+
+
+@compiled
+def spread_at(
+    activations: Array, means: Array, covariances: Array, times: Array, points: Array, flat: Array, spheres: Array,
+    data_flat: Array, data_spheres: Array, out: Array,
+) -> None:  # fmt: skip
+    """Covariances of `regress_given` with activations (T, K) at times (T,), moved to the points (T, D - 1).
+
+    data_flat, data_spheres: the layout without the first dimension. Writes out (T, n - 1, n - 1).
+    """
+    mean, e = np.empty(means.shape[1] - 1), np.empty(len(data_flat))
+    for i in range(len(times)):
+        regress_given(activations[i], means, covariances, times[i], flat, spheres, mean, out[i])
+        difference(points[i], mean, data_flat, data_spheres, e)
+        for s in range(len(data_spheres)):
+            a = data_spheres[s, 1]
+            transport(out[i], a, e[a], e[a + 1], e[a + 2])
 
 
 @compiled

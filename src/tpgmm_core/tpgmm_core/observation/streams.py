@@ -21,6 +21,8 @@ OVERTAKEN = 0.05
 RESTARTED_AFTER = 0.25
 #: A period that differs by a larger share is another one.
 CHANGED = 0.1
+#: Up to this share of the period after a message, the next one is not near.
+BETWEEN = 0.9
 
 
 class Stamp(enum.Enum):
@@ -175,3 +177,52 @@ class Leader:
             self._names = names
         self._heard_ns = now_ns
         return True
+
+
+class Beat:
+    """The times at which somebody who follows a stream makes a step: with each message, and now and then between two.
+
+    Attributes
+    ----------
+    step_ns : int
+        Time of the last step, ns; it never goes back, unless the stream does.
+    """
+
+    def __init__(self) -> None:
+        self._period_ns = self._stamp_ns = self._received_ns = self.step_ns = 0
+
+    def take(self, stamp_ns: int, now_ns: int, restarted: bool = False) -> None:
+        """A step with a message.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Of the message, ns.
+        now_ns : int
+            When it came, by a clock that does not jump, ns.
+        restarted : bool
+            Whether time has jumped backwards.
+        """
+        self._period_ns = stamp_ns - self._stamp_ns
+        self._stamp_ns, self._received_ns = stamp_ns, now_ns
+        # where messages come irregularly, a step between two of them may have been late
+        self.step_ns = stamp_ns if restarted else max(stamp_ns, self.step_ns)
+
+    def between(self, now_ns: int) -> int | None:
+        """The time of a step that is made now, on the clock of the stamps.
+
+        Parameters
+        ----------
+        now_ns : int
+            By the clock of `take`, ns.
+
+        Returns
+        -------
+        int or None
+            ns; None where the next message is near: as long after the last one as that came after the one before.
+        """
+        elapsed = now_ns - self._received_ns
+        if not 0 < elapsed < BETWEEN * self._period_ns:
+            return None
+        self.step_ns = max(self.step_ns, self._stamp_ns + elapsed)
+        return self.step_ns

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Symmetric banded matrices, compiled: Cholesky factor, solution, and the band of the inverse, in linear time.
+"""Symmetric banded matrices, compiled: Cholesky factor and solution, in linear time.
 
 A matrix of N rows with w entries below its diagonal is stored by rows, (N, w + 1): entry (i, j), i - w <= j <= i, is at
 [i, w - i + j]. Inner loops run along memory and add multiples of rows, which the compiler vectorises; it does not
@@ -49,35 +49,3 @@ def solve_band(factor: Array, x: Array) -> None:
         x[i] *= row[w]
         for k in range(max(0, i - w), i):
             x[k] -= row[shift + k] * x[i]
-
-
-@compiled
-def inverse_band(factor: Array, inverse: Array) -> None:
-    """Entries of Z = (L L^T)^-1 within the band (Takahashi et al. 1973).
-
-    L^T Z = L^-1 is lower triangular with 1 / L[j, j] on its diagonal, so that from the last column to the first each
-    entry of Z follows from later ones of the band.
-
-    Parameters
-    ----------
-    factor
-        L of `cholesky_band`, (N, w + 1)
-    inverse
-        shape (N, 2 w + 1), which is written: Z[i, j], |i - j| <= w, at [i, w - i + j]
-    """
-    N, w = factor.shape[0], factor.shape[1] - 1
-    column, found = np.empty(w), np.empty(w)
-    for j in range(N - 1, -1, -1):
-        count, reciprocal = min(w, N - 1 - j), factor[j, w]
-        for k in range(count):
-            column[k] = -reciprocal * factor[j + 1 + k, w - 1 - k]
-            found[k] = 0.0
-        for k in range(count):
-            row, share = inverse[j + 1 + k, w - k :], column[k]  # from column j + 1 on
-            for i in range(count):
-                found[i] += share * row[i]
-        diagonal = reciprocal * reciprocal
-        for i in range(count):
-            inverse[j + 1 + i, w - 1 - i] = inverse[j, w + 1 + i] = found[i]
-            diagonal += column[i] * found[i]
-        inverse[j, w] = diagonal

@@ -8,23 +8,20 @@ import numpy as np
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.kernels import compiled
 from tpgmm_core.geometry.kernels_manifold import difference, move
-from tpgmm_core.geometry.kernels_rotation import inverse_left_jacobian, transport
+from tpgmm_core.geometry.kernels_rotation import inverse_left_jacobian
 
 
 @compiled
 def interpolate(
-    grid: Array, points: Array, velocities: Array, covariances: Array, flat: Array, spheres: Array, times: Array,
-    out_points: Array, out_covariances: Array,
-) -> None:  # fmt: skip
-    """Points (H, D) and covariances (H, n, n) at times (H,), from those at the times of the grid (T,), which increase.
+    grid: Array, points: Array, velocities: Array, flat: Array, spheres: Array, times: Array, out_points: Array
+) -> None:
+    """Points (H, D) at times (H,), from those at the times of the grid (T,), which increase.
 
-    Points go along cubics with the velocities (T, n) of the grid, in the tangent space at the former point of the grid,
-    hence with continuous velocity; covariances are moved there from both sides by parallel transport and mixed. Before
-    the grid and after it, its ends last.
+    They go along cubics with the velocities (T, n) of the grid, in the tangent space at the former point of the grid,
+    hence with continuous velocity. Before the grid and after it, its ends last.
     """
     n = len(flat)
     e, step, J = np.empty(n), np.empty(n), np.empty((3, 3))
-    former, later = np.empty((n, n)), np.empty((n, n))
     for h in range(len(times)):
         t = min(max(times[h], grid[0]), grid[-1])
         i = min(max(np.searchsorted(grid, t, side="right") - 1, 0), len(grid) - 2)
@@ -46,12 +43,3 @@ def interpolate(
                 step[a + m] = reached * e[a + m] + leaving * velocities[i, a + m] - arriving * rate
         out_points[h] = points[i]
         move(out_points[h], step, flat, spheres)
-        former[:], later[:] = covariances[i], covariances[i + 1]
-        difference(out_points[h], points[i + 1], flat, spheres, e)
-        for k in range(len(spheres)):
-            a = spheres[k, 1]
-            transport(former, a, step[a], step[a + 1], step[a + 2])
-            transport(later, a, e[a], e[a + 1], e[a + 2])
-        for m in range(n):
-            for o in range(n):
-                out_covariances[h, m, o] = (1.0 - s) * former[m, o] + s * later[m, o]

@@ -19,6 +19,10 @@ from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.encodings import Encoding
 from tpgmm_core.retrieval.methods import DEFAULT, KEY, RetrievalMethod, method_named
 
+PRIOR_STRENGTH = 3.0
+"""Weight, in demonstrations, of the prior of the covariances where settings name none: half of one for each dimension
+of a pose. On recordings of real robots, leave-one-out, errors fall with it, and hardly change from there up to 10."""
+
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
@@ -41,6 +45,8 @@ class Recipe:
     @classmethod
     def of(cls, settings: Mapping[str, Any], method: str | None = None) -> Self:
         """Make a recipe from settings by name: `retrieval`, options of the encoding, arguments of the estimator.
+
+        Where they name no `prior_strength`, it is PRIOR_STRENGTH.
 
         Parameters
         ----------
@@ -73,6 +79,8 @@ class Recipe:
         )
         if encoding.init is not None:
             rest.setdefault("init", encoding.init)
+        if "prior_strength" in arguments:
+            rest.setdefault("prior_strength", PRIOR_STRENGTH)
         return cls(chosen, encoding, rest)
 
     @property

@@ -24,13 +24,12 @@ from tpgmm_core.geometry.kernels_manifold import difference, longest, move
 from tpgmm_core.geometry.kernels_product import ROUNDED_GAIN
 from tpgmm_core.geometry.kernels_rotation import inverse_left_jacobian
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.retrieval.banded import cholesky_band, inverse_band, solve_band
+from tpgmm_core.retrieval.banded import cholesky_band, solve_band
 
 MAX_ITERATIONS = 300
 STEP_TOLERANCE = 1e-11  # relative to the extent of the points, and in rad: steps shorter than this end the iteration
 LINEAR_STEP = 1e-3  # no step that is shorter than this is too long
 FACTOR_LEADS = 1e-2  # after a step shorter than this the factor still leads to the solution, by a hundredth each time
-FACTOR_HOLDS = 1000.0  # steps of as many tolerances since the last factor leave it good enough for covariances
 NOT_DEFINITE, NOT_CONVERGED = -1, -2
 
 
@@ -44,8 +43,6 @@ class Smooth:
         (T, D)
     velocities, accelerations
         (T, n), per s and s²
-    covariances
-        (T, n, n), in the tangent spaces
     iterations
         steps that were taken
     """
@@ -53,7 +50,6 @@ class Smooth:
     points: Array
     velocities: Array
     accelerations: Array
-    covariances: Array
     iterations: int
 
 
@@ -66,10 +62,7 @@ def smoothest(
     On R^n the second or third step is the last: squaring differences costs half of the digits, so that the residual of
     the first solution is computed without squaring, and solved for again. On S³ steps that do not lower the sum are
     halved, down to LINEAR_STEP; near the solution the factor is kept. Demonstrated states need 4 to 5 steps, states
-    that contradict each other by up to half a turn a few dozens. The covariances are the diagonal blocks of the inverse
-    Gauss-Newton Hessian at the solution, or within FACTOR_HOLDS tolerances of it. Its condition grows with the number
-    of steps per state to the fourth power: at some hundreds of steps per state they are accurate to four digits, the
-    points to all.
+    that contradict each other by up to half a turn a few dozens.
 
     Parameters
     ----------
@@ -100,10 +93,10 @@ def smoothest(
     """
     points = np.array(start, dtype=float, order="C")
     T, n = len(points), manifold.tangent_dim
-    rates, covariances = np.empty((T, 2 * n)), np.empty((T, n, n))
+    rates = np.empty((T, 2 * n))
     iterations = _solve(
         first, weights, means, precisions, states, manifold.ambient_of_tangent, manifold.sphere_starts,
-        tolerance, points, rates, covariances,
+        tolerance, points, rates,
     )  # fmt: skip
     if iterations == NOT_DEFINITE or iterations == NOT_CONVERGED and manifold.is_euclidean:
         raise ValueError(
@@ -115,7 +108,7 @@ def smoothest(
             f"no smooth trajectory was found in {MAX_ITERATIONS} steps: either the orientations of neighbouring states "
             "contradict each other (check the frames), or times are too close together (take longer time steps)"
         )
-    return Smooth(points, rates[:, :n], rates[:, n:], covariances, iterations)
+    return Smooth(points, rates[:, :n], rates[:, n:], iterations)
 
 
 @compiled
@@ -270,13 +263,13 @@ def _extent(points: Array, flat: Array, spheres: Array) -> tuple[float, float]:
 @compiled
 def _solve(
     first: Array, weights: Array, means: Array, precisions: Array, states: Array, flat: Array, spheres: Array,
-    tolerance: float, points: Array, rates: Array, covariances: Array,
+    tolerance: float, points: Array, rates: Array,
 ) -> int:  # fmt: skip
-    """`smoothest` in place: points (T, D), rates (T, 2 n), covariances (T, n, n). Returns the number of steps taken."""
+    """`smoothest` in place: points (T, D), rates (T, 2 n). Returns the number of steps taken."""
     T, n = len(points), len(flat)
     band, step, former_points = np.empty((T * n, 3 * n)), np.zeros(T * n), points.copy()
     former_cost, length, iterations, is_factor = np.inf, np.inf, NOT_CONVERGED, False
-    gain, is_rounded, since_factor = np.inf, False, 0.0
+    gain, is_rounded = np.inf, False
     is_curved = len(spheres) > 0
     for i in range(MAX_ITERATIONS):
         with_hessian = not is_factor or (is_curved and length > FACTOR_LEADS)
@@ -291,7 +284,7 @@ def _solve(
         else:
             former_cost = cost
             if with_hessian:
-                is_factor, since_factor = cholesky_band(band), 0.0
+                is_factor = cholesky_band(band)
                 if not is_factor:
                     return NOT_DEFINITE
             downhill, former_gain = step.copy(), gain
@@ -300,7 +293,6 @@ def _solve(
             is_rounded = bool(is_curved and 0.25 * former_gain < gain < ROUNDED_GAIN * len(step))
             former_points[:] = points
         points[:] = former_points
-        since_factor += length
         for t in range(T):
             move(points[t], step[t * n : (t + 1) * n], flat, spheres)
         extent, largest = _extent(points, flat, spheres)
@@ -309,17 +301,5 @@ def _solve(
             break
     if iterations == NOT_CONVERGED:
         return NOT_CONVERGED
-    is_stale = is_curved and (not is_factor or since_factor > FACTOR_HOLDS * tolerance)
-    if is_stale:
-        _assemble(first, weights, means, precisions, states, flat, spheres, points, rates, True, band, step)
-        if not cholesky_band(band):
-            return NOT_DEFINITE
-    else:
-        _differences(first, weights, flat, spheres, points, rates)
-    inverse = np.empty((T * n, 6 * n - 1))
-    inverse_band(band, inverse)
-    for t in range(T):
-        for i in range(n):
-            for m in range(n):
-                covariances[t, i, m] = inverse[t * n + i, 3 * n - 1 - i + m]
+    _differences(first, weights, flat, spheres, points, rates)
     return iterations

@@ -4,6 +4,18 @@
 Position, velocity and acceleration are learned together. At each time one component, the state, says what all three
 should be, with the precision that it learned; the trajectory is the one whose positions, velocities and accelerations
 together are the most probable, hence smooth although states change suddenly.
+
+The sum that is minimised counts each time step as an observation of its own. This leads to the right mean, since a
+factor on the whole sum moves no minimum. But the inverse of its Hessian is no covariance of the movement: N times as
+many steps are N times the information, and make the variance N times smaller, however few demonstrations there were.
+How far demonstrations are apart at a time t is what the mixture says at t, sum_k h_k(t) N(m_k(t), S_k(t)), with h_k the
+activations and N(m_k(t), S_k(t)) the position of component k given the time. Its covariance, by the law of total
+covariance, is
+
+    sum_k h_k(t) (S_k(t) + (m_k(t) - m(t)) (m_k(t) - m(t))^T),   m(t) = sum_k h_k(t) m_k(t),
+
+the spread within components and between them, here moved from m(t) to the smooth position by parallel transport. It is
+what regression says, with the activations as learned. The number of steps does not occur in it.
 """
 
 from __future__ import annotations
@@ -22,6 +34,7 @@ from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.adaptation import Adapter
+from tpgmm_core.model.kernels_regress import spread_at
 from tpgmm_core.retrieval.differences import difference_weights
 from tpgmm_core.retrieval.dynamic_features import point_manifold, standing_frames
 from tpgmm_core.retrieval.interface import demonstrated_duration
@@ -49,7 +62,8 @@ class Trajectory:
     velocities, accelerations
         (T, n), the differences of the positions that were compared with the model
     covariances
-        (T, n, n), in the tangent spaces at the positions; each takes all other steps into account
+        (T, n, n), in the tangent spaces at the positions: how far demonstrations are apart at that time (see the
+        module), independent of the number of steps
     manifold
         of the positions
     iterations
@@ -101,7 +115,7 @@ class TrajectoryModel:
         states = np.zeros(3, dtype=np.intp)
         grid = np.arange(3.0)
         smooth = _smoothest(seen_as_it_is, grid, difference_weights(grid), states)
-        _interpolated(grid, smooth, manifold, grid)
+        _spread(seen_as_it_is, grid, self.activations(grid), _interpolated(grid, smooth, manifold, grid))
 
     def retrieve(
         self,
@@ -120,11 +134,17 @@ class TrajectoryModel:
         times
             (T,), T >= 3, s, increasing
         states
-            (T,), the component at each time; None: the most active one (`states`)
+            (T,), the component at each time, which alone is active then; None: the most active one (`states`), while
+            the covariances take all active ones into account
         weights
             how far each frame is trusted, 0 to 1; 1 where not named
         state
             (D,), where the robot is: what no frame constrains stays there; the origin where None
+
+        Returns
+        -------
+        Trajectory
+            positions, velocities, accelerations and covariances at the times
 
         Raises
         ------
@@ -136,18 +156,21 @@ class TrajectoryModel:
         windows = difference_weights(times)
         K = len(mixture.priors)
         if states is None:
-            chosen = self.states(times)
+            activations = self.activations(times)
+            chosen = activations.argmax(axis=1)
         else:
             chosen = np.asarray(states)
             is_index = chosen.shape == times.shape and np.issubdtype(chosen.dtype, np.integer)
             if not is_index or chosen.min() < 0 or chosen.max() >= K:
                 raise ValueError(f"states are {len(times)} integers 0 to {K - 1}, one for each time, got {states!r}")
+            activations = np.eye(K)[chosen]
         smooth = _smoothest(mixture, times, windows, chosen.astype(np.intp))
+        covariances = _spread(mixture, times, activations, smooth.points)
         manifold = point_manifold(mixture.manifold)
         for s in manifold.spheres:
             smooth.points[:, s.ambient] = quaternion.continuous(smooth.points[:, s.ambient])
         return Trajectory(
-            times, chosen, smooth.points, smooth.velocities, smooth.accelerations, smooth.covariances, manifold,
+            times, chosen, smooth.points, smooth.velocities, smooth.accelerations, covariances, manifold,
             smooth.iterations,
         )  # fmt: skip
 
@@ -157,9 +180,19 @@ class TrajectoryModel:
         return point_manifold(self._adapter.manifold)
 
     def activations(self, times: Array) -> Array:
-        """Activations (T, K) of the components at the model's times (T,), as learned: geometric means over the frames.
+        """Activations of the components as learned: geometric means over the frames.
 
         Not those of the adapted mixture: frames that contradict each other on where a component is move it in time too.
+
+        Parameters
+        ----------
+        times
+            of the model, (T,)
+
+        Returns
+        -------
+        Array
+            shape (T, K)
         """
         differences = times[:, None, None] - self._times
         log_densities = -0.5 * (differences**2 / self._variances + np.log(self._variances))
@@ -177,7 +210,18 @@ class TrajectoryModel:
         state: ArrayLike | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> GaussianMixture:
-        """The mixture over [time, position, velocity, acceleration] in a situation; parameters as for `retrieve`."""
+        """The mixture in a situation.
+
+        Parameters
+        ----------
+        frames, state, weights
+            as for `retrieve`
+
+        Returns
+        -------
+        GaussianMixture
+            over [time, position, velocity, acceleration]
+        """
         points = self.manifold
         if state is not None:
             state = np.concatenate([[0.0], np.asarray(state, dtype=float), np.zeros(2 * points.tangent_dim)])
@@ -188,7 +232,7 @@ class SmoothTrajectory:
     """A trajectory model as a `TimeParametrized`: solved once for each situation, and interpolated between its steps.
 
     Where frames have moved little, the search begins at the former solution, which saves most of the Gauss-Newton
-    steps. The result depends on the situation alone, up to 1e-7 m or rad, and a thousandth of the covariances.
+    steps. The result depends on the situation alone, up to 1e-7 m or rad.
 
     Parameters
     ----------
@@ -258,12 +302,20 @@ class SmoothTrajectory:
         ValueError
             before `situate`
         """
-        _, smooth = self._solution()
-        means, covariances = _interpolated(self._grid, smooth, self.manifold, np.asarray(times, dtype=float))
-        return means, covariances, self._model.activations(times[:1])[0]
+        mixture, smooth = self._solution()
+        times = np.asarray(times, dtype=float)
+        activations = self._model.activations(times)
+        means = _interpolated(self._grid, smooth, self.manifold, times)
+        within = np.clip(times, self._grid[0], self._grid[-1])
+        return means, _spread(mixture, within, self._model.activations(within), means), activations[0]
 
     def mixture(self) -> GaussianMixture:
-        """The model in this situation, over [time, position, velocity, acceleration].
+        """The model in this situation.
+
+        Returns
+        -------
+        GaussianMixture
+            over [time, position, velocity, acceleration]
 
         Raises
         ------
@@ -308,9 +360,22 @@ def _between(times: Array, states: NDArray[np.intp], positions: Array, manifold:
     return manifold.exp(corners[i], share * manifold.log(corners[i], corners[following]))
 
 
-def _interpolated(grid: Array, smooth: Smooth, manifold: Manifold, times: Array) -> tuple[Array, Array]:
-    n = manifold.tangent_dim
-    means, covariances = np.empty((len(times), manifold.dim)), np.empty((len(times), n, n))
+def _spread(mixture: GaussianMixture, times: Array, activations: Array, positions: Array) -> Array:
+    """Covariances (T, n, n) at smooth positions (T, D): see the module. activations (T, K)."""
+    points = point_manifold(mixture.manifold)
+    D, n = points.dim, points.tangent_dim
+    seen = mixture.manifold.subset(range(1 + D))
+    means, within = mixture.means[:, : 1 + D], mixture.covariances[:, : 1 + n, : 1 + n]
+    covariances = np.empty((len(times), n, n))
+    spread_at(
+        activations, np.ascontiguousarray(means), np.ascontiguousarray(within), times, positions,
+        seen.ambient_of_tangent, seen.sphere_starts, points.ambient_of_tangent, points.sphere_starts, covariances,
+    )  # fmt: skip
+    return covariances
+
+
+def _interpolated(grid: Array, smooth: Smooth, manifold: Manifold, times: Array) -> Array:
+    means = np.empty((len(times), manifold.dim))
     layout = manifold.ambient_of_tangent, manifold.sphere_starts
-    interpolate(grid, smooth.points, smooth.velocities, smooth.covariances, *layout, times, means, covariances)
-    return means, covariances
+    interpolate(grid, smooth.points, smooth.velocities, *layout, times, means)
+    return means

@@ -10,6 +10,7 @@ from typing import Any
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.common.text import listed, one_line, shown
 from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.retrieval.methods import load_model, make_retrieval
 from tpgmm_ros.messages.conversions import TaskFrameState
@@ -41,6 +42,7 @@ def load_task_model(path: str | Path, task: Task) -> TPGMM:
     model, space = load_model(path), task.space
     try:
         encoding = space.encoding_of(model)
+        derived = DerivedFrames.of_metadata(model.metadata_)
     except ValueError as error:
         raise ValueError(f"{one_line(path)} does not fit task '{task.name}': {error}") from error
     manifold, dimensions = (
@@ -52,7 +54,8 @@ def load_task_model(path: str | Path, task: Task) -> TPGMM:
             f"{one_line(path)} encodes {listed(model.dimensions_ or ())} on {model.manifold_}; "
             f"task '{task.name}' needs {dimensions} on {manifold}"
         )
-    unknown = [name for name in model.frame_names_ if name not in space.frame_names]
+    needed = derived.observed(model.frame_names_)
+    unknown = [name for name in needed if name not in space.frame_names or name in task.derived.sources]
     if unknown:
         raise ValueError(
             f"{one_line(path)} was learned from the frames {listed(model.frame_names_)}; task '{task.name}' "

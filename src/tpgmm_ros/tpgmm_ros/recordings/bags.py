@@ -149,6 +149,7 @@ def _from_pose_array(path: Path, task: Task, spec: PoseArraySpec) -> Recording:
         {name: np.tile(places[name], (T, 1)) for name in task.frames},
         {name: np.ones(T, bool) for name in task.frames},
         tuple(notes),
+        derived=task.derived,
     )
 
 
@@ -185,7 +186,7 @@ def _from_streams(path: Path, task: Task) -> Recording:
         if unseen:
             notes.append(f"{name}: not seen in the first {unseen} of {len(ns)} samples")
     configurations = None if joints is None else _configurations(path, joints, ns, bool(problem))
-    return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes), configurations)
+    return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes), configurations, task.derived)
 
 
 def _configurations(path: Path, joints: JointStream, at: Nanoseconds, by_recorder: bool) -> Array:

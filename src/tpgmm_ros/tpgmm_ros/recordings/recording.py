@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core import Demonstration, Frame
+from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_ros.recordings.bag_messages import Array
 
 
@@ -34,6 +35,8 @@ class Recording:
         what was put right or left out while reading, in words
     configurations
         (T, n) positions of the task's joints, rad and m; None for tasks that name none
+    derived
+        the task's frames that are made of those above, and of the first pose of the movement
     """
 
     path: Path
@@ -43,6 +46,7 @@ class Recording:
     visible: dict[str, NDArray[np.bool_]]
     notes: tuple[str, ...] = ()
     configurations: Array | None = None
+    derived: DerivedFrames = field(default_factory=DerivedFrames)
 
     @property
     def duration(self) -> float:
@@ -65,12 +69,13 @@ class Recording:
         times = self.times if duration is None else self.times * (duration / self.duration)
         joints = np.empty((len(times), 0)) if self.configurations is None else self.configurations
         same = [Frame(np.eye(joints.shape[1]), np.zeros(joints.shape[1]))] if joints.size else []
-        return Demonstration(
+        demonstration = Demonstration(
             times=times,
             data=np.column_stack([times, self.movement, joints]),
             frames={name: Frame.stacked([_frame(poses), *same]).with_time() for name, poses in self.frames.items()},
             visible=self.visible,
         )
+        return self.derived.extended(demonstration)
 
 
 def _frame(poses: Array) -> Frame:

@@ -10,6 +10,7 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.estimation import kernels_em, kernels_expectation
+from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
 from tpgmm_core.learning.estimation.iteration import Progress, iterate
 from tpgmm_core.model.samples import Samples
 
@@ -61,6 +62,7 @@ def expectation_maximisation(
     regularization: str,
     tol: float,
     max_iter: int,
+    prior: CovariancePrior | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
     """EM from `start` until an iteration gains less than `tol`, at the earliest after 5 iterations.
@@ -84,6 +86,8 @@ def expectation_maximisation(
         in log-likelihood per sample
     max_iter
         most iterations
+    prior
+        of the covariances, besides the regularisation; its part of the objective is penalised likewise
     progress
         called with (iteration, log-likelihood per sample)
 
@@ -100,11 +104,14 @@ def expectation_maximisation(
     state = Workspace(samples, start)
     K = len(start.priors)
     added = reg_covar if regularization == "add" else 0.0
-    prior_scatter = 0.0 if regularization == "add" else reg_covar * samples.n_samples / K
+    if regularization == "prior":
+        state.prior_scatters[:] = reg_covar * samples.n_samples / K * np.eye(state.prior_scatters.shape[-1])
+    if prior is not None:
+        state.add_prior(prior)
     state.factorise()
 
     def step() -> tuple[float, float]:
-        log_likelihood, objective, failed = state.iterate(added, prior_scatter)
+        log_likelihood, objective, failed = state.iterate(added)
         state.check(failed)
         return log_likelihood, objective
 
@@ -142,13 +149,21 @@ class Workspace:
         self.first = np.zeros((P, K, n))
         self.second = np.zeros((P, K, n, n))
         self.responsibilities = np.zeros((K, N) if spheres else (0, 0))
+        self.prior_count, self.prior_scatters = 0.0, np.zeros((P, K, n, n))
 
-    def iterate(self, added: float, prior_scatter: float) -> tuple[float, float, int]:
+    def add_prior(self, prior: CovariancePrior) -> None:
+        """Take a prior of the covariances into account."""
+        self.prior_count += prior.count
+        for j, name in enumerate(self.names):
+            n = self.layout[j, 1]
+            self.prior_scatters[j, :, :n, :n] += prior.count * prior.scales[name]
+
+    def iterate(self, added: float) -> tuple[float, float, int]:
         """Make one EM iteration in place: see `kernels_em.em_iteration`, whose results it returns."""
         result: tuple[float, float, int] = kernels_em.em_iteration(
             self.X, self.seen, self.layout, self.flat, self.spheres, self.log_priors, self.means,
             self.covariances, self.factors, self.log_norms, self.counts, self.first, self.second,
-            self.responsibilities, added, prior_scatter,
+            self.responsibilities, added, self.prior_count, self.prior_scatters,
         )  # fmt: skip
         return result
 

@@ -133,6 +133,7 @@ def _with_layer(
         means=means,
         frames=deeper,
         prior_scatter=estimate.emissions.prior_scatter / n_parts,
+        prior=None if estimate.emissions.prior is None else estimate.emissions.prior.divided(n_parts),
     )
 
 

@@ -18,6 +18,7 @@ from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.covariance.structure import Covariances, Structure
 from tpgmm_core.learning.covariance.structures import covariances_class
 from tpgmm_core.learning.estimation import initialization
+from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
 from tpgmm_core.learning.estimation.initialization import Labels
 from tpgmm_core.learning.estimation.kernels_em import EMPTY
 from tpgmm_core.learning.estimation.kernels_expectation import NEGLIGIBLE
@@ -64,6 +65,8 @@ class Emissions:
         name → the K covariances of that frame
     prior_scatter
         Psi of the prior exp(-1/2 tr(Psi Sigma^-1)) is prior_scatter I; 0 with "add"
+    prior
+        of the covariances, besides the regularisation
     """
 
     structure: Structure
@@ -71,6 +74,7 @@ class Emissions:
     means: Mapping[str, Array]
     frames: Mapping[str, Covariances]
     prior_scatter: float = 0.0
+    prior: CovariancePrior | None = None
 
     @classmethod
     def from_labels(
@@ -195,14 +199,17 @@ class Emissions:
         for name, moment in moments.items():
             manifold, frame = self.manifolds[name], self.frames[name]
             alive = moment.counts > EMPTY
-            ridge = self.prior_scatter / np.where(alive, moment.counts, 1.0)
+            counts, scatters = np.maximum(moment.counts, EMPTY), moment.scatters
+            if self.prior is not None:
+                counts, scatters = self.prior.with_samples(name, counts, scatters)
+            ridge = self.prior_scatter / np.where(alive, counts, 1.0)
             ridge += self.structure.reg_covar if self.structure.regularization == "add" else 0.0
-            scatters = moment.scatters + ridge[:, None, None] * np.eye(manifold.tangent_dim)
+            scatters = scatters + ridge[:, None, None] * np.eye(manifold.tangent_dim)
             if not alive.all():
                 scatters = np.where(alive[:, None, None], scatters, frame.dense())
             steps = frame.mean_steps(manifold.log(self.means[name], moment.means))
             means[name] = np.where(alive[:, None], manifold.exp(self.means[name], steps), self.means[name])
-            frames[name] = _named(name, frame.maximised, np.maximum(moment.counts, EMPTY), scatters)
+            frames[name] = _named(name, frame.maximised, counts, scatters)
         return replace(self, means=means, frames=frames)
 
     def maximised(self, samples: Samples, responsibilities: Array) -> Emissions:
@@ -232,16 +239,17 @@ class Emissions:
 
         "add": 0, and the log-likelihood may fall in its last digits. "prior": -log of the prior exp(-1/2 tr(Psi
         Sigma^-1)), Psi = reg_covar N / K I, summed over all covariances, without its constant: the log-likelihood
-        less this never falls on Euclidean data.
+        less this never falls on Euclidean data. `CovariancePrior.penalty` comes on top.
 
         Returns
         -------
         float
             nats
         """
+        own = 0.0 if self.prior is None else self.prior.penalty(self.frames)
         if self.prior_scatter == 0.0:
-            return 0.0
-        return 0.5 * self.prior_scatter * float(sum(f.inverse_traces().sum() for f in self.frames.values()))
+            return own
+        return own + 0.5 * self.prior_scatter * float(sum(f.inverse_traces().sum() for f in self.frames.values()))
 
 
 def frame_moments(manifold: Manifold, x: Array, weights: Array, base: Array) -> Moments:

@@ -99,9 +99,11 @@ def move_means(layout: Array, flat: Array, spheres: Array, means: Array, counts:
 @compiled
 def maximisation(
     layout: Array, flat: Array, spheres: Array, log_priors: Array, means: Array, covariances: Array, counts: Array,
-    first: Array, second: Array, added: float, prior_scatter: float,
+    first: Array, second: Array, added: float, prior_count: float, prior_scatters: Array,
 ) -> None:  # fmt: skip
-    """M-step from the moments: priors, means, and covariances (scatter + prior_scatter I) / count + added I.
+    """M-step from the moments: priors, means, and covariances.
+
+    These are (scatter + prior scatter) / (count + prior_count) + added I.
 
     Components without samples, in all or in one frame, keep their Gaussian.
 
@@ -113,8 +115,8 @@ def maximisation(
         of the components, changed
     counts, first, second
         of `expectation`
-    added, prior_scatter
-        the regularisation
+    added, prior_count, prior_scatters
+        the regularisation; scatters are (P, K, n, n)
     """
     P, K = first.shape[:2]
     total = 0.0
@@ -130,17 +132,55 @@ def maximisation(
             if count > EMPTY:
                 for i in range(n):
                     for m in range(i + 1):
-                        value = (second[j, k, i, m] - first[j, k, i] * first[j, k, m] / count) / count
+                        value = second[j, k, i, m] - first[j, k, i] * first[j, k, m] / count
+                        value = (value + prior_scatters[j, k, i, m]) / (count + prior_count)
                         covariances[j, k, i, m] = value
                         covariances[j, k, m, i] = value
-                    covariances[j, k, i, i] += prior_scatter / count + added
+                    covariances[j, k, i, i] += added
+
+
+@compiled
+def prior_penalty(layout: Array, factors: Array, prior_count: float, prior_scatters: Array) -> float:
+    """Half the sum of prior_count log|Sigma| + tr(prior scatter Sigma^-1).
+
+    Parameters
+    ----------
+    layout
+        see `kernels_expectation`
+    factors
+        (P, K, n, n), inverse Cholesky factors of the covariances
+    prior_count
+        weight of the prior, in samples
+    prior_scatters
+        scatters of the prior, (P, K, n, n)
+
+    Returns
+    -------
+    float
+        the penalty
+    """
+    P, K = factors.shape[:2]
+    total = 0.0
+    for j in range(P):
+        n = layout[j, 1]
+        for k in range(K):
+            F, scatter = factors[j, k], prior_scatters[j, k]
+            for i in range(n):
+                total -= 2.0 * prior_count * math.log(F[i, i])
+                for m in range(i + 1):
+                    if F[i, m] != 0.0:
+                        share = 0.0
+                        for o in range(i + 1):
+                            share += scatter[m, o] * F[i, o]
+                        total += F[i, m] * share
+    return 0.5 * total
 
 
 @compiled
 def em_iteration(
     X: Array, seen: Array, layout: Array, flat: Array, spheres: Array, log_priors: Array, means: Array,
     covariances: Array, factors: Array, log_norms: Array, counts: Array, first: Array, second: Array,
-    responsibilities: Array, added: float, prior_scatter: float,
+    responsibilities: Array, added: float, prior_count: float, prior_scatters: Array,
 ) -> tuple[float, float, int]:  # fmt: skip
     """One EM iteration in place: E-step, then M-step, then the factors of the new covariances.
 
@@ -156,8 +196,9 @@ def em_iteration(
         of the components, changed
     counts, first, second, responsibilities
         scratch, of `expectation`
-    added, prior_scatter
-        the regularisation; the penalty of the prior is -1/2 tr(prior_scatter Sigma^-1), summed over the covariances
+    added, prior_count, prior_scatters
+        the regularisation; the log of the prior is -1/2 (prior_count log|Sigma| + tr(prior scatter Sigma^-1)), summed
+        over the covariances
 
     Returns
     -------
@@ -181,9 +222,11 @@ def em_iteration(
         second,
         responsibilities,
     )
-    penalty = 0.5 * prior_scatter * np.sum(factors * factors)
+    penalty = prior_penalty(layout, factors, prior_count, prior_scatters)
     if len(spheres) > 0:
         recentre(X, seen, layout, flat, spheres, means, counts, first, second, responsibilities)
-    maximisation(layout, flat, spheres, log_priors, means, covariances, counts, first, second, added, prior_scatter)
+    maximisation(
+        layout, flat, spheres, log_priors, means, covariances, counts, first, second, added, prior_count, prior_scatters
+    )  # fmt: skip
     failed = factorise(layout, covariances, factors, log_norms)
     return log_likelihood / N, (log_likelihood - penalty) / N, failed

@@ -9,6 +9,7 @@ import numpy as np
 
 from tpgmm_core.learning.covariance.structure import Structure
 from tpgmm_core.learning.estimation.compiled_em import MixtureParameters
+from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
 from tpgmm_core.learning.estimation.deep_em import fit_deep_mixture
 from tpgmm_core.learning.estimation.em import MixtureEstimate, fit_mixture
 from tpgmm_core.learning.estimation.emissions import Emissions
@@ -25,6 +26,7 @@ def fit_structure(
     *,
     tol: float,
     max_iter: int,
+    prior: CovariancePrior | None = None,
     progress: Progress | None = None,
 ) -> MixtureEstimate:
     """EM with this structure, with the rules of `fit_mixture`.
@@ -42,7 +44,11 @@ def fit_structure(
         else from the covariances of this structure that are nearest to those of `start`
     random_state
         seed or generator for dividing the components of "deep_mfa"
-    tol, max_iter, progress
+    tol, max_iter
+        as for `fit_mixture`
+    prior
+        of the covariances, besides the regularisation
+    progress
         as for `fit_mixture`
 
     Returns
@@ -52,7 +58,7 @@ def fit_structure(
     """
     is_deep = structure.name == "deep_mfa"
     first = replace(structure, name="mfa") if is_deep else structure
-    emissions = start_emissions(samples, first, start, begun)
+    emissions = replace(start_emissions(samples, first, start, begun), prior=prior)
     if is_deep:
         return fit_deep_mixture(
             samples, start.priors, emissions, structure,

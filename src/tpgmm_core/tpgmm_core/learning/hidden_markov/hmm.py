@@ -129,10 +129,11 @@ class TPHMM(TPGMM):
         n_factors: int = 1,
         covariance_options: Mapping[str, Any] | None = None,
         transitions: str | ArrayLike = "left-right",
+        prior_strength: float = 0.0,
     ) -> None:
         super().__init__(
             n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
-            covariance, n_factors, covariance_options,
+            covariance, n_factors, covariance_options, prior_strength,
         )  # fmt: skip
         self.transitions = transitions
 
@@ -216,6 +217,9 @@ class TPHMM(TPGMM):
         self, samples: Samples, start: MixtureParameters, progress: Progress | None
     ) -> tuple[Estimate, Emissions | None]:
         chain, emissions = self._start_of_chain(samples, start)
+        K = emissions.n_components
+        begun = MixtureParameters(np.full(K, 1.0 / K), emissions.means, emissions.covariances)
+        emissions = replace(emissions, prior=self._prior(samples, begun))
         estimate = fit_chain(samples, chain, emissions, tol=self.tol, max_iter=self.max_iter, progress=progress)
         return estimate, estimate.emissions
 

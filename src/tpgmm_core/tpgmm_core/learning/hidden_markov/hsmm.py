@@ -56,10 +56,11 @@ class TPHSMM(TPHMM):
         covariance_options: Mapping[str, Any] | None = None,
         transitions: str | ArrayLike = "left-right",
         max_duration: int | None = None,
+        prior_strength: float = 0.0,
     ) -> None:
         super().__init__(
             n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
-            covariance, n_factors, covariance_options, transitions,
+            covariance, n_factors, covariance_options, transitions, prior_strength,
         )  # fmt: skip
         self.max_duration = max_duration
 

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`CovariancePrior`: an inverse-Wishart prior for the covariances, with a scale that the data themselves give.
+
+Demonstrations are few, and the samples of one of them are no independent observations: five demonstrations are five
+points in the six dimensions of a pose, however many samples they have. EM by itself takes the directions in which these
+points happen to agree for certain, their correlations for laws, and lets components stand for some of the
+demonstrations alone. The prior of a component's covariance in one frame is
+
+    p(Sigma) ~ |Sigma|^(-c / 2) exp(-c / 2 tr(B Sigma^-1)),
+
+whose M-step, Sigma = (N S + c B) / (N + c) for N samples with scatter S, is that of c more samples with the scatter B
+(Fraley and Raftery, J. Classification 2007, Section 3; Gelman et al., Bayesian Data Analysis, Section 3.6). Here
+
+    B = m m^T + diag(R),
+
+where m m^T is how the component's samples move with time, and R how they are spread about that, both as EM finds the
+component at its start. What moves together stays so, and the variances are those of the data; but demonstrations that
+differ in one thing say nothing of how they differ in another. c is `strength` times the number of samples that one
+demonstration has in a component on average, so that `strength` counts demonstrations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.model.samples import Samples
+
+if TYPE_CHECKING:
+    from tpgmm_core.learning.covariance.structure import Covariances
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CovariancePrior:
+    """Samples that are taken to have been seen before, for each component and frame.
+
+    Parameters
+    ----------
+    count
+        c, number of samples, from 0
+    scales
+        name → B, shape (K, n_j, n_j), their covariances
+    """
+
+    count: float
+    scales: Mapping[str, Array]
+
+    @classmethod
+    def of_data(
+        cls, samples: Samples, means: Mapping[str, Array], responsibilities: Array, strength: float
+    ) -> CovariancePrior:
+        """The prior of the module.
+
+        Parameters
+        ----------
+        samples
+            what all frames saw
+        means
+            name → shape (K, D_j), of the components at the start of EM
+        responsibilities
+            shape (N, K), at the start of EM
+        strength
+            in demonstrations, from 0
+
+        Returns
+        -------
+        CovariancePrior
+            the prior
+        """
+        K = responsibilities.shape[1]
+        scales = {}
+        for (name, x), seen in zip(samples.X.items(), samples.seen, strict=True):
+            weights = responsibilities * seen[:, None]
+            manifold = samples.manifolds[name]
+            scales[name] = np.stack(
+                [_scale(manifold, x, samples.times, weights[:, k], means[name][k]) for k in range(K)]
+            )
+        return cls(strength * samples.n_samples / (len(samples.lengths) * K), scales)
+
+    def divided(self, n_parts: int) -> CovariancePrior:
+        """The prior of components that are each divided into n_parts of the same size."""
+        scales = {name: np.repeat(scale, n_parts, axis=0) for name, scale in self.scales.items()}
+        return CovariancePrior(self.count / n_parts, scales)
+
+    def with_samples(self, name: str, counts: Array, scatters: Array) -> tuple[Array, Array]:
+        """Moments of samples together with those of the prior.
+
+        Parameters
+        ----------
+        name
+            of the frame that saw them
+        counts
+            shape (K,)
+        scatters
+            shape (K, n, n)
+
+        Returns
+        -------
+        tuple[Array, Array]
+            counts (K,) and scatters (K, n, n)
+        """
+        total = counts + self.count
+        share = (counts / total)[:, None, None]
+        return total, share * scatters + (1.0 - share) * self.scales[name]
+
+    def penalty(self, frames: Mapping[str, Covariances]) -> float:
+        """-log p of the covariances of all frames, without its constant."""
+        total = 0.0
+        for name, frame in frames.items():
+            traces = np.einsum("kij,kji->", self.scales[name], np.linalg.inv(frame.dense()))
+            total += 0.5 * self.count * float(frame.log_determinants.sum() + traces)
+        return total
+
+
+def _scale(manifold: Manifold, x: Array, times: Array, weights: Array, mean: Array) -> Array:
+    """B (n, n) of one component in one frame; zeros where it saw nothing."""
+    rows = np.flatnonzero(weights > 1e-6 * max(float(weights.max()), 1e-300))
+    share = weights[rows] / max(float(weights[rows].sum()), 1e-300)
+    d = manifold.log(mean, x[rows])
+    d = d - share @ d
+    t = times[rows] - share @ times[rows]
+    variance = float(share @ t**2)
+    motion = (share * t) @ d / np.sqrt(variance) if variance > 0.0 else np.zeros(d.shape[1])
+    spread = share @ d**2 - motion**2
+    return np.asarray(np.outer(motion, motion) + np.diag(np.maximum(spread, 0.0)))
