@@ -374,7 +374,12 @@ class Manifold:
         ValueError
             for indices out of range or repeated, and when a quaternion would be split
         """
-        return Manifold(self._select(dims)[0])
+        return self._subset(tuple(dims))
+
+    @cached_property
+    def _subset(self) -> Callable[[tuple[int, ...]], Manifold]:
+        """`subset`, worked out once for the same dimensions: what manifolds keep of themselves is kept with them."""
+        return lru_cache(maxsize=64)(lambda dims: Manifold(self._select(dims)[0]))
 
     @cached_property
     def split(self) -> Callable[[tuple[int, ...]], Split]:
