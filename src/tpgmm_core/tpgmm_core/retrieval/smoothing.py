@@ -274,7 +274,7 @@ def _solve(
     first: Array, weights: Array, means: Array, precisions: Array, states: Array, flat: Array, spheres: Array,
     tolerance: float, points: Array, rates: Array, band: Array, is_kept: bool,
 ) -> int:  # fmt: skip
-    """`smoothest` in place: points (T, D), rates (T, 2 n), and the factor, band, which is a former one where it is kept.
+    """`smoothest` in place: points (T, D), rates (T, 2 n), and the factor, band, which is kept from before or not.
 
     Returns the number of steps taken.
     """
