@@ -35,6 +35,11 @@ def reproduce(model: TPGMM, situation: Demonstration, method: str | None = None,
     settle
         a movement with a state of its own need not be at its end at the last time: it goes on in the last situation for
         this share of the whole time, and then there are more than T points
+
+    Returns
+    -------
+    Array
+        shape (T, D), or more than T points
     """
     chosen = method_of(model) if method is None else method_named(method)
     chosen.check(model)

@@ -78,6 +78,11 @@ class FrameScreen:
 
         The shares of all add up to 1. They are those of the inverse squared errors: what the product of Gaussians (Eq.
         6) would weight frames with whose variances are these.
+
+        Returns
+        -------
+        dict[str, Array]
+            name → shares, (parts,)
         """
         rows = [self.names.index(name) for name in names]
         precisions = 1.0 / (self.mean_errors[rows] ** 2 + 1e-12)  # (J, S)
@@ -95,6 +100,11 @@ def screen_frames(demonstrations: Sequence[Demonstration], names: Sequence[str] 
         at least two, over [time, position] or [time, pose]
     names
         of the frames, in order of preference; all where None
+
+    Returns
+    -------
+    FrameScreen
+        the errors of each frame
 
     Raises
     ------

@@ -141,6 +141,11 @@ class TrajectoryModel:
         state
             (D,), where the robot is: what no frame constrains stays there; the origin where None
 
+        Returns
+        -------
+        Trajectory
+            positions, velocities, accelerations and covariances at the times
+
         Raises
         ------
         ValueError
@@ -175,9 +180,19 @@ class TrajectoryModel:
         return point_manifold(self._adapter.manifold)
 
     def activations(self, times: Array) -> Array:
-        """Activations (T, K) of the components at the model's times (T,), as learned: geometric means over the frames.
+        """Activations of the components as learned: geometric means over the frames.
 
         Not those of the adapted mixture: frames that contradict each other on where a component is move it in time too.
+
+        Parameters
+        ----------
+        times
+            of the model, (T,)
+
+        Returns
+        -------
+        Array
+            shape (T, K)
         """
         differences = times[:, None, None] - self._times
         log_densities = -0.5 * (differences**2 / self._variances + np.log(self._variances))
@@ -195,7 +210,18 @@ class TrajectoryModel:
         state: ArrayLike | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> GaussianMixture:
-        """The mixture over [time, position, velocity, acceleration] in a situation; parameters as for `retrieve`."""
+        """The mixture in a situation.
+
+        Parameters
+        ----------
+        frames, state, weights
+            as for `retrieve`
+
+        Returns
+        -------
+        GaussianMixture
+            over [time, position, velocity, acceleration]
+        """
         points = self.manifold
         if state is not None:
             state = np.concatenate([[0.0], np.asarray(state, dtype=float), np.zeros(2 * points.tangent_dim)])
@@ -284,7 +310,12 @@ class SmoothTrajectory:
         return means, _spread(mixture, within, self._model.activations(within), means), activations[0]
 
     def mixture(self) -> GaussianMixture:
-        """The model in this situation, over [time, position, velocity, acceleration].
+        """The model in this situation.
+
+        Returns
+        -------
+        GaussianMixture
+            over [time, position, velocity, acceleration]
 
         Raises
         ------

@@ -66,6 +66,11 @@ class CovariancePrior:
             shape (N, K), at the start of EM
         strength
             in demonstrations, from 0
+
+        Returns
+        -------
+        CovariancePrior
+            the prior
         """
         K = responsibilities.shape[1]
         scales = {}
@@ -83,7 +88,22 @@ class CovariancePrior:
         return CovariancePrior(self.count / n_parts, scales)
 
     def with_samples(self, name: str, counts: Array, scatters: Array) -> tuple[Array, Array]:
-        """Counts (K,) and scatters (K, n, n) of samples that frame `name` saw, together with those of the prior."""
+        """Moments of samples together with those of the prior.
+
+        Parameters
+        ----------
+        name
+            of the frame that saw them
+        counts
+            shape (K,)
+        scatters
+            shape (K, n, n)
+
+        Returns
+        -------
+        tuple[Array, Array]
+            counts (K,) and scatters (K, n, n)
+        """
         total = counts + self.count
         share = (counts / total)[:, None, None]
         return total, share * scatters + (1.0 - share) * self.scales[name]

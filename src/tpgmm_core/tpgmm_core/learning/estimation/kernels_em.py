@@ -141,7 +141,24 @@ def maximisation(
 
 @compiled
 def prior_penalty(layout: Array, factors: Array, prior_count: float, prior_scatters: Array) -> float:
-    """Half the sum of prior_count log|Sigma| + tr(prior scatter Sigma^-1), from the inverse Cholesky factors."""
+    """Half the sum of prior_count log|Sigma| + tr(prior scatter Sigma^-1).
+
+    Parameters
+    ----------
+    layout
+        see `kernels_expectation`
+    factors
+        (P, K, n, n), inverse Cholesky factors of the covariances
+    prior_count
+        weight of the prior, in samples
+    prior_scatters
+        scatters of the prior, (P, K, n, n)
+
+    Returns
+    -------
+    float
+        the penalty
+    """
     P, K = factors.shape[:2]
     total = 0.0
     for j in range(P):
