@@ -16,6 +16,7 @@ from tpgmm_core import TPGMM
 from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import one_line
+from tpgmm_core.learning.situations import demonstrated_situations
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_ros.models.validation import Fold, PathErrors, cross_validate, mean_errors
@@ -190,6 +191,10 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
         "training time": f"{training.time_s:.2f} s",
     }
     print(format_table(("what", "value"), rows.items()))
+    if not task.space.joints():
+        situations = demonstrated_situations(align(training.recordings)[0], task.space.manifold())
+        report["situations"] = asdict(situations)
+        print(f"situations: {situations}")
 
 
 def _validate(task: Task, recipe: Recipe, recordings: list[Recording]) -> dict[str, Any]:
