@@ -17,10 +17,12 @@ from tpgmm_core.kinematics.tasks import compile_kernels
 from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
+from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.observation.pose_filter import PoseFilter
 from tpgmm_core.retrieval.dynamical_system import StableDynamics
 from tpgmm_core.retrieval.regression import RegressThenProduct
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
+from tpgmm_core.retrieval.time_steps import TimeSteps
 from tpgmm_core.retrieval.trajectory import TrajectoryModel
 
 
@@ -46,6 +48,8 @@ def warm_up(tell: Callable[[str], None] = lambda words: None) -> None:
     RegressThenProduct(model)
     PoseFilter.compile_kernels()
     POSE.exp(pose[0], POSE.log(pose[0], pose[1]))
+    steps = X[np.argsort(X[:, 0])]
+    TimeSteps(TimeStepTPGMM(n_steps=3, manifold="R1 x R3 x S3").fit_projected({"frame": steps}))
     tell("dynamical systems")
     moving = np.concatenate([pose, rng.normal(size=(40, 6))], axis=1)
     velocities = EndpointTPGMM(n_components=2, manifold="R3 x S3 x R6", max_iter=1).fit_projected({"frame": moving})

@@ -13,6 +13,7 @@ from tpgmm_core.common.text import shown
 from tpgmm_core.learning import model_file
 from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
+from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.retrieval.dmp import DynamicMovementPrimitive
 from tpgmm_core.retrieval.dynamical_system import StableDynamics
@@ -29,6 +30,7 @@ from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 from tpgmm_core.retrieval.reproduction import Reproduction
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
+from tpgmm_core.retrieval.time_steps import TimeSteps
 from tpgmm_core.retrieval.trajectory import SmoothTrajectory
 
 KEY = "retrieval"
@@ -103,6 +105,7 @@ METHODS: dict[str, RetrievalMethod] = {
     for method in (
         RetrievalMethod(name="adapt_regress", encoding=TimeEncoding, time_parametrized=AdaptThenRegress),
         RetrievalMethod(name="regress_product", encoding=TimeEncoding, time_parametrized=RegressThenProduct),
+        RetrievalMethod(name="time_steps", encoding=TimeEncoding, estimator=TimeStepTPGMM, time_parametrized=TimeSteps),
         RetrievalMethod(name="trajectory", encoding=DerivativesEncoding, time_parametrized=SmoothTrajectory),
         RetrievalMethod(
             name="dynamical_system", encoding=VelocityEncoding, estimator=EndpointTPGMM, movement=StableDynamics

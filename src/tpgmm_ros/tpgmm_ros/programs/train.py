@@ -172,7 +172,7 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
         "duration_s": training.duration_s,
         "duration_min_s": min(durations),
         "duration_max_s": max(durations),
-        "components": int(model.n_components),
+        "components": len(model.priors_),
         "iterations": int(model.n_iter_),
         "converged": bool(model.converged_),
         "log_likelihood": float(model.log_likelihood_),
