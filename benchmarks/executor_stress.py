@@ -2,13 +2,15 @@
 """Whether a node at 1 kHz ever stands still beside peers that come and go and want another quality of service.
 
 Real processes: simulator, controller, tracker and reproduction, and two peers that make and destroy publishers and
-subscriptions that do not fit, several times a second, and are killed now and then. Every node says once a second on
-/diagnostics that it lives; one that is silent for longer than SILENCE has stopped. Writes out/executor_stress/.
+subscriptions that do not fit, several times a second, and are killed now and then. They use whatever
+Fast DDS uses by itself, shared memory too. Every node publishes once a second on /diagnostics; one that is silent for
+longer than SILENCE has stopped, and its log gets the stacks of its threads. Writes out/executor_stress/.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import random
 import subprocess
 import sys
@@ -26,6 +28,7 @@ from tpgmm_ros.messages.qos import STREAM
 from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.runtime.processes import GraphError, end_with_parent, open_graph, own_domain
 from tpgmm_ros.runtime.resources import config_file
+from tpgmm_ros.runtime.transport import PROFILES, RANGE, TRANSPORTS
 
 NODES = ("baxter_simulator", "impedance_controller", "frame_tracker", "reproduction")
 #: A node that says nothing for this long stands still, s. A machine that is busy makes gaps of seconds.
@@ -95,6 +98,8 @@ def stress(log: Path, seconds: float, rate: float) -> dict[str, Any]:
         nonlocal torques
         torques += 1
 
+    foreign = {key: value for key, value in os.environ.items() if key not in (TRANSPORTS, *PROFILES)}
+    foreign[RANGE] = "LOCALHOST"
     peers: list[subprocess.Popen[bytes]] = []
     lives, error = 0, ""
     with open_graph("watch", log) as graph:
@@ -106,7 +111,7 @@ def stress(log: Path, seconds: float, rate: float) -> dict[str, Any]:
         start("impedance_controller", robot_file=config_file("baxter.yaml"), autostart=True)
         start("reproduction", task_file=config_file("pick_place.yaml"), autostart=True)
         try:
-            graph.wait_for(lambda: len(heard) >= len(NODES), 120.0, "all nodes to say that they live")
+            graph.wait_for(lambda: len(heard) >= len(NODES), 120.0, "diagnostics of all nodes")
             begun = told = time.monotonic()
             due = [0.0, 0.0]
             while time.monotonic() - begun < seconds:
@@ -119,13 +124,19 @@ def stress(log: Path, seconds: float, rate: float) -> dict[str, Any]:
                         if i < len(peers):
                             peers[i].kill()
                             peers[i].wait()
-                        peer = subprocess.Popen([sys.executable, "-c", PEER], preexec_fn=end_with_parent)
+                        peer = subprocess.Popen(
+                            [sys.executable, "-c", PEER],
+                            env=foreign,
+                            preexec_fn=end_with_parent,
+                            stderr=subprocess.DEVNULL,  # a warning for each topic that does not fit
+                        )
                         peers[i : i + 1] = [peer]
                         lives += 1
                 for name in NODES:
                     silences[name] = max(silences[name], now - heard[name])
                     if now - heard[name] > SILENCE:
-                        raise GraphError(f"{name} stands still: nothing on /diagnostics for {SILENCE:g} s")
+                        graph.processes.show_stacks(name)
+                        raise GraphError(f"{name} stalled: nothing on /diagnostics for {SILENCE:g} s")
                 if now - told >= 30.0:
                     told = now
                     print(f"{now - begun:5.0f} of {seconds:.0f} s: {lives} peers, {torques} torques", flush=True)

@@ -24,6 +24,7 @@ import numpy as np  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
 from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
+from tpgmm_core.choice.reproducing import reproduce, without_frames  # noqa: E402
 from tpgmm_core.common.report import format_table  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
@@ -31,7 +32,7 @@ from tpgmm_core.geometry.manifold import Manifold  # noqa: E402
 from tpgmm_core.learning.selection import SelectableEstimator, select_model  # noqa: E402
 from tpgmm_core.retrieval.methods import DEFAULT, METHODS  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
-from tpgmm_ros.models.validation import path_errors, replay_nearest, reproduce, without_frames  # noqa: E402
+from tpgmm_ros.models.validation import path_errors, replay_nearest  # noqa: E402
 from tpgmm_ros.programs.reporting import write_report  # noqa: E402
 from tpgmm_ros.recordings.bags import Recording, find_bags, read_recordings  # noqa: E402
 from tpgmm_ros.task.task_file import Task  # noqa: E402

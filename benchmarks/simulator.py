@@ -65,7 +65,7 @@ def main() -> None:
             row("held by gravity compensation", lambda: held.step(weight(held)), to_reach=10.0),
             row("falling onto its stops", lambda: falling.step(zero), to_reach=10.0),
             row("led by a wrench", lambda: pushed.step(weight(pushed), wrench), to_reach=10.0),
-            row("controller alone (state stands still)", control),
+            row("controller alone (constant state)", control),
             row("controller and simulator in a loop", lambda: controlled.step(control())),
         ],
     )

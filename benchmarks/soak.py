@@ -185,7 +185,7 @@ class Soak:
             if self.world.elapsed > progress:  # simulated time may be slow, but has to go on
                 progress, deadline = self.world.elapsed, time.monotonic() + START_TIMEOUT
             if time.monotonic() > deadline:
-                raise GraphError(f"time stood still for more than {START_TIMEOUT:g} s")
+                raise GraphError(f"time stalled for more than {START_TIMEOUT:g} s")
         answer = result.result()
         if answer.status != GoalStatus.STATUS_SUCCEEDED:
             self.reasons[answer.result.reason.split(":")[0]] += 1

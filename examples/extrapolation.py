@@ -28,6 +28,7 @@ from tqdm import tqdm  # noqa: E402
 from examples import pbdlib  # noqa: E402
 from examples.report import write_report  # noqa: E402
 from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
+from tpgmm_core.choice.reproducing import reproduce, without_frames  # noqa: E402
 from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
@@ -36,7 +37,6 @@ from tpgmm_core.geometry.pose import compose, inverse  # noqa: E402
 from tpgmm_core.retrieval.methods import DEFAULT, METHODS  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_core.retrieval.trajectory import TrajectoryModel  # noqa: E402
-from tpgmm_ros.models.validation import reproduce, without_frames  # noqa: E402
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings  # noqa: E402
 from tpgmm_ros.task.state_space import MANIFOLD  # noqa: E402
 from tpgmm_ros.task.task_file import Task  # noqa: E402

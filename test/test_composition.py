@@ -111,12 +111,43 @@ def test_what_nodes_hand_over_is_on_the_topics_too_each_message_once(loop: Loop)
     for inbox in (references, frames, loop.torques):
         inbox.clear()
     loop.live_until(lambda: min(map(len, (references.messages, loop.torques.messages))) > 50, "messages")
-    for inbox in (references, loop.torques, frames):
+    for inbox in (references, frames):
         assert max(Counter(stamps_of(inbox.messages)).values()) == 1
+    # frames that have changed since are answered once more
+    assert max(Counter(stamps_of(loop.torques.messages)).values()) <= 2
     states = {"object", "target", "robot"}
     assert {item.name for message in frames.messages for item in message.frames} == states
     # each state is answered, with the reference that belongs to it
     assert set(stamps_of(references.messages)) & set(stamps_of(loop.torques.messages))
+
+
+def test_frames_that_change_between_two_joint_states_are_answered_before_the_next_one(loop: Loop) -> None:
+    slow = {"joint_state_timeout": 2.0, "reference_timeout": 2.0, "max_age": 2.0}
+    assert set_parameters(loop.node, "impedance_controller", **slow).successful
+    loop.move()
+    references = Inbox(loop.node, Reference, "reference")
+    place = np.array([0.65, 0.4, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+    def pause(seconds: float) -> None:
+        end = time.monotonic() + seconds
+        loop.wait(lambda: time.monotonic() >= end, "the time to pass")
+
+    def is_answered() -> bool:
+        """After two joint states, 0.3 s apart, the object moves: the last torques answer the second state again."""
+        loop.live()
+        pause(0.3)
+        loop.live()
+        pause(0.1)
+        loop.torques.clear()
+        references.clear()
+        place[1] = 0.9 - place[1]
+        loop.poses["object"].publish(conversions.pose_stamped(place, loop.hand.stamp_ns + 100_000_000, "base"))
+        pause(0.1)
+        stamps = stamps_of(loop.torques.messages)
+        between = [stamp - loop.hand.stamp_ns for stamp in stamps_of(references.messages)]
+        return stamps == [loop.hand.stamp_ns] and len(between) == 1 and 0 < between[0] < 300_000_000
+
+    loop.wait(is_answered, "an answer between two joint states")
 
 
 def test_a_reference_of_another_process_is_heard(loop: Loop) -> None:
@@ -259,7 +290,7 @@ def test_a_process_takes_the_cores_and_the_memory_that_its_parameters_say(
     ros_node: Node, start_process: StartProcess
 ) -> None:
     core = min(os.sched_getaffinity(0))
-    given = {"task_file": TASK_FILE, "reproduction:cpu_cores": f"'{core}'", "frame_tracker:lock_memory": True}
+    given = {"task_file": TASK_FILE, "reproduction:cpu_cores": core, "frame_tracker:lock_memory": True}
     process = start_process("compose", "frame_tracker", "reproduction", *ros_arguments(**given))
     spin_until(ros_node, lambda: "reproduction" in ros_node.get_node_names(), processes=(process,))
     threads = list(Path(f"/proc/{process.pid}/task").iterdir())

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from benchmarks import retrieval_table
 from examples import extrapolation
 from tpgmm_core import Demonstration
+from tpgmm_core.choice.reproducing import reproduce, without_frames
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_core.retrieval.recipe import Recipe
-from tpgmm_ros.models.validation import reproduce, without_frames
 from tpgmm_ros.recordings.bags import find_bags, read_recordings
 from tpgmm_ros.task.task_file import Task
 

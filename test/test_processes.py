@@ -20,7 +20,7 @@ from tpgmm_ros.runtime.processes import open_graph, own_domain
 with own_domain(), open_graph("program", Path(sys.argv[1])) as graph:
     graph.processes.start("impedance_controller", robot_file=sys.argv[2])
     graph.bring_up("impedance_controller", 60.0)
-    print(os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"], graph.processes.pid("impedance_controller"), flush=True)
+    print(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"], graph.processes.pid("impedance_controller"), flush=True)
     if sys.argv[3] == "interrupted":
         raise KeyboardInterrupt
 """
@@ -32,7 +32,7 @@ def test_a_program_keeps_to_this_machine_and_its_nodes_end_with_it(end: str, tmp
     environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_LOG_DIR": str(tmp_path)}
     run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert (run.returncode == 0) == (end == "done"), run.stderr
-    discovery, pid = run.stdout.split()
-    assert discovery == "LOCALHOST"
+    profile, pid = run.stdout.split()
+    assert Path(profile).name == "this_machine.xml"
     assert not Path(f"/proc/{pid}").exists()
     assert "active" in (tmp_path / "impedance_controller.log").read_text()

@@ -38,7 +38,7 @@ def main() -> int:
     print(f"    {total} wheels of {lock}: {_megabytes() - before} MB more in {sys.prefix}")
     check = subprocess.run([*pip, "check"], capture_output=True, text=True)
     if check.returncode:
-        sys.exit(f"{check.stdout}error: {lock} is not whole: see above; `make lock` makes a new one")
+        sys.exit(f"{check.stdout}error: {lock} is incomplete: see above; `make lock` makes a new one")
     return 0
 
 

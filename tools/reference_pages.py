@@ -222,7 +222,7 @@ def check_texts(nodes: dict[str, NodeFacts], texts: dict[str, Any]) -> None:
         known = set(texts[what])
         if known != found:
             raise ValueError(
-                f"{TEXTS.name}, {what}: no text for {sorted(found - known)}; nobody has {sorted(known - found)}"
+                f"{TEXTS.name}, {what}: no text for {sorted(found - known)}; no node has {sorted(known - found)}"
             )
 
 
@@ -362,7 +362,7 @@ def main() -> int:
             path.write_text(made[path])
         return 0
     if stale or left:
-        print("error: these pages do not say what the sources say: run `make reference`", file=sys.stderr)
+        print("error: these pages are out of date: run `make reference`", file=sys.stderr)
     return 1 if stale or left else 0
 
 

@@ -20,6 +20,7 @@ setup(
         (f"share/{package_name}/launch", glob("launch/*.launch.py")),
         # Tasks and robots; config/ at the top of the repository is a link to them
         (f"share/{package_name}/config", glob("config/*.yaml")),
+        (f"share/{package_name}/config/security", glob("config/security/*.xml")),
     ],
     python_requires=">=3.12",
     install_requires=["tpgmm_core[robot]", "rosbags", "tqdm"],

@@ -40,7 +40,7 @@ def joint_states_stop(bench: ControllerBench) -> str:
 
 @fault(
     ControllerBench,
-    "stamps of joint states stand still",
+    "stamps of joint states do not change",
     "as when they stop: a repeated state proves nothing new",
 )
 def joint_states_frozen(bench: ControllerBench) -> str:

@@ -33,7 +33,7 @@ def references_stop(bench: ControllerBench) -> str:
     return f"{hold}, held {1e3 * error:.1f} mm from the last one, {damping}"
 
 
-@fault(ControllerBench, "stamps of references stand still", "as when they stop: HOLD, then DAMPING")
+@fault(ControllerBench, "stamps of references do not change", "as when they stop: HOLD, then DAMPING")
 def references_frozen(bench: ControllerBench) -> str:
     goal = bench.follow(100)
     stamp = bench.hand.stamp_ns

@@ -128,7 +128,7 @@ def only_others(bench: ControllerBench) -> str:
 
 @fault(
     ControllerBench,
-    "the stamps of joint states stand still",
+    "the stamps of joint states do not change",
     "a repeated stamp is no state: DAMPING after joint_state_timeout, then silence, and the stamps are named",
 )
 def stamps_stand_still(bench: ControllerBench) -> str:
@@ -137,7 +137,7 @@ def stamps_stand_still(bench: ControllerBench) -> str:
     def bad() -> None:
         bench.hand.states.publish(bench.hand.state())
 
-    return stops(bench, bad, f"their stamps stand still at {bench.hand.stamp_ns / 1e9:.3f} s")
+    return stops(bench, bad, f"their stamps stay at {bench.hand.stamp_ns / 1e9:.3f} s")
 
 
 @fault(

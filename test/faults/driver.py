@@ -110,7 +110,7 @@ def beside_a_gripper(bench: DriverBench) -> str:
 )
 def without_stamps(bench: DriverBench) -> str:
     bench.drive("without_stamps")
-    refused, words = "its stamp is 0: let the driver stamp", "their stamps stand still at 0.000 s"
+    refused, words = "its stamp is 0: let the driver stamp", "their stamps stay at 0.000 s"
     bench.wait(lambda: any(refused in item.reason for item in bench.modes.messages), "the controller to say so")
     asked_ns = bench.now_ns()
     result = bench.result(bench.move())

@@ -60,7 +60,7 @@ enter_late(20, 10)
 @fault(
     LateBench,
     "joint states 60 ms old, firm references",
-    "DAMPING: no useful gains bear it; the reason has the age and what is borne",
+    "DAMPING: no useful gains tolerate it; the reason has the age and the tolerated age",
 )
 def too_late(bench: LateBench) -> str:
     bench.delay(0.06)
@@ -123,7 +123,7 @@ def late_unawares(bench: LateBench) -> str:
     bench.spin_for(0.5)
     bench.deviation, bench.goal = FIRM, bench.pose() + AWAY
     bench.clear()
-    noticed = bench.wait(lambda: bench.is_in(ControllerState.DAMPING, "swings and does not settle"), "the swings")
+    noticed = bench.wait(lambda: bench.is_in(ControllerState.DAMPING, "oscillates and does not settle"), "the swings")
     reason = bench.modes.last.reason
     before = float(bench.speeds().max())
     rest = bench.wait(lambda: bench.speed() < AT_REST, "rest")

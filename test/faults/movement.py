@@ -164,7 +164,7 @@ def another_goal(bench: GraphBench) -> str:
     former = bench.move(until=0.4)
     latter = bench.move()
     reason = bench.result(former).reason
-    assert reason == "another movement was asked for"
+    assert reason == "another movement was requested"
     result = bench.result(latter)
     assert result.success, result.reason
     return f"former: '{reason}'; latter: {result.reason}; {bench.assert_sound()}"

@@ -66,7 +66,7 @@ BAD_POSES: dict[str, tuple[Callable[[], Callable[[PoseStamped], None]], str]] = 
     "in a wrong frame_id": (lambda: of_the_camera, "wrong frame_id"),
     "an hour ahead of the clock": (lambda: in_an_hour, "stamp in the future"),
     "10 s old": (lambda: ten_seconds_ago, "stamp too old"),
-    "with stamps that stand still": (Frozen, "repeated stamp"),
+    "with stamps that do not change": (Frozen, "repeated stamp"),
 }
 
 

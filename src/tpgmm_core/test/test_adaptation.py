@@ -287,5 +287,5 @@ def test_an_inverse_of_its_own_carries_the_precision() -> None:
 
 def test_an_inverse_of_its_own_belongs_to_euclidean_data() -> None:
     model = model_of("R1 x S3", {"a": 5}, 1, np.random.default_rng(12))
-    with pytest.raises(ValueError, match="inverse of its own"):
+    with pytest.raises(ValueError, match="its own inverse"):
         model.adapt({"a": Frame(np.eye(5), np.zeros(5), np.eye(5))})

@@ -143,7 +143,7 @@ def held(seconds: float, speeds: dict[int, float]) -> list[tuple[Stage, float]]:
         assert reference is not None
         found.append((run.stage, reference.phase))
     if run.outcome is not None:
-        assert not run.outcome.success and "stood still for 2 s" in run.outcome.reason
+        assert not run.outcome.success and "stalled for 2 s" in run.outcome.reason
         assert f"phase {reference.phase:.2f}" in run.outcome.reason and "held" in run.outcome.reason
     return found
 
@@ -263,8 +263,8 @@ def test_settings_that_make_no_sense_are_refused_by_name(name: str, value: float
     ("follows", "cause"),
     [
         (lambda t: 0.0, "hardly moved"),
-        (lambda t: min(0.6, t), "stands still there"),
-        (lambda t: min(1.0, 0.3 * t), "late and still comes nearer"),
+        (lambda t: min(0.6, t), "has stopped there"),
+        (lambda t: min(1.0, 0.3 * t), "late and still approaches"),
     ],
     ids=["held", "blocked", "late"],
 )

@@ -28,6 +28,7 @@ PACKAGES = (
     "learning.hidden_markov",
     "learning.incremental",
     "retrieval",
+    "choice",
     "robot",
     "observation",
     "kinematics",

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from tpgmm_core.observation.streams import RESTARTED_AFTER, Leader, RateMeter, Stamp, StreamWatch
+from tpgmm_core.observation.streams import RESTARTED_AFTER, Beat, Leader, RateMeter, Stamp, StreamWatch
 
 MS = 1_000_000
 
@@ -104,3 +104,20 @@ def test_who_names_most_joints_gives_the_beat_until_it_is_silent() -> None:
     assert not leader.is_led_by(gripper, 800 * MS)
     assert leader.is_led_by(gripper, 901 * MS)
     assert leader.is_led_by(arm, 902 * MS)
+
+
+def test_a_step_between_two_messages_has_a_time_between_them_and_time_never_goes_back() -> None:
+    beat = Beat()
+    assert beat.between(0) is None
+    beat.take(1000 * MS, 5 * MS)
+    beat.take(1010 * MS, 15 * MS)
+    assert beat.between(15 * MS) is None
+    assert beat.between(19 * MS) == 1014 * MS
+    assert beat.between(18 * MS) == 1014 * MS
+    assert beat.between(24 * MS) is None  # the next message is near
+    beat.take(1012 * MS, 20 * MS)  # it came earlier than expected, after a step that was later
+    assert beat.step_ns == 1014 * MS
+    beat.take(1022 * MS, 30 * MS)
+    assert beat.step_ns == 1022 * MS
+    beat.take(10 * MS, 40 * MS, restarted=True)
+    assert beat.step_ns == 10 * MS and beat.between(42 * MS) is None

@@ -136,6 +136,40 @@ def test_a_repeated_state_is_answered_as_before_and_an_overtaken_one_not_at_all(
     assert bench.controller.take_state(state.q, state.v, bench.now_ns - MS, bench.now_ns + MS, bench.now_ns) is None
 
 
+def test_a_reference_made_between_two_states_is_answered_once_within_the_rate_and_only_where_it_is_followed(
+    bench: Bench,
+) -> None:
+    controller = bench.controller
+
+    def between(share: float) -> np.ndarray | None:
+        """A reference for this share of a tick after the last state, and what answers it."""
+        bench.now_ns += round(share * MS)
+        bench.refer(bench.home - AWAY)
+        answer = controller.answer_again(bench.now_ns)
+        return None if answer is None else answer.command.tau
+
+    bench.tick()
+    assert between(0.3) is None  # no reference was followed before, and how often states come is not known
+    bench.now_ns += round(0.7 * MS)
+    for _ in range(400):
+        last = bench.tick(bench.home + AWAY)
+    state_ns = bench.now_ns
+    assert controller.answer_again(bench.now_ns) is None  # it belongs to the state that was answered
+    tau = between(0.25)
+    assert tau is not None and controller.decision.mode is ControllerMode.ACTIVE
+    change = np.abs(tau - last)
+    assert 0.0 < change.max() and (change <= 30.0 * 0.00025 * bench.robot.effort_limits + 1e-9).all()
+    assert between(0.25) is None  # once
+    bench.now_ns = state_ns
+    following = bench.tick()
+    assert (np.abs(following - tau) <= 30.0 * 0.00075 * bench.robot.effort_limits + 1e-9).all()
+    assert between(0.95) is None  # the next state is near
+    bench.now_ns = state_ns + 100 * MS
+    bench.controller.watch(bench.now_ns)
+    bench.controller.watch(bench.now_ns + 5 * MS)
+    assert between(0.0) is None  # joint states have stopped
+
+
 def test_a_clock_that_jumps_backwards_is_a_new_start_without_the_old_reference(bench: Bench) -> None:
     for _ in range(300):
         before = bench.tick(bench.home + AWAY)

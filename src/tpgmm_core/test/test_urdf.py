@@ -300,7 +300,7 @@ def test_a_mechanism_that_the_arm_moves_is_suspicious(tmp_path: Path) -> None:
         refusal(tmp_path, gripper(("strut", "continuous", "", '<mimic joint="turn"/>')), changes={"home": HOME}) == ""
     )
     found = suspicions(RobotModel.from_file(tmp_path / "arm.yaml"))
-    assert "strut_joint mimics turn: here it stands still, at its position for home" in found
+    assert "strut_joint mimics turn: here it does not move, and stays at its position for home" in found
 
 
 def test_the_arm_of_these_tests_is_sound(tmp_path: Path) -> None:

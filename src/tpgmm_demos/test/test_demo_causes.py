@@ -49,7 +49,7 @@ def test_lost_ticks_are_named_with_node_and_share_and_lockstep_is_offered(node: 
     cause = cause_of_failure(run_with(ticks=ticks))
     assert "too slow" in cause and "--lockstep" in cause
     assert f"{node} lost {11000 - ticks[node]['done']} of 11000 ticks ({100 * share:.1f} %" in cause
-    assert "5.3 programs wanted its 2 cores" in cause
+    assert "5.3 programs were ready to run on 2 cores" in cause
     assert all(other not in cause for other in ticks if other != node)
 
 

@@ -337,10 +337,10 @@ def test_bags_are_found_in_order_and_once(tmp_path: Path) -> None:
 def test_what_holds_no_bag_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="does not exist"):
         find_bags([tmp_path / "none"])
-    with pytest.raises(BagError, match="is no bag and holds none"):
+    with pytest.raises(BagError, match="is not a bag and contains none"):
         find_bags([tmp_path])
     (tmp_path / "text.txt").write_text("")
-    with pytest.raises(BagError, match="is no bag and holds none"):
+    with pytest.raises(BagError, match="is not a bag and contains none"):
         find_bags([tmp_path / "text.txt"])
 
 

@@ -7,7 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from domain_coordinator import domain_id
+
+from tpgmm_ros.runtime.transport import PROFILES, TRANSPORTS
 
 PROBE = """
 from rclpy.node import Node
@@ -39,6 +42,46 @@ def test_no_status_event_of_the_middleware_is_asked_for() -> None:
     topics, events = map(int, run.stdout.split())
     assert topics >= 2  # those of the probe, and what every node writes
     assert events == 0
+
+
+MAPPED = """
+import os
+from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
+import rclpy
+from rclpy.node import Node
+from tpgmm_ros.runtime.transport import uses_shared_memory
+
+init_rclpy()
+node = Node("probe")
+print(uses_shared_memory(os.getpid()))
+"""
+
+
+@pytest.mark.parametrize(
+    ("environment", "shared"),
+    [
+        ({}, False),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, False),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, False),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}, False),
+        ({"ROS_LOCALHOST_ONLY": "1"}, False),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}, True),
+    ],
+)
+def test_a_process_that_is_killed_cannot_block_the_nodes_by_shared_memory_unless_somebody_has_chosen_it(
+    environment: dict[str, str], shared: bool
+) -> None:
+    names = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", TRANSPORTS, *PROFILES)
+    rest = {name: value for name, value in os.environ.items() if name not in names}
+    with domain_id() as domain:
+        run = subprocess.run(
+            [sys.executable, "-c", MAPPED],
+            env={**rest, "ROS_DOMAIN_ID": str(domain), **environment},
+            capture_output=True,
+            text=True,
+            timeout=120.0,
+        )
+    assert run.stdout.split() == [str(shared)], run.stderr
 
 
 def test_no_program_starts_rclpy_in_another_way() -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from tpgmm_core.common.old_names import RENAMED
 from tpgmm_core.common.safe_yaml import MAX_BYTES
+from tpgmm_core.model.derived_frames import HAND, FrameSource
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_ros.task.task_file import Task, TaskError, TaskFrameSpec
 
@@ -69,6 +70,23 @@ def test_frames_keep_the_order_of_the_file() -> None:
     assert list(Task.from_text(text).frames) == list(frames)
 
 
+def test_frames_may_be_derived_from_others_and_from_where_the_hand_starts() -> None:
+    frames = {
+        "object": {"topic": "object/pose"},
+        "place": {"frame": "object", "turned": False},
+        "begin": {"hand": "start", "turned": False},
+        "grasp": {"hand": "start"},
+    }
+    task = Task.from_text(changed(frames=frames))
+    assert list(task.frames) == ["object"] and list(task.topics) == ["object"]
+    assert task.derived.sources == {
+        "place": FrameSource("object", turned=False),
+        "begin": FrameSource(HAND, turned=False),
+        "grasp": FrameSource(HAND),
+    }
+    assert set(task.space.frame_names) == set(frames)
+
+
 def test_a_written_quaternion_is_normalised() -> None:
     task = Task.from_text(changed(frames={"table": {"pose": [1, 2, 3, 0, 0, 0.7071, 0.7071]}}))
     pose = task.frames["table"].pose
@@ -100,8 +118,13 @@ def test_a_missing_key_is_named(key: str) -> None:
             changed(frames={"object": {"topics": "a"}}),
             r"'frames\.object' has the unknown key 'topics'.*'topic'",
         ),
-        (changed(frames={"object": {}}), "either 'topic'"),
-        (changed(frames={"object": {"topic": "a", "pose": [0, 0, 0, 0, 0, 0, 1]}}), "not both"),
+        (changed(frames={"object": {}}), "needs one of 'topic'"),
+        (changed(frames={"object": {"topic": "a", "pose": [0, 0, 0, 0, 0, 0, 1]}}), "not several"),
+        (changed(frames={"object": {"topic": "a", "turned": False}}), "'turned', which is for frames with 'frame'"),
+        (changed(frames={"object": {"topic": "a"}, "b": {"frame": "obj"}}), "derived from 'obj'; expected .*: object"),
+        (changed(frames={"a": {"topic": "a"}, "b": {"frame": "a"}, "c": {"frame": "b"}}), "derived from 'b'"),
+        (changed(frames={"object": {"topic": "a"}, "b": {"frame": "object", "turned": 0}}), "true or false"),
+        (changed(frames={"begin": {"hand": "end"}}), "one of start"),
         (changed(frames={"object": {"topic": "a"}, "cup": {"topic": "a"}}), "already that of the frame"),
         (changed(frames={"object": {"topic": "endpoint/left/pose"}}), "already that of the movement"),
         (changed(frames={"table": {"pose": [0, 0, 0, 0, 0, 0, 0]}}), r"'frames\.table\.pose'.*norm 1"),
@@ -121,7 +144,7 @@ def test_a_missing_key_is_named(key: str) -> None:
         ),
         (changed(model={"retrieval": "dmp", "stiffness": 0}), "stiffness is 0.0, expected 10 to 10000"),
         ("on: 1", "quote them"),
-        ("name: a\nname: b", "stands here twice"),
+        ("name: a\nname: b", "is here twice"),
         ("a: &x 1\nb: *x", "aliases"),
         ("a: [", "is not a YAML file"),
         ("!!python/object/apply:os.getcwd []", "is not a YAML file"),

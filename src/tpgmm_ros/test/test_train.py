@@ -12,16 +12,35 @@ import pytest
 
 from synthetic_bags import REACH_TASK, reach, write_bag
 from tpgmm_core import TPGMM, Frame
+from tpgmm_core.choice.reproducing import reproduce
 from tpgmm_core.geometry import quaternion
-from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_core.retrieval.methods import METHODS, method_of
 from tpgmm_ros.models.task_model import load_task_model
-from tpgmm_ros.models.validation import path_errors, replay_nearest, reproduce
+from tpgmm_ros.models.validation import path_errors, replay_nearest
 from tpgmm_ros.programs.train import main
 from tpgmm_ros.recordings.bags import Recording, read_recording
 from tpgmm_ros.task.task_file import Task
 
 ROOT = Path(__file__).resolve().parents[3]
 VALVE = ROOT.parent / "shared" / "data" / "baxter_valve"
+
+INTERRUPTS_ITSELF = """\
+import os, signal, sys
+from tpgmm_core.choice.trial import Problem
+from tpgmm_ros.programs import train
+
+judge, judged = Problem.judge, []
+
+def judge_and_count(*arguments):
+    if len(judged) == 3:
+        os.kill(os.getpid(), signal.SIGINT)
+    judged.append(arguments)
+    return judge(*arguments)
+
+Problem.judge = judge_and_count
+sys.exit(train.main(sys.argv[1:]))
+"""
+"""`train`, to which a real signal comes once three ways of learning have been tried."""
 
 COUNT = 10
 """Demonstrations. With fewer than the ways in which situations differ, a frame seems to matter that does not."""
@@ -256,6 +275,66 @@ def test_a_frame_that_comes_late_is_used_from_then_on(bags: Path, tmp_path: Path
     path = reproduce(TPGMM.load(tmp_path / "model"), late.to_demonstration(5.0))
     assert np.isfinite(path).all()
     assert path_errors(path, late.movement).position_end_m < 0.03
+
+
+# Choosing by itself
+
+
+def test_auto_saves_a_model_that_runs_with_the_task_file_and_says_what_it_chose(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = ["--trials", "12", "--workers", "1", "--every", "2"]
+    assert train(bags, "--auto", *few, "--output", tmp_path / "model", "--report", tmp_path, bags) == 0
+    out = capsys.readouterr().out
+    assert "12 ways of learning were tried" in out and "chosen" in out and "expected in new situations" in out
+    report = json.loads((tmp_path / "report.json").read_text())
+    found = report["auto"]
+    assert found["ended"] == "trials" and len(found["trials"]) == 12 and len(found["errors"]) == COUNT
+    best = found["best"]
+    assert best["error"]["cost"] <= min(t["error"]["cost"] for t in found["trials"] if t["is_complete"]) * 1.1
+    assert report["retrieval"] == best["method"] and report["frames"] == best["frames"]
+    for shares in zip(*found["relevance_by_tenth"].values(), strict=True):
+        assert sum(shares) == pytest.approx(1.0)
+
+    task = Task.load(bags / "task.yaml")
+    model = load_task_model(tmp_path / "model", task)
+    assert model.frame_names_ == tuple(best["frames"]) and method_of(model).name == best["method"]
+    recording = read_recording(bags / "demo_7", task)
+    path = reproduce(model, recording.to_demonstration(5.0))
+    assert path_errors(path, recording.movement).position_end_m < 0.05
+
+
+def test_an_interrupted_choice_saves_the_best_so_far(bags: Path, tmp_path: Path) -> None:
+    driver = tmp_path / "interrupted.py"
+    driver.write_text(INTERRUPTS_ITSELF)
+    run = subprocess.run(
+        [sys.executable, driver, "--task", bags / "task.yaml", "--auto", "--workers", "1", "--every", "2"]
+        + ["--output", tmp_path / "model", "--report", tmp_path, bags],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert run.returncode == 0, run.stderr
+    assert "interrupted: the best so far is taken" in run.stdout
+    assert len(json.loads((tmp_path / "report.json").read_text())["auto"]["trials"]) == 3
+    assert load_task_model(tmp_path / "model", Task.load(bags / "task.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--auto", "--components", "3"], "leave out --components"),
+        (["--auto", "--leave-one-out"], "leave out --leave-one-out"),
+        (["--trials", "3"], "are for --auto"),
+        (["--auto", "--trials", "3", "TWO"], "at least three demonstrations, got 2"),
+    ],
+)
+def test_what_does_not_go_with_auto_is_said(
+    bags: Path, tmp_path: Path, arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [bags / "demo_0", bags / "demo_1"] if arguments[-1] == "TWO" else [bags]
+    assert train(bags, *(a for a in arguments if a != "TWO"), "--output", tmp_path / "model", *given) == 1
+    assert complaint in capsys.readouterr().err and not (tmp_path / "model").exists()
 
 
 # Reports

@@ -71,6 +71,11 @@ def parse_yaml(text: str, source: str) -> Any:
     source
         what errors call it
 
+    Returns
+    -------
+    Any
+        mappings, lists, texts, numbers and dates, as the text holds them
+
     Raises
     ------
     YamlError
@@ -107,7 +112,7 @@ class _Loader(yaml.SafeLoader):
             key = key_node.value
             if isinstance(key, str) and key in seen:
                 raise yaml.MarkedYAMLError(
-                    problem=f"the key {shown(key)} stands here twice", problem_mark=key_node.start_mark
+                    problem=f"the key {shown(key)} is here twice", problem_mark=key_node.start_mark
                 )
             if isinstance(key, str):
                 seen.add(key)

@@ -39,6 +39,11 @@ def setting(default: float, lower: float, upper: float, description: str) -> Any
         smallest and largest value allowed, both inclusive
     description
         a sentence for users, which ends with the unit
+
+    Returns
+    -------
+    Any
+        what `dataclasses.field` returns, with the range and the description as its metadata
     """
     return field(default=default, metadata={"setting": Setting(default, lower, upper, description)})
 
@@ -51,6 +56,18 @@ def setting_of(item: Field[Any]) -> Setting:
 
 def configured[ConfigT](config: type[ConfigT], values: Mapping[str, Any]) -> ConfigT:
     """Make a dataclass of settings from some of them by name, as files give them; the others have their defaults.
+
+    Parameters
+    ----------
+    config
+        the dataclass
+    values
+        name → value
+
+    Returns
+    -------
+    ConfigT
+        an object of that class
 
     Raises
     ------

@@ -29,6 +29,11 @@ def shown(value: Any, limit: int = NAME_LIMIT) -> str:
         anything
     limit
         most characters that are shown of it
+
+    Returns
+    -------
+    str
+        `repr(value)`, cut to the limit
     """
     if isinstance(value, str | bytes):
         value = value[: limit + 1]  # what is not shown need not be escaped
@@ -43,6 +48,18 @@ def listed(values: Iterable[Any], most: int = 12) -> str:
     """Names or values separated by commas, and how many more there are beyond `most`; "nothing" where there are none.
 
     Names of letters, digits and the signs that topics and files have are shown as they are, all others as by `shown`.
+
+    Parameters
+    ----------
+    values
+        names, or anything else
+    most
+        how many of them are written out
+
+    Returns
+    -------
+    str
+        one line
     """
     rest = iter(values)
     parts = [_plain(value) for value in islice(rest, most)]

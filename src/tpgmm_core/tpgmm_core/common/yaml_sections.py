@@ -56,7 +56,18 @@ class Section:
         return f"{self.where}.{key}" if self.where else key
 
     def refuse_others(self, *known: str) -> None:
-        """Refuse keys that are not known. Raises YamlError, with the known key that is most like it."""
+        """Refuse keys that are not known.
+
+        Parameters
+        ----------
+        *known
+            the keys that there may be
+
+        Raises
+        ------
+        YamlError
+            for another key, with the known one that is most like it
+        """
         for key in self.values:
             if key not in known:
                 close = difflib.get_close_matches(key, known, n=1)
@@ -64,7 +75,25 @@ class Section:
                 raise self.error(f"has the unknown key {shown(key)}, expected {', '.join(known)}{hint}")
 
     def required(self, key: str, read: Callable[[Any], Any]) -> Any:
-        """The value of a key, as `read` makes it. Raises YamlError where it is missing or `read` refuses it."""
+        """The value of a key.
+
+        Parameters
+        ----------
+        key
+            its name
+        read
+            makes the value of what YAML holds; raises ValueError with what was expected
+
+        Returns
+        -------
+        Any
+            what `read` made
+
+        Raises
+        ------
+        YamlError
+            where the key is missing or `read` refuses its value
+        """
         if key not in self.values:
             raise self.error(f"lacks the key '{key}'")
         try:
@@ -74,7 +103,25 @@ class Section:
             raise YamlError(f"{self.source}: '{one_line(self.path(key))}' is {found}, expected {error}") from None
 
     def section(self, key: str, optional: bool = False) -> Section:
-        """What is below a key, as a section. Raises YamlError where it is missing and not optional."""
+        """What is below a key, as a section.
+
+        Parameters
+        ----------
+        key
+            its name
+        optional
+            whether the key may be missing; the section is then empty
+
+        Returns
+        -------
+        Section
+            the section
+
+        Raises
+        ------
+        YamlError
+            where the key is missing and not optional
+        """
         if key not in self.values and not optional:
             raise self.error(f"lacks the key '{key}'")
         return Section(self.source, self.path(key), self.values.get(key, {}))
@@ -85,7 +132,22 @@ class Section:
         return ((name, outer.section(name)) for name in outer.values)
 
     def mapping(self, key: str, read: Callable[[Any], Any], optional: bool = False) -> dict[str, Any]:
-        """The values in the mapping of a key, by name, all read alike."""
+        """The values in the mapping of a key, all read alike.
+
+        Parameters
+        ----------
+        key
+            its name
+        read
+            makes a value of what YAML holds
+        optional
+            whether the key may be missing
+
+        Returns
+        -------
+        dict[str, Any]
+            by name; empty where the key is missing and may be
+        """
         outer = self.section(key, optional)
         return {name: outer.required(name, read) for name in outer.values}
 
@@ -99,21 +161,69 @@ def is_name(text: str) -> bool:
 
 
 def a_name(value: Any) -> str:
-    """A value that must be a name. Raises ValueError with what was expected."""
+    """A value that must be a name.
+
+    Parameters
+    ----------
+    value
+        as YAML holds it
+
+    Returns
+    -------
+    str
+        the value
+
+    Raises
+    ------
+    ValueError
+        with what was expected
+    """
     if not isinstance(value, str) or not is_name(value):
         raise ValueError("a name of letters, digits and underscores")
     return value
 
 
 def a_text(value: Any) -> str:
-    """A value that must be a text. Raises ValueError with what was expected."""
+    """A value that must be a text.
+
+    Parameters
+    ----------
+    value
+        as YAML holds it
+
+    Returns
+    -------
+    str
+        the value
+
+    Raises
+    ------
+    ValueError
+        with what was expected
+    """
     if not isinstance(value, str):
         raise ValueError("a text; quote it if it looks like something else")
     return value
 
 
 def some_names(value: Any) -> tuple[str, ...]:
-    """A value that must be a list of names, at least one. Raises ValueError with what was expected."""
+    """A value that must be a list of names, at least one.
+
+    Parameters
+    ----------
+    value
+        as YAML holds it
+
+    Returns
+    -------
+    tuple[str, ...]
+        the names
+
+    Raises
+    ------
+    ValueError
+        with what was expected
+    """
     if not isinstance(value, list) or not value or not all(isinstance(name, str) for name in value):
         raise ValueError("a list of names; quote names that look like something else, such as '1' or 'on'")
     if len(set(value)) != len(value):
@@ -122,7 +232,23 @@ def some_names(value: Any) -> tuple[str, ...]:
 
 
 def a_topic(value: Any) -> str:
-    """A value that must be a relative topic. Raises ValueError with what was expected."""
+    """A value that must be a relative topic.
+
+    Parameters
+    ----------
+    value
+        as YAML holds it
+
+    Returns
+    -------
+    str
+        the value
+
+    Raises
+    ------
+    ValueError
+        with what was expected
+    """
     if not isinstance(value, str) or not _TOPIC.fullmatch(value):
         raise ValueError("a relative topic such as object/pose (no leading slash, so that namespaces work)")
     return value
@@ -161,7 +287,23 @@ def numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
 
 
 def a_quaternion(value: Any) -> tuple[float, ...]:
-    """A value that must be four numbers of unit length, which are normalised. Raises ValueError otherwise."""
+    """A value that must be four numbers of unit length.
+
+    Parameters
+    ----------
+    value
+        as YAML holds it
+
+    Returns
+    -------
+    tuple[float, ...]
+        qx, qy, qz, qw, normalised
+
+    Raises
+    ------
+    ValueError
+        with what was expected
+    """
     try:
         quaternion = numbers(4)(value)
     except ValueError:

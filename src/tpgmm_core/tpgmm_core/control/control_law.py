@@ -85,6 +85,11 @@ class DynamicState:
             (nv,), positions and velocities
         loop
             how late the state is
+
+        Returns
+        -------
+        DynamicState
+            with mass matrix, its inverse, and gravity and Coriolis torques at q and v
         """
         data.update(q, v)
         # Pinocchio's matrices are column-major; of a symmetric one the transpose is the same, row-major
@@ -223,6 +228,11 @@ class ControlLaw[TargetT](Protocol):
         moving
             False for a reference that is held: it then comes to rest
 
+        Returns
+        -------
+        TargetT
+            what `step` takes
+
         Raises
         ------
         ValueError
@@ -242,4 +252,9 @@ class ControlLaw[TargetT](Protocol):
             what is to be followed; None: the last target is released without a jump
         dt
             since the last step, s
+
+        Returns
+        -------
+        LawTorques
+            the torques and what they are made of
         """

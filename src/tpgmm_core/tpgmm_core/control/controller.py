@@ -62,6 +62,11 @@ class TorqueCommand:
         ----------
         q, v
             (nv,), the later state
+
+        Returns
+        -------
+        Array
+            shape (nv,), N m
         """
         if self.law is None:
             return self.tau
@@ -135,6 +140,11 @@ class Controller[TargetT]:
         brakes
             without the law: gravity compensation with damping at this state. The law starts anew afterwards
 
+        Returns
+        -------
+        TorqueCommand | None
+            None while there was no good state yet
+
         Raises
         ------
         ValueError
@@ -175,6 +185,11 @@ class Controller[TargetT]:
             for the command
         loop
             how late the torques are
+
+        Returns
+        -------
+        TorqueCommand | None
+            None while there was no good state yet
         """
         self.law.reset()
         if self._q is None or self._v is None:

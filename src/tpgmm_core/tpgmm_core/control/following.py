@@ -99,6 +99,11 @@ def hindrances(robot: RobotModel, q: Array, tau: Array, asked: LawTorques) -> It
     ----------
     robot, q, tau, asked
         as for `ProgressWatch`
+
+    Yields
+    ------
+    str
+        one sentence for each
     """
     moved = np.abs(asked.jacobian).max(axis=0, initial=0.0) > 0.0
     names, units, none = robot.joint_names, robot.joint_units, True

@@ -18,16 +18,8 @@ from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import DynamicState, Lag, LawConfig, LawTorques
 from tpgmm_core.control.delay_margin import borne_share, delay_margin, fastest_rate
-from tpgmm_core.control.kernels_impedance import (
-    STOP_FREQUENCY,
-    approach,
-    arm_torques,
-    lead,
-    pose_difference,
-    scaled_length,
-    standing_torques,
-    waiting_share,
-)
+from tpgmm_core.control.kernels_impedance import STOP_FREQUENCY, arm_torques, standing_torques
+from tpgmm_core.control.kernels_pose import approach, lead, pose_difference, scaled_length, waiting_share
 from tpgmm_core.control.operational_space import bound_twist
 from tpgmm_core.control.pose_target import PoseReference, PoseTarget, receding_pose_target
 from tpgmm_core.control.receding_gains import RecedingGains
@@ -166,7 +158,19 @@ class ImpedanceLaw:
             self.ahead.reset()
 
     def target(self, reference: Reference, moving: bool) -> PoseTarget:
-        """Prepare a reference: the pose, its gains, and the velocity if it is moving.
+        """Prepare a reference: see `ControlLaw.target`.
+
+        Parameters
+        ----------
+        reference
+            over a pose
+        moving
+            whether its velocity counts
+
+        Returns
+        -------
+        PoseTarget
+            the pose, its gains, and the velocity if it is moving
 
         Raises
         ------
@@ -182,7 +186,17 @@ class ImpedanceLaw:
         return target if self.ahead is None else replace(target, course=self.ahead.course(reference, moving))
 
     def pose_target(self, reference: PoseReference) -> PoseTarget:
-        """A pose with the gains of the LQR.
+        """Add the gains of the LQR to a pose.
+
+        Parameters
+        ----------
+        reference
+            pose, velocity and covariance
+
+        Returns
+        -------
+        PoseTarget
+            what `step` takes
 
         Raises
         ------
@@ -209,10 +223,24 @@ class ImpedanceLaw:
         return PoseTarget(replace(reference, pose=pose), gains.damping, rate=rate)
 
     def step(self, moment: DynamicState, target: PoseTarget | None, dt: float) -> LawTorques:
-        """Torques dt seconds after the last step.
+        """Torques of a state: see `ControlLaw.step`.
 
         Without a target the last one is released over `blend_time`; what remains is gravity compensation with
         damping. The `reason` is set when the joint velocities are too large to compute with.
+
+        Parameters
+        ----------
+        moment
+            the robot's state
+        target
+            of `target`, or None
+        dt
+            since the last step, s
+
+        Returns
+        -------
+        LawTorques
+            the torques and their terms
         """
         config, nv = self.config, self.robot.nv
         pose, twist = moment.data.pose(self.endpoint), moment.data.twist(self.endpoint)

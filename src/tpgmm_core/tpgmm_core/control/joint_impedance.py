@@ -132,7 +132,19 @@ class JointImpedanceLaw:
             self.ahead.reset()
 
     def target(self, reference: Reference, moving: bool) -> JointTarget:
-        """Prepare a reference: positions, velocities if it is moving, and the precision.
+        """Prepare a reference: see `ControlLaw.target`.
+
+        Parameters
+        ----------
+        reference
+            over joint positions
+        moving
+            whether its velocity counts
+
+        Returns
+        -------
+        JointTarget
+            positions, velocities if it is moving, and the precision
 
         Raises
         ------
@@ -155,10 +167,24 @@ class JointImpedanceLaw:
         return JointTarget(np.array(gaussian.mean), velocities, precision, course=course)
 
     def step(self, moment: DynamicState, target: JointTarget | None, dt: float) -> LawTorques:
-        """Torques dt seconds after the last step.
+        """Torques of a state: see `ControlLaw.step`.
 
         Without a target the last one is released over `blend_time`; what remains is gravity compensation with
         damping. The `reason` is set when the joint velocities are too large to compute with.
+
+        Parameters
+        ----------
+        moment
+            the robot's state
+        target
+            of `target`, or None
+        dt
+            since the last step, s
+
+        Returns
+        -------
+        LawTorques
+            the torques and their terms
         """
         config, joints, nv, n = self.config, self._joints, self.robot.nv, len(self._joints)
         change = dt / config.blend_time

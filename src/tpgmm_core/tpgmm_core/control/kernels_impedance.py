@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.delay_margin import OF_CRITICAL, borne_share, joint_damping
+from tpgmm_core.control.kernels_pose import pose_difference
 from tpgmm_core.control.operational_space import bound_twist, operational_space
 from tpgmm_core.control.torque_limits import fit
-from tpgmm_core.geometry.kernels import compiled, quaternion_difference, turn
+from tpgmm_core.geometry.kernels import compiled, multiply_add
 
 Indices = NDArray[np.intp]
 
@@ -20,80 +21,6 @@ Indices = NDArray[np.intp]
 STOP_MARGIN, STOP_SHARE = 0.3, 0.15
 #: ... with springs of this frequency, rad/s.
 STOP_FREQUENCY = 6.0
-
-
-@compiled
-def pose_difference(base: Array, pose: Array, difference: Array) -> None:
-    """Tangent vector (6,) from one pose (7,) to another, about the fixed axes."""
-    for i in range(3):
-        difference[i] = pose[i] - base[i]
-    difference[3], difference[4], difference[5] = quaternion_difference(
-        pose[3], pose[4], pose[5], pose[6], base[3], base[4], base[5], base[6]
-    )
-
-
-@compiled
-def approach(pose: Array, goal: Array, max_linear: float, max_angular: float) -> None:
-    """Move a pose (7,) in place towards a goal (7,), by at most max_linear (m) and max_angular (rad)."""
-    way = np.empty(6)
-    pose_difference(pose, goal, way)
-    bound_twist(way, max_linear, max_angular)
-    for i in range(3):
-        pose[i] += way[i]
-    turn(pose[3:], way[3], way[4], way[5])
-
-
-@compiled
-def multiply_add(A: Array, x: Array, y: Array) -> None:
-    """Add a product in place: y += A x, for A (n, m), x (m,), y (n,)."""
-    for i in range(len(A)):
-        total = 0.0
-        for j in range(A.shape[1]):
-            total += A[i, j] * x[j]
-        y[i] += total
-
-
-@compiled
-def waiting_share(hand: Array, pose: Array, K_V: Array, ratio: Array, max_linear: float, max_angular: float) -> float:
-    """Share (0 to 1) of its speed with which a pose (7,) moves on: 0 for twice the lag of a hand at full speed.
-
-    K_V, ratio (6, 6) : a speed makes the hand lag by (K_V ratio)^-1 times it; max_linear, max_angular : m/s and rad/s
-    """
-    lag, turned, asked = np.empty(6), np.zeros(6), np.zeros(6)
-    pose_difference(hand, pose, lag)
-    multiply_add(ratio, lag, turned)
-    multiply_add(K_V, turned, asked)
-    linear = math.sqrt(asked[0] ** 2 + asked[1] ** 2 + asked[2] ** 2) / max_linear
-    angular = math.sqrt(asked[3] ** 2 + asked[4] ** 2 + asked[5] ** 2) / max_angular
-    return min(max(2.0 - max(linear, angular), 0.0), 1.0)
-
-
-@compiled
-def scaled_length(scale: Array, x: Array) -> float:
-    """Euclidean length of x (n,), each number of which is multiplied by its scale (n,)."""
-    total = 0.0
-    for i in range(len(x)):
-        total += (scale[i] * x[i]) ** 2
-    return math.sqrt(total)
-
-
-@compiled
-def lead(
-    pose: Array, hand: Array, max_linear: float, max_angular: float, back_linear: float, back_angular: float
-) -> None:
-    """Bring a pose (7,) in place to at most max_linear (m) and max_angular (rad) from the hand's.
-
-    back_linear, back_angular : it comes back by no more than that
-    """
-    way = np.empty(6)
-    pose_difference(hand, pose, way)
-    within = way.copy()
-    bound_twist(within, max_linear, max_angular)
-    back = within - way
-    bound_twist(back, back_linear, back_angular)
-    for i in range(3):
-        pose[i] += back[i]
-    turn(pose[3:], back[3], back[4], back[5])
 
 
 @compiled
@@ -116,11 +43,29 @@ def standing_torques(
 ) -> None:
     """Torques that the robot needs whatever the arm does: its weight, joints that hold still, an arm that is damped.
 
-    others (m,) : joints that hold the posture (nv,), with critically damped springs of the frequency (rad/s): by their
-        inertia as a whole, since a spring for each by itself makes a chain of joints many times as stiff
-    damping : of the arm's joints, N m s/rad
-    delay : of the loop, s; frequency and damping are less where it is too long for them
-    feedforward, hold, hand_guiding, given (nv,), out : the terms, zero before, and their sum
+    Joints hold still by their inertia as a whole, since a spring for each by itself makes a chain of joints many times
+    as stiff.
+
+    Parameters
+    ----------
+    arm, others
+        indices in the vectors (nv,) of the n joints of the arm, and of the m joints that hold the posture
+    M, inverse
+        mass matrix (nv, nv) and its inverse
+    q, v
+        state (nv,)
+    posture
+        (nv,), held by critically damped springs
+    nonlinear
+        (nv,), gravity and Coriolis torques
+    frequency
+        of the springs, rad/s
+    damping
+        of the arm's joints, N m s/rad
+    delay
+        of the loop, s; frequency and damping are less where it is too long for them
+    feedforward, hold, hand_guiding, given
+        (nv,), written: the terms, zero before, and their sum
     """
     for i in range(len(q)):
         feedforward[i] = nonlinear[i]
@@ -174,17 +119,54 @@ def arm_torques(
     stiffness: Array,
     damping: Array,
 ) -> int:
-    """Torques of the n joints of an arm that a pose asks for, scaled by the weight (0 to 1).
+    """Torques of the n joints of an arm that a pose asks for.
 
-    arm (n,) : places of the arm's joints in the vectors (nv,); J_T (nv, 6), M (nv, nv), q, v (nv,)
-    rest (n,) : posture that the null space goes to; lower, upper (nv,) : position limits, which it keeps away from
-    K_P, K_V (6, 6) : of the hand, 1/s^2 and 1/s
-    share : of the rates of all feedback, for the delay of the loop
-    given (nv,) : what the motors give besides, without which nothing may saturate; the arm's bias is added
-    feedforward, feedback, null_space (nv,), error (6,), stiffness, damping (6, 6), out : see `LawTorques`
+    Parameters
+    ----------
+    arm
+        (n,), indices of the arm's joints in the vectors (nv,)
+    J_T
+        (nv, 6), transposed Jacobian of the hand
+    M
+        (nv, nv), mass matrix
+    q, v
+        state (nv,)
+    rest
+        (n,), posture that the null space goes to
+    lower, upper
+        position limits (nv,), which the null space keeps away from
+    bias_acceleration
+        (6,), of the hand without joint accelerations
+    pose, twist
+        of the hand, (7,) and (6,)
+    goal, goal_twist, goal_acceleration
+        of the reference, (7,), (6,) and (6,)
+    K_P, K_V
+        gains (6, 6) of the hand, 1/s² and 1/s
+    weight
+        scale of all these torques, 0 to 1
+    length, max_inertia
+        as for `operational_space`, m and kg
+    max_linear_acceleration, max_angular_acceleration
+        bounds of what is asked of the hand, m/s² and rad/s²
+    posture_stiffness, posture_damping
+        of the null space, 1/s² and 1/s
+    share
+        scale of the rates of all feedback, for the delay of the loop, 0 to 1
+    effort_limits
+        (nv,), N m
+    feedforward, given
+        (nv,), N m: gravity and Coriolis torques, and all that the motors give besides this law's feedback, which must
+        fit into their limits first; the arm's bias is added to both
+    feedback, null_space
+        (nv,), N m, written: see `LawTorques`
+    error, stiffness, damping
+        (6,), (6, 6) and (6, 6), written: see `LawTorques`
 
-    Returns 0, 1 where weak motors made something saturate, -1 where the inertia or the state cannot be
-    computed with.
+    Returns
+    -------
+    int
+        0, 1 where weak motors made something saturate, -1 where inertia or state cannot be computed with
     """
     n = len(arm)
     J, M_arm = np.empty((6, n)), np.empty((n, n))

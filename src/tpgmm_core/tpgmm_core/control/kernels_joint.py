@@ -15,9 +15,21 @@ Indices = NDArray[np.intp]
 
 @compiled
 def inertia_factor(joints: Indices, M: Array, L: Array, F: Array) -> bool:
-    """L (n, n) of the inertia of n joints, L L^T, and F = L^-1, from M (nv, nv); False where it is not definite.
+    """Factor the inertia of n joints, L L^T.
 
-    L, F : out, zero before
+    Parameters
+    ----------
+    joints
+        (n,), indices in the vectors (nv,)
+    M
+        (nv, nv), mass matrix
+    L, F
+        (n, n), written, zero before: the Cholesky factor and F = L^-1
+
+    Returns
+    -------
+    bool
+        False where the inertia is not positive definite
     """
     n = len(joints)
     part = np.empty((n, n))
@@ -36,11 +48,25 @@ def inertia_factor(joints: Indices, M: Array, L: Array, F: Array) -> bool:
 def precision_damping(
     L: Array, F: Array, precision: Array, control_cost: float, min_stiffness: float, max_stiffness: float, D: Array
 ) -> float:
-    """Damping D = L (2 S)^(1/2) L^T, S^2 = F Q F^T / r with the precision Q (n, n).
+    """Damping D = L (2 S)^(1/2) L^T with S² = F Q F^T / r.
 
-    Returns the largest eigenvalue of K_V = F D F^T, 1/s; -1 where S cannot be computed with.
+    Parameters
+    ----------
+    L, F
+        (n, n), of `inertia_factor`
+    precision
+        (n, n), Q
+    control_cost
+        r
+    min_stiffness, max_stiffness
+        bounds of the eigenvalues of S, 1/s²
+    D
+        (n, n), written
 
-    min_stiffness, max_stiffness : bounds of the eigenvalues of S, 1/s^2
+    Returns
+    -------
+    float
+        the largest eigenvalue of K_V = F D F^T, 1/s; -1 where S cannot be computed with
     """
     n = len(L)
     S = F @ precision @ F.T
@@ -81,15 +107,39 @@ def joint_torques(
     stiffness: Array,
     damping: Array,
 ) -> int:
-    """Torques (nv,) that the reference of n joints asks for, scaled by the weight (0 to 1).
+    """Torques that the reference of n joints asks for.
 
-    joints (n,) : places in the vectors (nv,); L, F (n, n) of their inertia; error, velocities (n,) of the reference
-    v (nv,); D, ratio (n, n), push (n,) : of `JointGains`
-    share : of the rates of the feedback, for the delay of the loop
-    given (nv,) : what the motors give besides
-    feedback (nv,), stiffness, damping (n, n), out
+    Parameters
+    ----------
+    joints
+        (n,), indices in the vectors (nv,)
+    L, F
+        (n, n), of `inertia_factor`
+    error, velocities
+        (n,), of the reference
+    v
+        (nv,), joint velocities
+    D, ratio
+        (n, n), of `JointGains`
+    push
+        (n,), of `JointGains`
+    weight
+        scale of all these torques, 0 to 1
+    share
+        scale of the rates of the feedback, for the delay of the loop, 0 to 1
+    effort_limits
+        (nv,), N m
+    given
+        (nv,), what the motors give besides
+    feedback
+        (nv,), written
+    stiffness, damping
+        (n, n), written
 
-    Returns 0, 1 where weak motors made something saturate, -1 where the state cannot be computed with.
+    Returns
+    -------
+    int
+        0, 1 where weak motors made something saturate, -1 where the state cannot be computed with
     """
     n = len(joints)
     half = share * (F @ D)

@@ -136,7 +136,19 @@ class ReferenceLaw:
         self._current.reset()
 
     def target(self, reference: Reference, moving: bool) -> LawTarget:
-        """Prepare a reference by the law of its kind.
+        """Prepare a reference by the law of its kind: see `ControlLaw.target`.
+
+        Parameters
+        ----------
+        reference
+            over a pose, or over joint positions
+        moving
+            whether its velocity counts
+
+        Returns
+        -------
+        LawTarget
+            the law, and what its `step` takes
 
         Raises
         ------
@@ -147,7 +159,22 @@ class ReferenceLaw:
         return LawTarget(law, law.target(reference, moving))
 
     def step(self, moment: DynamicState, target: LawTarget | None, dt: float) -> LawTorques:
-        """Torques as of `ControlLaw.step`; during a change of laws, gains and error are those of the new law."""
+        """Torques of a state: see `ControlLaw.step`.
+
+        Parameters
+        ----------
+        moment
+            the robot's state
+        target
+            of `target`, or None
+        dt
+            since the last step, s
+
+        Returns
+        -------
+        LawTorques
+            during a change of laws the blend of both; gains and error are those of the new law
+        """
         if target is not None and target.law is not self._current:
             if target.law is self._former:
                 self._share = 1.0 - self._share

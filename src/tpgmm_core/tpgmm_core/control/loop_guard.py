@@ -137,10 +137,10 @@ class LoopGuard:
         self.age.suspect(0.5 * swings.half_period)
         unit = robot.joint_units[swings.joint]
         self._swung = (
-            f"{robot.joint_names[swings.joint]} swings and does not settle ({swings.speed:.2g} {unit}/s, period "
+            f"{robot.joint_names[swings.joint]} oscillates and does not settle ({swings.speed:.2g} {unit}/s, period "
             f"{2e3 * swings.half_period:.0f} ms): states or torques late, or gains too high for the robot's inertia; "
         )
-        again = "for the third time: activate anew" if self._alarms >= MOST_ALARMS else "softer once it is calm"
+        again = "for the third time: activate it again" if self._alarms >= MOST_ALARMS else "softer once it is calm"
         self._swung += again
 
     def _judge_delay(self, asked: LawTorques, follows: bool, dt: float) -> None:
@@ -175,7 +175,7 @@ class LoopGuard:
 
     def _lateness(self) -> str:
         if self.age.suspected > self.age.usual:
-            return f"it swung as if torques came {1e3 * self.age.suspected:.0f} ms late"
+            return f"it oscillated as if torques came {1e3 * self.age.suspected:.0f} ms late"
         if self.age.age is None:
             return f"joint states come every {1e3 * self.age.period:.0f} ms"
         return (

@@ -48,14 +48,28 @@ def operational_space(
 ) -> bool:
     """Inertia of the hand, and how its accelerations become torques of the n joints that move it.
 
-    J (6, n), M (n, n) : Jacobian and joint-space inertia
-    Lambda (6, 6), out : (J M^-1 J^T)^-1. Near singularities the hand cannot move in some direction and its
-        inertia there grows without bound; in no direction it is taken for more than max_inertia (kg), for which
-        turning counts by the length (m). Elsewhere it is exact.
-    torques (n, 6), out : J^T Lambda: torques that accelerate the hand, and move the null space not at all
-    accelerations (6, n), out : J M^-1: accelerations of the hand under torques
+    Parameters
+    ----------
+    J
+        (6, n), Jacobian
+    M
+        (n, n), joint-space inertia
+    length
+        m, for which turning counts by max_inertia
+    max_inertia
+        kg. Near singularities the hand cannot move in some direction, and its inertia there grows without bound; in no
+        direction it is taken for more than this. Elsewhere Lambda is exact
+    Lambda
+        (6, 6), written: (J M^-1 J^T)^-1
+    torques
+        (n, 6), written: J^T Lambda, torques that accelerate the hand and do not move the null space
+    accelerations
+        (6, n), written: J M^-1, accelerations of the hand under torques
 
-    False where M is not positive definite, or something is not finite.
+    Returns
+    -------
+    bool
+        False where M is not positive definite, or something is not finite
     """
     n = len(M)
     inverse = np.empty((n, n))

@@ -112,7 +112,7 @@ class SwingWatch:
         return self._still >= CALM_TIME
 
     def step(self, v: Array, moves: float, asked: float, dt: float) -> bool:
-        """Observe velocities; returns whether a joint oscillates with growing amplitude.
+        """Observe velocities.
 
         Parameters
         ----------
@@ -122,6 +122,11 @@ class SwingWatch:
             how fast the hand moves, and the reference, 1/s
         dt
             since the last call, s
+
+        Returns
+        -------
+        bool
+            whether a joint oscillates with growing amplitude
         """
         self._asked = max(asked, self._asked * math.exp(-dt / REMEMBERED))
         unasked = moves + NO_MOTION >= FOLLOWS * self._asked

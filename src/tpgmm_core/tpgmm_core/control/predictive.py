@@ -204,6 +204,11 @@ class PredictiveController:
         bias
             h, (n,) or (N, n): Coriolis, gravity, friction
 
+        Returns
+        -------
+        PredictivePlan
+            torques and motion along the horizon
+
         Raises
         ------
         ValueError

@@ -174,6 +174,18 @@ class PredictiveLaw(JointImpedanceLaw):
 
         Without a horizon, or if it is not moving, the reference stays where it is now.
 
+        Parameters
+        ----------
+        reference
+            over joint positions, with its horizon
+        moving
+            whether its horizon and velocity count
+
+        Returns
+        -------
+        PredictiveTarget
+            positions and precisions along the horizon
+
         Raises
         ------
         ValueError
@@ -194,7 +206,22 @@ class PredictiveLaw(JointImpedanceLaw):
         return PredictiveTarget(means, precisions, course.time_step)
 
     def step(self, moment: DynamicState, target: PredictiveTarget | None, dt: float) -> LawTorques:  # type: ignore[override]
-        """Torques as of `JointImpedanceLaw.step`; before the first plan is ready, those without a target."""
+        """Torques of a state: see `JointImpedanceLaw.step`.
+
+        Parameters
+        ----------
+        moment
+            the robot's state
+        target
+            of `target`, or None
+        dt
+            since the last step, s
+
+        Returns
+        -------
+        LawTorques
+            those of the plan; before the first plan is ready, those without a target
+        """
         self._time += dt
         if target is None:
             self._pending = self._planned = None

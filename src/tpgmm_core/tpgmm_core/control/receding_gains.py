@@ -39,6 +39,20 @@ class Course:
     def of(cls, reference: Reference, moving: bool, needed: bool) -> Course:
         """Take the horizon of a reference, or the reference alone where it is not moving.
 
+        Parameters
+        ----------
+        reference
+            with or without a horizon
+        moving
+            whether its horizon counts
+        needed
+            whether a reference that moves must have a horizon
+
+        Returns
+        -------
+        Course
+            what gains are made from
+
         Raises
         ------
         ValueError
@@ -83,6 +97,18 @@ class RecedingGains[GainsT]:
     def course(self, reference: Reference, moving: bool) -> Course:
         """Take what gains are to be made from.
 
+        Parameters
+        ----------
+        reference
+            with a horizon
+        moving
+            whether its horizon counts
+
+        Returns
+        -------
+        Course
+            see `Course.of`
+
         Raises
         ------
         ValueError
@@ -113,7 +139,22 @@ class RecedingGains[GainsT]:
     def along(
         self, path: Array, covariances: Array, time_step: float, cost: float, **bounds: float
     ) -> RecedingHorizonGains:
-        """Gains as of `receding_horizon_gains`, with the risk of the plan."""
+        """Gains along Gaussians, with the risk of the plan.
+
+        Parameters
+        ----------
+        path, covariances, time_step
+            as for `receding_horizon_gains`
+        cost
+            its control cost
+        **bounds
+            of the stiffness
+
+        Returns
+        -------
+        RecedingHorizonGains
+            those of `receding_horizon_gains`
+        """
         return receding_horizon_gains(
             path,
             covariances,

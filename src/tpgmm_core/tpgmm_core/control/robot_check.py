@@ -24,7 +24,7 @@ STUCK = 0.1
 
 
 def workspace(robot: RobotModel, endpoint: str, postures: int = 3000, random_state: int = 0) -> Array:
-    """Corners (2, 3) of the box around the positions that an end point has in random postures, m, in the base frame.
+    """Box around the positions that an end point has in random postures.
 
     The joints of the end point's group take postures within their limits, the others are at home.
 
@@ -38,6 +38,11 @@ def workspace(robot: RobotModel, endpoint: str, postures: int = 3000, random_sta
         number of random postures
     random_state
         seed
+
+    Returns
+    -------
+    Array
+        its corners (2, 3), m, in the base frame
     """
     rng, data, q = np.random.default_rng(random_state), robot.create_data(), robot.home.copy()
     joints = robot.indices(robot.endpoints[endpoint].joints)
@@ -68,7 +73,7 @@ def _of_joints(robot: RobotModel) -> Iterator[str]:
             unit = robot.unit(joint, "position")
             yield f"home of {joint} is {room:.3g} {unit} from its limit: choose one further inside"
         if carried[i] > MUCH_EFFORT:
-            yield f"{joint} needs {carried[i]:.0%} of its effort to hold the robot at home: are masses right?"
+            yield f"{joint} needs {carried[i]:.0%} of its effort to hold the robot at home: are the masses right?"
         if stuck[i] > STUCK:
             yield (
                 f"{joint} moves so little ({felt[i]:.2g} {robot.unit(joint, 'inertia')}) that its friction holds an "
@@ -89,7 +94,7 @@ def _of_bodies(robot: RobotModel) -> Iterator[str]:
     moved = {joint for joints in robot.joint_groups.values() for joint in joints}
     for name, mimic in robot.mimics.items():
         if mimic.leader in moved and name not in robot.joint_names:
-            yield f"{name} mimics {mimic.leader}: here it stands still, at its position for home"
+            yield f"{name} mimics {mimic.leader}: here it does not move, and stays at its position for home"
 
 
 def _of_groups(robot: RobotModel) -> Iterator[str]:

@@ -12,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import ControlLaw
 from tpgmm_core.control.controller import Controller, TorqueCommand
@@ -19,7 +21,7 @@ from tpgmm_core.control.loop_guard import LoopGuard
 from tpgmm_core.control.supervision import ControllerMode, Inputs, Timeouts, decide, slow_states
 from tpgmm_core.control.torque_pipeline import TorqueLimits
 from tpgmm_core.model.reference import Reference
-from tpgmm_core.observation.streams import SECOND, RateMeter, Stamp, StreamWatch, standing_still
+from tpgmm_core.observation.streams import BETWEEN, SECOND, RateMeter, Stamp, StreamWatch, standing_still
 from tpgmm_core.robot.model import RobotModel
 
 
@@ -79,6 +81,8 @@ class SupervisedController[TargetT]:
         self._state_fault = self._reference_fault = ""
         self._answer: Answer | None = None
         self._answered_state = False
+        self._q = self._v = np.zeros(0)
+        self._period_ns = 0
         self._sent_ns = self._watched_ns = 0
         self._paused = False
         self.decision = decide(Inputs(None, "", None, ""), self.timeouts)
@@ -153,6 +157,11 @@ class SupervisedController[TargetT]:
             of the state
         now_ns, clock_ns
             see the module
+
+        Returns
+        -------
+        Answer | None
+            None where the state is not answered
         """
         timeouts = self.timeouts
         kind = self._states.judge(stamp_ns, now_ns, clock_ns, timeouts.joint_state_timeout, timeouts.max_future)
@@ -174,7 +183,9 @@ class SupervisedController[TargetT]:
         if stale or self._state_fault:
             self.controller.restart()
         dt = self._since_last(stamp_ns if self._answered_state else None, now_ns)
+        self._period_ns = stamp_ns - (self._states.stamp_ns or stamp_ns)
         self._states.accept(stamp_ns, now_ns)
+        self._q, self._v = q, v
         self._rate.add(stamp_ns)
         self._state_fault, self._trouble = "", str
         self.guard.age.take(stamp_ns, clock_ns, of_another_clock=timeouts.max_age == 0.0)
@@ -189,8 +200,51 @@ class SupervisedController[TargetT]:
             guard.after(command, self.decision.mode, self.controller.pipeline.time_step(dt))
         return self._send(command, stamp_ns, now_ns, to_state=not self._state_fault)
 
+    def answer_again(self, now_ns: int) -> Answer | None:
+        """Answer the last joint state again, where the last reference was made after it and before the next one.
+
+        A reproduction makes such a reference when frames have changed: the torques that follow from it need not wait
+        for the next joint state. Its stamp tells: it lies between theirs.
+
+        Parameters
+        ----------
+        now_ns
+            see the module
+
+        Returns
+        -------
+        Answer or None
+            with the stamp of that joint state, once for each at most; None where there is nothing to answer
+        """
+        state_ns, reference_ns = self._states.stamp_ns, self._references.stamp_ns
+        if state_ns is None or reference_ns is None or not self._answered_state:
+            return None
+        dt = self._since_last(None, now_ns)
+        if not 0 < reference_ns - state_ns < BETWEEN * self._period_ns or dt <= 0.0:
+            return None
+        if self.guard.judge(decide(self._inputs(now_ns), self.timeouts)).mode is not ControllerMode.ACTIVE:
+            return None
+        guard = self.guard
+        command = self.controller.step(self._q, self._v, self._moving, dt, guard.loop(), brakes=guard.swings)
+        return self._send(command, state_ns, now_ns, to_state=False)
+
     def refuse_state(self, reason: str, stamp_ns: int, now_ns: int) -> Answer | None:
-        """Answer a joint state that cannot be used: by the safe torque where the robot was last."""
+        """Answer a joint state that cannot be used: by the safe torque where the robot was last.
+
+        Parameters
+        ----------
+        reason
+            why it cannot be used
+        stamp_ns
+            of the state
+        now_ns
+            now, on the clock of the time-outs
+
+        Returns
+        -------
+        Answer | None
+            None while there was no good state yet
+        """
         self._state_fault = reason
         return self._rest(stamp_ns, now_ns)
 
@@ -212,11 +266,21 @@ class SupervisedController[TargetT]:
         return self._rest(self.stamp_ns, now_ns)
 
     def release(self, dt: float) -> tuple[TorqueCommand | None, bool]:
-        """The next of the last torques before the end, dt s after the one before, and whether it is the last one.
+        """The next of the last torques before the end.
 
         They approach the safe torque as fast as the rate limit permits. The robot should be left with that torque: it
         balances gravity where the robot is, so that a robot which keeps the last command for a while
         neither falls nor moves on, and a robot's own watchdog applies the same next.
+
+        Parameters
+        ----------
+        dt
+            since the one before, s
+
+        Returns
+        -------
+        tuple[TorqueCommand | None, bool]
+            the torques, None while there was no good state yet; and whether they are the last ones
         """
         if not self.decision.sends:
             return None, True

@@ -127,6 +127,11 @@ def slow_states(period: float, source: str, timeouts: Timeouts, max_time_step: f
         how the period is known, in a word
     timeouts, max_time_step
         as they are set, s
+
+    Returns
+    -------
+    list[str]
+        one sentence for each value; nothing where all is well
     """
     least = {
         "joint_state_timeout": (timeouts.joint_state_timeout, STATES_WITHIN_TIMEOUT * period),

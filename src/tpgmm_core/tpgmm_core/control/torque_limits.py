@@ -24,20 +24,56 @@ def finite(values: Array) -> bool:
 
 @compiled
 def blend(tau: Array, safe: Array, share: float) -> None:
-    """Blend in place: tau ← safe + share (tau - safe), share 0 to 1."""
+    """Blend in place: tau ← safe + share (tau - safe).
+
+    Parameters
+    ----------
+    tau, safe
+        (n,), N m; tau is changed
+    share
+        0 to 1
+    """
     for i in range(len(tau)):
         tau[i] = safe[i] + share * (tau[i] - safe[i])
 
 
 @compiled
 def clamp(value: float, lower: float, upper: float) -> float:
-    """A number limited to two bounds; the upper one where they contradict each other."""
+    """A number limited to two bounds.
+
+    Parameters
+    ----------
+    value
+        the number
+    lower, upper
+        the bounds
+
+    Returns
+    -------
+    float
+        the number within the bounds; the upper one where they contradict each other
+    """
     return min(max(value, lower), upper)
 
 
 @compiled
 def approach_speed(distance: float, max_speed: float, approach_rate: float) -> float:
-    """How fast a joint may move towards a limit at a distance (negative: beyond it): it slows down exponentially."""
+    """How fast a joint may move towards a limit: it slows down exponentially.
+
+    Parameters
+    ----------
+    distance
+        to the limit, rad or m; negative beyond it
+    max_speed
+        of the joint, rad/s or m/s
+    approach_rate
+        speed per distance that is left, 1/s
+
+    Returns
+    -------
+    float
+        rad/s or m/s; negative beyond the limit: away from it
+    """
     return clamp(approach_rate * distance, -max_speed, max_speed)
 
 
@@ -102,9 +138,30 @@ def repel(
 ) -> bool:
     """Push joints softly out of the margin before their position limits.
 
-    A critically damped spring of the frequency (rad/s) that only pushes, never pulls: it gives back little of the
-    energy that it took. The margin (rad or m) is a tenth of the joint's range at most. Returns whether
-    a joint was pushed.
+    Parameters
+    ----------
+    tau
+        (n,), N m, changed
+    q, v
+        state (n,)
+    mass
+        (n,), inertia of each joint by itself
+    lower, upper
+        position limits (n,), rad or m
+    margin
+        rad or m; a tenth of the joint's range at most
+    frequency
+        of the spring, rad/s
+
+    Attributes
+    ----------
+    critically damped spring that only pushes, never pulls
+        it gives back little of the energy that it took.
+
+    Returns
+    -------
+    bool
+        whether a joint was pushed
     """
     pushed = False
     for i in range(len(tau)):
@@ -146,7 +203,20 @@ def torque_bounds(effort: Array, previous: Array, max_change: Array, lowest: Arr
 
 @compiled
 def keep_within(tau: Array, lowest: Array, highest: Array) -> bool:
-    """Limit torques to bounds (n,). Returns whether one was changed."""
+    """Limit torques to bounds.
+
+    Parameters
+    ----------
+    tau
+        (n,), N m, changed
+    lowest, highest
+        bounds (n,), N m
+
+    Returns
+    -------
+    bool
+        whether a torque was changed
+    """
     changed = False
     for i in range(len(tau)):
         allowed = clamp(tau[i], lowest[i], highest[i])
@@ -158,7 +228,22 @@ def keep_within(tau: Array, lowest: Array, highest: Array) -> bool:
 
 @compiled
 def injected_power(tau: Array, v: Array, nonlinear: Array) -> float:
-    """Power (W) that torques put into the motion, (tau - nonlinear)^T v: beyond lifting the robot's own weight."""
+    """Power that torques put into the motion, (tau - nonlinear)^T v: beyond lifting the robot's own weight.
+
+    Parameters
+    ----------
+    tau
+        (n,), N m
+    v
+        (n,), rad/s or m/s
+    nonlinear
+        (n,), N m, what carries the robot
+
+    Returns
+    -------
+    float
+        W
+    """
     power = 0.0
     for i in range(len(tau)):
         power += (tau[i] - nonlinear[i]) * v[i]
@@ -167,10 +252,28 @@ def injected_power(tau: Array, v: Array, nonlinear: Array) -> float:
 
 @compiled
 def limit_power(tau: Array, v: Array, nonlinear: Array, max_power: float, lowest: Array, highest: Array) -> bool:
-    """Scale down the torques that drive joints until the injected power is within max_power (W, > 0).
+    """Scale down the torques that drive joints until the injected power is within a bound.
 
-    Joints that brake are left alone, and no torque leaves its bounds (n,): where these do not permit so little
-    power, it is as little as they permit. Returns whether a torque was changed.
+    Joints that brake are left alone, and no torque leaves its bounds: where these do not permit so little power, it is
+    as little as they permit.
+
+    Parameters
+    ----------
+    tau
+        (n,), N m, changed
+    v
+        (n,), rad/s or m/s
+    nonlinear
+        (n,), N m, what carries the robot
+    max_power
+        W, > 0
+    lowest, highest
+        bounds (n,) of the torques, N m
+
+    Returns
+    -------
+    bool
+        whether a torque was changed
     """
     power = injected_power(tau, v, nonlinear)
     if not power > max_power:
@@ -191,11 +294,22 @@ def limit_power(tau: Array, v: Array, nonlinear: Array, max_power: float, lowest
 
 @compiled
 def fit(wanted: Array, given: Array, limits: Array) -> float:
-    """Largest share s in 0..1 with |given + s wanted| <= limits, all torques (n,).
+    """Largest share of some torques that fits into the limits beside others, |given + s wanted| <= limits.
 
     Scaling a vector of torques keeps the direction in which the hand accelerates; clamping single joints turns it, and
-    a hand that is pushed aside by its own controller may swing for ever. Joints for which `given` alone is too much are
-    left out.
+    a hand that is pushed aside by its own controller may swing for ever.
+
+    Parameters
+    ----------
+    wanted, given
+        (n,), N m
+    limits
+        (n,), N m. Joints for which `given` alone is too much are left out
+
+    Returns
+    -------
+    float
+        s, 0 to 1
     """
     share = 1.0
     for i in range(len(wanted)):

@@ -115,14 +115,45 @@ def limit_torques(
     safe_damping: float,
     safe: Array,
 ) -> int:
-    """Stages 1 and 3 to 7 on tau (n,) in place; see the module. Returns the bits of what was done.
+    """Stages 1 and 3 to 7 of the pipeline, in place: see the module.
 
-    inverse (n, n), nonlinear (n,) : M^-1 and what carries the robot at q and v (n,)
-    previous (n,) : the last torques, NaN where there were none
-    delay : of the loop, s
-    share : of the law in the blend, 0 to 1
-    own_rates (n,), period : what the robot permits, N m/s, infinite where it says nothing, and its cycle, s
-    safe (n,), out : gravity compensation with damping
+    Parameters
+    ----------
+    tau
+        (n,), N m, changed: the torques that a law asks for, then those that may be sent
+    q, v
+        state (n,), rad and rad/s, or m and m/s
+    nonlinear
+        (n,), N m, what carries the robot at q and v: gravity and Coriolis torques
+    inverse
+        (n, n), M^-1
+    previous
+        (n,), N m, the last torques; NaN where there were none
+    dt
+        time since then, s
+    delay
+        of the loop, s
+    share
+        of the law in the blend with the safe torque, 0 to 1
+    lower, upper
+        position limits (n,), rad or m
+    max_speed
+        (n,), rad/s or m/s
+    effort
+        (n,), effort limits, N m
+    own_rates
+        (n,), rates that the robot itself permits, N m/s; infinite where it says nothing
+    period
+        of the robot's own cycle, s
+    torque_rate, max_power, approach_rate, limit_bandwidth, repulsion_margin, repulsion_frequency, safe_damping
+        see `TorqueLimits`
+    safe
+        (n,), N m, written: gravity compensation with damping
+
+    Returns
+    -------
+    int
+        the bits of what was done, in the order of `ACTIONS`
     """
     n = len(tau)
     done = 0
@@ -208,7 +239,7 @@ class TorquePipeline:
         self._previous = tau
 
     def step(self, wanted: Array | None, moment: DynamicState, dt: float) -> tuple[Array, int]:
-        """Torques (nv,) that may be sent, and the bits of what was changed (see `ACTIONS`).
+        """Limit the torques of a law; see the module.
 
         Parameters
         ----------
@@ -218,6 +249,11 @@ class TorquePipeline:
             the state of the robot
         dt
             since the last step, s; a pause counts as `max_time_step`, NaN and steps backwards as none
+
+        Returns
+        -------
+        tuple[Array, int]
+            shape (nv,), N m, and the bits of what was changed (see `ACTIONS`)
 
         Raises
         ------

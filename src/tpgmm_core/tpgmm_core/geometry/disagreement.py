@@ -43,6 +43,11 @@ def disagreement(gaussians: Mapping[str, Located]) -> str:
     ----------
     gaussians
         at least two, on one manifold with S³ factors, by the names that the text uses for them
+
+    Returns
+    -------
+    str
+        one sentence
     """
     found: tuple[float, str] = (-1.0, "")
     for (first, a), (second, b) in itertools.combinations(gaussians.items(), 2):
@@ -63,6 +68,11 @@ def no_product(what: str, views: Mapping[str, Located]) -> ValueError:
         whose product it is
     views
         frame → its Gaussian in the common frame
+
+    Returns
+    -------
+    ValueError
+        the error, for the caller to raise
     """
     return ValueError(
         f"the frames do not agree on {what}; {disagreement(views)}. Bring the frames closer to demonstrated "

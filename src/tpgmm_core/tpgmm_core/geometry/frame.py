@@ -93,6 +93,11 @@ class Frame:
         orientation
             of the object, quaternion x, y, z, w, (4,) or (T, 4)
 
+        Returns
+        -------
+        Frame
+            constant for one pose, varying with time for T poses
+
         Raises
         ------
         ValueError
@@ -122,6 +127,11 @@ class Frame:
         ----------
         frames
             one for each part of the data, in order; those that vary with time have the same number of time steps
+
+        Returns
+        -------
+        Frame
+            the frame of the data side by side
 
         Raises
         ------
@@ -157,6 +167,11 @@ class Frame:
         ----------
         t_index
             one index, or an array of them
+
+        Returns
+        -------
+        Frame
+            a constant frame for one index, one that varies with time for an array
         """
         if not self.is_time_varying:
             return self

@@ -102,6 +102,11 @@ class Gaussian:
         frame
             one map, constant in time
 
+        Returns
+        -------
+        Gaussian
+            over the space that the frame maps to
+
         Raises
         ------
         ValueError
@@ -134,6 +139,11 @@ class Gaussian:
         gaussians
             one or more, on one manifold, with regular covariances
 
+        Returns
+        -------
+        Gaussian
+            on the same manifold
+
         Raises
         ------
         ValueError
@@ -163,6 +173,11 @@ class Gaussian:
         dims
             ambient dimensions, in the order that is wanted; the four numbers of a quaternion go together
 
+        Returns
+        -------
+        Gaussian
+            over `dims`, in this order
+
         Raises
         ------
         ValueError
@@ -183,6 +198,11 @@ class Gaussian:
             ambient dimensions whose values are given; the four numbers of a quaternion go together
         values
             shape (len(dims),)
+
+        Returns
+        -------
+        Gaussian
+            over the other dimensions, in their order
 
         Raises
         ------

@@ -21,9 +21,23 @@ compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath
 
 @compiled
 def cholesky(S: Array, n: int, L: Array) -> bool:
-    """Lower factor L of the leading n x n block of S, S = L L^T, from its lower triangle.
+    """Lower factor L of the leading n x n block of S, S = L L^T.
 
-    The diagonal of L holds reciprocals, since only these are needed. False when S is not positive definite.
+    The diagonal of L holds reciprocals, since only these are needed.
+
+    Parameters
+    ----------
+    S
+        (n or more, n or more); its lower triangle is read
+    n
+        size of the block
+    L
+        (n or more, n or more), written
+
+    Returns
+    -------
+    bool
+        False when S is not positive definite
     """
     for j in range(n):
         pivot = S[j, j]
@@ -43,7 +57,17 @@ def cholesky(S: Array, n: int, L: Array) -> bool:
 
 @compiled
 def invert_lower(L: Array, n: int, inverse: Array) -> None:
-    """Inverse of the leading n x n factor of `cholesky`, itself lower triangular; zeros above."""
+    """Inverse of the leading n x n block of a factor of `cholesky`.
+
+    Parameters
+    ----------
+    L
+        (n or more, n or more), of `cholesky`
+    n
+        size of the block
+    inverse
+        (n or more, n or more), written: itself lower triangular; zeros above
+    """
     for i in range(n):
         inverse[i, i] = L[i, i]
         for j in range(i):
@@ -56,7 +80,17 @@ def invert_lower(L: Array, n: int, inverse: Array) -> None:
 
 @compiled
 def gram(F: Array, n: int, out: Array) -> None:
-    """F^T F of the leading n x n lower triangle: the precision, when F is the inverse Cholesky factor."""
+    """F^T F of the leading n x n lower triangle: the precision, when F is the inverse Cholesky factor.
+
+    Parameters
+    ----------
+    F
+        (n or more, n or more), lower triangular
+    n
+        size of the block
+    out
+        (n or more, n or more), written
+    """
     for i in range(n):
         for j in range(i + 1):
             total = 0.0
@@ -64,96 +98,6 @@ def gram(F: Array, n: int, out: Array) -> None:
                 total += F[m, i] * F[m, j]
             out[i, j] = total
             out[j, i] = total
-
-
-@compiled
-def quaternion_difference(
-    px: float, py: float, pz: float, pw: float, qx: float, qy: float, qz: float, qw: float
-) -> tuple[float, float, float]:
-    """Log(p ⊗ q^-1): the shortest rotation vector from q to p about the fixed axes."""
-    x = -pw * qx + px * qw - py * qz + pz * qy
-    y = -pw * qy + px * qz + py * qw - pz * qx
-    z = -pw * qz - px * qy + py * qx + pz * qw
-    w = pw * qw + px * qx + py * qy + pz * qz
-    sine = math.sqrt(x * x + y * y + z * z)
-    if sine < 1e-9:
-        factor = 2.0
-    else:
-        factor = 2.0 * math.atan2(sine, abs(w)) / sine
-    if w < 0.0:
-        factor = -factor
-    return factor * x, factor * y, factor * z
-
-
-@compiled
-def turn(q: Array, wx: float, wy: float, wz: float) -> None:
-    """Turn a quaternion in place: q ← Exp(w) ⊗ q, normalised."""
-    angle = math.sqrt(wx * wx + wy * wy + wz * wz)
-    factor = 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
-    c, x, y, z = math.cos(0.5 * angle), factor * wx, factor * wy, factor * wz
-    qx, qy, qz, qw = q[0], q[1], q[2], q[3]
-    q[0] = c * qx + x * qw + y * qz - z * qy
-    q[1] = c * qy - x * qz + y * qw + z * qx
-    q[2] = c * qz + x * qy - y * qx + z * qw
-    q[3] = c * qw - x * qx - y * qy - z * qz
-    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    for i in range(4):
-        q[i] /= norm
-
-
-@compiled
-def inverse_left_jacobian(x: float, y: float, z: float, J: Array) -> None:
-    """Inverse of the left Jacobian of SO(3) at the rotation vector (x, y, z): d Log(Exp(w) Exp(e)) / dw at w = 0."""
-    squared = x * x + y * y + z * z
-    if squared < 1e-8:
-        c = 1.0 / 12.0 + squared / 720.0
-    else:
-        half = 0.5 * math.sqrt(squared)
-        c = (1.0 - half * math.cos(half) / math.sin(half)) / squared
-    J[0, 0], J[0, 1], J[0, 2] = 1.0 - c * (y * y + z * z), 0.5 * z + c * x * y, -0.5 * y + c * x * z
-    J[1, 0], J[1, 1], J[1, 2] = -0.5 * z + c * x * y, 1.0 - c * (x * x + z * z), 0.5 * x + c * y * z
-    J[2, 0], J[2, 1], J[2, 2] = 0.5 * y + c * x * z, -0.5 * x + c * y * z, 1.0 - c * (x * x + y * y)
-
-
-@compiled
-def rotation(x: float, y: float, z: float, w: float, R: Array) -> None:
-    """Rotation matrix of a unit quaternion."""
-    R[0, 0], R[0, 1], R[0, 2] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)
-    R[1, 0], R[1, 1], R[1, 2] = 2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)
-    R[2, 0], R[2, 1], R[2, 2] = 2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)
-
-
-@compiled
-def rotation_of_left_matrix(L: Array, R: Array) -> bool:
-    """R (3, 3) of the left multiplication L(q) (4, 4); False when L is no left multiplication by a unit quaternion."""
-    x, y, z, w = L[0, 3], L[1, 3], L[2, 3], L[3, 3]
-    if not abs(x * x + y * y + z * z + w * w - 1.0) < 1e-6:
-        return False
-    # L(q)^T = L(q^-1): the diagonal is w, and entries across it have opposite signs
-    error = abs(L[0, 0] - w) + abs(L[1, 1] - w) + abs(L[2, 2] - w)
-    error += abs(L[1, 0] - z) + abs(L[0, 1] + z) + abs(L[0, 2] - y) + abs(L[2, 0] + y)
-    error += abs(L[2, 1] - x) + abs(L[1, 2] + x)
-    error += abs(L[3, 0] + x) + abs(L[3, 1] + y) + abs(L[3, 2] + z)
-    rotation(x, y, z, w, R)
-    return error < 1e-6
-
-
-@compiled
-def transport(C: Array, t: int, x: float, y: float, z: float) -> None:
-    """Move a covariance along the rotation vector (x, y, z) of the S³ factor at t: C ← R C R^T, R = Exp half of it."""
-    n = len(C)
-    q = np.array([0.0, 0.0, 0.0, 1.0])
-    turn(q, 0.5 * x, 0.5 * y, 0.5 * z)
-    R = np.empty((3, 3))
-    rotation(q[0], q[1], q[2], q[3], R)
-    for i in range(n):
-        c0, c1, c2 = C[i, t], C[i, t + 1], C[i, t + 2]
-        for m in range(3):
-            C[i, t + m] = R[m, 0] * c0 + R[m, 1] * c1 + R[m, 2] * c2
-    for i in range(n):
-        c0, c1, c2 = C[t, i], C[t + 1, i], C[t + 2, i]
-        for m in range(3):
-            C[t + m, i] = R[m, 0] * c0 + R[m, 1] * c1 + R[m, 2] * c2
 
 
 @compiled
@@ -215,8 +159,18 @@ def pseudo_inverse(A: Array, tolerance: float) -> Array:
 def exp_in_place(values: Array, n: int, polynomial: Array, bits: Array, scale: Array) -> None:
     """values[:n] ← exp(values[:n]) for values <= 0, relative error below 1e-14; vectorises, unlike math.exp.
 
-    exp(x) = 2^m exp(r) with |r| <= log(2)/2. `polynomial`, `bits` (int64) and `scale`, a float view of
-    `bits`, are scratch of at least n numbers. Below -700 the result is 1e-304, which stands for zero.
+    exp(x) = 2^m exp(r) with |r| <= log(2)/2. Below -700 the result is 1e-304, which stands for zero.
+
+    Parameters
+    ----------
+    values
+        (n or more,), changed
+    n
+        how many
+    polynomial
+        (n or more,), scratch
+    bits, scale
+        (n or more,), scratch: int64, and a float view of the same memory
     """
     for b in range(n):
         x = max(values[b], -700.0)
@@ -239,3 +193,23 @@ def exp_in_place(values: Array, n: int, polynomial: Array, bits: Array, scale: A
         bits[b] = (np.int64(m) + 1023) << 52
     for b in range(n):
         values[b] = polynomial[b] * scale[b]
+
+
+@compiled
+def multiply_add(A: Array, x: Array, y: Array) -> None:
+    """Add a product in place: y += A x.
+
+    Parameters
+    ----------
+    A
+        (n, m)
+    x
+        (m,)
+    y
+        (n,), changed
+    """
+    for i in range(len(A)):
+        total = 0.0
+        for j in range(A.shape[1]):
+            total += A[i, j] * x[j]
+        y[i] += total

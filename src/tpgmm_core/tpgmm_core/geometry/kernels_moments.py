@@ -8,8 +8,10 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled, quaternion_difference, rotation, turn
-from tpgmm_core.geometry.kernels_product import MAX_STEPS, along, difference, longest, move
+from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels_manifold import along, difference, longest, move
+from tpgmm_core.geometry.kernels_product import MAX_STEPS
+from tpgmm_core.geometry.kernels_rotation import quaternion_difference, rotation, turn
 
 NEGLIGIBLE = 1e-20  # components with a smaller activation add nothing
 MEAN_TOLERANCE = 1e-13  # the weighted mean on S³ stops at steps shorter than this, in rad
@@ -21,7 +23,23 @@ def match_one(
     h: Array, z: Array, means: Array, slopes: Array, within: Array, steps: Array, out_means: Array,
     out_covariances: Array,
 ) -> None:  # fmt: skip
-    """`match_flat` for one value, without what it takes to have several side by side."""
+    """`match_flat` for one value, without what it takes to have several side by side.
+
+    Parameters
+    ----------
+    h
+        (K, 1), weights
+    z
+        (K, n_i, 1), whitened differences
+    means
+        (K, n)
+    slopes, within
+        (K, n_i, n) and (K, n, n), of `kernels_activation.factorise`
+    steps
+        (K, n, 1), scratch
+    out_means, out_covariances
+        (n, 1) and (n, n, 1), written
+    """
     K, n_i, n = slopes.shape
     for o in range(n):
         mean = 0.0
@@ -55,10 +73,22 @@ def match_flat(
 ) -> None:  # fmt: skip
     """Moments on R^n of the active ones of K Gaussians.
 
-    They lie at means (K, n) + steps (K, n, size), weighted by h (K, size), side by side. Writes out_means (n, T) and
-    out_covariances (n, n, T) from start on.
-
-    active : (A, 3), as `activate` writes it; steps are overwritten.
+    Parameters
+    ----------
+    active
+        (A, 3), as `kernels_activation.activate` writes it
+    h
+        (K, size), weights, side by side
+    means
+        (K, n)
+    steps
+        (K, n, size), overwritten: the Gaussians lie at means + steps
+    within
+        (K, n, n), their covariances
+    start, size
+        the first value and the number of values
+    out_means, out_covariances
+        (n, T) and (n, n, T), written from `start` on
     """
     n, stop = means.shape[1], start + size
     for o in range(n):
@@ -102,7 +132,20 @@ def match_curved(
 ) -> None:
     """Moments of those of K Gaussians that are not negligible, where there are S³ factors.
 
-    They are reached from means (K, D) along steps (K, n), weighted by h (K,).
+    Parameters
+    ----------
+    h
+        (K,), weights
+    means
+        (K, D)
+    steps
+        (K, n), tangent vectors from the means to where the Gaussians lie
+    within
+        (K, n, n), their covariances
+    flat, spheres
+        arrangement of the manifold, see `kernels_manifold`
+    mean, covariance
+        (D,) and (n, n), written
     """
     n = len(flat)
     conditionals, e, step = means.copy(), np.empty((len(means), n)), np.empty(n)
@@ -169,7 +212,17 @@ def match_curved(
 
 @compiled
 def rotate(C: Array, t: int, R: Array) -> None:
-    """C ← R C R^T for the three dimensions from t on."""
+    """C ← R C R^T for three of the dimensions.
+
+    Parameters
+    ----------
+    C
+        (n, n), changed
+    t
+        the first of the three
+    R
+        (3, 3)
+    """
     n = len(C)
     for i in range(n):
         c0, c1, c2 = C[i, t], C[i, t + 1], C[i, t + 2]

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
-from tpgmm_core.geometry.kernels_product import difference, move
+from tpgmm_core.geometry.kernels_manifold import difference, move
 
 MAX_TEXT = 1000
 """Longest text of a manifold, in characters: it may come from messages and files of others."""
@@ -61,6 +61,11 @@ class Manifold:
         dim
             number of ambient dimensions that it must have; None: any
 
+        Returns
+        -------
+        Manifold
+            the manifold
+
         Raises
         ------
         ValueError
@@ -70,7 +75,7 @@ class Manifold:
             raise ValueError(f"a manifold is a text of at most {MAX_TEXT} characters, got {len(text)}")
         if text.strip().lower() == "euclidean":
             if dim is None:
-                raise ValueError('"euclidean" says nothing of the dimension: give dim, or write "R3"')
+                raise ValueError('"euclidean" leaves the dimension open: give dim, or write "R3"')
             return cls.euclidean(dim)
         factors = []
         for part in text.split("x"):
@@ -92,6 +97,11 @@ class Manifold:
         ----------
         dim
             number of dimensions, at least 1
+
+        Returns
+        -------
+        Manifold
+            with the one factor R^dim
         """
         return cls((("R", dim),))
 
@@ -230,6 +240,11 @@ class Manifold:
             points, (N, dim)
         weights
             shape (N,); None: all points count the same
+
+        Returns
+        -------
+        Array
+            the mean, (dim,)
         """
         x = np.asarray(x, dtype=float)
         w = np.ones(len(x)) if weights is None else np.asarray(weights, dtype=float)
@@ -329,6 +344,11 @@ class Manifold:
         dims
             ambient indices, as for `subset`
 
+        Returns
+        -------
+        NDArray[np.intp]
+            in the order of `dims`; three for the four numbers of a quaternion
+
         Raises
         ------
         ValueError
@@ -343,6 +363,11 @@ class Manifold:
         ----------
         dims
             ambient indices; the four of a quaternion go together
+
+        Returns
+        -------
+        Manifold
+            the manifold of these dimensions
 
         Raises
         ------
@@ -366,6 +391,11 @@ class Manifold:
         ----------
         dims
             ambient indices
+
+        Returns
+        -------
+        list[int]
+            ascending
         """
         return [i for i in range(self.dim) if i not in set(dims)]
 
@@ -420,6 +450,11 @@ def split(manifold: Manifold, dims: tuple[int, ...]) -> Split:
         the whole space
     dims
         ambient dimensions; the four numbers of a quaternion go together
+
+    Returns
+    -------
+    Split
+        the manifolds of both parts, and the plan of the regression
 
     Raises
     ------

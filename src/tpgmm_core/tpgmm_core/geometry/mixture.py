@@ -68,6 +68,11 @@ class GaussianMixture:
         ----------
         k
             from 0
+
+        Returns
+        -------
+        Gaussian
+            over the same space
         """
         return Gaussian(self.means[k], self.covariances[k], self.manifold)
 

@@ -42,9 +42,24 @@ def conjugate(q: ArrayLike) -> Array:
 
 
 def normalize(q: ArrayLike) -> Array:
-    """Q / |q|, shape (..., 4); one that is of unit length up to rounding stays as it is, bit by bit.
+    """Unit quaternions q / |q|; one that is of unit length up to rounding stays as it is, bit by bit.
 
-    So what was normalised, written and read is the same. Raises ValueError for zero or non-finite quaternions.
+    So what was normalised, written and read is the same.
+
+    Parameters
+    ----------
+    q
+        shape (..., 4), x, y, z, w
+
+    Returns
+    -------
+    Array
+        shape (..., 4)
+
+    Raises
+    ------
+    ValueError
+        for zero or non-finite quaternions
     """
     q = np.asarray(q, dtype=float)
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
@@ -85,9 +100,19 @@ def rotation_matrix(q: ArrayLike) -> Array:
 
 
 def roll_pitch_yaw(q: ArrayLike) -> Array:
-    """Turns (3,) about the fixed axes x, then y, then z (REP 103), rad, that make up a unit quaternion (4,).
+    """Turns about the fixed axes x, then y, then z (REP 103) that make up a unit quaternion.
 
     Where the pitch is a quarter turn, roll and yaw are about the same axis; the whole turn is then given as roll.
+
+    Parameters
+    ----------
+    q
+        shape (4,), x, y, z, w
+
+    Returns
+    -------
+    Array
+        roll, pitch and yaw, (3,), rad
     """
     R = rotation_matrix(q)
     cosine = np.hypot(R[0, 0], R[1, 0])
@@ -98,7 +123,17 @@ def roll_pitch_yaw(q: ArrayLike) -> Array:
 
 
 def from_matrix(R: ArrayLike) -> Array:
-    """Unit quaternion (..., 4), w >= 0, of a rotation matrix (..., 3, 3).
+    """Unit quaternion of a rotation matrix.
+
+    Parameters
+    ----------
+    R
+        shape (..., 3, 3)
+
+    Returns
+    -------
+    Array
+        shape (..., 4), x, y, z, w, with w >= 0
 
     Raises
     ------
@@ -143,7 +178,20 @@ def continuous(q: ArrayLike) -> Array:
 
 
 def slerp(p: ArrayLike, q: ArrayLike, fraction: ArrayLike) -> Array:
-    """Point (..., 4) at a fraction 0..1 (...,) of the shortest way from p to q."""
+    """Point at a fraction of the shortest way from one unit quaternion to another.
+
+    Parameters
+    ----------
+    p, q
+        shape (..., 4), x, y, z, w
+    fraction
+        0 to 1, shape (...,)
+
+    Returns
+    -------
+    Array
+        unit quaternion, shape (..., 4)
+    """
     p = np.asarray(p, dtype=float)
     step = np.asarray(fraction, dtype=float)[..., None] * log(multiply(q, conjugate(p)))
     return multiply(exp(step), p)

@@ -75,7 +75,18 @@ class PlanarRobot:
         return tuple(self._chains)
 
     def update(self, q: Array) -> None:
-        """Move to the configuration q (n,), rad. Raises ValueError for another shape."""
+        """Move to a configuration.
+
+        Parameters
+        ----------
+        q
+            shape (n,), rad
+
+        Raises
+        ------
+        ValueError
+            for another shape
+        """
         self._q = np.array(q, dtype=float)
         if self._q.shape != self.lengths.shape:
             raise ValueError(f"the robot has {self.n_joints} joints, got q of shape {self._q.shape}")
@@ -118,7 +129,16 @@ def planar_bimanual(torso: float = 1.0, upper: float = 1.0, fore: float = 1.0) -
     """Make the robot of Fig. 6: a torso that turns about the base, upright at q = 0, and two arms of two joints each.
 
     Joints: torso, left shoulder, left elbow, right shoulder, right elbow. Points: "left" and "right" hand.
-    Lengths in m.
+
+    Parameters
+    ----------
+    torso, upper, fore
+        lengths of the links, m
+
+    Returns
+    -------
+    PlanarRobot
+        the robot
     """
     lengths = [torso, upper, fore, upper, fore]
     return PlanarRobot(lengths, {"left": (0, 1, 2), "right": (0, 3, 4)}, base_angle=0.5 * np.pi)

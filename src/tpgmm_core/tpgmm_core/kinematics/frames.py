@@ -42,6 +42,11 @@ class KinematicFrame(Protocol):
         moment
             robot and objects at this step
 
+        Returns
+        -------
+        Frame
+            the map
+
         Raises
         ------
         ValueError

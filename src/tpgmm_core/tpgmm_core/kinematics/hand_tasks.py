@@ -21,7 +21,8 @@ from numpy.typing import ArrayLike
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.gaussian import Gaussian
-from tpgmm_core.geometry.kernels import compiled, inverse_left_jacobian, quaternion_difference, rotation
+from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels_rotation import inverse_left_jacobian, quaternion_difference, rotation
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.kinematics.joint_space import to_joint_space
 from tpgmm_core.learning.tpgmm import TPGMM
@@ -129,6 +130,11 @@ class HandTasks:
             (nv,), the rest posture
         weights
             by task, 0 to 1: precisions are scaled by them; 1 where not named
+
+        Returns
+        -------
+        Gaussian
+            over the joint positions, rad or m
         """
         self._data.update(q)
         poses = {name: self._data.pose(name) for name in self._used}
@@ -231,10 +237,18 @@ def _views(name: str, task: HandTask) -> list[_View]:
 def deviation(hand: Array, J_hand: Array, body: Array, J_body: Array, mean: Array, error: Array, J: Array) -> None:
     """Deviation of a hand, as a body sees it, from a mean pose, and how joints change that.
 
-    hand, body (7,), J_hand, J_body (6, n) : poses and Jacobians in base axes
-    mean (7,) : in the axes of the body
-    error (6,), out : log from the pose seen to the mean, about the body's axes, in the tangent space at the mean
-    J (6, n), out : -d error / dq; the derivative of the logarithm is the inverse left Jacobian of SO(3)
+    Parameters
+    ----------
+    hand, J_hand
+        pose (7,) and Jacobian (6, n) of the hand in base axes
+    body, J_body
+        the same of the body
+    mean
+        (7,), in the axes of the body
+    error
+        (6,), written: log from the pose seen to the mean, about the body's axes, in the tangent space at the mean
+    J
+        (6, n), written: -d error / dq; the derivative of the logarithm is the inverse left Jacobian of SO(3)
     """
     n = J.shape[1]
     R, rate = np.empty((3, 3)), np.empty((3, 3))

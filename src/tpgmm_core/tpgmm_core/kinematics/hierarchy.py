@@ -45,6 +45,11 @@ def hierarchy_frames(
     least_error
         of lower levels, see `SecondaryTaskSpace`
 
+    Returns
+    -------
+    dict[str, KinematicFrame]
+        name → frame
+
     Raises
     ------
     ValueError

@@ -37,8 +37,20 @@ def damped_pseudo_inverse(J: Array, threshold: float) -> Array:
 
 @compiled
 def null_space(J: Array, threshold: float) -> Array:
-    """Projection N = I - J^+ J (n, n), symmetric, on motions that J does not see.
+    """Projection N = I - J^+ J on motions that J does not see.
 
     Near singularities, where damping leaves some of a motion undone, its eigenvalues lie between 0 and 1.
+
+    Parameters
+    ----------
+    J
+        shape (m, n)
+    threshold
+        singular values below it are damped
+
+    Returns
+    -------
+    Array
+        shape (n, n), symmetric
     """
     return np.eye(J.shape[1]) - damped_pseudo_inverse(J, threshold) @ J

@@ -21,9 +21,7 @@ SMALLEST_PRECISION = 1e-9  # share of the largest eigenvalue: directions in whic
 def to_joint_space(
     precisions: Sequence[ArrayLike], jacobians: Sequence[ArrayLike], errors: Sequence[ArrayLike], q: ArrayLike
 ) -> tuple[Array, Array]:
-    """Precision (n, n), `sum J^T Lambda J`, and the reference (n,) that is best for all tasks and nearest to q.
-
-    Serves velocities too: velocity errors, velocity precisions, and joint velocities in place of q.
+    """Precision and reference of joints for tasks of the robot.
 
     Parameters
     ----------
@@ -35,6 +33,11 @@ def to_joint_space(
         of each task (D_i,), `x_ref - x`, on manifolds `log_x(x_ref)`, in the axes of the Jacobian
     q
         (n,)
+
+    Returns
+    -------
+    tuple[Array, Array]
+        precision (n, n), `sum J^T Lambda J`, and the reference (n,) that is best for all tasks and nearest to q
 
     Raises
     ------

@@ -58,7 +58,13 @@ class KinematicEncoding(Encoding):
         """Nothing is a number with a range here."""
 
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
-        """See `Encoding`. Raises ValueError where an object is not seen from the beginning."""
+        """See `Encoding.encode`.
+
+        Raises
+        ------
+        ValueError
+            where an object is not seen from the beginning
+        """
         frames = self.frames()
         late = sorted(name for name in frames.objects if not demonstration.is_visible(name).all())
         if late:
@@ -118,7 +124,13 @@ class KinematicMethod(RetrievalMethod):
         return cls(name=NAME, encoding=KinematicEncoding, movement=movement, text=text)
 
     def check(self, model: TPGMM) -> None:
-        """See `RetrievalMethod`. Raises ValueError for a model of other frames than the task's."""
+        """See `RetrievalMethod.check`.
+
+        Raises
+        ------
+        ValueError
+            for a model of other frames than the task's
+        """
         if model.metadata_.get(KEY) != NAME:
             raise ValueError(
                 "the model was not learned from the task's kinematic frames: train it again, from joint states"

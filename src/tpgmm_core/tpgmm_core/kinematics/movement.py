@@ -131,6 +131,22 @@ class KinematicMovement:
     ) -> Reference:
         """The reference at a time: see `Retrieval.step`.
 
+        Parameters
+        ----------
+        time_ns
+            now, ns
+        frames
+            of the objects, by name
+        state
+            (n,), rad or m, where the robot is
+        weights
+            how far each frame is trusted, 0 to 1
+
+        Returns
+        -------
+        Reference
+            over configurations
+
         Raises
         ------
         ValueError
@@ -163,13 +179,42 @@ class KinematicMovement:
         )
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
-        """The last reference n times: if the frames stay, so does its target."""
+        """The last reference n times: if the frames stay, so does its target.
+
+        Parameters
+        ----------
+        n
+            how many
+        dt
+            apart, s
+
+        Returns
+        -------
+        list[Gaussian]
+            n times the same
+
+        Raises
+        ------
+        ValueError
+            before the first step
+        """
         if self._last is None:
             raise ValueError("there was no step yet: call start(time_ns) and step(...)")
         return [self._last] * n
 
     def mixture(self) -> GaussianMixture:
-        """The model about the last configuration, over configurations, or over [time, configuration]."""
+        """The model about the last configuration.
+
+        Returns
+        -------
+        GaussianMixture
+            over configurations, or over [time, configuration]
+
+        Raises
+        ------
+        ValueError
+            before the first step
+        """
         if self._last is None:
             raise ValueError("there was no step yet: call start(time_ns) and step(...)")
         return self._product.mixture(self._around, self._poses, self._time, self._weights)

@@ -83,6 +83,11 @@ class MovingFrames:
         stride
             how long the step is, in STEPs
 
+        Returns
+        -------
+        dict[str, Frame]
+            name → frame
+
         Raises
         ------
         ValueError
@@ -121,6 +126,11 @@ class MovingFrames:
             name → Frame, constant or with T steps
         with_time
             whether time is the first dimension of data and frames
+
+        Returns
+        -------
+        Demonstration
+            over configurations, or over [time, configuration]
 
         Raises
         ------
@@ -228,6 +238,11 @@ class ConfigurationProduct:
         dt
             length of the step, s
 
+        Returns
+        -------
+        Gaussian
+            over configurations
+
         Raises
         ------
         ValueError
@@ -258,7 +273,18 @@ class ConfigurationProduct:
         time: float | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> GaussianMixture:
-        """All components in the situation of such a step, over time as the first dimension where the model is."""
+        """All components in the situation of a step.
+
+        Parameters
+        ----------
+        q, objects, time, weights
+            as for `step`
+
+        Returns
+        -------
+        GaussianMixture
+            over configurations, time first where the model has it
+        """
         frames, state = self._situation(q, objects, time)
         return self._adapter.adapt(frames, state, weights)
 

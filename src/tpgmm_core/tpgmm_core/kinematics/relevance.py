@@ -15,7 +15,7 @@ from tpgmm_core.learning.tpgmm import TPGMM
 def directions_determined(
     model: TPGMM, frames: Mapping[str, Frame], time: float | None = None, component: int = 0
 ) -> dict[str, float]:
-    """How many of the n directions each frame determines, name → 0 to n: the trace of H^-1 H_j.
+    """How many of the n directions each frame determines: the trace of H^-1 H_j.
 
     H_j = M_j^T Lambda_j M_j is the precision of frame j in configuration space (Eq. 5), H their sum (Eq. 6). It has no
     unit, so that frames over joints, positions and turns can be compared, and adds up to n, or to the number of
@@ -31,6 +31,11 @@ def directions_determined(
         of a model over time, s; the Gaussians are then those of regression in each frame
     component
         of a model without time
+
+    Returns
+    -------
+    dict[str, float]
+        name → 0 to n
     """
     precisions = {}
     for name, frame in frames.items():

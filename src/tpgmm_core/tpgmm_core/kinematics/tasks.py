@@ -11,7 +11,7 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
-from tpgmm_core.geometry.kernels import inverse_left_jacobian, quaternion_difference
+from tpgmm_core.geometry.kernels_rotation import inverse_left_jacobian, quaternion_difference
 from tpgmm_core.geometry.quaternion import rotation_matrix
 from tpgmm_core.kinematics import inverse
 from tpgmm_core.kinematics.chains import Kinematics
@@ -103,6 +103,16 @@ class KinematicState:
 
     def view(self, tasks: KinematicTasks) -> View:
         """The tasks as they are now.
+
+        Parameters
+        ----------
+        tasks
+            what is looked at
+
+        Returns
+        -------
+        View
+            the tasks, one below the other
 
         Raises
         ------

@@ -68,7 +68,18 @@ class UrdfKinematics:
         return tuple(self._frame_ids)
 
     def update(self, q: Array) -> None:
-        """Move these joints to q (n,), rad or m. Raises ValueError for another shape."""
+        """Move these joints.
+
+        Parameters
+        ----------
+        q
+            shape (n,), rad or m
+
+        Raises
+        ------
+        ValueError
+            for another shape
+        """
         if np.shape(q) != self._joints.shape:
             raise ValueError(f"there are {self.n_joints} joints, got q of shape {np.shape(q)}")
         self._posture[self._joints] = q

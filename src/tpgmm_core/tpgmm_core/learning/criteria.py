@@ -23,6 +23,11 @@ def bic(log_likelihood: float, n_parameters: int, n_samples: int) -> float:
     n_samples
         N
 
+    Returns
+    -------
+    float
+        the smaller, the better
+
     Raises
     ------
     ValueError
@@ -42,5 +47,10 @@ def aic(log_likelihood: float, n_parameters: int) -> float:
         of all samples together, log L
     n_parameters
         free parameters of the model
+
+    Returns
+    -------
+    float
+        the smaller, the better
     """
     return -2.0 * log_likelihood + 2.0 * n_parameters

@@ -92,6 +92,11 @@ class DPMeans(Estimator):
         demonstrations
             one or more, with the same frames
 
+        Returns
+        -------
+        Self
+            itself, fitted
+
         Raises
         ------
         ValueError
@@ -120,6 +125,16 @@ class DPMeans(Estimator):
             the number of clusters that is wanted
         demonstrations, manifold
             as for `fit` and the constructor
+
+        Returns
+        -------
+        float
+            squared distance
+
+        Raises
+        ------
+        ValueError
+            for a number of components below 1
         """
         if n_components < 1:
             raise ValueError(f"n_components is an integer from 1, got {n_components}")

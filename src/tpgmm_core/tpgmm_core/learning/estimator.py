@@ -28,6 +28,11 @@ class Estimator:
         ----------
         deep
             makes no difference; scikit-learn passes it
+
+        Returns
+        -------
+        dict[str, Any]
+            name → value
         """
         return {name: getattr(self, name) for name in self._parameter_names()}
 
@@ -38,6 +43,11 @@ class Estimator:
         ----------
         **params
             name and new value of each
+
+        Returns
+        -------
+        Self
+            itself
 
         Raises
         ------

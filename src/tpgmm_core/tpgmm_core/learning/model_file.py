@@ -98,7 +98,23 @@ class ModelHeader:
 
     @classmethod
     def from_json(cls, text: bytes) -> Self:
-        """Read it from text that may be untrusted. Raises ModelFileError, or whatever damaged text leads to."""
+        """Read a header from text that may be untrusted; damaged text raises other errors as well.
+
+        Parameters
+        ----------
+        text
+            JSON
+
+        Returns
+        -------
+        Self
+            the header
+
+        Raises
+        ------
+        ModelFileError
+            for what is no header, or not one that this software reads
+        """
         header = json.loads(text)
         if not isinstance(header, dict) or header.get("format") != FORMAT:
             raise ModelFileError("no model file: it does not say so in its header")
@@ -195,6 +211,11 @@ def read(path: str | PathLike[str]) -> ModelContents:
     path
         the file
 
+    Returns
+    -------
+    ModelContents
+        what the file holds, checked
+
     Raises
     ------
     ModelFileError
@@ -206,7 +227,25 @@ def read(path: str | PathLike[str]) -> ModelContents:
 
 
 def read_as[T](path: str | PathLike[str], make: Callable[[ModelContents], T]) -> T:
-    """Read a model file once, and make something of its contents; errors of both are those of `read`."""
+    """Read a model file once, and make something of its contents.
+
+    Parameters
+    ----------
+    path
+        the file
+    make
+        makes it; what it raises counts as a damaged file
+
+    Returns
+    -------
+    T
+        what `make` made
+
+    Raises
+    ------
+    ModelFileError
+        for anything but a complete model file of a known version, and where `make` refuses the contents
+    """
     try:
         arrays = _arrays(path)
         return make(_contents(ModelHeader.from_json(arrays.pop("model.json").tobytes()), arrays))

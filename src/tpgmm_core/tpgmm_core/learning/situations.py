@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
@@ -172,14 +173,14 @@ def first_frames(demonstration: Demonstration) -> dict[str, Frame]:
     return found
 
 
-def _most_informative(coordinates: Coordinates, values: Array, chosen: Array) -> list[float]:
+def _most_informative(coordinates: Coordinates, values: Array, chosen: NDArray[np.intp]) -> list[float]:
     """Positions of frames, and their turns from the mean, at the corner of the range with the largest leverage."""
     shown = values[:, chosen]
     low, high = shown.min(axis=0), shown.max(axis=0)
     H = np.column_stack([np.ones(len(shown)), (2.0 * shown - low - high) / (high - low)])
     d = len(chosen)
     if 2**d <= MOST_CORNERS:
-        corners = 1.0 - 2.0 * ((np.arange(2**d)[:, None] >> np.arange(d)) & 1)
+        corners: Array = 1.0 - 2.0 * ((np.arange(2**d)[:, None] >> np.arange(d)) & 1)
     else:
         corners = np.random.default_rng(0).choice([-1.0, 1.0], (MOST_CORNERS, d))
     h = np.column_stack([np.ones(len(corners)), corners])

@@ -51,6 +51,11 @@ class Condensed:
             (n,)
         references
             (T + 1, n)
+
+        Returns
+        -------
+        tuple[Array, Array]
+            H (T m, T m) and f (T m,)
         """
         n, size = self.forced.shape[1:]
         weighed = (state_costs @ self.forced).reshape(-1, size)
@@ -82,7 +87,22 @@ class BatchLaw:
 
 
 def condense(A: Array, B: Array, steps: int) -> Condensed:
-    """Write T steps of `x[t+1] = A[t] x[t] + B[t] u[t]` as one: A (1 or T, n, n), B (1 or T, n, m)."""
+    """Write T steps of `x[t+1] = A[t] x[t] + B[t] u[t]` as one.
+
+    Parameters
+    ----------
+    A
+        shape (1 or T, n, n)
+    B
+        shape (1 or T, n, m)
+    steps
+        T
+
+    Returns
+    -------
+    Condensed
+        what all states are, given the first one and all controls
+    """
     n, m = B.shape[1:]
     free, forced = np.zeros((steps + 1, n, n)), np.zeros((steps + 1, n, steps * m))
     free[0] = np.eye(n)
@@ -97,7 +117,18 @@ def condense(A: Array, B: Array, steps: int) -> Condensed:
 def batch_gains(
     A: ArrayLike, B: ArrayLike, state_costs: ArrayLike, control_cost: ArrayLike, references: ArrayLike
 ) -> BatchLaw:
-    """The same problem as `finite_horizon_gains`, solved at once; parameters and errors are the same."""
+    """The same problem as `finite_horizon_gains`, solved at once.
+
+    Parameters
+    ----------
+    A, B, state_costs, control_cost, references
+        as for `finite_horizon_gains`
+
+    Returns
+    -------
+    BatchLaw
+        the controls as an affine function of the first state
+    """
     A, B, Q, R, r = checked_problem(A, B, state_costs, control_cost, references)
     (T, n), m = (len(Q) - 1, A.shape[1]), B.shape[2]
     condensed = condense(A, B, T)

@@ -49,6 +49,11 @@ def continuous_horizon_gains(
     risk
         theta, in 1 over the unit of the cost, as in `finite_horizon`
 
+    Returns
+    -------
+    FiniteHorizonGains
+        at the beginning of each interval
+
     Raises
     ------
     ValueError

@@ -61,6 +61,11 @@ def double_integrator_gains(
         push carries the arm away for ever), those with hardly any variation need an upper bound (or delays make the
         loop unstable)
 
+    Returns
+    -------
+    Gains
+        K_P and K_V, shape (..., D, D), in 1/s² and 1/s where the accelerations are in the units of x per s²
+
     Raises
     ------
     ValueError
@@ -93,10 +98,20 @@ def double_integrator_gains(
 
 
 def double_integrator_value(precision: ArrayLike, control_cost: ArrayLike = 1.0) -> Array:
-    """Remaining cost under `double_integrator_gains`: P (..., 2D, 2D) of `[x - x_ref, xdot]^T P [...]`.
+    """Remaining cost under `double_integrator_gains`: `[x - x_ref, xdot]^T P [x - x_ref, xdot]`.
 
     `P = [[R K_P K_V, R K_P], [R K_P, R K_V]]`: with this terminal cost a finite horizon is equivalent to an infinite
-    one. Parameters and errors are those of `double_integrator_gains`.
+    one.
+
+    Parameters
+    ----------
+    precision, control_cost
+        as for `double_integrator_gains`
+
+    Returns
+    -------
+    Array
+        P, shape (..., 2D, 2D)
     """
     gains = double_integrator_gains(precision, control_cost)
     R = np.broadcast_to(np.asarray(control_cost, dtype=np.float64), gains.stiffness.shape[-1:])[:, None]
@@ -124,6 +139,11 @@ def riccati_gains(
     time_step
         s, of a controller whose accelerations are constant over each step; None for continuous time. Costs are per s in
         both cases, so that short steps have the gains of continuous time
+
+    Returns
+    -------
+    Gains
+        K_P and K_V, shape (D, D)
 
     Raises
     ------
@@ -157,6 +177,11 @@ def double_integrator(dimensions: int, time_step: float) -> tuple[Array, Array]:
         D
     time_step
         s
+
+    Returns
+    -------
+    tuple[Array, Array]
+        A (2D, 2D) and B (2D, D)
 
     Raises
     ------

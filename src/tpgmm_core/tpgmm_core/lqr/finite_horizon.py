@@ -84,6 +84,11 @@ def finite_horizon_gains(
     risk
         theta, in 1 over the unit of the cost: 0 is LQR, above it, costs that vary count more (risk-averse)
 
+    Returns
+    -------
+    FiniteHorizonGains
+        gains and feedforward of T steps
+
     Raises
     ------
     ValueError
@@ -111,9 +116,22 @@ def finite_horizon_gains(
 def checked_problem(
     A: ArrayLike, B: ArrayLike, state_costs: ArrayLike, control_cost: ArrayLike, references: ArrayLike
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Check a problem: A (1 or T, n, n), B (1 or T, n, m), Q (T + 1, n, n), R (1 or T, m, m), r (T + 1, n).
+    """Check a problem, and bring its arrays into the shapes that all solvers take.
 
-    Parameters and errors are those of `finite_horizon_gains`.
+    Parameters
+    ----------
+    A, B, state_costs, control_cost, references
+        as for `finite_horizon_gains`
+
+    Returns
+    -------
+    tuple[Array, Array, Array, Array, Array]
+        A (1 or T, n, n), B (1 or T, n, m), Q (T + 1, n, n), R (1 or T, m, m), r (T + 1, n)
+
+    Raises
+    ------
+    ValueError
+        for shapes that do not fit, values that are not finite, and a control cost that is not positive definite
     """
     # copies, since kernels take no read-only arrays
     A, B, Q, r = (np.array(x, dtype=np.float64, order="C") for x in (A, B, state_costs, references))

@@ -80,6 +80,11 @@ def receding_horizon_gains(
     risk_share, risk_stiffness
         see the module
 
+    Returns
+    -------
+    RecedingHorizonGains
+        the gains to use now
+
     Raises
     ------
     ValueError
@@ -120,9 +125,29 @@ def receding_horizon_gains(
 def modes(
     S: Array, r: float, lowest: float, highest: float, risk_share: float, risk_stiffness: float, k: Array, g: Array
 ) -> Array:
-    """Eigenvectors (n, n) of a covariance (n, n), with their stiffness k (n,) and the authority g (n,) that is left.
+    """Eigenvectors of a covariance, with their stiffness and the authority that is left.
 
     Covariances that are not definite, by rounding, get the largest stiffness.
+
+    Parameters
+    ----------
+    S
+        (n, n), covariance
+    r
+        control cost
+    lowest, highest
+        bounds of the stiffness, 1/s²
+    risk_share, risk_stiffness
+        see the module
+    k
+        (n,), written: stiffness of each eigenvector, 1/s²
+    g
+        (n,), written: share of the control's authority that is left
+
+    Returns
+    -------
+    Array
+        eigenvectors, (n, n), one per column
     """
     values, vectors = np.linalg.eigh(S)
     for i in range(len(k)):

@@ -69,6 +69,11 @@ def continuous_regulator(
     risk
         theta, in 1 over the unit of the cost
 
+    Returns
+    -------
+    Regulator
+        the gain and P
+
     Raises
     ------
     ValueError
@@ -102,7 +107,22 @@ def discrete_regulator(
     """Gains for `x[t+1] = A x[t] + B u[t] + w[t]` and the sum of `x^T Q x + u^T R u`, w of covariance W.
 
     Solves `P = Q + A^T (P~^-1 + B R^-1 B^T)^-1 A` with `P~ = (P^-1 - theta W)^-1`; the gain is
-    `(R + B^T P~ B)^-1 B^T P~ A`. Parameters and errors are those of `continuous_regulator`, costs and noise per step.
+    `(R + B^T P~ B)^-1 B^T P~ A`.
+
+    Parameters
+    ----------
+    A, B, state_cost, control_cost, noise, risk
+        as for `continuous_regulator`, costs and noise per step
+
+    Returns
+    -------
+    Regulator
+        the gain and P
+
+    Raises
+    ------
+    ValueError
+        as of `continuous_regulator`
     """
     A, B, Q, R, W = _checked(A, B, state_cost, control_cost, noise, risk)
     G = B @ np.linalg.solve(R, B.T) - risk * W
@@ -122,7 +142,17 @@ def discrete_regulator(
 
 
 def square_root(covariances: ArrayLike) -> Array:
-    """Square root L (..., n, n) with `L L^T` = covariances (..., n, n), symmetric, semidefinite allowed.
+    """Square root L of covariances, `L L^T`.
+
+    Parameters
+    ----------
+    covariances
+        shape (..., n, n), symmetric, semidefinite allowed
+
+    Returns
+    -------
+    Array
+        shape (..., n, n)
 
     Raises
     ------
@@ -220,4 +250,4 @@ def _no_solution(risk: float) -> str:
         return (
             f"no stabilising gains exist for these costs at the risk {risk:g}: it may be beyond the breakdown; lower it"
         )
-    return "no stabilising gains exist for these costs: what is not stable by itself needs a cost and a control"
+    return "no stabilising gains exist for these costs: each unstable direction needs a cost and a control"

@@ -101,6 +101,11 @@ class Adapter:
         weights
             how far each frame is trusted, 0 to 1; 1 where not named
 
+        Returns
+        -------
+        GaussianMixture
+            over the frames' common space, with the model's priors
+
         Raises
         ------
         ValueError

@@ -86,6 +86,11 @@ class Demonstration:
         ----------
         name
             of the frame
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            shape (T,)
         """
         assert self.visible is not None  # set by __post_init__
         return self.visible.get(name, np.ones(len(self.times), dtype=bool))
@@ -97,6 +102,11 @@ class Demonstration:
         ----------
         samples
             their indices, increasing
+
+        Returns
+        -------
+        Demonstration
+            with these samples, in this order
         """
         frames = {name: frame.at(samples) for name, frame in self.frames.items()}
         visible = {name: mask[samples] for name, mask in (self.visible or {}).items()}

@@ -104,7 +104,9 @@ class FrameBuffer:
             self.has_inverse[j] = frame.inverse is not None
             if frame.inverse is not None:
                 if not self.manifold.is_euclidean:
-                    raise ValueError(f"frame {name!r} brings an inverse of its own: on {self.manifold} A^+ serves")
+                    raise ValueError(
+                        f"frame {name!r} has its own inverse, which only R^n permits, not {self.manifold}: leave it out"
+                    )
                 self._inverse_of[j][...] = frame.inverse
             self.weights[j] = 1.0
         for name, weight in (weights or {}).items():
@@ -138,7 +140,18 @@ class FrameBuffer:
         return Frame(self.A[j, :, :D_j], self.b[j], self.inverses[j, :D_j] if self.has_inverse[j] else None)
 
     def refuse(self, j: int) -> None:
-        """Raise the error that says why the matrix of frame j does not fit the manifold."""
+        """Raise the error that says why the matrix of a frame does not fit the manifold.
+
+        Parameters
+        ----------
+        j
+            index of the frame
+
+        Raises
+        ------
+        ValueError
+            always
+        """
         self.manifold.tangent_map(self.A[j, :, : self.sizes[j, 0]])  # raises, and says why
         raise ValueError(f"frame {self.frame_names[j]!r} does not fit the manifold {self.manifold}")
 

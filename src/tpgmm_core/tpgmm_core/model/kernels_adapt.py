@@ -13,13 +13,30 @@ import numpy as np
 
 from tpgmm_core.common.constants import RANK_TOLERANCE
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled, is_orthogonal, pseudo_inverse, rotation_of_left_matrix
-from tpgmm_core.geometry.kernels_product import fuse, invert_precision, scratch_for
+from tpgmm_core.geometry.kernels import compiled, is_orthogonal, pseudo_inverse
+from tpgmm_core.geometry.kernels_product import fuse
+from tpgmm_core.geometry.kernels_rotation import rotation_of_left_matrix
+from tpgmm_core.geometry.kernels_terms import invert_precision, scratch_for
 
 
 @compiled
 def tangent_matrix(A: Array, flat: Array, spheres: Array, out: Array) -> bool:
-    """How A (D, D_j) acts on tangent vectors, out (n, n_j); False when a block on S³ is not L(q)."""
+    """How a matrix A acts on tangent vectors.
+
+    Parameters
+    ----------
+    A
+        (D, D_j)
+    flat, spheres
+        arrangement of the manifold, see `kernels_manifold`
+    out
+        (n, n_j), written
+
+    Returns
+    -------
+    bool
+        False when a block on S³ is not L(q)
+    """
     if len(spheres) == 0:
         out[:] = A
         return True
@@ -41,7 +58,19 @@ def tangent_matrix(A: Array, flat: Array, spheres: Array, out: Array) -> bool:
 
 @compiled
 def multiply(F: Array, rows: Array, width: int, out: Array) -> None:
-    """out[o, c] = sum over i of F[o, i] rows[i, c], for c < width."""
+    """out[o, c] = sum over i of F[o, i] rows[i, c], for c < width.
+
+    Parameters
+    ----------
+    F
+        (o, i)
+    rows
+        (i, width or more)
+    width
+        how many columns
+    out
+        (o, width or more), written
+    """
     n, count = F.shape
     for o in range(n):
         for c in range(width):
@@ -63,11 +92,37 @@ def view_frame(
     means: Array, precisions: Array, size: Array, flat: Array, spheres: Array, A: Array, b: Array, inverse: Array,
     has_inverse: bool, weight: float, half: Array, turned: Array, targets: Array, terms: Array,
 ) -> bool:  # fmt: skip
-    """Eq. (5) for one frame and all components; False when A does not fit the manifold.
+    """Eq. (5) for one frame and all components.
 
-    means (D_j, K); precisions (n_j, n_j K) of the model. Writes targets (D, K), A mu + b, and terms (n, n K),
-    weight M^T Lambda_k M with M = A^+, or inverse (D_j, D) where the frame has its own. half (n, n_j K)
-    and turned (n_j, n K) are scratch.
+    Parameters
+    ----------
+    means
+        (D_j, K), of the model
+    precisions
+        (n_j, n_j K), of the model
+    size
+        D_j and n_j
+    flat, spheres
+        arrangement of the manifold, see `kernels_manifold`
+    A, b
+        the frame, (D, D_j) and (D,)
+    inverse
+        (D_j, D), the frame's own one; used where has_inverse
+    has_inverse
+        whether the frame has its own inverse
+    weight
+        how far the frame is trusted, 0 to 1
+    half, turned
+        (n, n_j K) and (n_j, n K), scratch
+    targets
+        (D, K), written: A mu + b
+    terms
+        (n, n K), written: weight M^T Lambda_k M with M = A^+, or the frame's inverse
+
+    Returns
+    -------
+    bool
+        False when A does not fit the manifold
     """
     D, K = targets.shape
     D_j, n_j = size
@@ -99,12 +154,35 @@ def adapt(
     means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, inverses: Array,
     has_inverse: Array, weights: Array, state: Array, min_precision: float, out_means: Array, out_covariances: Array,
 ) -> int:  # fmt: skip
-    """Eqs. (5) and (6) for all components; writes out_means (K, D) and out_covariances (K, n, n).
+    """Eqs. (5) and (6) for all components.
 
-    means (P, D_max, K); precisions (P, n_max, n_max K), where entry (l, m) of component k lies at [l, m K + k];
-    A (P, D, D_max), b (P, D), inverses (P, D_max, D), has_inverse and weights (P,),
-    state (D,). Returns -1, or the frame whose matrix does not fit S³, or -2 - k for the component whose product did not
-    converge.
+    Parameters
+    ----------
+    means
+        (P, D_max, K)
+    precisions
+        (P, n_max, n_max K); entry (l, m) of component k lies at [l, m K + k]
+    sizes
+        (P, 2), ambient and tangent dimensions of each frame
+    flat, spheres
+        arrangement of the manifold, see `kernels_manifold`
+    A, b
+        of the frames, (P, D, D_max) and (P, D)
+    inverses, has_inverse
+        (P, D_max, D) and (P,)
+    weights
+        (P,), how far each frame is trusted
+    state
+        (D,), where directions that no frame constrains stay
+    min_precision
+        smallest eigenvalue of a component's precision
+    out_means, out_covariances
+        (K, D) and (K, n, n), written
+
+    Returns
+    -------
+    int
+        -1, or the frame whose matrix does not fit S³, or -2 - k for the component whose product did not converge
     """
     P, K = means.shape[0], means.shape[2]
     D, n = len(state), len(flat)
@@ -142,8 +220,22 @@ def add_up(
 ) -> None:  # fmt: skip
     """Eq. (6) on R^n, for all components at once: precisions add up, means are weighted by them.
 
-    targets (P, n, K) and terms (P, n, n K) as `view_frame` writes them. Sums are taken about one frame's means, so that
-    a world far from its origin costs no digits.
+    Sums are taken about one frame's means, so that a world far from its origin costs no digits.
+
+    Parameters
+    ----------
+    weights
+        (P,)
+    targets, terms
+        (P, n, K) and (P, n, n K), as `view_frame` writes them
+    state
+        (D,), where directions that no frame constrains stay
+    min_precision
+        smallest eigenvalue of a component's precision
+    flat, spheres
+        arrangement of the manifold, see `kernels_manifold`
+    out_means, out_covariances
+        (K, D) and (K, n, n), written
     """
     P, n, K = targets.shape
     H, pull, base, d = np.zeros((n, n * K)), np.zeros((n, K)), np.empty((n, K)), np.empty((n, K))

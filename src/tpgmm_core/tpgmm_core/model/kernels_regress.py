@@ -12,8 +12,10 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower, transport
-from tpgmm_core.geometry.kernels_product import MAX_STEPS, STEP_TOLERANCE, difference, longest, move
+from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
+from tpgmm_core.geometry.kernels_manifold import difference, longest, move
+from tpgmm_core.geometry.kernels_product import MAX_STEPS, STEP_TOLERANCE
+from tpgmm_core.geometry.kernels_rotation import transport
 from tpgmm_core.model.kernels_adapt import adapt
 
 NEGLIGIBLE = 1e-20  # components with a smaller activation add nothing to a covariance
@@ -24,7 +26,15 @@ def regress_given(
     activations: Array, means: Array, covariances: Array, t: float, flat: Array, spheres: Array, mean: Array,
     covariance: Array,
 ) -> None:  # fmt: skip
-    """`regress` with given activations (K,), which sum to 1."""
+    """`regress` with given activations.
+
+    Parameters
+    ----------
+    activations
+        (K,), they sum to 1
+    means, covariances, t, flat, spheres, mean, covariance
+        of `regress`
+    """
     K, D = means.shape
     n, likeliest = len(flat), np.argmax(activations)
     conditionals = means.copy()
@@ -121,7 +131,21 @@ def regress_all(
     log_priors: Array, means: Array, covariances: Array, flat: Array, spheres: Array, times: Array,
     out_means: Array, out_covariances: Array, out_activations: Array,
 ) -> None:  # fmt: skip
-    """`regress` at all times (H,)."""
+    """`regress` at several times.
+
+    Parameters
+    ----------
+    log_priors, means, covariances
+        of the mixture, (K,), (K, D) and (K, n, n)
+    flat, spheres
+        arrangement of the manifold, see `kernels_manifold`
+    times
+        (H,)
+    out_means, out_covariances
+        (H, D - 1) and (H, n - 1, n - 1), written
+    out_activations
+        (K,), written: at the first of the times
+    """
     for i in range(len(times)):
         regress(
             log_priors, means, covariances, times[i], flat, spheres,
@@ -136,7 +160,26 @@ def adapt_and_regress(
     adapted_covariances: Array, log_priors: Array, times: Array, out_means: Array, out_covariances: Array,
     out_activations: Array,
 ) -> int:  # fmt: skip
-    """`adapt`, then `regress_all`."""
+    """`adapt`, then `regress_all`.
+
+    Parameters
+    ----------
+    means, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, weights, state, min_precision
+        as for `adapt`
+    adapted_means, adapted_covariances
+        (K, D) and (K, n, n), written
+    log_priors
+        (K,)
+    times
+        (H,)
+    out_means, out_covariances, out_activations
+        written, as by `regress_all`
+
+    Returns
+    -------
+    int
+        as of `adapt`
+    """
     failed: int = adapt(
         means, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, weights, state, min_precision,
         adapted_means, adapted_covariances,
@@ -156,13 +199,31 @@ def regress_and_adapt(
     weights: Array, state: Array, min_precision: float, times: Array, out_means: Array, out_covariances: Array,
     activations: Array,
 ) -> int:  # fmt: skip
-    """Regression in each frame at all times (H,), then `adapt`, as if the times were components.
+    """Regression in each frame at all times, then `adapt`, as if the times were components.
 
-    means (P, K, D_max), covariances (P, K, n_max, n_max), sizes (P, 2), view_flat and spheres: what each frame learned,
-    time first. data_flat, data_spheres, A, b, inverses, state: without time. Writes out_means (H, D), out_covariances
-    (H, n, n), and activations (K,) at the first of the times, the mean over the frames.
+    Parameters
+    ----------
+    log_priors
+        (K,)
+    means, covariances, sizes
+        what each frame learned, time first: (P, K, D_max), (P, K, n_max, n_max) and (P, 2)
+    view_flat, spheres
+        arrangement of the manifold with time
+    data_flat, data_spheres
+        arrangement of the manifold without time
+    A, b, inverses, has_inverse, weights, state, min_precision
+        as for `adapt`, without time
+    times
+        (H,)
+    out_means, out_covariances
+        (H, D) and (H, n, n), written
+    activations
+        (K,), written: at the first of the times, the mean over the frames
 
-    Returns what `adapt` does, or P + the frame whose covariance is singular.
+    Returns
+    -------
+    int
+        what `adapt` returns, or P + the frame whose covariance is singular
     """
     P, H = len(means), len(times)
     data_sizes = sizes - 1
@@ -205,7 +266,20 @@ def regress_and_adapt(
 
 @compiled
 def time_changed(A: Array, b: Array, weights: Array) -> int:
-    """The first frame with a weight that does not leave the first dimension as it is, or -1."""
+    """Find a frame that changes time.
+
+    Parameters
+    ----------
+    A, b
+        of the frames, (P, D, D_max) and (P, D)
+    weights
+        (P,)
+
+    Returns
+    -------
+    int
+        the first frame with a weight that does not leave the first dimension as it is, or -1
+    """
     for j in range(len(weights)):
         if not weights[j] > 0.0:
             continue

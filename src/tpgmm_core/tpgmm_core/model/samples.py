@@ -66,6 +66,11 @@ class Samples:
         may_be_unseen
             whether a frame may be hidden all the time, as where a model is only tested
 
+        Returns
+        -------
+        Self
+            the samples of all demonstrations, one after the other
+
         Raises
         ------
         ValueError
@@ -109,6 +114,11 @@ class Samples:
             name → mask (N,), always seen where not named
         manifold
             space of the data, or its text
+
+        Returns
+        -------
+        Self
+            the samples
 
         Raises
         ------

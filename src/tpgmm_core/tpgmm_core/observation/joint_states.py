@@ -74,6 +74,11 @@ class JointColumns:
         columns
             as many numbers as names, for each field
 
+        Returns
+        -------
+        tuple[Array, ...]
+            shape (m,) for each field, in the order of `own`; empty for a message without own joints
+
         Raises
         ------
         JointStateError
@@ -147,6 +152,11 @@ class JointStateAssembler:
             as for `JointColumns.read`
         stamp_ns
             of the message
+
+        Returns
+        -------
+        JointSample | None
+            the state, with the latest values of all joints
 
         Raises
         ------

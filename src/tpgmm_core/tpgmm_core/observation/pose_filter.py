@@ -200,7 +200,24 @@ def learn(seen: Array, windows: NDArray[np.int64], known: Array) -> None:
 
 @compiled
 def agreeing(seen: Array, windows: NDArray[np.int64], bound: float, mean: Array) -> int:
-    """The longest window that agrees with all shorter ones, as those before it do, and writes its mean (3,)."""
+    """The longest window that agrees with all shorter ones, as those before it do.
+
+    Parameters
+    ----------
+    seen
+        observations, (n, 3)
+    windows
+        their lengths, ascending
+    bound
+        of the squared distance of two means, per difference of their inverse lengths
+    mean
+        (3,), written: the mean of that window
+
+    Returns
+    -------
+    int
+        how many observations the window holds
+    """
     total, means, counts = np.zeros(3), np.empty((len(windows) + 1, 3)), np.empty(len(windows) + 1)
     found, k = 0, 0
     for n in range(1, len(seen) + 1):

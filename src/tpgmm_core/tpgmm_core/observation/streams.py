@@ -21,6 +21,8 @@ OVERTAKEN = 0.05
 RESTARTED_AFTER = 0.25
 #: A period that differs by a larger share is another one.
 CHANGED = 0.1
+#: Up to this share of the period after a message, the next one is not near.
+BETWEEN = 0.9
 
 
 class Stamp(enum.Enum):
@@ -69,6 +71,11 @@ class StreamWatch:
             after which the last message is stale, s. Only then an older stamp means a clock that jumped
         max_future
             how far a stamp may be ahead of `clock_ns`, s
+
+        Returns
+        -------
+        Stamp
+            how its stamp relates to the last one and to the clock
         """
         if clock_ns > 0 and stamp_ns - clock_ns > max_future * SECOND:
             return Stamp.FUTURE
@@ -86,7 +93,7 @@ class StreamWatch:
 
 def standing_still(stamp_ns: int) -> str:
     """Words for a stream that goes on while its stamps do not."""
-    return f"their stamps stand still at {stamp_ns / SECOND:.3f} s: the driver has to stamp each with its own time"
+    return f"their stamps stay at {stamp_ns / SECOND:.3f} s: the driver must stamp each message with its own time"
 
 
 class RateMeter:
@@ -128,6 +135,11 @@ class RateMeter:
         """The measured period; it keeps its former value as long as that is nearly right.
 
         So sentences about it do not change all the time.
+
+        Returns
+        -------
+        float | None
+            s; None while it is not known
         """
         measured = self.measured()
         if measured is None:
@@ -165,3 +177,52 @@ class Leader:
             self._names = names
         self._heard_ns = now_ns
         return True
+
+
+class Beat:
+    """The times at which somebody who follows a stream makes a step: with each message, and now and then between two.
+
+    Attributes
+    ----------
+    step_ns : int
+        Time of the last step, ns; it never goes back, unless the stream does.
+    """
+
+    def __init__(self) -> None:
+        self._period_ns = self._stamp_ns = self._received_ns = self.step_ns = 0
+
+    def take(self, stamp_ns: int, now_ns: int, restarted: bool = False) -> None:
+        """A step with a message.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Of the message, ns.
+        now_ns : int
+            When it came, by a clock that does not jump, ns.
+        restarted : bool
+            Whether time has jumped backwards.
+        """
+        self._period_ns = stamp_ns - self._stamp_ns
+        self._stamp_ns, self._received_ns = stamp_ns, now_ns
+        # where messages come irregularly, a step between two of them may have been late
+        self.step_ns = stamp_ns if restarted else max(stamp_ns, self.step_ns)
+
+    def between(self, now_ns: int) -> int | None:
+        """The time of a step that is made now, on the clock of the stamps.
+
+        Parameters
+        ----------
+        now_ns : int
+            By the clock of `take`, ns.
+
+        Returns
+        -------
+        int or None
+            ns; None where the next message is near: as long after the last one as that came after the one before.
+        """
+        elapsed = now_ns - self._received_ns
+        if not 0 < elapsed < BETWEEN * self._period_ns:
+            return None
+        self.step_ns = max(self.step_ns, self._stamp_ns + elapsed)
+        return self.step_ns

@@ -189,6 +189,11 @@ class FrameTracker:
             the frame
         reason
             its kind, ":", and the details
+
+        Returns
+        -------
+        str
+            the reason, with the frame's name
         """
         kind = reason.split(":", 1)[0]
         refused = self._tracks[name].refused
@@ -252,6 +257,11 @@ def check_pose(pose: ArrayLike) -> tuple[NDArray[np.float64] | None, str]:
     ----------
     pose
         ``[x, y, z, qx, qy, qz, qw]``
+
+    Returns
+    -------
+    tuple[NDArray[np.float64] | None, str]
+        the pose (7,) and an empty text, or None and the reason
     """
     checked = np.array(pose, dtype=np.float64)
     if checked.shape != (7,):

@@ -144,7 +144,29 @@ class AttractorSystem(ABC):
         state: ArrayLike | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> Reference:
-        """The reference at a time: see `Retrieval.step`."""
+        """The reference at a time: see `Retrieval.step`.
+
+        Parameters
+        ----------
+        time_ns
+            now, ns
+        frames
+            by name
+        state
+            where the robot is, where it is known
+        weights
+            how far each frame is trusted, 0 to 1
+
+        Returns
+        -------
+        Reference
+            over the data, without time
+
+        Raises
+        ------
+        ValueError
+            before `start`
+        """
         if self._last_ns is None:
             raise ValueError("the movement has not been started: call start(time_ns)")
         where = None if state is None else self._point(state)

@@ -154,7 +154,20 @@ class Continuity:
         return self._fade.of(covariance, ahead)
 
     def gaussian(self, mean: Array, covariance: Array, ahead: float = 0.0) -> Gaussian:
-        """The reference, mean and covariance, where the course says `mean` and `covariance`."""
+        """The reference where the new course says something else.
+
+        Parameters
+        ----------
+        mean, covariance
+            what the course says, (D,) and (n, n)
+        ahead
+            of the present time, s
+
+        Returns
+        -------
+        Gaussian
+            with what remains of the difference to the former course
+        """
         mean, covariance = np.array(self.mean(mean, ahead)), np.array(self.covariance(covariance, ahead))
         if math.isfinite(mean.sum() + covariance.sum()):
             return Gaussian._made(mean, covariance, self.manifold)
@@ -236,7 +249,18 @@ class Continued:
         state: Array | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> Reference:
-        """The reference of the new retrieval, with what remains of the difference to the former one."""
+        """The reference of the new retrieval, with what remains of the difference to the former one.
+
+        Parameters
+        ----------
+        time_ns, frames, state, weights
+            as for `Retrieval.step`
+
+        Returns
+        -------
+        Reference
+            see `Retrieval.step`
+        """
         reference = self._retrieval.step(time_ns, frames, state, weights)
         since = max(0.0, (time_ns - self._last_ns) / _SECOND)
         self._last_ns = time_ns

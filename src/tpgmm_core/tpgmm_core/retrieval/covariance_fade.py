@@ -67,6 +67,11 @@ class CovarianceFade:
             covariances (M, n, n) of the courses
         moments
             (M,), s
+
+        Returns
+        -------
+        float
+            0 to 1
         """
         return float(lasting(np.array(former, order="C"), np.array(present, order="C"), moments))
 
@@ -117,8 +122,21 @@ def relate(shown: Array, present: Array, basis: Array, inverse: Array, logs: Arr
     """Write the logarithm of M = (shown present^-1)^(1/2): basis diag(logs) inverse, where inverse = basis^-1.
 
     It is computed from the ratio in coordinates of the present covariance, L^-1 shown L^-T with L L^T = present, which
-    is close to the identity where little has changed, however long and thin both are. False where one is not positive
-    definite.
+    is close to the identity where little has changed, however long and thin both are.
+
+    Parameters
+    ----------
+    shown, present
+        covariances, (n, n)
+    basis, inverse
+        (n, n), written
+    logs
+        (n,), written
+
+    Returns
+    -------
+    bool
+        False where one of them is not positive definite
     """
     n = len(logs)
     L, back = np.empty((n, n)), np.empty((n, n))
@@ -153,7 +171,20 @@ def relate(shown: Array, present: Array, basis: Array, inverse: Array, logs: Arr
 
 @compiled
 def lasting(former: Array, present: Array, moments: Array) -> float:
-    """Mean size of the logarithms of former_j present_j^-1 over the moments, as a share of the first one; 0 to 1."""
+    """How long two courses differ, from the logarithms of former_j present_j^-1 over some moments.
+
+    Parameters
+    ----------
+    former, present
+        covariances, (M, n, n)
+    moments
+        when they are compared, (M,)
+
+    Returns
+    -------
+    float
+        their mean size, as a share of the first one; 0 to 1
+    """
     n, area, first, last = former.shape[1], 0.0, 0.0, 0.0
     for j in range(len(moments)):
         trace = _trace_of_ratio(former[j], present[j]) + _trace_of_ratio(present[j], former[j])

@@ -9,8 +9,9 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.gaussian import Gaussian
-from tpgmm_core.geometry.kernels import cholesky, compiled, invert_lower, transport
-from tpgmm_core.geometry.kernels_product import difference
+from tpgmm_core.geometry.kernels import cholesky, compiled, invert_lower
+from tpgmm_core.geometry.kernels_manifold import difference
+from tpgmm_core.geometry.kernels_rotation import transport
 from tpgmm_core.geometry.manifold import Manifold
 
 SMALLEST = 1e-15  # of the eigenvalues, as a share of the largest: smaller ones are rounding
@@ -74,6 +75,11 @@ class CovarianceMean:
             (D,), the point that the mean is moved to
         weights
             (K,), of the covariances; what their sum lacks to 1 is the goal's
+
+        Returns
+        -------
+        Array
+            shape (n, n)
         """
         covariance = np.empty(self._factor.shape)
         exponential(x, weights, self._goal, *self._layout, self._logs, self._factor, covariance)
@@ -85,7 +91,26 @@ def logarithms(
     means: Array, covariances: Array, goal: Array, at_goal: Array, flat: Array, spheres: Array, logs: Array,
     factor: Array,
 ) -> bool:  # fmt: skip
-    """Writes logs (K, n, n) of the covariances, as the one at the goal sees them, and its Cholesky factor (n, n)."""
+    """Logarithms of covariances, as the one at the goal sees them.
+
+    Parameters
+    ----------
+    means, covariances
+        of the components, (K, D) and (K, n, n)
+    goal, at_goal
+        mean (D,) and covariance (n, n) at the goal
+    flat, spheres
+        arrangement of the manifold, see `kernels_manifold`
+    logs
+        (K, n, n), written
+    factor
+        (n, n), written: Cholesky factor of the covariance at the goal
+
+    Returns
+    -------
+    bool
+        False where a covariance is not positive definite
+    """
     K, n, D = len(logs), len(flat), len(goal)
     C, L, back, half, e = np.empty((n, n)), np.zeros((n, n)), np.empty((n, n)), np.empty((n, n)), np.empty(n)
     if not cholesky(at_goal, n, L):

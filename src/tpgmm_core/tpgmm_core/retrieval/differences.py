@@ -49,7 +49,7 @@ def difference_weights(times: ArrayLike, window: int = 3) -> tuple[NDArray[np.in
 
 
 def derivatives(times: ArrayLike, data: ArrayLike, manifold: Manifold, window: int = 3) -> tuple[Array, Array]:
-    """Velocity and acceleration (T, n) of data on a manifold, in its units per s and per s².
+    """Velocity and acceleration of data on a manifold.
 
     On S³: angular velocity and acceleration about the fixed axes, rad/s and rad/s²; signs of quaternions do not matter.
     Wide windows smooth noise, and also movements that are shorter than the window.
@@ -64,6 +64,11 @@ def derivatives(times: ArrayLike, data: ArrayLike, manifold: Manifold, window: i
         space of the data
     window
         number of samples that each parabola is fitted to
+
+    Returns
+    -------
+    tuple[Array, Array]
+        shape (T, n), in the manifold's units per s, and per s²
 
     Raises
     ------

@@ -83,6 +83,11 @@ class DmpParameters:
             number of samples of the parabolas that velocity and acceleration are taken from; at most as many as there
             are
 
+        Returns
+        -------
+        Demonstration
+            over [s, attractor]
+
         Raises
         ------
         ValueError

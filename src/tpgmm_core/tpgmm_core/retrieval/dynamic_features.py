@@ -32,7 +32,17 @@ def manifold_with_derivatives(manifold: str | Manifold) -> Manifold:
 
 
 def point_manifold(manifold: Manifold) -> Manifold:
-    """The manifold of the point alone, for that of [time, point, velocity, acceleration].
+    """The manifold of the point alone.
+
+    Parameters
+    ----------
+    manifold
+        of [time, point, velocity, acceleration]
+
+    Returns
+    -------
+    Manifold
+        of the point
 
     Raises
     ------
@@ -69,6 +79,11 @@ def with_derivatives(
         number of samples of the parabolas that derivatives are taken from (`difference_weights`), also those of the
         frames; at most as many as there are
 
+    Returns
+    -------
+    Demonstration
+        over [time, point, velocity, acceleration]
+
     Raises
     ------
     ValueError
@@ -93,7 +108,19 @@ def with_derivatives(
 
 
 def standing_frames(frames: Mapping[str, Frame], points: Manifold) -> dict[str, Frame]:
-    """Frames over [time, point] as frames over [time, point, velocity, acceleration] that stand still.
+    """Frames for derivatives, as if the frames themselves stood still.
+
+    Parameters
+    ----------
+    frames
+        over [time, point], by name
+    points
+        manifold of the point
+
+    Returns
+    -------
+    dict[str, Frame]
+        over [time, point, velocity, acceleration], by name
 
     Raises
     ------

@@ -86,6 +86,11 @@ def with_velocity(
     window
         number of samples of the parabolas that velocities are taken from; at most as many as there are
 
+    Returns
+    -------
+    Demonstration
+        over [x, v]
+
     Raises
     ------
     ValueError

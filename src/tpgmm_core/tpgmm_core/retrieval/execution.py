@@ -44,7 +44,7 @@ class ExecutionConfig:
         1.0, 0.01, 60.0, "Time that the robot has to settle before its error at the end is judged, s"
     )
     stall_timeout: float = setting(
-        10.0, 0.1, 600.0, "A movement that stands still for this long, though its speed is not 0, is aborted, s"
+        10.0, 0.1, 600.0, "A movement that stalls for this long, although its speed is not 0, is aborted, s"
     )
     position_tolerance: float = setting(0.01, 1e-4, 1.0, "Largest position error at the end that counts as success, m")
     orientation_tolerance: float = setting(
@@ -136,6 +136,11 @@ class Execution:
             where the robot is: (7,), or its configuration (n,) for movements of joints; None where not known
         weights
             as for ``Retrieval.step``
+
+        Returns
+        -------
+        Reference | None
+            None before the movement may begin and while no frame is known
         """
         if self._asked_ns is None:
             self._asked_ns = time_ns
@@ -228,7 +233,7 @@ class Execution:
             self._stopped_ns = time_ns
             self._end(
                 False,
-                f"the movement has stood still for {timeout:g} s at phase {phase:.2f}: "
+                f"the movement has stalled for {timeout:g} s at phase {phase:.2f}: "
                 "is the robot held, or are the references out of its reach?",
                 is_missed=True,
             )
@@ -238,7 +243,7 @@ class Execution:
         if time_ns - self._settling_ns < config.settle_time * _SECOND:
             return
         if pose is None:
-            self._end(False, "the robot's pose is not known: nothing came on the movement's topic")
+            self._end(False, "the robot's pose is not known: no message came on the movement's topic")
             return
         gaussian = reference.gaussian
         near = self._off(gaussian.manifold, gaussian.mean, pose) <= 1.0
@@ -272,8 +277,8 @@ class Execution:
         if asked > 1.0 and gone < _HARDLY * asked:
             return "the robot has hardly moved: is a controller active, and the robot free to move?"
         if left < (1.0 - _HARDLY) * late:
-            return "the robot is late and still comes nearer: ask for a longer duration, or give it more settle_time"
-        return "the robot stands still there: blocked, at its limits, too weak, or out of its reach"
+            return "the robot is late and still approaches: ask for a longer duration, or give it more settle_time"
+        return "the robot has stopped there: blocked, at its limits, too weak, or out of its reach"
 
     def _end(
         self,

@@ -26,6 +26,11 @@ def frame_with_derivatives(frame: Frame, manifold: Manifold, orders: int = 1) ->
     orders
         number of derivatives, tangent vectors (n,) each, on S³ about the fixed axes
 
+    Returns
+    -------
+    Frame
+        over [x, derivatives of x]
+
     Raises
     ------
     ValueError

@@ -14,6 +14,16 @@ from tpgmm_core.model.frame_buffer import FrameBuffer
 def without_time(frames: Mapping[str, Frame]) -> dict[str, Frame]:
     """The frames' maps of the data alone.
 
+    Parameters
+    ----------
+    frames
+        over [time, data], by name
+
+    Returns
+    -------
+    dict[str, Frame]
+        over the data, by name
+
     Raises
     ------
     ValueError

@@ -86,6 +86,11 @@ class Retrieval(Protocol):
         weights
             how far each frame is trusted, 0 to 1; 1 where not named
 
+        Returns
+        -------
+        Reference
+            where to be, how exactly, and what comes next
+
         Raises
         ------
         ValueError
@@ -102,6 +107,11 @@ class Retrieval(Protocol):
         dt
             distance in time, s; the first one is dt after the last step
 
+        Returns
+        -------
+        list[Gaussian]
+            n of them, or fewer where the movement does not know further
+
         Raises
         ------
         ValueError
@@ -110,6 +120,11 @@ class Retrieval(Protocol):
 
     def mixture(self) -> GaussianMixture:
         """The model in the situation of the last step, over all dimensions that it encodes.
+
+        Returns
+        -------
+        GaussianMixture
+            over all dimensions that the model encodes
 
         Raises
         ------
@@ -166,6 +181,11 @@ def demonstrated_duration(model: TPGMM) -> float:
     ----------
     model
         with metadata
+
+    Returns
+    -------
+    float
+        s
 
     Raises
     ------

@@ -6,8 +6,9 @@ from __future__ import annotations
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled, inverse_left_jacobian
-from tpgmm_core.geometry.kernels_product import difference, move
+from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels_manifold import difference, move
+from tpgmm_core.geometry.kernels_rotation import inverse_left_jacobian
 
 
 @compiled

@@ -13,7 +13,7 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
-from tpgmm_core.geometry.kernels_product import difference, move
+from tpgmm_core.geometry.kernels_manifold import difference, move
 
 
 @compiled
@@ -22,8 +22,23 @@ def prepare(
 ) -> bool:
     """What regression on the first D ambient (n tangent) dimensions needs of K components over [x, v].
 
-    Writes inverse Cholesky factors of the covariances of x (K, n, n), the logarithms of what stands before the
-    exponential (K,), and gains (K, n, n). False when a covariance is not positive definite.
+    Parameters
+    ----------
+    log_priors, means, covariances
+        of the components, (K,), (K, D + n) and (K, 2 n, 2 n)
+    D
+        ambient dimensions of x
+    whitening
+        (K, n, n), written: inverse Cholesky factors of the covariances of x
+    offsets
+        (K,), written: logarithms of what stands before the exponential
+    gains
+        (K, n, n), written: how v changes with x
+
+    Returns
+    -------
+    bool
+        False when a covariance is not positive definite
     """
     K, n = whitening.shape[0], whitening.shape[1]
     L, precision = np.empty((n, n)), np.empty((n, n))
@@ -48,7 +63,21 @@ def regress_velocity(
     x: Array, means: Array, whitening: Array, offsets: Array, gains: Array, flat: Array, spheres: Array,
     activations: Array, v: Array,
 ) -> None:  # fmt: skip
-    """Regression v (n,) = E[v | x], and the components' activations (K,), which sum to 1 also far from all of them."""
+    """Regression v = E[v | x], and the components' activations.
+
+    Parameters
+    ----------
+    x
+        (D,)
+    means, whitening, offsets, gains
+        of the components, see `prepare`
+    flat, spheres
+        arrangement of the manifold, see `kernels_manifold`
+    activations
+        (K,), written: they sum to 1, also far from all components
+    v
+        (n,), written
+    """
     K, n, D = whitening.shape[0], whitening.shape[1], len(x)
     e = np.empty((K, n))
     top = -np.inf
@@ -94,7 +123,22 @@ def shrink_rate(d: float, law: Array) -> float:
 
 @compiled
 def shrunk(radius: float, law: Array, h: float) -> float:
-    """The radius after a time h, of r' = -rho(r) or faster: the slowest of its three laws, each solved exactly."""
+    """The radius after a time, of r' = -rho(r) or faster: the slowest of its three laws, each solved exactly.
+
+    Parameters
+    ----------
+    radius
+        now
+    law
+        see `stable_velocity`
+    h
+        the time
+
+    Returns
+    -------
+    float
+        the radius then
+    """
     rate, goal_rate, reach, top_speed = law[0], law[1], law[2], law[3]
     root = max(radius ** (1.0 / 3.0) - h * rate * reach ** (1.0 / 3.0) / 3.0, 0.0)
     return max(max(root**3, radius * math.exp(-goal_rate * h)), radius - top_speed * h)
@@ -105,9 +149,30 @@ def stable_velocity(
     x: Array, radius: float, goal: Array, law: Array, metric: Array, means: Array, whitening: Array, offsets: Array,
     gains: Array, flat: Array, spheres: Array, activations: Array, regressed: Array, v: Array, e: Array,
 ) -> None:  # fmt: skip
-    """The regressed velocity and the corrected one (n,) at x, in a ball of this radius about the goal.
+    """The regressed velocity and the corrected one at x, in a ball of this radius about the goal.
 
-    law : rate, goal_rate, reach, top_speed, detour, goal_radius: see `dynamical_system`. e (n,) becomes log_goal(x).
+    Parameters
+    ----------
+    x
+        (D,)
+    radius
+        of the ball
+    goal
+        (D,)
+    law
+        rate, goal_rate, reach, top_speed, detour, goal_radius: see `dynamical_system`
+    metric
+        (n,), weights of squared tangent coordinates in lengths, m²/rad² on S³
+    means, whitening, offsets, gains
+        of the components, see `prepare`
+    flat, spheres
+        arrangement of the manifold, see `kernels_manifold`
+    activations
+        (K,), written
+    regressed, v
+        (n,), written: the velocity of the model, and the corrected one
+    e
+        (n,), written: log_goal(x)
     """
     goal_rate, top_speed, detour, goal_radius = law[1], law[3], law[4], law[5]
     n = len(v)
@@ -139,10 +204,32 @@ def go(
     whitening: Array, offsets: Array, gains: Array, flat: Array, spheres: Array, activations: Array,
     regressed: Array, v: Array,
 ) -> float:  # fmt: skip
-    """Advance x by a time, in the unit of the model's velocities, in n_steps; returns the radius of the ball it is in.
+    """Advance x by a time, in the unit of the model's velocities.
 
     Midpoint steps along geodesics. Where one of them would leave the ball, since it has shrunk meanwhile, it ends at
     the nearest point of the ball, on the geodesic to the goal: the bound holds for steps of any length.
+
+    Parameters
+    ----------
+    x
+        (D,), changed
+    radius
+        of the ball now
+    time
+        how long
+    n_steps
+        how many steps
+    goal, law, metric, means, whitening, offsets, gains, flat, spheres
+        as for `stable_velocity`
+    activations
+        (K,), written
+    regressed, v
+        (n,), written
+
+    Returns
+    -------
+    float
+        the radius of the ball that x is in then
     """
     n = len(v)
     h, detour = time / n_steps, law[4]

@@ -14,13 +14,29 @@ def advance(
 ) -> float:  # fmt: skip
     """The forward variable one sample later, in time O(K L + K²).
 
-    forward : (K, L), probability of each state and of the samples that it has lasted before this one
-    hazards : (K, L), probability that a state which has lasted so long ends; a state that lasted L - 1 stays there
-    onwards : (K, K), from a state that ends to the next; what has no next goes on
-    carried : (K, K), probability per sample of being carried from a state to the middle (K,) of another one
-    fit : (K,), how well the observation fits each state; standing : what it counts that nothing went on meanwhile
+    Parameters
+    ----------
+    forward
+        (K, L), probability of each state and of the samples that it has lasted before this one
+    hazards
+        (K, L), probability that a state which has lasted so long ends; a state that lasted L - 1 stays there
+    onwards
+        (K, K), from a state that ends to the next; what has no next goes on
+    carried
+        (K, K), probability per sample of being carried from a state to the middle of another one
+    middle
+        (K,), how many samples a state has lasted in its middle
+    fit
+        (K,), how well the observation fits each state
+    standing
+        what it counts that nothing went on meanwhile
+    ahead
+        (K, L), written: sums to 1, or zero where the likelihood is 0
 
-    Writes ahead (K, L), which sums to 1. Returns the likelihood; where that is 0, ahead is zero.
+    Returns
+    -------
+    float
+        the likelihood
     """
     K, L = forward.shape
     ahead[:] = 0.0

@@ -123,7 +123,17 @@ METHODS: dict[str, RetrievalMethod] = {
 
 
 def method_named(name: str) -> RetrievalMethod:
-    """The method of this name, or of a name that it had in an earlier version (`old_names`).
+    """The method of a name, or of a name that it had in an earlier version (`old_names`).
+
+    Parameters
+    ----------
+    name
+        of one of METHODS
+
+    Returns
+    -------
+    RetrievalMethod
+        the method
 
     Raises
     ------
@@ -138,6 +148,16 @@ def method_named(name: str) -> RetrievalMethod:
 
 def method_of(model: TPGMM) -> RetrievalMethod:
     """The method that a model was learned for, from its metadata.
+
+    Parameters
+    ----------
+    model
+        a fitted model
+
+    Returns
+    -------
+    RetrievalMethod
+        the method
 
     Raises
     ------
@@ -160,10 +180,27 @@ def make_retrieval(
 ) -> Retrieval:
     """Make a movement that a loop can step through.
 
-    method : one of METHODS by name, or one that was made for a robot; what the model was learned for where None
-    duration : of the movement, s; as demonstrated where None
-    phase : one of PHASES: what the model's time follows; for the methods that are a function of time
-    speed, horizon_steps, horizon_time_step (s), blend_time (s) : as for `Reproduction`
+    Parameters
+    ----------
+    model
+        a fitted model
+    method
+        one of METHODS by name, or one that was made for a robot; None: what the model was learned for
+    duration
+        of the movement, s; None: as demonstrated
+    phase
+        one of PHASES: what the model's time follows; for the methods that are a function of time
+    speed
+        as for `Reproduction`
+    horizon_steps
+        as for `Reproduction`
+    horizon_time_step, blend_time
+        as for `Reproduction`, s
+
+    Returns
+    -------
+    Retrieval
+        the movement, before its start
 
     Raises
     ------
@@ -203,6 +240,11 @@ def load_model(path: str | PathLike[str]) -> TPGMM:
     ----------
     path
         the file
+
+    Returns
+    -------
+    TPGMM
+        a fitted model
 
     Raises
     ------

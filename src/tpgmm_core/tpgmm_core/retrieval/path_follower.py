@@ -73,6 +73,11 @@ class AdaptedStates:
             time between samples of the demonstrations, s
         tolerance
             see the class
+
+        Returns
+        -------
+        AdaptedStates
+            the states
         """
         means, n = mixture.means[:, 1 : 1 + manifold.dim], manifold.tangent_dim
         S = mixture.covariances[:, : 1 + n, : 1 + n]
@@ -87,7 +92,7 @@ class AdaptedStates:
         return cls(manifold, means, gains * sample_time, covariances, precisions, seen, tolerance, mean_precisions)
 
     def fit(self, state: Array, given: Array) -> Array:
-        """How well a position fits each state, (K,).
+        """How well a position fits each state.
 
         1 within the usual distance from a state, and beyond it falling as its Gaussian does; the same for the distance
         from the reference, for all states: a robot that follows its reference is not held, wherever the reference is.
@@ -100,6 +105,11 @@ class AdaptedStates:
             (D,), where the robot is
         given
             (D,), the reference that the robot was given
+
+        Returns
+        -------
+        Array
+            0 to 1, shape (K,)
         """
         d = self.manifold.log(self.means, state[None])
         aside = self.manifold.log(given, state) / self.tolerance

@@ -55,6 +55,11 @@ class Recipe:
         method
             in place of `retrieval`
 
+        Returns
+        -------
+        Self
+            the recipe
+
         Raises
         ------
         ValueError
@@ -102,6 +107,11 @@ class Recipe:
             names of its ambient numbers
         progress
             see `TPGMM.fit`
+
+        Returns
+        -------
+        TPGMM
+            a fitted model
 
         Raises
         ------

@@ -206,7 +206,17 @@ class RegressThenProduct(_Regression):
         self._inverses = np.ascontiguousarray(self._buffer.inverses[:, 1:, 1:])
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
-        """Regression in each frame at times (H,), s, and the product over the frames.
+        """Regression in each frame at some times, and the product over the frames.
+
+        Parameters
+        ----------
+        times
+            (H,), s
+
+        Returns
+        -------
+        tuple[Array, Array, Array]
+            means (H, D), covariances (H, n, n), and the activations (K,) at the first of the times
 
         Raises
         ------

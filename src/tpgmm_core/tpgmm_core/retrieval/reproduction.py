@@ -125,6 +125,27 @@ class Reproduction:
 
         A direction that no frame constrains stays where the robot is, and so follows the state; otherwise the state
         matters to the phase alone.
+
+        Parameters
+        ----------
+        time_ns
+            now, ns
+        frames
+            over [time, data], by name
+        state
+            where the robot is, where it is known
+        weights
+            how far each frame is trusted, 0 to 1
+
+        Returns
+        -------
+        Reference
+            over the data, without time
+
+        Raises
+        ------
+        ValueError
+            before `start`
         """
         if self._last_ns is None:
             raise ValueError("the reproduction has not been started: call start(time_ns)")
@@ -178,7 +199,19 @@ class Reproduction:
         return means, covariances, activations
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
-        """The next n Gaussians, dt (s) apart, if the frames stay.
+        """The next Gaussians, if the frames stay.
+
+        Parameters
+        ----------
+        n
+            how many
+        dt
+            apart, s
+
+        Returns
+        -------
+        list[Gaussian]
+            the first one is dt ahead
 
         Raises
         ------
@@ -191,7 +224,12 @@ class Reproduction:
         return [self._continuity.gaussian(means[i], covariances[i], s) for i, s in enumerate(ahead.tolist())]
 
     def mixture(self) -> GaussianMixture:
-        """The model in the situation of the last step, time first.
+        """The model in the situation of the last step.
+
+        Returns
+        -------
+        GaussianMixture
+            time first
 
         Raises
         ------

@@ -146,12 +146,27 @@ class SemiMarkovMovement:
         if not (math.isfinite(speed) and speed >= 0.0):
             raise ValueError(
                 f"the speed of a movement by states and durations is finite and not negative, got {speed!r}: durations "
-                "say how states go on, not how they came about; go back with a method that is a function of time"
+                "say how states go on, not how they began; go back with a method that is a function of time"
             )
         self._speed = float(speed)
 
     def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
-        """Begin at this time: see `Retrieval.start`."""
+        """Begin at a time: see `Retrieval.start`.
+
+        Parameters
+        ----------
+        time_ns
+            now, ns
+        state
+            where the robot is, where it is known
+        phase
+            where to begin, 0 to 1
+
+        Raises
+        ------
+        ValueError
+            for another phase
+        """
         if not 0.0 <= phase <= 1.0:
             raise ValueError(f"the phase is 0 to 1, got {phase!r}")
         self._started, self._last_ns = True, time_ns
@@ -170,7 +185,29 @@ class SemiMarkovMovement:
         state: Array | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> Reference:
-        """The reference at a time: see `Retrieval.step`. Without state, the movement follows the clock."""
+        """The reference at a time: see `Retrieval.step`. Without state, the movement follows the clock.
+
+        Parameters
+        ----------
+        time_ns
+            now, ns
+        frames
+            over [time, data], by name
+        state
+            where the robot is, where it is known
+        weights
+            how far each frame is trusted, 0 to 1
+
+        Returns
+        -------
+        Reference
+            over the data, without time
+
+        Raises
+        ------
+        ValueError
+            before `start`
+        """
         if not self._started:
             raise ValueError("the movement has not been started: call start(time_ns)")
         state = None if state is None else self._checked(state)

@@ -19,8 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled, inverse_left_jacobian
-from tpgmm_core.geometry.kernels_product import ROUNDED_GAIN, difference, longest, move
+from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels_manifold import difference, longest, move
+from tpgmm_core.geometry.kernels_product import ROUNDED_GAIN
+from tpgmm_core.geometry.kernels_rotation import inverse_left_jacobian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.retrieval.banded import cholesky_band, solve_band
 
@@ -78,6 +80,11 @@ def smoothest(
         (T, D), where to begin; matters on S³ only
     tolerance
         steps shorter than this, relative to the extent of the points and in rad, end the iteration
+
+    Returns
+    -------
+    Smooth
+        points and covariances
 
     Raises
     ------

@@ -11,7 +11,24 @@ from tpgmm_core.common.types import Array
 
 
 def critically_damped(error: Array, velocity: Array, rate: float, time: float) -> tuple[Array, Array]:
-    """Error and velocity (n,) after a time, of error'' = -rate² error - 2 rate error'. Both die out as exp(-rate t)."""
+    """Error and velocity after a time, of error'' = -rate² error - 2 rate error'.
+
+    Both die out as exp(-rate t).
+
+    Parameters
+    ----------
+    error, velocity
+        now, (n,)
+    rate
+        1/s
+    time
+        s
+
+    Returns
+    -------
+    tuple[Array, Array]
+        error and velocity then, (n,)
+    """
     slope = velocity + rate * error
     left = math.exp(-rate * time)
     return left * (error + time * slope), left * (velocity - rate * time * slope)

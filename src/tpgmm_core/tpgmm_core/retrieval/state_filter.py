@@ -75,7 +75,20 @@ class NominalSchedule:
         self.longest = np.where(self.following >= 0, self.nominal + LEAD * self.nominal[self.following], np.inf)
 
     def onwards(self, state: int, age: float, samples: float) -> tuple[int, float]:
-        """The place some samples after another one; the last state goes on, and overdue ones count as `longest`."""
+        """The place some samples after another one; the last state goes on, and overdue ones count as `longest`.
+
+        Parameters
+        ----------
+        state, age
+            the place: a state, and the samples that it has lasted
+        samples
+            how many later
+
+        Returns
+        -------
+        tuple[int, float]
+            state and age then
+        """
         age = min(age, self.longest[state]) + samples
         while self.following[state] >= 0 and age >= self.nominal[state]:
             age -= self.nominal[state]

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
-from tpgmm_core.geometry.kernels_product import add_term, scratch_for
+from tpgmm_core.geometry.kernels_terms import add_term, scratch_for
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.retrieval.regression import RegressThenProduct
 
@@ -65,6 +65,11 @@ def sub_objectives(model: TPGMM, times: ArrayLike, frames: Mapping[str, Frame]) 
         (T,), of the model
     frames
         over [time, data], one or more
+
+    Returns
+    -------
+    SubObjectives
+        of each frame, at all times
 
     Raises
     ------

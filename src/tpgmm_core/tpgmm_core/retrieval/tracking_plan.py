@@ -86,6 +86,11 @@ class Planner:
             (n_steps + 1, n, n), of the targets, moved to the tangent space at begin
         control_cost
             (n, n)
+
+        Returns
+        -------
+        TrackingPlan
+            the path
         """
         n = self._manifold.tangent_dim
         self._costs[:, :n, :n] = precisions

@@ -83,6 +83,11 @@ class RobotDescription:
         path
             the file
 
+        Returns
+        -------
+        RobotDescription
+            what the file says, checked
+
         Raises
         ------
         RobotFileError
@@ -129,6 +134,11 @@ def resolve_urdf(reference: str, folder: Path) -> Path:
     folder
         of the robot file
 
+    Returns
+    -------
+    Path
+        the file, which exists
+
     Raises
     ------
     RobotFileError
@@ -168,6 +178,11 @@ def read_xml(path: Path) -> bytes:
     ----------
     path
         the file
+
+    Returns
+    -------
+    bytes
+        the document
 
     Raises
     ------

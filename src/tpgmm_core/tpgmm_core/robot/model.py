@@ -127,6 +127,11 @@ class RobotModel:
         path
             of the robot file
 
+        Returns
+        -------
+        RobotModel
+            with the limits of both files
+
         Raises
         ------
         RobotFileError
@@ -139,9 +144,19 @@ class RobotModel:
         return RobotData(self)
 
     def unit(self, joint: str, quantity: str) -> str:
-        """Unit of a joint's "position", "velocity", "effort" or "inertia".
+        """Unit of a quantity of a joint; it depends on whether the joint turns or slides.
 
-        It depends on whether the joint turns or slides.
+        Parameters
+        ----------
+        joint
+            its name
+        quantity
+            "position", "velocity", "effort" or "inertia"
+
+        Returns
+        -------
+        str
+            such as "rad" or "m"
         """
         is_prismatic = self.pinocchio.joints[self._index[joint] + 1].shortname().startswith("JointModelP")
         return UNITS[quantity][is_prismatic]
@@ -153,6 +168,11 @@ class RobotModel:
         ----------
         joints
             a group of the robot file, or names of joints
+
+        Returns
+        -------
+        NDArray[np.intp]
+            in the order of the group, or of `joints`
 
         Raises
         ------
@@ -168,6 +188,16 @@ class RobotModel:
 
     def frame_id(self, frame: str) -> int:
         """Pinocchio's index of a frame of the URDF, a link or else a joint.
+
+        Parameters
+        ----------
+        frame
+            its name
+
+        Returns
+        -------
+        int
+            the index
 
         Raises
         ------
@@ -191,6 +221,11 @@ class RobotModel:
         values
             one for each name
 
+        Returns
+        -------
+        Array
+            shape (nv,)
+
         Raises
         ------
         ValueError
@@ -206,9 +241,21 @@ class RobotModel:
         return array[order]
 
     def unwound(self, q: Array, near: Array) -> Array:
-        """Positions (nv,) with those of endless joints at the turn that is nearest to `near` (nv,).
+        """Positions with those of endless joints at the turn that is nearest to a reference.
 
         Many drivers wrap such angles to -pi..pi; control by differences of angles must not see the jump.
+
+        Parameters
+        ----------
+        q
+            shape (nv,), rad or m
+        near
+            shape (nv,), the reference
+
+        Returns
+        -------
+        Array
+            shape (nv,)
         """
         if len(self._endless) == 0:
             return q

@@ -93,7 +93,25 @@ class RobotSimulator:
         self.reset(q0)
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> RobotState:
-        """Go back to time zero, at q (home if not given) with velocity v (zero if not given), both (nv,)."""
+        """Go back to time zero.
+
+        Parameters
+        ----------
+        q
+            shape (nv,), rad or m; home if not given
+        v
+            shape (nv,), rad/s or m/s; zero if not given
+
+        Returns
+        -------
+        RobotState
+            the state then
+
+        Raises
+        ------
+        ValueError
+            for wrong shapes, and positions outside the limits
+        """
         zero = np.zeros(self.robot.nv)
         q = self._checked(self.robot.home if q is None else q, "q")
         v = self._checked(zero if v is None else v, "v")
@@ -115,6 +133,11 @@ class RobotSimulator:
             (nv,), commanded torque
         wrenches
             frame of the URDF -> (6,), force in N at the frame's origin and torque in N m, in base axes
+
+        Returns
+        -------
+        RobotState
+            after the step
 
         Raises
         ------

@@ -54,6 +54,11 @@ def read_urdf(path: Path, locked: Mapping[str, float], home: Mapping[str, float]
     home
         joint -> position, rad or m, of all joints that are not locked
 
+    Returns
+    -------
+    Urdf
+        the model of the joints that are not locked
+
     Raises
     ------
     RobotFileError

@@ -81,6 +81,11 @@ def read_tree(path: Path) -> UrdfTree:
     path
         the file
 
+    Returns
+    -------
+    UrdfTree
+        links and joints
+
     Raises
     ------
     RobotFileError

@@ -3,7 +3,7 @@
 
 Trains a model from the recordings, starts frame_tracker, reproduction, impedance_controller and baxter_simulator as
 processes of their own, lets Baxter pick an object and place it on a target in a situation that was never demonstrated,
-pushes the object and hides the target on the way, and reports what came of it.
+pushes the object and hides the target on the way, and reports the result.
 """
 
 from tpgmm_demos.demo.main import main

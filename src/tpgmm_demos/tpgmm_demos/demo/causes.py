@@ -26,25 +26,25 @@ def machine_figures(report: dict[str, Any]) -> list[str]:
     for node, ticks in report["ticks"].items():
         lost = ticks["asked"] - ticks["done"]
         if not ticks["asked"]:
-            found.append(f"{node} had no time to say how many ticks it did")
+            found.append(f"{node} had no time to report its ticks")
         elif lost > MAX_LOST_SHARE * ticks["asked"]:
             share = 100.0 * lost / ticks["asked"]
             found.append(
-                f"{node} lost {lost} of {ticks['asked']} ticks ({share:.1f} %, {100 * MAX_LOST_SHARE:g} % borne)"
+                f"{node} lost {lost} of {ticks['asked']} ticks ({share:.1f} %, {100 * MAX_LOST_SHARE:g} % tolerated)"
             )
     age = report["torque_age_ms"]["p99"]
     if age > MAX_TORQUE_AGE_MS:
-        found.append(f"torques answered to states up to {age:.1f} ms old (p99, {MAX_TORQUE_AGE_MS:g} ms borne)")
+        found.append(f"torques answered to states up to {age:.1f} ms old (p99, {MAX_TORQUE_AGE_MS:g} ms tolerated)")
     perception = report["perception"]
     for frame, rate in perception["rate_hz"].items():
         if rate < MIN_PERCEPTION_SHARE * perception["camera_hz"]:
             borne = MIN_PERCEPTION_SHARE * perception["camera_hz"]
-            found.append(f"of '{frame}' {rate:.0f} poses per second came through (at least {borne:.0f} needed)")
+            found.append(f"of '{frame}' {rate:.0f} poses per second arrived (at least {borne:.0f} needed)")
     return found
 
 
 def cause_of_waiting_in_vain(load: float, cores: int, lockstep: bool) -> str:
-    """The likely cause where nothing ended, but something did not come in time; empty if the machine had time for it.
+    """The likely cause where nothing ended, but something did not come in time.
 
     Parameters
     ----------
@@ -54,11 +54,16 @@ def cause_of_waiting_in_vain(load: float, cores: int, lockstep: bool) -> str:
         that there are for them
     lockstep
         simulated time waits, and longer already
+
+    Returns
+    -------
+    str
+        empty if the machine had time for it
     """
     if load <= cores + MAX_WAITING_PROGRAMS:
         return ""
     remedy = "End other programs" if lockstep else "End other programs, or use --lockstep, which waits longer"
-    return f"The machine was too slow: {load:.1f} programs wanted its {cores} cores. {remedy}."
+    return f"The machine was too slow: {load:.1f} programs were ready to run on {cores} cores. {remedy}."
 
 
 def cause_of_failure(report: dict[str, Any]) -> str:
@@ -67,7 +72,7 @@ def cause_of_failure(report: dict[str, Any]) -> str:
         return ""
     causes = []
     if slow := machine_figures(report):
-        busy = f"{report['load']:.1f} programs wanted its {report['cores']} cores"
+        busy = f"{report['load']:.1f} programs were ready to run on {report['cores']} cores"
         causes.append(
             f"the machine was too slow for real time ({busy}): {'; '.join(slow)}. End other programs, or use "
             "--lockstep, where simulated time waits for the slowest"

@@ -185,7 +185,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="demo", description=package.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--seed", type=int, default=1, help="another number, another situation (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="number of the situation (default: %(default)s)")
     parser.add_argument(
         "--bags", type=Path, default=Path("bags/pick_place"), help="the demonstrations (default: %(default)s)"
     )
@@ -212,7 +212,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--separate",
         action="store_true",
-        help="each node in a process of its own, not those of the robot's loop in one",
+        help="run each node in its own process, instead of the robot's loop in one",
     )
     parser.add_argument(
         "--rate", type=float, default=1000.0, help="of joint states and torques, Hz, 100 to 2000 (default: %(default)s)"

@@ -43,6 +43,11 @@ def draw(recording: RunRecord, world: World, mixture: GaussianMixture, limits: A
         the model adapted to the final placing, over [time, x, y, z, qx, qy, qz, qw]
     limits
         (nv,), effort limits of the joints, N m
+
+    Returns
+    -------
+    list[Path]
+        the files
     """
     directory.mkdir(parents=True, exist_ok=True)
     figures = {

@@ -49,6 +49,11 @@ def evaluate(
         what the action said
     lockstep
         no tick was late, so that a jump has no excuse
+
+    Returns
+    -------
+    dict[str, Any]
+        what report.json holds
     """
     assert world.started_ns is not None
     position, angle = pose_error(world.grasp.object, world.situation.target)

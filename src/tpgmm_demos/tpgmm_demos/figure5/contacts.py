@@ -56,7 +56,22 @@ def smooth_step(share: float) -> float:
 def hand_guiding(
     session: Session, aims: Callable[[float], Poses], elbows: Callable[[float], Poses]
 ) -> list[tuple[str, Wrench]]:
-    """Both arms led by the hands to poses (7,), with a light hand at each elbow that leads it to places (3,)."""
+    """Both arms led by the hands, with a light hand at each elbow.
+
+    Parameters
+    ----------
+    session
+        the running graph
+    aims
+        time, s → poses (7,) of the hands
+    elbows
+        time, s → places (3,) of the elbows, m
+
+    Returns
+    -------
+    list[tuple[str, Wrench]]
+        link and wrench of each contact
+    """
     hands, arms = [], []
     for hand in HANDS:
         here = session.pose(elbow(hand))
@@ -104,12 +119,40 @@ def lesson_contacts(session: Session, lesson: Lesson) -> list[tuple[str, Wrench]
 
 
 def push(session: Session, link: str, way: Array, duration: float) -> tuple[str, Wrench]:
-    """Someone moves a link by a way (3,), m, within `duration` s, and holds it there."""
+    """Someone moves a link, and holds it there.
+
+    Parameters
+    ----------
+    session
+        the running graph
+    link
+        its name
+    way
+        shape (3,), m, in base axes
+    duration
+        of the movement, s
+
+    Returns
+    -------
+    tuple[str, Wrench]
+        link and wrench
+    """
     return link, contact(PUSH, _moving(session.pose(link), way, duration))
 
 
 def gripped_push(session: Session, link: str, way: Array, duration: float) -> tuple[str, Wrench]:
-    """The same by someone who keeps the link level meanwhile."""
+    """The same as `push` by someone who keeps the link level meanwhile.
+
+    Parameters
+    ----------
+    session, link, way, duration
+        as for `push`
+
+    Returns
+    -------
+    tuple[str, Wrench]
+        link and wrench
+    """
     wrench = contact(GRIP, _moving(session.pose(link), way, duration))
     return link, lambda time, pose: wrench(time, pose) * LEVELLING
 

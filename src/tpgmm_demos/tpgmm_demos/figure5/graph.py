@@ -24,6 +24,20 @@ def open_session(robot: RobotModel, log_directory: Path, lockstep: bool) -> Iter
     """A session on a ROS domain that nobody else uses; its nodes end with it.
 
     In real time the program runs ahead of ordinary ones, as its nodes do: a teacher who comes late shakes the arm.
+
+    Parameters
+    ----------
+    robot
+        that is simulated
+    log_directory
+        of the nodes' logs
+    lockstep
+        simulated time, as fast as all can; else real time
+
+    Yields
+    ------
+    Session
+        the running graph
     """
     with own_domain(), open_graph("figure5", log_directory, use_sim_time=lockstep) as graph:
         refused = "" if lockstep else request_realtime(REALTIME_PRIORITY)

@@ -57,7 +57,22 @@ class Measures:
 
 
 def measure(robot: RobotModel, segment: Segment, link: str) -> Measures:
-    """Kinematics of all samples."""
+    """Kinematics of all samples.
+
+    Parameters
+    ----------
+    robot
+        that was simulated
+    segment
+        T samples
+    link
+        whose pose is wanted
+
+    Returns
+    -------
+    Measures
+        at all samples
+    """
     data, frame = robot.create_data(), robot.frame_id(link)
     rows = []
     for q in segment.q:
@@ -79,7 +94,24 @@ def measure(robot: RobotModel, segment: Segment, link: str) -> Measures:
 
 
 def energy(robot: RobotModel, tasks: Mapping[str, HandTask], segment: Segment, rest: Array) -> Array:
-    """(T,), J: kinetic energy of the arms, and what the law's springs hold, e^T K e / 2, while these tasks hold."""
+    """Kinetic energy of the arms, and what the law's springs hold, e^T K e / 2, while some tasks hold.
+
+    Parameters
+    ----------
+    robot
+        that was simulated
+    tasks
+        that hold, by name
+    segment
+        T samples
+    rest
+        shape (nv,), posture of the joints
+
+    Returns
+    -------
+    Array
+        shape (T,), J
+    """
     product, law = HandTasks(robot, tasks, ARMS), JointImpedanceLaw(robot, ARMS, LAW)
     data, joints = robot.create_data(), product.joints
     result = []

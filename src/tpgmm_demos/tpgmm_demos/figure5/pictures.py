@@ -30,7 +30,22 @@ SHOWN = 6
 
 
 def draw(robot: RobotModel, courses: Sequence[SequenceResult], directory: Path) -> list[Path]:
-    """Draw ``<sequence>_strip.png`` and ``<sequence>_errors.png`` for each sequence."""
+    """Draw ``<sequence>_strip.png`` and ``<sequence>_errors.png`` for each sequence.
+
+    Parameters
+    ----------
+    robot
+        that was simulated
+    courses
+        results of the sequences
+    directory
+        where to
+
+    Returns
+    -------
+    list[Path]
+        the files
+    """
     directory.mkdir(parents=True, exist_ok=True)
     paths = []
     for result in courses:

@@ -43,7 +43,24 @@ WAY = 0.05
 def evaluate(
     robot: RobotModel, tasks: Mapping[str, Task], models: Mapping[str, TPGMM], courses: Sequence[SequenceResult]
 ) -> dict[str, Any]:
-    """The report of one run: figures, and which of them are as they are to be."""
+    """The report of one run: figures, and which of them are as they are to be.
+
+    Parameters
+    ----------
+    robot
+        that was simulated
+    tasks
+        by name
+    models
+        of the tasks, by name
+    courses
+        results of the sequences
+
+    Returns
+    -------
+    dict[str, Any]
+        what report.json holds
+    """
     hands = {name: hand_task(task, models[name], list(robot.endpoints)) for name, task in tasks.items()}
     report: dict[str, Any] = {"frames": {name: judged_frames(name, model) for name, model in models.items()}}
     report["sequences"] = {course.sequence.name: _course(robot, hands, course) for course in courses}
@@ -61,9 +78,7 @@ def evaluate(
     everything = sequences.values()
     ways = [row["hand"]["moved_m"] for row in (cup, follow, both)]
     checks = {
-        "the relevant frames come out by themselves": all(
-            f["relevant_frame_stands_out"] for f in report["frames"].values()
-        ),
+        "the relevant frames are found": all(f["relevant_frame_stands_out"] for f in report["frames"].values()),
         "taught directions are 100 times as precise": all(
             f["precision_ratio"] >= PRECISION_RATIO for f in report["frames"].values()
         ),

@@ -155,6 +155,11 @@ def run_sequence(
     ----------
     earlier
         by name, the sequences whose forces are repeated
+
+    Returns
+    -------
+    SequenceResult
+        what happened
     """
     choose(())
     session.run(1.0)  # what held before lets go

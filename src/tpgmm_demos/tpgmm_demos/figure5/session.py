@@ -100,8 +100,14 @@ class Segment:
 class Session:
     """The running graph; `run` lets time pass.
 
-    graph : with the program's own node, which nobody else serves meanwhile
-    lockstep : simulated time, as fast as all can; else real time
+    Parameters
+    ----------
+    graph
+        with the program's own node, which nobody else serves meanwhile
+    robot
+        that is simulated
+    lockstep
+        simulated time, as fast as all can; else real time
     """
 
     def __init__(self, graph: Graph, robot: RobotModel, lockstep: bool) -> None:
@@ -153,12 +159,24 @@ class Session:
             )
 
     def run(self, duration: float, contacts: Sequence[tuple[str, Wrench]] = ()) -> Segment:
-        """Let `duration` s of the robot's time pass, while wrenches act on links; they end with it.
+        """Let time of the robot pass, while wrenches act on links; they end with it.
+
+        Parameters
+        ----------
+        duration
+            s
+        contacts
+            names of links, and what acts there
+
+        Returns
+        -------
+        Segment
+            samples of this time
 
         Raises
         ------
         GraphError
-            when a node ends, or time stands still
+            when a node ends, or time stalls
         """
         segment, begin = Segment(stop_distance=np.full(self.robot.nv, np.inf)), self._stamp_ns
         self._segment, self._begin_ns, self._end_ns = segment, begin, begin + round(duration * SECOND)

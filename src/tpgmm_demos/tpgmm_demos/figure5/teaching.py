@@ -44,6 +44,18 @@ def record_lesson(session: Session, task: Task, bag: Path, random: np.random.Gen
 def learn(task: Task, bag: Path) -> TPGMM:
     """One Gaussian of the hand's pose in each frame of the task.
 
+    Parameters
+    ----------
+    task
+        of the task file
+    bag
+        with the demonstration
+
+    Returns
+    -------
+    TPGMM
+        a fitted model
+
     Raises
     ------
     BagError

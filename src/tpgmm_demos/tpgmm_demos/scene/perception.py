@@ -48,7 +48,25 @@ PERCEPTIONS = ("camera", "exact")
 
 
 def perception(kind: str, exact_rate: float) -> CameraConfig:
-    """The camera for one of PERCEPTIONS; an exact one sees `exact_rate` times per second, Hz."""
+    """The camera for one of PERCEPTIONS.
+
+    Parameters
+    ----------
+    kind
+        its name
+    exact_rate
+        how often an exact one sees, Hz
+
+    Returns
+    -------
+    CameraConfig
+        what a camera sees and when
+
+    Raises
+    ------
+    ValueError
+        for another name
+    """
     if kind not in PERCEPTIONS:
         raise ValueError(f"perception '{kind}': expected one of {', '.join(PERCEPTIONS)}")
     return CameraConfig() if kind == "camera" else CameraConfig().exact(exact_rate)

@@ -98,6 +98,11 @@ def record_scripted(
     perceived
         how the objects are seen, one of PERCEPTIONS
 
+    Returns
+    -------
+    list[Path]
+        the bags
+
     Raises
     ------
     GraphError
@@ -186,7 +191,7 @@ def main() -> int:
         "--perception",
         choices=PERCEPTIONS,
         default="camera",
-        help=f"how the objects are seen: 30 Hz, late and with noise, or without a fault {shown}",
+        help=f"how the objects are seen: 30 Hz, late and with noise, or exact {shown}",
     )
     parser.add_argument("--robot", type=Path, default=config_file("baxter.yaml"), help=f"robot file {shown}")
     arguments = parser.parse_args()

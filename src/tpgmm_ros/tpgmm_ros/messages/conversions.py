@@ -86,12 +86,42 @@ def pose_from_array(pose: Sequence[float] | Array) -> Pose:
 
 
 def pose_stamped(pose: Sequence[float] | Array, nanoseconds: int, frame_id: str) -> PoseStamped:
-    """A pose (7,) with its stamp, ns, and the frame that it is expressed in."""
+    """A pose with its stamp.
+
+    Parameters
+    ----------
+    pose
+        x, y, z in m, qx, qy, qz, qw
+    nanoseconds
+        stamp, ns
+    frame_id
+        the frame that it is expressed in
+
+    Returns
+    -------
+    PoseStamped
+        the message
+    """
     return PoseStamped(header=header_at(nanoseconds, frame_id), pose=pose_from_array(pose))
 
 
 def pose_with_covariance(gaussian: Gaussian, nanoseconds: int, frame_id: str) -> PoseWithCovarianceStamped:
-    """A Gaussian over a pose; its tangent coordinates are already those of PoseWithCovariance."""
+    """A Gaussian over a pose; its tangent coordinates are already those of PoseWithCovariance.
+
+    Parameters
+    ----------
+    gaussian
+        over a pose
+    nanoseconds
+        stamp, ns
+    frame_id
+        the frame that it is expressed in
+
+    Returns
+    -------
+    PoseWithCovarianceStamped
+        the message
+    """
     message = PoseWithCovarianceStamped(header=header_at(nanoseconds, frame_id))
     message.pose.pose = pose_from_array(gaussian.mean)
     message.pose.covariance = np.ascontiguousarray(gaussian.covariance).ravel()
@@ -99,7 +129,17 @@ def pose_with_covariance(gaussian: Gaussian, nanoseconds: int, frame_id: str) ->
 
 
 def wrench_to_array(message: WrenchStamped) -> Array:
-    """(6,): force in N, torque in N m.
+    """Force and torque of a message.
+
+    Parameters
+    ----------
+    message
+        as it came
+
+    Returns
+    -------
+    Array
+        shape (6,): force in N, torque in N m
 
     Raises
     ------
@@ -116,7 +156,22 @@ def wrench_to_array(message: WrenchStamped) -> Array:
 
 
 def wrench_from_array(wrench: Sequence[float] | Array, nanoseconds: int, link: str) -> WrenchStamped:
-    """A wrench (6,) on a link, N and N m, with its stamp, ns."""
+    """A wrench on a link, with its stamp.
+
+    Parameters
+    ----------
+    wrench
+        six numbers: force in N, torque in N m
+    nanoseconds
+        stamp, ns
+    link
+        name of the link's frame
+
+    Returns
+    -------
+    WrenchStamped
+        the message
+    """
     message = WrenchStamped(header=header_at(nanoseconds, link))
     force, torque = message.wrench.force, message.wrench.torque
     force.x, force.y, force.z, torque.x, torque.y, torque.z = (float(value) for value in wrench)
@@ -136,7 +191,22 @@ class TaskFrameState:
 
 
 def task_parameters_message(frames: Iterable[TrackedFrame], nanoseconds: int, frame_id: str) -> TaskParameters:
-    """All frames of a task at a time, ns; of those that were never seen only the names."""
+    """All frames of a task at a time; of those that were never seen only the names.
+
+    Parameters
+    ----------
+    frames
+        as tracked
+    nanoseconds
+        stamp, ns
+    frame_id
+        the frame that they are expressed in
+
+    Returns
+    -------
+    TaskParameters
+        the message
+    """
     message = TaskParameters(header=header_at(nanoseconds, frame_id))
     for tracked in frames:
         item = TaskFrame(
@@ -155,7 +225,17 @@ def task_parameters_message(frames: Iterable[TrackedFrame], nanoseconds: int, fr
 
 
 def task_parameters(message: TaskParameters) -> dict[str, TaskFrameState]:
-    """The frames of a message by name.
+    """The frames of a message.
+
+    Parameters
+    ----------
+    message
+        as it came
+
+    Returns
+    -------
+    dict[str, TaskFrameState]
+        by name
 
     Raises
     ------
@@ -211,7 +291,23 @@ def gaussian_message(gaussian: Gaussian) -> GaussianMessage:
 
 
 def gaussian(message: GaussianMessage) -> Gaussian:
-    """Raises MessageError: a manifold that is none, sizes that contradict each other, not finite."""
+    """The Gaussian of a message.
+
+    Parameters
+    ----------
+    message
+        as it came
+
+    Returns
+    -------
+    Gaussian
+        the Gaussian, checked
+
+    Raises
+    ------
+    MessageError
+        for a manifold that is none, sizes that contradict each other, and numbers that are not finite
+    """
     dimension = len(message.mean)
     if not 0 < dimension <= MAX_DIMENSION:
         raise MessageError(f"a Gaussian's mean has {dimension} numbers; expected 1 to {MAX_DIMENSION}")
@@ -239,7 +335,24 @@ def gaussian(message: GaussianMessage) -> Gaussian:
 def reference_message(
     reference: Reference, dimensions: Sequence[str], nanoseconds: int, frame_id: str
 ) -> ReferenceMessage:
-    """A reference at a time, ns; `dimensions` are the names of its mean's coordinates."""
+    """A reference at a time.
+
+    Parameters
+    ----------
+    reference
+        to be sent
+    dimensions
+        names of the coordinates of its mean
+    nanoseconds
+        stamp, ns
+    frame_id
+        the frame that it is expressed in
+
+    Returns
+    -------
+    ReferenceMessage
+        the message
+    """
     return ReferenceMessage(
         header=header_at(nanoseconds, frame_id),
         phase=reference.phase,
@@ -253,7 +366,23 @@ def reference_message(
 
 
 def reference(message: ReferenceMessage) -> Reference:
-    """Raises MessageError: a Gaussian that is none, a phase or time step that is not finite."""
+    """The reference of a message.
+
+    Parameters
+    ----------
+    message
+        as it came
+
+    Returns
+    -------
+    Reference
+        the reference, checked
+
+    Raises
+    ------
+    MessageError
+        for a Gaussian that is none, and a phase or a time step that is not finite
+    """
     if not (np.isfinite(message.phase) and np.isfinite(message.horizon_time_step)):
         raise MessageError(
             f"a reference's phase ({message.phase}) or horizon time step ({message.horizon_time_step}) is not finite"
@@ -280,7 +409,17 @@ def torque_terms(terms: Mapping[str, Array]) -> tuple[list[str], array[float]]:
 
 
 def terms_of(message: ControllerState) -> dict[str, Array]:
-    """Each term's torques (n,), in the order of the message's joints.
+    """The torques of each term of the law.
+
+    Parameters
+    ----------
+    message
+        as it came
+
+    Returns
+    -------
+    dict[str, Array]
+        term → torques (n,), N m, in the order of the message's joints
 
     Raises
     ------
@@ -306,7 +445,26 @@ def joint_state_message(
     velocity: Array | None = None,
     effort: Array | None = None,
 ) -> JointState:
-    """Positions in rad, velocities in rad/s, efforts in N m (m, m/s, N for prismatic joints)."""
+    """States of joints.
+
+    Parameters
+    ----------
+    names
+        of the joints
+    nanoseconds
+        stamp, ns
+    position
+        rad, or m for prismatic joints; None: left empty
+    velocity
+        rad/s or m/s; None: left empty
+    effort
+        N m or N; None: left empty
+
+    Returns
+    -------
+    JointState
+        the message
+    """
     message = JointState(header=Header(stamp=time_from_ns(nanoseconds)), name=names)
     if position is not None:
         message.position = floats(position)
@@ -331,7 +489,19 @@ class JointReader:
         self._columns: dict[tuple[str, ...], JointColumns] = {}
 
     def read(self, message: JointState, *fields: str) -> tuple[Array, ...]:
-        """The named fields ("position", "velocity", "effort"), each (len(names),).
+        """Read fields of a message.
+
+        Parameters
+        ----------
+        message
+            as it came
+        *fields
+            "position", "velocity", "effort"
+
+        Returns
+        -------
+        tuple[Array, ...]
+            shape (len(names),) for each field
 
         Raises
         ------
@@ -366,7 +536,17 @@ class JointStates:
         self.forget, self.incomplete = self._assembler.forget, self._assembler.incomplete
 
     def take(self, message: JointState) -> JointSample | None:
-        """The state that a message completes, None where it completes none.
+        """Take a message.
+
+        Parameters
+        ----------
+        message
+            as it came
+
+        Returns
+        -------
+        JointSample | None
+            the state that it completes; None where it completes none
 
         Raises
         ------

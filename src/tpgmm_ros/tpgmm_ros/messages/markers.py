@@ -56,6 +56,11 @@ class Scene:
             (K,), how much each component takes part now; shown by its opacity
         frames
             the frames that took part, over [time, pose]
+
+        Returns
+        -------
+        MarkerArray
+            the markers
         """
         header = conversions.header_at(nanoseconds, frame_id)
         added = _markers(mixture, activations, frames, header)

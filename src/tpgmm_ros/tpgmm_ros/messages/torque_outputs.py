@@ -105,6 +105,16 @@ def linear_feedback(leaving: Leaving) -> Fields:
     It goes on at the rate of the motors between two of these messages. x_0 is the state that was measured, at which
     the torques are exactly those that leave otherwise; the gain is how they would change with the state: the LQR's
     stiffness and damping as the joints feel them, [K, D].
+
+    Parameters
+    ----------
+    leaving
+        what leaves the controller
+
+    Returns
+    -------
+    Fields
+        the fields of the message
     """
     q, v = leaving.command.q[leaving.joints], leaving.command.v[leaving.joints]
     return {
@@ -145,6 +155,16 @@ OUTPUTS: Mapping[str, Output] = {
 
 def message_class(name: str) -> Any:
     """The message of an output.
+
+    Parameters
+    ----------
+    name
+        of the output
+
+    Returns
+    -------
+    Any
+        the class
 
     Raises
     ------

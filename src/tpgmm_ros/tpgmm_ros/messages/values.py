@@ -38,7 +38,19 @@ class StampedReference:
 
     @classmethod
     def of(cls, message: ReferenceMessage, lockstep: bool = False) -> StampedReference:
-        """From a message.
+        """Read a message.
+
+        Parameters
+        ----------
+        message
+            as it came
+        lockstep
+            whether a message may hold no reference, which answers a joint state all the same
+
+        Returns
+        -------
+        StampedReference
+            the reference with its stamp
 
         Raises
         ------

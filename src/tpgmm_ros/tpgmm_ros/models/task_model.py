@@ -10,6 +10,7 @@ from typing import Any
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.common.text import listed, one_line, shown
 from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.retrieval.methods import load_model, make_retrieval
 from tpgmm_ros.messages.conversions import TaskFrameState
@@ -18,6 +19,18 @@ from tpgmm_ros.task.task_file import Task
 
 def load_task_model(path: str | Path, task: Task) -> TPGMM:
     """A model that fits a task, whatever it encodes of the task's movements.
+
+    Parameters
+    ----------
+    path
+        of the model file
+    task
+        what the model is for
+
+    Returns
+    -------
+    TPGMM
+        a fitted model
 
     Raises
     ------
@@ -29,6 +42,7 @@ def load_task_model(path: str | Path, task: Task) -> TPGMM:
     model, space = load_model(path), task.space
     try:
         encoding = space.encoding_of(model)
+        derived = DerivedFrames.of_metadata(model.metadata_)
     except ValueError as error:
         raise ValueError(f"{one_line(path)} does not fit task '{task.name}': {error}") from error
     manifold, dimensions = (
@@ -40,7 +54,8 @@ def load_task_model(path: str | Path, task: Task) -> TPGMM:
             f"{one_line(path)} encodes {listed(model.dimensions_ or ())} on {model.manifold_}; "
             f"task '{task.name}' needs {dimensions} on {manifold}"
         )
-    unknown = [name for name in model.frame_names_ if name not in space.frame_names]
+    needed = derived.observed(model.frame_names_)
+    unknown = [name for name in needed if name not in space.frame_names or name in task.derived.sources]
     if unknown:
         raise ValueError(
             f"{one_line(path)} was learned from the frames {listed(model.frame_names_)}; task '{task.name}' "
@@ -50,7 +65,23 @@ def load_task_model(path: str | Path, task: Task) -> TPGMM:
 
 
 def make_task_retrieval(model: TPGMM, task: Task, method: str | None = None, **settings: Any) -> Retrieval:
-    """A movement of a model that fits the task; settings as for `tpgmm_core.retrieval.methods.make_retrieval`.
+    """A movement of a model that fits the task.
+
+    Parameters
+    ----------
+    model
+        a fitted model
+    task
+        what it is for
+    method
+        retrieval method by name; None: what the model was learned for
+    **settings
+        as for `tpgmm_core.retrieval.methods.make_retrieval`
+
+    Returns
+    -------
+    Retrieval
+        the movement, before its start
 
     Raises
     ------
@@ -64,6 +95,16 @@ def make_task_retrieval(model: TPGMM, task: Task, method: str | None = None, **s
 
 def known_frames(states: Mapping[str, TaskFrameState]) -> dict[str, tuple[Frame, float]]:
     """Those frames that are not missing, as they act on [time, pose], and how far each is trusted.
+
+    Parameters
+    ----------
+    states
+        by name
+
+    Returns
+    -------
+    dict[str, tuple[Frame, float]]
+        by name
 
     Raises
     ------

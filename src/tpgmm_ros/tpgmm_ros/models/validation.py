@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Leave-one-out: how well a model tells what was done in a situation that it has not seen."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Demonstration, Frame
+from tpgmm_core import TPGMM, Demonstration
+from tpgmm_core.choice.reproducing import reproduce
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.pose import compose, inverse
-from tpgmm_core.retrieval.methods import make_retrieval, method_named, method_of
 from tpgmm_ros.recordings.bag_messages import Array
 from tpgmm_ros.recordings.bags import Recording, align
 
@@ -81,6 +81,11 @@ def cross_validate(
     anchor
         frame from which the nearest demonstration is replayed
 
+    Yields
+    ------
+    Fold
+        errors of the recording that was left out
+
     Raises
     ------
     ValueError
@@ -100,79 +105,23 @@ def cross_validate(
         )
 
 
-def reproduce(model: TPGMM, situation: Demonstration, method: str | None = None, settle: float = 0.0) -> Array:
-    """Points (T, D), such as poses, that a model gives at the times and with the frames of a demonstration.
-
-    A method that knows the movement as a function of time is asked for each time in the situation then. One that
-    has a state of its own is stepped through the times by a robot that is at once where it is to be. As long as no
-    frame is visible the movement stays where it starts.
+def replay_nearest(others: Sequence[Recording], situation: Recording, anchor: str) -> Array:
+    """The recording whose frames were most like those of a situation at the start, moved with a frame.
 
     Parameters
     ----------
-    model
-        of [time, point] as any method encodes it
+    others
+        recordings to choose from
     situation
-        [time, point], in the space that the model was learned in
-    method
-        in place of the model's own
-    settle
-        a movement with a state of its own need not be at its end at the last time: it goes on in the last situation for
-        this share of the whole time, and then there are more than T points
+        the recording that is to be met
+    anchor
+        the frame that the movement is moved with
+
+    Returns
+    -------
+    Array
+        poses (T, 7)
     """
-    chosen = method_of(model) if method is None else method_named(method)
-    chosen.check(model)
-    poses = np.tile(situation.data[0, 1:], (len(situation.times), 1))
-    time_parametrized = None if chosen.time_parametrized is None else chosen.time_parametrized(model)
-    movement = None if time_parametrized is not None else make_retrieval(model, chosen.name, horizon_steps=0)
-    pose, former = poses[0], None
-    for i, (time, frames) in enumerate(zip(situation.times, _frames_over_time(situation), strict=True)):
-        if not frames:
-            continue
-        if time_parametrized is not None:
-            if frames is not former:
-                time_parametrized.situate(frames, poses[0])
-            poses[i] = time_parametrized.at(np.array([time]))[0][0]
-        elif movement is not None:
-            time_ns = round(1e9 * time)
-            if former is None:
-                movement.start(time_ns, pose)
-            poses[i] = pose = movement.step(time_ns, frames, pose).gaussian.mean
-        former = frames
-    if movement is None or former is None or settle == 0.0:
-        return poses
-    times, more = situation.times, []
-    step = float(times[-1] - times[-2])
-    for time in np.arange(times[-1] + step, times[-1] + settle * (times[-1] - times[0]), step):
-        pose = movement.step(round(1e9 * time), former, pose).gaussian.mean
-        more.append(pose)
-    return np.vstack([poses, *more])
-
-
-def _frames_over_time(situation: Demonstration) -> Iterator[dict[str, Frame]]:
-    """The visible frames at each sample; the same mapping as long as nothing changes."""
-    visible = {name: situation.is_visible(name) for name in situation.frames}
-    former: dict[str, Frame] | None = None
-    for i in range(len(situation.times)):
-        now = {name: frame.at(i) for name, frame in situation.frames.items() if visible[name][i]}
-        if former is None or not _are_same(now, former):
-            former = now
-        yield former
-
-
-def _are_same(one: Mapping[str, Frame], other: Mapping[str, Frame]) -> bool:
-    return one.keys() == other.keys() and all(
-        np.array_equal(frame.A, other[name].A) and np.array_equal(frame.b, other[name].b) for name, frame in one.items()
-    )
-
-
-def without_frames(demonstration: Demonstration) -> Demonstration:
-    """The same, seen from the base alone: what a model without task parameters learns of it, and reproduces."""
-    D = demonstration.data.shape[1]
-    return Demonstration(demonstration.times, demonstration.data, {"base": Frame(np.eye(D), np.zeros(D))})
-
-
-def replay_nearest(others: Sequence[Recording], situation: Recording, anchor: str) -> Array:
-    """Poses (T, 7) of the recording whose frames were most like these at the start, moved with `anchor`."""
 
     def distance(other: Recording) -> float:
         return sum(_distance(other.frames[name][0], pose[0]) for name, pose in situation.frames.items())

@@ -240,6 +240,9 @@ class ImpedanceControllerNode(ManagedNode):
             self.controller.take_reference(reference, stamp_ns, now_ns, clock_ns)
         except ValueError as error:
             self._refuse_reference(error)
+            return
+        if self._barrier is None and (answer := self.controller.answer_again(now_ns)) is not None:
+            self._publish(answer.command, answer.stamp_ns)
 
     def _refuse_reference(self, error: ValueError) -> None:
         self.controller.refuse_reference(str(error))

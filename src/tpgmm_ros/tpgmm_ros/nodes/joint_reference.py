@@ -62,7 +62,21 @@ MAX_PAUSE = 0.02
 
 
 def hand_task(task: Task, model: TPGMM, endpoints: list[str]) -> HandTask:
-    """A task file and its model, by end points and fixed places.
+    """The task of hands that a model holds.
+
+    Parameters
+    ----------
+    task
+        of the task file
+    model
+        fitted to it
+    endpoints
+        of the robot
+
+    Returns
+    -------
+    HandTask
+        by end points and fixed places
 
     Raises
     ------

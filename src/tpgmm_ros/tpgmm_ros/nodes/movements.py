@@ -19,6 +19,7 @@ from rclpy.node import Node
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.common.types import Array
+from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.execution import Execution, ExecutionConfig, Outcome, Stage
 from tpgmm_core.retrieval.interface import Retrieval
@@ -37,8 +38,8 @@ RETRIEVAL_SETTINGS = ("retrieval", "phase", "speed", "horizon_steps", "horizon_t
 
 DEACTIVATED = "the node was deactivated"
 
-type Prepared = tuple[TPGMM, Retrieval]
-"""A model, and a movement of it that has not begun yet."""
+type Prepared = tuple[TPGMM, Retrieval, DerivedFrames]
+"""A model, a movement of it that has not begun yet, and its frames that are not observed by themselves."""
 
 
 class Movements:
@@ -85,6 +86,8 @@ class Movements:
         self._why_silent, self._controller = why_silent, controller
         self._known: Mapping[str, tuple[Frame, float]] = {}
         self._weights: dict[str, float] = {}
+        self._derived = DerivedFrames()  # of the model that is reproduced
+        self._start: Array | None = None  # where the robot was when the movement was asked for
         self._duration = 0.0
         self._activation: object | None = None  # of the node, which a goal belongs to; None while it is not active
         self._last_ns: int | None = None  # of the movement that goes on
@@ -125,7 +128,7 @@ class Movements:
         """These frames are known now, by name, and how far each is trusted."""
         self._known = known
         if self.execution is not None:
-            self.frames, self._weights = those_of(self.execution.retrieval, known)
+            self.frames, self._weights = those_of(self.execution.retrieval, known, self._derived, self._start)
 
     def step(self, stamp_ns: int) -> Reference | None:
         """The reference at a time, ns; None where there is none."""
@@ -139,6 +142,9 @@ class Movements:
             elif jump > self._parameters["start_timeout"]:  # such a silence would have ended it too
                 self._end(f"time jumped forwards, by {jump:.3f} s")
         self._last_ns = stamp_ns
+        if self._start is None and self.state is not None:  # not known when the movement was asked for
+            self._start = self.state
+            self.take_frames(self._known)
         if self.goals.is_cancel_requested:
             self._end("canceled")
         try:
@@ -170,12 +176,13 @@ class Movements:
             if chosen is None:
                 raise ValueError("no model is loaded: name a model file in the goal, or set the parameter model_file")
             retrieval = make_task_retrieval(chosen, task, method, duration=duration or None, **settings)
-            frames, weights = those_of(retrieval, known)
+            derived = DerivedFrames.of_metadata(chosen.metadata_)
+            frames, weights = those_of(retrieval, known, derived, state)
             if frames and not (state is None and task.space.needs_state):
                 # a rehearsal: what cannot be adapted to the situation is refused before anything depends on it
                 retrieval.start(0, state)
                 retrieval.step(0, frames, state, weights)
-            return chosen, retrieval
+            return chosen, retrieval, derived
 
         self._background.run(work, then)
 
@@ -190,22 +197,24 @@ class Movements:
             self._prepare(path, self._duration, partial(self._use, path, self._duration, answer))
             return
         try:
-            model, retrieval = job.result()
+            model, retrieval, derived = job.result()
             if self.execution is not None and self.execution.stage is not Stage.ENDED:
-                self._go_on_with(self.execution, retrieval)
+                self._go_on_with(self.execution, retrieval, derived)
         except (ValueError, OSError) as error:
             answer.set_result(LoadModel.Response(success=False, reason=one_line(error)))
             return
         self._model = model
-        loaded = f"loaded {one_line(path)}" if path else "the model in use goes on as the parameters say"
+        loaded = f"loaded {one_line(path)}" if path else "the model in use was set up again with the current parameters"
         self._node.get_logger().info(loaded)
         answer.set_result(LoadModel.Response(success=True))
 
-    def _go_on_with(self, execution: Execution, retrieval: Retrieval) -> None:
-        unseen = [name for name in retrieval.frame_names if name not in self._known]
+    def _go_on_with(self, execution: Execution, retrieval: Retrieval, derived: DerivedFrames) -> None:
+        frames, _ = those_of(retrieval, self._known, derived, self._start)
+        unseen = [name for name in retrieval.frame_names if name not in frames]
         if unseen:
             raise ValueError(f"the frames {listed(unseen)} are not seen, and a movement is being reproduced")
         execution.take_over(retrieval, self.state, self._parameters["blend_time"])
+        self._derived = derived
         self.take_frames(self._known)
 
     def _accept(self, goal: ServerGoalHandle) -> None:
@@ -219,16 +228,17 @@ class Movements:
         try:
             if activation is not self._activation:
                 raise ValueError(DEACTIVATED)
-            _, retrieval = job.result()
+            _, retrieval, derived = job.result()
         except (ValueError, OSError) as error:
             finish(goal, Outcome(False, str(error)))
             return
         if goal.is_cancel_requested:
             finish(goal, Outcome(False, "canceled"))
             return
-        self._end("another movement was asked for")
+        self._end("another movement was requested")
         self.goals.begin(goal)
         self.execution = Execution(retrieval, self._parameters.fill(ExecutionConfig))
+        self._derived, self._start = derived, self.state
         self._duration = goal.request.duration
         self._last_ns = None  # what the clock said before is no time to jump from
         self._controller.begin()
@@ -254,8 +264,15 @@ class Movements:
 
 
 def those_of(
-    retrieval: Retrieval, known: Mapping[str, tuple[Frame, float]]
+    retrieval: Retrieval,
+    known: Mapping[str, tuple[Frame, float]],
+    derived: DerivedFrames,
+    start: Array | None,
 ) -> tuple[dict[str, Frame], dict[str, float]]:
     """Of the frames that are known, those that a model has learned from, and how far each is trusted."""
-    names = [name for name in retrieval.frame_names if name in known]
-    return {name: known[name][0] for name in names}, {name: known[name][1] for name in names}
+    frames = {name: frame for name, (frame, _) in known.items()}
+    weights = {name: weight for name, (_, weight) in known.items()}
+    frames |= derived.frames(frames, start)
+    weights |= derived.weights(weights)
+    names = [name for name in retrieval.frame_names if name in frames]
+    return {name: frames[name] for name in names}, {name: weights[name] for name in names}

@@ -23,7 +23,7 @@ from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.reference import Reference
-from tpgmm_core.observation.streams import Stamp
+from tpgmm_core.observation.streams import Beat, Stamp
 from tpgmm_core.observation.tracking import check_pose
 from tpgmm_core.retrieval.execution import ExecutionConfig
 from tpgmm_core.retrieval.methods import METHODS, method_named
@@ -105,6 +105,8 @@ class ReproductionNode(ManagedNode):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._received_ns = 0
         self._done_ns: dict[str, int] = {}
+        self._beat = Beat()
+        self._simulated = bool(self.get_parameter("use_sim_time").value)
         self._sent: StampedReference | None = None
         self._scene = Scene()
         self._barrier: Barrier[int] | None = None
@@ -211,6 +213,7 @@ class ReproductionNode(ManagedNode):
                 self._received = received
                 if self.movements is not None:
                     self.movements.take_frames(known)
+                    self._step_between()
         if self._barrier is not None:
             self._barrier.came("task_parameters", stamp_ns)
 
@@ -222,8 +225,9 @@ class ReproductionNode(ManagedNode):
         if self._barrier is not None:
             self._barrier.take(heard.stamp_ns, heard.stamp_ns)
         elif heard.kind is not Stamp.REPEATED:
-            self._step(heard.stamp_ns)
-        elif self._sent is not None and self._sent.stamp_ns == heard.stamp_ns:
+            self._beat.take(heard.stamp_ns, self._steady.now().nanoseconds, heard.kind is Stamp.RESTARTED)
+            self._step(self._beat.step_ns)
+        elif self._sent is not None and self._sent.stamp_ns >= heard.stamp_ns:
             self._send(self._sent)  # it comes again, since an answer was lost
 
     def _take_pose(self, message: PoseStamped) -> None:
@@ -255,19 +259,27 @@ class ReproductionNode(ManagedNode):
         self._sent = reference
         publish_value(self._references, reference, StampedReference.message)
 
-    def _step(self, stamp_ns: int) -> None:
+    def _step_between(self) -> None:
+        """Frames have changed: their reference need not wait for the next joint state, where that is not near."""
+        # Simulated time does not go on between two joint states as far as one can know.
+        if self._barrier is None and not self._simulated and self.parameters["rate"] == 0.0:
+            if stamp_ns := self._beat.between(self._steady.now().nanoseconds):
+                self._step(stamp_ns, is_tick=False)
+
+    def _step(self, stamp_ns: int, is_tick: bool = True) -> None:
         if self.movements is None or self.movements.execution is None:
             self._hide(stamp_ns)
             return
         start = time.perf_counter()
-        self.monitor.tick(stamp_ns)
+        if is_tick:
+            self.monitor.tick(stamp_ns)
         reference = self.movements.step(stamp_ns)
         if reference is None:
             self._hide(stamp_ns)
             return
         named = replace(reference, dimensions=self._dimensions)
         self._send(StampedReference(named, stamp_ns, self.task.base_frame))
-        self.monitor.done += 1
+        self.monitor.done += is_tick
         self.monitor.step.add(time.perf_counter() - start)
         self._show(stamp_ns, self.movements, reference)
 

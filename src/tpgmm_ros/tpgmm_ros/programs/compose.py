@@ -2,7 +2,7 @@
 """compose: several nodes in one process, from pose to torque without the middleware in between.
 
 Each node keeps its name, parameters, topics, services and diagnostics. What one of them publishes is handed to the
-others as it is; it is also sent where somebody else listens. Name the nodes in the order of the data:
+others directly; it is also published for other processes. Name the nodes in the order of the data:
 
   ros2 run tpgmm_ros compose frame_tracker reproduction impedance_controller --ros-args \
     -p task_file:=TASK -p reproduction:model_file:=MODEL -p robot_file:=ROBOT -p autostart:=true

@@ -12,7 +12,19 @@ from tpgmm_ros.runtime.entry import INTERRUPTED
 
 
 def write_report(directory: str | Path, values: dict[str, Any] | list[dict[str, Any]]) -> Path:
-    """Write `values` to report.json in a directory, which is made where it is missing.
+    """Write values to report.json.
+
+    Parameters
+    ----------
+    directory
+        made where it is missing
+    values
+        what JSON can hold
+
+    Returns
+    -------
+    Path
+        the file
 
     Raises
     ------
@@ -32,7 +44,7 @@ def run_with_report(
     errors: tuple[type[Exception], ...],
     cause_of: Callable[[Exception], str] = lambda error: "",
 ) -> int:
-    """Run a program that leaves a report, whatever happens; returns its exit status.
+    """Run a program that leaves a report, whatever happens.
 
     Parameters
     ----------
@@ -44,6 +56,16 @@ def run_with_report(
         what may go wrong, besides the disk; said in one line
     cause_of
         the likely cause of an error, where there is one to tell
+
+    Returns
+    -------
+    int
+        exit status of the program
+
+    Raises
+    ------
+    Exception
+        what `run` raises, where it is none of `errors`
     """
     status, cause = 1, ""
     try:

@@ -2,9 +2,10 @@
 """`train`: recorded demonstrations in, a model file and its figures out. Needs no running ROS."""
 
 import argparse
+import re
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_ros.models.validation import Fold, PathErrors, cross_validate, mean_errors
 from tpgmm_ros.programs.reporting import write_report
+from tpgmm_ros.programs.train_auto import choose_for, words
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings
 from tpgmm_ros.runtime.entry import INTERRUPTED
 from tpgmm_ros.task.task_file import Task
@@ -30,12 +32,17 @@ examples:
   train --task config/pick_place.yaml --output pick_place.tpgmm bags/
   train --task config/pick_place.yaml --output pick_place.tpgmm --report out/train demo_1 demo_2 demo_3
   train --task config/pick_place.yaml --leave-one-out bags/          (only measures, saves no model)
+  train --task config/pick_place.yaml --output best.tpgmm --auto --budget 60s bags/pick_place
   train --task config/pick_place.yaml --output dmp.tpgmm --retrieval dmp bags/
   train --task config/pick_place.yaml --output few.tpgmm --components 4 --every 5 --skip-bad bags/
 
 exit status: 0 the model was trained and saved; 1 it was not, the reason is on stderr; 2 wrong arguments;
-130 interrupted
+130 interrupted (with --auto, the best so far is saved then, and the status is 0)
 """
+
+
+type Learn = Callable[..., TPGMM]
+"""Takes what `Recipe.learn` takes."""
 
 
 class TrainingError(Exception):
@@ -85,7 +92,10 @@ def _run(options: argparse.Namespace, report: dict[str, Any]) -> None:
     task = Task.load(options.task)
     recipe = _recipe(task, options)
     recordings = _read(options, task, report)
-    training = _train(task, recipe, recordings)
+    if options.auto:
+        training = _choose_and_train(task, options, recordings, report)
+    else:
+        training = _train(task, recipe, recordings)
     _summarize(training, task, report)
     if options.leave_one_out:
         report["leave_one_out"] = _validate(task, recipe, recordings)
@@ -132,10 +142,27 @@ def _recipe(task: Task, options: argparse.Namespace) -> Recipe:
         settings["random_state"] = options.seed
     if options.leave_one_out and task.space.joints():
         raise TrainingError(f"--leave-one-out compares paths of poses; task {task.name!r} is over joints: leave it out")
+    if options.auto and (options.components is not None or options.leave_one_out):
+        what = "--leave-one-out" if options.components is None else "--components"
+        raise TrainingError(f"--auto chooses that by itself, by reproducing what was left out: leave out {what}")
+    if not options.auto and (options.budget, options.trials, options.workers) != (None, None, None):
+        raise TrainingError("--budget, --trials and --workers are for --auto: add it, or leave them out")
+    if options.auto and options.budget is None and options.trials is None:
+        options.budget = 60.0
     return task.space.recipe(settings, options.retrieval)
 
 
-def _train(task: Task, recipe: Recipe, recordings: list[Recording]) -> Training:
+def _choose_and_train(
+    task: Task, options: argparse.Namespace, recordings: list[Recording], report: dict[str, Any]
+) -> Training:
+    choice = choose_for(task, recordings, options.retrieval, options.trials, options.budget, options.workers)
+    names = [recording.path.name for recording in recordings]
+    print(f"{words(choice, names)}\n")
+    report["auto"] = {"demonstrations": names, **choice.to_dict()}
+    return _train(task, choice.best.trial.recipe, recordings, choice.learn)
+
+
+def _train(task: Task, recipe: Recipe, recordings: list[Recording], learn: Learn | None = None) -> Training:
     demonstrations, duration = align(recordings)
     start = time.perf_counter()
     with _bar(total=recipe.max_iter, desc="EM", unit="iteration") as bar:
@@ -144,7 +171,8 @@ def _train(task: Task, recipe: Recipe, recordings: list[Recording]) -> Training:
             bar.set_postfix_str(f"log-likelihood {log_likelihood:.4f}", refresh=False)
             bar.update()
 
-        model = recipe.learn(demonstrations, task.space.manifold(), task.space.dimensions(), progress)
+        learned = recipe.learn if learn is None else learn
+        model = learned(demonstrations, task.space.manifold(), task.space.dimensions(), progress)
     elapsed = time.perf_counter() - start
     if not np.isfinite(model.log_likelihood_):
         raise TrainingError(
@@ -158,6 +186,8 @@ def _train(task: Task, recipe: Recipe, recordings: list[Recording]) -> Training:
         "demonstrations": len(recordings),
         "samples": sum(len(recording.times) for recording in recordings),
     }
+    if learn is None:
+        model.metadata_ |= task.derived.metadata()
     return Training(model, recipe.method.name, recordings, duration, elapsed)
 
 
@@ -165,7 +195,7 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
     model, durations = training.model, [recording.duration for recording in training.recordings]
     report |= {
         "task": task.name,
-        "frames": list(task.frames),
+        "frames": list(model.frame_names_),
         "retrieval": training.method,
         "demonstrations": len(durations),
         "samples": sum(len(recording.times) for recording in training.recordings),
@@ -180,7 +210,7 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
     }
     hint = "" if report["converged"] else " (not converged: raise max_iter)"
     rows = {
-        "task": f"{task.name} (frames: {', '.join(task.frames)})",
+        "task": f"{task.name} (frames: {', '.join(model.frame_names_)})",
         "retrieval": report["retrieval"],
         "demonstrations": report["demonstrations"],
         "samples": report["samples"],
@@ -294,10 +324,30 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="reproduce each demonstration with a model of the others, and print the errors",
     )
+    parser.add_argument(
+        "--auto",
+        action="store_true",
+        help="choose frames, method and settings by reproducing demonstrations that were left out; --retrieval, where "
+        "given, is not chosen",
+    )
+    parser.add_argument(
+        "--budget", type=_seconds, metavar="TIME", help="for --auto: time to choose, such as 60s (the default) or 5min"
+    )
+    parser.add_argument("--trials", type=_positive, metavar="N", help="for --auto: try at most N ways of learning")
+    parser.add_argument(
+        "--workers", type=_positive, metavar="N", help="for --auto: processes (default: one for each core)"
+    )
     parser.add_argument("--report", type=Path, metavar="DIR", help="write report.json into this directory")
     parser.add_argument("--skip-bad", action="store_true", help="train on the good bags when some are bad")
     parser.add_argument("-v", "--verbose", action="store_true", help="say what each bag holds")
     return parser
+
+
+def _seconds(text: str) -> float:
+    found = re.fullmatch(r"(\d+(?:\.\d*)?)(s|min|)", text.strip())
+    if found is None or float(found[1]) == 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is not a time such as 60s or 5min")
+    return float(found[1]) * (60.0 if found[2] == "min" else 1.0)
 
 
 def _positive(text: str) -> int:

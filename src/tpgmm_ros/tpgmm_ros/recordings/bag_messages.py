@@ -54,10 +54,24 @@ class Messages:
 
 
 def read_messages(path: Path, topics: Iterable[str], message_type: str) -> dict[str, Messages]:
-    """Read topics of one type from one bag; the result is keyed by the names given.
+    """Read topics of one type from one bag.
 
     Topics are relative names. A bag recorded inside a namespace is understood when the namespace is the only
     one in which all of the topics exist.
+
+    Parameters
+    ----------
+    path
+        of the bag
+    topics
+        to be read
+    message_type
+        of all of them
+
+    Returns
+    -------
+    dict[str, Messages]
+        by topic, as given
 
     Raises
     ------
@@ -108,7 +122,23 @@ def read_messages(path: Path, topics: Iterable[str], message_type: str) -> dict[
 
 
 def checked_poses(path: Path, topic: str, poses: Sequence[Any], frame_ids: Iterable[str], base_frame: str) -> Array:
-    """Poses (T, 7) of geometry_msgs/Pose: x, y, z in m, qx, qy, qz, qw, unit quaternions of continuous sign.
+    """Check poses of a bag.
+
+    Parameters
+    ----------
+    path, topic
+        where they are from, for errors
+    poses
+        geometry_msgs/Pose
+    frame_ids
+        frames that they are expressed in
+    base_frame
+        the frame that they must be expressed in
+
+    Returns
+    -------
+    Array
+        shape (T, 7): x, y, z in m, qx, qy, qz, qw, unit quaternions of continuous sign
 
     Raises
     ------

@@ -2,7 +2,7 @@
 """Bags to demonstrations: one clock, every frame at every sample of the movement, one common duration."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tpgmm_core import Demonstration, Frame
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds
 from tpgmm_ros.recordings.joint_streams import JointStream, read_joint_stream
 from tpgmm_ros.recordings.pose_arrays import read_pose_array
@@ -60,6 +61,8 @@ class Recording:
         what was put right or left out while reading, in words
     configurations
         (T, n) positions of the task's joints, rad and m; None for tasks that name none
+    derived
+        the task's frames that are made of those above, and of the first pose of the movement
     """
 
     path: Path
@@ -69,6 +72,7 @@ class Recording:
     visible: dict[str, NDArray[np.bool_]]
     notes: tuple[str, ...] = ()
     configurations: Array | None = None
+    derived: DerivedFrames = field(default_factory=DerivedFrames)
 
     @property
     def duration(self) -> float:
@@ -78,17 +82,26 @@ class Recording:
     def to_demonstration(self, duration: float | None = None) -> Demonstration:
         """Demonstration of [time, pose], and of configurations where there are some, which frames leave as they are.
 
-        With a `duration` (s), time is stretched linearly to it.
+        Parameters
+        ----------
+        duration
+            that the time is stretched to linearly, s; None: as recorded
+
+        Returns
+        -------
+        Demonstration
+            the demonstration
         """
         times = self.times if duration is None else self.times * (duration / self.duration)
         joints = np.empty((len(times), 0)) if self.configurations is None else self.configurations
         same = [Frame(np.eye(joints.shape[1]), np.zeros(joints.shape[1]))] if joints.size else []
-        return Demonstration(
+        demonstration = Demonstration(
             times=times,
             data=np.column_stack([times, self.movement, joints]),
             frames={name: Frame.stacked([_frame(poses), *same]).with_time() for name, poses in self.frames.items()},
             visible=self.visible,
         )
+        return self.derived.extended(demonstration)
 
 
 def _frame(poses: Array) -> Frame:
@@ -99,7 +112,17 @@ def _frame(poses: Array) -> Frame:
 
 
 def find_bags(paths: Iterable[str | Path]) -> list[Path]:
-    """Bags among the given paths: each is a bag, or a directory with bags directly inside (in order of name).
+    """Bags among some paths.
+
+    Parameters
+    ----------
+    paths
+        each a bag, or a directory with bags directly inside
+
+    Returns
+    -------
+    list[Path]
+        in the order given, those of a directory in order of name
 
     Raises
     ------
@@ -114,7 +137,7 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
         if not found:
             raise BagError(
                 path,
-                "is no bag and holds none; expected a rosbag2 directory (metadata.yaml and .mcap "
+                "is not a bag and contains none; expected a rosbag2 directory (metadata.yaml and .mcap "
                 "or .db3), a .bag, .mcap or .db3 file, or a directory of such bags",
             )
         bags += (bag for bag in found if bag not in bags)
@@ -146,6 +169,11 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
         names the topics, the frames and the base frame
     every
         keep every n-th sample of the movement, and the last one
+
+    Returns
+    -------
+    Recording
+        the recording
 
     Raises
     ------
@@ -191,6 +219,7 @@ def _from_pose_array(path: Path, task: Task, spec: PoseArraySpec) -> Recording:
         {name: np.tile(places[name], (T, 1)) for name in task.frames},
         {name: np.ones(T, bool) for name in task.frames},
         tuple(notes),
+        derived=task.derived,
     )
 
 
@@ -227,7 +256,7 @@ def _from_streams(path: Path, task: Task) -> Recording:
         if unseen:
             notes.append(f"{name}: not seen in the first {unseen} of {len(ns)} samples")
     configurations = None if joints is None else _configurations(path, joints, ns, bool(problem))
-    return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes), configurations)
+    return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes), configurations, task.derived)
 
 
 def _configurations(path: Path, joints: JointStream, at: Nanoseconds, by_recorder: bool) -> Array:
@@ -266,7 +295,24 @@ def _hold(seen: Nanoseconds, poses: Array, at: Nanoseconds) -> tuple[Array, NDAr
 def read_recordings(
     paths: Sequence[str | Path], task: Task, every: int = 1, progress: Callable[[Path], None] | None = None
 ) -> tuple[list[Recording], list[BagError]]:
-    """Read several bags: the good ones, and what is wrong with the others; calls `progress` after each."""
+    """Read several bags.
+
+    Parameters
+    ----------
+    paths
+        of the bags
+    task
+        what they are for
+    every
+        keep every n-th sample of the movement, and the last one
+    progress
+        called after each bag
+
+    Returns
+    -------
+    tuple[list[Recording], list[BagError]]
+        the good ones, and what is wrong with the others
+    """
     good: list[Recording] = []
     bad: list[BagError] = []
     for path in map(Path, paths):
@@ -280,7 +326,17 @@ def read_recordings(
 
 
 def align(recordings: Sequence[Recording]) -> tuple[list[Demonstration], float]:
-    """Demonstrations with their times stretched linearly to the mean duration, and that duration in s.
+    """Recordings as demonstrations of one duration.
+
+    Parameters
+    ----------
+    recordings
+        one or more
+
+    Returns
+    -------
+    tuple[list[Demonstration], float]
+        demonstrations with their times stretched linearly to the mean duration, and that duration, s
 
     Raises
     ------
@@ -301,7 +357,21 @@ def read_demonstration(path: str | Path, task: Task) -> Demonstration:
 def read_demonstrations(
     paths: Sequence[str | Path], task: Task, progress: Callable[[Path], None] | None = None
 ) -> tuple[list[Demonstration], float]:
-    """Read bags as demonstrations of one duration: their mean, in s, returned too. See `read_recording`.
+    """Read bags as demonstrations of one duration. See `read_recording`.
+
+    Parameters
+    ----------
+    paths
+        of the bags
+    task
+        what they are for
+    progress
+        called after each bag
+
+    Returns
+    -------
+    tuple[list[Demonstration], float]
+        demonstrations, and their mean duration, s
 
     Raises
     ------

@@ -42,10 +42,24 @@ class JointStream:
 
 
 def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> JointStream:
-    """Read positions of joints (n), in this order, from messages as the robot's drivers have published them.
+    """Read positions of joints from messages as the robot's drivers have published them.
 
     They become states as they do while a robot runs (`tpgmm_core.observation.joint_states`): a message may hold more
     joints, fewer, or others, in any order. A state has the times of its last message where these are the recorder's.
+
+    Parameters
+    ----------
+    path
+        of the bag
+    topic
+        of the joint states
+    joints
+        n names
+
+    Returns
+    -------
+    JointStream
+        positions (T, n) in the order of `joints`, with their stamps
 
     Raises
     ------

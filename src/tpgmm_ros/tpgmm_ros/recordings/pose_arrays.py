@@ -23,7 +23,23 @@ POSE_ARRAY = "geometry_msgs/msg/PoseArray"
 def read_pose_array(
     path: Path, spec: PoseArraySpec, frames: Iterable[str], base_frame: str
 ) -> tuple[Array, dict[str, Array]]:
-    """Poses (T, 7) of the movement that a bag holds, and those (7,) of the frames that the file holds for this bag.
+    """Read a movement and its frames from a bag of PoseArray messages.
+
+    Parameters
+    ----------
+    path
+        of the bag
+    spec
+        how they were recorded
+    frames
+        names of the frames
+    base_frame
+        the frame that all poses must be expressed in
+
+    Returns
+    -------
+    tuple[Array, dict[str, Array]]
+        poses (T, 7) of the movement, and those (7,) of the frames that the file holds for this bag
 
     Raises
     ------

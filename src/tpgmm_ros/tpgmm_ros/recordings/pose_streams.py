@@ -35,10 +35,24 @@ class PoseStream:
 
 
 def read_pose_streams(path: Path, topics: Iterable[str], base_frame: str) -> dict[str, PoseStream]:
-    """Read PoseStamped topics of one bag; the result is keyed by the names given.
+    """Read PoseStamped topics of one bag.
 
     Topics are relative names. A bag recorded inside a namespace is understood when the namespace is the only
     one in which all of the topics exist.
+
+    Parameters
+    ----------
+    path
+        of the bag
+    topics
+        to be read
+    base_frame
+        the frame that all poses must be expressed in
+
+    Returns
+    -------
+    dict[str, PoseStream]
+        by topic, as given
 
     Raises
     ------

@@ -40,7 +40,8 @@ PROCESS = [
         99,
         fixed=True,
     ),
-    Declared("cpu_cores", "", "Cores to run on, such as 2-3; empty: all", fixed=True),
+    # 2 is a number in YAML, and 2-3 is a text
+    Declared("cpu_cores", "", "Cores to run on, such as 2 or 2-3; empty: all", fixed=True, any_type=True),
     Declared("lock_memory", False, "Keep the memory of the process from being paged out", fixed=True),
 ]
 
@@ -200,7 +201,7 @@ def _prepare_process(nodes: Sequence[Node]) -> None:
     ]
     priorities, cores, locks = zip(*given, strict=True)
     refusals = []
-    if chosen := set[int]().union(*map(cores_of, cores)):
+    if chosen := set[int]().union(*(cores_of(str(item)) for item in cores)):
         run_on(chosen)
     # What start-up made stays for good; without this, each full collection walks through all of it.
     gc.collect()

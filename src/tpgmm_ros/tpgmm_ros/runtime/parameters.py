@@ -29,6 +29,8 @@ class Declared:
         inclusive bounds of a number
     fixed
         read at start only; a change while running is refused
+    any_type
+        a value of another type is no error of ROS; who reads it takes what he understands
     """
 
     name: str
@@ -37,10 +39,12 @@ class Declared:
     lower: float | None = None
     upper: float | None = None
     fixed: bool = False
+    any_type: bool = False
 
     def descriptor(self) -> ParameterDescriptor:
         """What ROS is told of it: description, range, and whether it may change."""
         descriptor = ParameterDescriptor(name=self.name, description=self.description, read_only=self.fixed)
+        descriptor.dynamic_typing = self.any_type
         if self.lower is not None and self.upper is not None:
             if isinstance(self.default, int):
                 descriptor.integer_range = [IntegerRange(from_value=int(self.lower), to_value=int(self.upper), step=0)]

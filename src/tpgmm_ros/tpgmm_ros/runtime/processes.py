@@ -17,8 +17,8 @@ from typing import Any
 
 import rclpy
 from domain_coordinator import domain_id
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.executors import Executor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
@@ -30,6 +30,8 @@ from tpgmm_ros.runtime.executor import init
 #: For nodes that run in real time, so that what else the machine does costs no ticks; where it is not permitted, the
 #: nodes say so in their logs and go on.
 REALTIME_PRIORITY = 20
+#: A service that has not answered is asked again, s.
+ASK_AGAIN = 8.0
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _LIBC = ctypes.CDLL(None)  # looked up here: between fork and exec there is no time for it
@@ -128,6 +130,12 @@ class NodeProcesses:
         process.kill()
         process.wait()
 
+    def show_stacks(self, name: str) -> None:
+        """Let a node that stands still end, with the stacks of its threads in its log."""
+        process = self._processes[self._shared.get(name, name)]
+        process.send_signal(signal.SIGABRT)  # `faulthandler` is on in nodes
+        process.wait()
+
     def log_tail(self, name: str, lines: int = 15) -> str:
         """The end of what a node, or the process that it shares, has written."""
         text = (self.log_directory / f"{self._shared.get(name, name)}.log").read_text(errors="replace")
@@ -221,16 +229,45 @@ class Graph:
         GraphError
             it does not appear, or refuses.
         """
-        client = self.node.create_client(ChangeState, f"{name}/change_state")
-        self.wait_for(client.service_is_ready, timeout, f"{name} to appear")
-        for label, transition in (
-            ("configure", Transition.TRANSITION_CONFIGURE),
-            ("activate", Transition.TRANSITION_ACTIVATE),
+        for label, transition, goal in (
+            ("configure", Transition.TRANSITION_CONFIGURE, State.PRIMARY_STATE_INACTIVE),
+            ("activate", Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE),
         ):
             request = ChangeState.Request(transition=Transition(id=transition))
-            if not self.result(client.call_async(request), timeout, f"{name} to {label}").success:
+            if self.call(ChangeState, f"{name}/change_state", request, timeout).success:
+                continue
+            # Asked again after a response that was lost, a node refuses to do what it has done.
+            if self.call(GetState, f"{name}/get_state", GetState.Request(), timeout).current_state.id != goal:
                 raise GraphError(f"{name} refused to {label}; the end of its log:\n{self.processes.log_tail(name)}")
-        self.node.destroy_client(client)
+
+    def call(self, kind: type, name: str, request: Any, timeout: float) -> Any:
+        """The response of a service.
+
+        It is asked again every `ASK_AGAIN` seconds: the middleware drops a response where the server has not discovered
+        yet who wants it, although it has the request.
+
+        Raises
+        ------
+        GraphError
+            like `wait_for`
+        """
+        client = self.node.create_client(kind, name)
+        asked: list[Future] = []
+        due = 0.0
+
+        def is_answered() -> bool:
+            nonlocal due
+            if time.monotonic() >= due:
+                due = time.monotonic() + ASK_AGAIN
+                asked.append(client.call_async(request))
+            return any(future.done() for future in asked)
+
+        try:
+            self.wait_for(client.service_is_ready, timeout, f"the service {name} to appear")
+            self.wait_for(is_answered, timeout, f"{name} to answer")
+            return next(future.result() for future in asked if future.done())
+        finally:
+            self.node.destroy_client(client)
 
 
 @contextmanager

@@ -21,9 +21,12 @@ from rclpy.subscription import Subscription
 from rclpy.time_source import TimeSource
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+from tpgmm_ros.runtime.transport import avoid_shared_memory
+
 
 def init_rclpy(**options: Any) -> None:
-    """`rclpy.init` for every process that has an `EventsExecutor`: see the functions below."""
+    """`rclpy.init` for every process that has an `EventsExecutor`: see the functions below, and `transport`."""
+    avoid_shared_memory()
     without_status_events()
     guard_clock()
     rclpy.init(**options)

@@ -89,7 +89,19 @@ class KinematicSpec:
 
     @classmethod
     def of(cls, section: Section, objects: Collection[str]) -> KinematicSpec:
-        """Read the section; `objects` are the frames of the task.
+        """Read the section of a task file.
+
+        Parameters
+        ----------
+        section
+            of the file
+        objects
+            the frames of the task
+
+        Returns
+        -------
+        KinematicSpec
+            what it says, checked
 
         Raises
         ------
@@ -189,7 +201,23 @@ class KinematicSpec:
         return self._encoding((model.dimensions_ or ("",))[0] == "time")
 
     def method(self, name: str | None) -> RetrievalMethod:
-        """See `StateSpace`. Raises ValueError for any other method."""
+        """See `StateSpace.method`.
+
+        Parameters
+        ----------
+        name
+            as the task file has it; None where it has none
+
+        Returns
+        -------
+        RetrievalMethod
+            the one method of kinematic frames
+
+        Raises
+        ------
+        ValueError
+            for any other method
+        """
         if name not in (None, NAME):
             raise ValueError(
                 f"a model of kinematic frames is reproduced by one method, {NAME}; got {shown(name)}: leave retrieval "
@@ -202,6 +230,11 @@ class KinematicSpec:
 
     def frames(self) -> MovingFrames:
         """The candidates on the robot, for one user.
+
+        Returns
+        -------
+        MovingFrames
+            the frames
 
         Raises
         ------

@@ -50,7 +50,12 @@ class StateSpace(Protocol):
         """What frames of a model may be called."""
 
     def joints(self) -> tuple[str, ...]:
-        """The joints that a state consists of, in this order; none where it is a pose.
+        """The joints that a state consists of.
+
+        Returns
+        -------
+        tuple[str, ...]
+            in the state's order; none where it is a pose
 
         Raises
         ------
@@ -79,7 +84,19 @@ class StateSpace(Protocol):
         """Whether a model of these states has this setting."""
 
     def recipe(self, settings: Mapping[str, Any], method: str | None = None) -> Recipe:
-        """How a model is learned, by settings of the task file; a method in place of theirs.
+        """How a model is learned.
+
+        Parameters
+        ----------
+        settings
+            of the task file
+        method
+            in place of theirs
+
+        Returns
+        -------
+        Recipe
+            the recipe
 
         Raises
         ------

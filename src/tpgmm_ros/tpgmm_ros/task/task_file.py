@@ -8,6 +8,8 @@
     frames:
       object: {topic: object/pose}           # observed
       robot: {pose: [0, 0, 0, 0, 0, 0, 1]}   # fixed: x y z (m), qx qy qz qw, in base_frame
+      place: {frame: object, turned: false}  # derived: where `object` is, with the axes of base_frame
+      begin: {hand: start, turned: false}    # derived: where the hand is when the movement begins
     tracking: {visible_timeout: 0.25}        # optional, s
     model: {n_components: 10, init: time}    # optional: the retrieval method, arguments of its estimator
     kinematic: {...}                         # optional: frames that move with the robot, see `kinematic_task`
@@ -23,7 +25,7 @@ from typing import Any
 from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.safe_yaml import YamlError
 from tpgmm_core.common.settings import configured
-from tpgmm_core.common.text import shown
+from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.yaml_sections import (
     Section,
     a_choice,
@@ -36,6 +38,7 @@ from tpgmm_core.common.yaml_sections import (
     numbers,
 )
 from tpgmm_core.learning.covariance.structure import STRUCTURES
+from tpgmm_core.model.derived_frames import HAND, DerivedFrames, FrameSource
 from tpgmm_core.observation.tracking import TrackingConfig
 from tpgmm_core.retrieval.encodings import ENCODINGS
 from tpgmm_core.retrieval.methods import METHODS
@@ -100,7 +103,9 @@ class Task:
     endpoint
         end point of the robot that follows the movement.
     frames
-        task frames by name, in the order of the file.
+        observed and fixed task frames by name, in the order of the file.
+    derived
+        frames that are made of those, or of the hand's pose at the start.
     tracking
         settings of the frame tracker in s; their names and ranges are the tracker's to check.
     model
@@ -120,10 +125,21 @@ class Task:
     tracking: dict[str, float] = field(default_factory=dict)
     model: dict[str, Any] = field(default_factory=dict)
     recordings: PoseArraySpec | None = None
+    derived: DerivedFrames = field(default_factory=DerivedFrames)
 
     @classmethod
     def load(cls, path: str | Path) -> "Task":
         """Read a task file.
+
+        Parameters
+        ----------
+        path
+            of the file
+
+        Returns
+        -------
+        Task
+            what it says, checked
 
         Raises
         ------
@@ -137,7 +153,19 @@ class Task:
 
     @classmethod
     def from_text(cls, text: str, source: str = "task") -> "Task":
-        """Read a task from YAML text; `source` is what errors call it.
+        """Read a task from YAML text.
+
+        Parameters
+        ----------
+        text
+            the YAML
+        source
+            what errors call it
+
+        Returns
+        -------
+        Task
+            what it says, checked
 
         Raises
         ------
@@ -155,9 +183,13 @@ class Task:
             "name", "base_frame", "movement", "endpoint", "frames", "kinematic", "recordings", "tracking", "model"
         )
         movement = top.required("movement", a_topic)
-        frames = _frames(top.section("frames"), movement)
-        space: StateSpace = PoseSpace(tuple(frames))
+        frames, derived = _frames(top.section("frames"), movement)
+        space: StateSpace = PoseSpace((*frames, *derived.sources))
         if "kinematic" in top.values:
+            if derived.sources:
+                raise top.error(
+                    "has derived frames and 'kinematic'; movements of joints have none: leave one of them out"
+                )
             space = KinematicSpec.of(top.section("kinematic"), frames)
         if {"kinematic", "recordings"} <= top.values.keys():
             raise top.error("has 'recordings' and 'kinematic'; a PoseArray holds no joints: leave one of them out")
@@ -171,6 +203,7 @@ class Task:
             tracking=_tracking(top.section("tracking", optional=True)),
             model=_model(top.section("model", optional=True), space),
             recordings=_recordings(top.section("recordings")) if "recordings" in top.values else None,
+            derived=derived,
         )
 
     @property
@@ -179,18 +212,27 @@ class Task:
         return {name: spec.topic for name, spec in self.frames.items() if spec.topic is not None}
 
 
-def _frames(section: Section, movement: str) -> dict[str, TaskFrameSpec]:
+def _frames(section: Section, movement: str) -> tuple[dict[str, TaskFrameSpec], DerivedFrames]:
     if not section.values:
         raise section.error("is empty: name at least one frame, such as 'object: {topic: object/pose}'")
     taken = {movement: "the movement"}
     frames: dict[str, TaskFrameSpec] = {}
+    derived: dict[str, FrameSource] = {}
     for name in section.values:
         if not is_name(name):
             raise section.error(f"has the frame name {shown(name)}: use letters, digits and underscores")
         entry = section.section(name)
-        entry.refuse_others("topic", "pose")
-        if len(entry.values) != 1:
-            raise entry.error("needs either 'topic' (observed) or 'pose' (fixed), and not both")
+        entry.refuse_others("topic", "pose", "frame", "hand", "turned")
+        if len(entry.values.keys() - {"turned"}) != 1:
+            raise entry.error(
+                "needs one of 'topic' (observed), 'pose' (fixed), 'frame' (derived from another frame) and 'hand' "
+                "(derived from where the hand starts), and not several"
+            )
+        if "frame" in entry.values or "hand" in entry.values:
+            derived[name] = _source(entry)
+            continue
+        if "turned" in entry.values:
+            raise entry.error("has 'turned', which is for frames with 'frame' or 'hand'")
         if "pose" in entry.values:
             frames[name] = TaskFrameSpec(name, pose=entry.required("pose", _pose))
             continue
@@ -202,7 +244,27 @@ def _frames(section: Section, movement: str) -> dict[str, TaskFrameSpec]:
             )
         taken[topic] = f"the frame {name!r}"
         frames[name] = TaskFrameSpec(name, topic=topic)
-    return frames
+    for name, source in derived.items():
+        if source.of not in (*frames, HAND):
+            raise section.error(
+                f"has {shown(name)}, which is derived from {shown(source.of)}; expected an observed or fixed frame of "
+                f"this file: {listed(frames) or 'there is none'}"
+            )
+    return frames, DerivedFrames(derived)
+
+
+def _source(entry: Section) -> FrameSource:
+    turned = entry.required("turned", _truth) if "turned" in entry.values else True
+    if "hand" in entry.values:
+        entry.required("hand", a_choice("start"))
+        return FrameSource(HAND, turned)
+    return FrameSource(entry.required("frame", a_name), turned)
+
+
+def _truth(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError("true or false")
+    return value
 
 
 def _recordings(section: Section) -> PoseArraySpec:

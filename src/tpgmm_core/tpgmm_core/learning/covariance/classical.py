@@ -33,6 +33,11 @@ def inverse_factor(S: Array, k: int) -> Array:
     k
         the component, for the error
 
+    Returns
+    -------
+    Array
+        L^-1, shape (n, n)
+
     Raises
     ------
     ValueError
@@ -77,7 +82,13 @@ class FullCovariances(Covariances):
 
     @classmethod
     def from_arrays(cls, structure: Structure, arrays: Mapping[str, Array]) -> Self:
-        """Read `covariances` (K, n, n) from the arrays of a model file."""
+        """Read `covariances` (K, n, n): see `Covariances.from_arrays`.
+
+        Raises
+        ------
+        ValueError
+            for another shape
+        """
         covariances = arrays["covariances"]
         if covariances.ndim != 3 or covariances.shape[1] != covariances.shape[2]:
             raise ValueError(f"covariances have shape (K, n, n), got {covariances.shape}")
@@ -174,7 +185,13 @@ class DiagonalCovariances(Covariances):
 
     @classmethod
     def from_arrays(cls, structure: Structure, arrays: Mapping[str, Array]) -> Self:
-        """Read `variances` (K, n) from the arrays of a model file."""
+        """Read `variances` (K, n): see `Covariances.from_arrays`.
+
+        Raises
+        ------
+        ValueError
+            for another shape
+        """
         variances = arrays["variances"]
         if variances.ndim != 2:
             raise ValueError(f"variances have shape (K, n), got {variances.shape}")

@@ -57,12 +57,29 @@ class DeepFactorAnalyzers(LowRankCovariances):
         latent: FactorAnalyzers | DeepFactorAnalyzers,
         n_parents: int,
     ) -> Self:
-        """Make one from base, noise and latent covariances, with the loadings that follow from them; see the class."""
+        """Make one from base, noise and latent covariances, with the loadings that follow from them; see the class.
+
+        Parameters
+        ----------
+        structure, base, noise, latent, n_parents
+            see the class
+
+        Returns
+        -------
+        Self
+            with its loadings
+        """
         return cls(structure, base @ np.linalg.cholesky(latent.dense()), noise, base, latent, n_parents)
 
     @classmethod
     def start(cls, structure: Structure, counts: Array, scatters: Array) -> Self:
-        """Raise ValueError: deep mixtures start from "mfa" (`fit_deep_mixture`)."""
+        """Refuse to start: deep mixtures start from "mfa" (`fit_deep_mixture`).
+
+        Raises
+        ------
+        ValueError
+            always
+        """
         raise ValueError('"deep_mfa" is learned layer by layer, from "mfa": see fit_deep_mixture')
 
     def maximised(self, counts: Array, scatters: Array) -> Self:
@@ -91,7 +108,13 @@ class DeepFactorAnalyzers(LowRankCovariances):
 
     @classmethod
     def from_arrays(cls, structure: Structure, arrays: Mapping[str, Array]) -> Self:
-        """Read the own arrays, and those of the layers above, whose names begin with "latent_"."""
+        """Read the own arrays, and those of the layers above, whose names begin with "latent_".
+
+        Raises
+        ------
+        ValueError
+            for shapes that do not fit each other
+        """
         own = {name: array for name, array in arrays.items() if not name.startswith("latent_")}
         inner = {name.removeprefix("latent_"): array for name, array in arrays.items() if name not in own}
         base, noise, n_parents = own["base"], own["noise"], own["n_parents"]
@@ -138,6 +161,11 @@ def divided(
         number of parts of each
     top
         covariances of the topmost factors of the K n_parts parts, in place of I
+
+    Returns
+    -------
+    DeepFactorAnalyzers
+        with `n_parts` times as many components
     """
     K = covariances.shape[0]
     noise = np.repeat(covariances.noise, n_parts, axis=0)

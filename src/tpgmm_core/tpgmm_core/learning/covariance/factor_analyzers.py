@@ -141,7 +141,7 @@ class SubspaceCovariances(PrincipalComponentAnalyzers):
 
 
 def scree_dimensions(scatters: Array, threshold: float) -> NDArray[np.intp]:
-    """Numbers of dimensions (K,) by Cattell's scree test (1966); 0 in one dimension.
+    """Numbers of dimensions of components by Cattell's scree test (1966); 0 in one dimension.
 
     The index, from 1, of the last drop between successive eigenvalues that is at least `threshold` of the largest drop.
 
@@ -151,6 +151,11 @@ def scree_dimensions(scatters: Array, threshold: float) -> NDArray[np.intp]:
         shape (K, n, n)
     threshold
         share of the largest drop, between 0 and 1
+
+    Returns
+    -------
+    NDArray[np.intp]
+        numbers of dimensions, (K,)
     """
     drops = np.diff(np.linalg.eigvalsh(scatters), axis=1)[:, ::-1]
     if drops.shape[1] == 0:

@@ -51,7 +51,13 @@ class LowRankCovariances(Covariances):
 
     @classmethod
     def from_arrays(cls, structure: Structure, arrays: Mapping[str, Array]) -> Self:
-        """Read `loadings` (K, n, d) and `noise` (K, n) from the arrays of a model file."""
+        """Read `loadings` (K, n, d) and `noise` (K, n): see `Covariances.from_arrays`.
+
+        Raises
+        ------
+        ValueError
+            for other shapes
+        """
         loadings, noise = arrays["loadings"], arrays["noise"]
         if loadings.ndim != 3 or loadings.shape[:2] != noise.shape:
             raise ValueError(f"loadings have shape (K, n, d) and noise (K, n), got {loadings.shape} and {noise.shape}")

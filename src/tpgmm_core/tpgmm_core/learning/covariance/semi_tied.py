@@ -69,7 +69,13 @@ class SemiTiedCovariances(Covariances):
 
     @classmethod
     def from_arrays(cls, structure: Structure, arrays: Mapping[str, Array]) -> Self:
-        """Read `transform` (n, n), which is regular, and `variances` (K, n) from the arrays of a model file."""
+        """Read `transform` (n, n) and `variances` (K, n): see `Covariances.from_arrays`.
+
+        Raises
+        ------
+        ValueError
+            for other shapes, and a transform that is not regular
+        """
         A, variances = arrays["transform"], arrays["variances"]
         if variances.ndim != 2 or A.shape != (variances.shape[1],) * 2 or np.linalg.matrix_rank(A) < len(A):
             raise ValueError(

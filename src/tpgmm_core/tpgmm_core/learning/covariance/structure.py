@@ -96,6 +96,11 @@ class Covariances(ABC):
             shape (K,), number of samples of each component
         scatters
             shape (K, n, n)
+
+        Returns
+        -------
+        Self
+            of this structure
         """
 
     @abstractmethod
@@ -109,6 +114,11 @@ class Covariances(ABC):
         scatters
             S, shape (K, n, n), covariances of the weighted samples about the means, regularised. For a component
             without samples S is its own covariance
+
+        Returns
+        -------
+        Self
+            of this structure
         """
 
     @classmethod
@@ -122,6 +132,11 @@ class Covariances(ABC):
             settings of the structure
         arrays
             by name
+
+        Returns
+        -------
+        Self
+            of this structure
 
         Raises
         ------

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.learning.estimation import kernels_em
+from tpgmm_core.learning.estimation import kernels_em, kernels_expectation
 from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
 from tpgmm_core.learning.estimation.iteration import Progress, iterate
 from tpgmm_core.model.samples import Samples
@@ -91,6 +91,11 @@ def expectation_maximisation(
     progress
         called with (iteration, log-likelihood per sample)
 
+    Returns
+    -------
+    Estimate
+        the parameters, and how the objective went
+
     Raises
     ------
     ValueError
@@ -164,7 +169,7 @@ class Workspace:
 
     def expectation(self) -> float:
         """Make the E-step alone, with the present factors and normalisations; returns the total log-likelihood."""
-        result: float = kernels_em.expectation(
+        result: float = kernels_expectation.expectation(
             self.X, self.seen, self.layout, self.flat, self.spheres, self.log_priors, self.means,
             self.factors, self.log_norms, self.counts, self.first, self.second, self.responsibilities,
         )  # fmt: skip
@@ -178,10 +183,21 @@ class Workspace:
         ValueError
             for one that is not positive definite
         """
-        self.check(kernels_em.factorise(self.layout, self.covariances, self.factors, self.log_norms))
+        self.check(kernels_expectation.factorise(self.layout, self.covariances, self.factors, self.log_norms))
 
     def check(self, failed: int) -> None:
-        """Raise the error for what `kernels_em.factorise` returned, if it found one."""
+        """Raise the error for what `kernels_expectation.factorise` returned, if it found one.
+
+        Parameters
+        ----------
+        failed
+            -1, or K j + k of frame j and component k
+
+        Raises
+        ------
+        ValueError
+            for a covariance that is not positive definite
+        """
         if failed >= 0:
             j, k = divmod(failed, len(self.log_priors))
             raise ValueError(

@@ -53,6 +53,11 @@ def fit_deep_mixture(
     progress
         called with (iteration, log-likelihood per sample)
 
+    Returns
+    -------
+    MixtureEstimate
+        of the last layer
+
     Raises
     ------
     ValueError

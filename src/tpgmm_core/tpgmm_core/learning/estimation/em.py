@@ -44,7 +44,22 @@ class MixtureEstimate:
 
 
 def expectation(priors: Array, emissions: Emissions, samples: Samples) -> tuple[Array, float]:
-    """E-step: responsibilities (N, K) and the log-likelihood of all samples together."""
+    """E-step.
+
+    Parameters
+    ----------
+    priors
+        shape (K,)
+    emissions
+        the Gaussians
+    samples
+        N of them
+
+    Returns
+    -------
+    tuple[Array, float]
+        responsibilities (N, K) and the log-likelihood of all samples together
+    """
     log_joint = emissions.log_density(samples)
     log_joint += np.log(np.maximum(priors, np.finfo(float).tiny))
     top = log_joint.max(axis=1)  # log-sum-exp in place: this is the largest array
@@ -82,6 +97,11 @@ def fit_mixture(
         most iterations
     progress
         called with (iteration, log-likelihood per sample)
+
+    Returns
+    -------
+    MixtureEstimate
+        the parameters, and how the objective went
 
     Raises
     ------

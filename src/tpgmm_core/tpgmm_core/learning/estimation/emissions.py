@@ -20,7 +20,8 @@ from tpgmm_core.learning.covariance.structures import covariances_class
 from tpgmm_core.learning.estimation import initialization
 from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
 from tpgmm_core.learning.estimation.initialization import Labels
-from tpgmm_core.learning.estimation.kernels_em import EMPTY, NEGLIGIBLE
+from tpgmm_core.learning.estimation.kernels_em import EMPTY
+from tpgmm_core.learning.estimation.kernels_expectation import NEGLIGIBLE
 from tpgmm_core.model.samples import Samples
 
 CHUNK_NUMBERS = 1 << 18
@@ -93,6 +94,11 @@ class Emissions:
             shape (N,), 0 to K - 1, or -1 for a sample that is left out; K is the largest label + 1
         reg_covar
             added to the diagonals of the unbiased covariances; None: that of the structure
+
+        Returns
+        -------
+        Emissions
+            one component per label
         """
         K = int(labels.max()) + 1
         reg_covar = structure.reg_covar if reg_covar is None else reg_covar
@@ -125,6 +131,11 @@ class Emissions:
             name → shape (K, D_j)
         covariances
             name → shape (K, n_j, n_j)
+
+        Returns
+        -------
+        Emissions
+            with the same means
         """
         kind = covariances_class(structure)
         frames = {name: _named(name, kind.start, structure, counts, covariances[name]) for name in samples.X}
@@ -173,6 +184,16 @@ class Emissions:
 
         The regularisation is the same for every structure: reg_covar I ("add") or prior_scatter / count I
         ("prior") is added to every scatter; the M-step then fits the structure to the sum.
+
+        Parameters
+        ----------
+        moments
+            of each frame, by name
+
+        Returns
+        -------
+        Emissions
+            the components after the step
         """
         means, frames = {}, {}
         for name, moment in moments.items():
@@ -201,6 +222,11 @@ class Emissions:
         responsibilities
             shape (N, K)
 
+        Returns
+        -------
+        Emissions
+            the components after the step
+
         Raises
         ------
         ValueError
@@ -214,6 +240,11 @@ class Emissions:
         "add": 0, and the log-likelihood may fall in its last digits. "prior": -log of the prior exp(-1/2 tr(Psi
         Sigma^-1)), Psi = reg_covar N / K I, summed over all covariances, without its constant: the log-likelihood
         less this never falls on Euclidean data. `CovariancePrior.penalty` comes on top.
+
+        Returns
+        -------
+        float
+            nats
         """
         own = 0.0 if self.prior is None else self.prior.penalty(self.frames)
         if self.prior_scatter == 0.0:
@@ -236,6 +267,11 @@ def frame_moments(manifold: Manifold, x: Array, weights: Array, base: Array) -> 
         shape (N, K)
     base
         shape (K, D_j), near the means
+
+    Returns
+    -------
+    Moments
+        counts, means and scatters
     """
     counts = weights.sum(axis=0)
     share = np.where(counts > EMPTY, counts, 1.0)[:, None]

@@ -40,6 +40,11 @@ def assignments(
     n_starts
         number of starts of k-means
 
+    Returns
+    -------
+    Labels
+        the component of each sample, (N,); -1 for none
+
     Raises
     ------
     ValueError
@@ -80,6 +85,11 @@ def time_bins(times: Array, n_components: int) -> Labels:
     n_components
         number of bins
 
+    Returns
+    -------
+    Labels
+        the bin of each sample, (N,); -1 for none
+
     Raises
     ------
     ValueError
@@ -117,6 +127,11 @@ def joint_points(manifolds: Sequence[Manifold], X: Sequence[Array], seen: NDArra
         per frame (N, D_j)
     seen
         shape (P, N)
+
+    Returns
+    -------
+    Array
+        shape (N, sum of tangent dimensions)
     """
     views = []
     for manifold, x, mask in zip(manifolds, X, seen, strict=True):
@@ -194,9 +209,29 @@ def _squared_distances(points: Array, centres: Array) -> Array:
 def moments(
     manifold: Manifold, x: Array, seen: NDArray[np.bool_], labels: Labels, n_components: int, reg_covar: float
 ) -> tuple[Array, Array]:
-    """Means (K, D_j) and unbiased covariances + reg_covar I (K, n, n) of the samples x (N, D_j) of each label.
+    """Means and unbiased covariances + reg_covar I of the samples of each label.
 
     A component of which the frame saw nothing starts from all that the frame saw.
+
+    Parameters
+    ----------
+    manifold
+        of the frame
+    x
+        samples, (N, D_j)
+    seen
+        which of them the frame saw, (N,)
+    labels
+        component of each sample, (N,)
+    n_components
+        K
+    reg_covar
+        in the squared units of x
+
+    Returns
+    -------
+    tuple[Array, Array]
+        means (K, D_j) and covariances (K, n, n)
     """
     means, covariances = [], []
     for k in range(n_components):

@@ -50,6 +50,11 @@ def fit_structure(
         of the covariances, besides the regularisation
     progress
         as for `fit_mixture`
+
+    Returns
+    -------
+    MixtureEstimate
+        the parameters, and how the objective went
     """
     is_deep = structure.name == "deep_mfa"
     first = replace(structure, name="mfa") if is_deep else structure
@@ -65,7 +70,18 @@ def fit_structure(
 def start_emissions(
     samples: Samples, structure: Structure, start: MixtureParameters, begun: Emissions | None
 ) -> Emissions:
-    """The components that EM starts from: see `fit_structure`."""
+    """The components that EM starts from.
+
+    Parameters
+    ----------
+    samples, structure, start, begun
+        as for `fit_structure`
+
+    Returns
+    -------
+    Emissions
+        of this structure
+    """
     counts = samples.n_samples * start.priors
     emissions = Emissions.from_gaussians(structure, samples, counts, start.means, start.covariances)
     if begun is None or (begun.structure.name, begun.structure.n_factors) != (structure.name, structure.n_factors):

@@ -96,6 +96,11 @@ class Durations:
         ----------
         counts
             shape (K, L), expected number of segments of each duration
+
+        Returns
+        -------
+        Durations
+            the durations after the step
         """
         features = _features(self.max_duration)
         weights = counts.sum(axis=1, keepdims=True) + PRIOR_SEGMENTS

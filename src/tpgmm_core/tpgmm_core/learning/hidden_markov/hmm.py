@@ -58,6 +58,11 @@ def fit_chain(
     tol, max_iter, progress
         as for `fit_mixture`
 
+    Returns
+    -------
+    ChainEstimate
+        the parameters, and how the objective went
+
     Raises
     ------
     ValueError
@@ -149,6 +154,11 @@ class TPHMM(TPGMM):
         lengths
             number of samples of each demonstration, which follow one another; None: they are one demonstration
 
+        Returns
+        -------
+        Self
+            itself, fitted
+
         Raises
         ------
         ValueError
@@ -187,9 +197,19 @@ class TPHMM(TPGMM):
         return found.log_likelihood / samples.n_samples
 
     def state_probabilities(self, n_steps: int) -> Array:
-        """Probabilities (n_steps, K) of the states at each step when nothing is observed.
+        """Probabilities of the states when nothing is observed.
 
         With the Gaussians of `adapt` they are a reference to track.
+
+        Parameters
+        ----------
+        n_steps
+            number of steps
+
+        Returns
+        -------
+        Array
+            shape (n_steps, K)
         """
         self._check_fitted()
         return self.chain_.state_probabilities(n_steps)

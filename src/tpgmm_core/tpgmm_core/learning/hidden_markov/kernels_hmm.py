@@ -33,7 +33,19 @@ def log_sum(values: Array, n: int) -> float:
 
 @compiled
 def step(log_from: Array, log_transitions: Array, scratch: Array, out: Array) -> None:
-    """out[j] = log sum_i exp(log_from[i] + log_transitions[i, j])."""
+    """out[j] = log sum_i exp(log_from[i] + log_transitions[i, j]).
+
+    Parameters
+    ----------
+    log_from
+        (K,)
+    log_transitions
+        (K, K)
+    scratch
+        (K,)
+    out
+        (K,), written
+    """
     K = len(log_from)
     for j in range(K):
         for i in range(K):
@@ -43,7 +55,19 @@ def step(log_from: Array, log_transitions: Array, scratch: Array, out: Array) ->
 
 @compiled
 def step_back(log_to: Array, log_transitions: Array, scratch: Array, out: Array) -> None:
-    """out[i] = log sum_j exp(log_transitions[i, j] + log_to[j])."""
+    """out[i] = log sum_j exp(log_transitions[i, j] + log_to[j]).
+
+    Parameters
+    ----------
+    log_to
+        (K,)
+    log_transitions
+        (K, K)
+    scratch
+        (K,)
+    out
+        (K,), written
+    """
     K = len(log_to)
     for i in range(K):
         for j in range(K):
@@ -53,7 +77,22 @@ def step_back(log_to: Array, log_transitions: Array, scratch: Array, out: Array)
 
 @compiled
 def forward(log_start: Array, log_transitions: Array, log_densities: Array, alpha: Array) -> float:
-    """alpha[t, k] = log p(samples 0..t, state k at t), (T, K); returns the log-likelihood."""
+    """The forward recursion, alpha[t, k] = log p(samples 0..t, state k at t).
+
+    Parameters
+    ----------
+    log_start, log_transitions
+        (K,) and (K, K)
+    log_densities
+        (T, K)
+    alpha
+        (T, K), written
+
+    Returns
+    -------
+    float
+        the log-likelihood
+    """
     T, K = log_densities.shape
     scratch = np.empty(K)
     for k in range(K):
@@ -70,9 +109,23 @@ def posteriors(
     log_start: Array, log_transitions: Array, log_densities: Array,
     occupancy: Array, starts: Array, transitions: Array,
 ) -> float:  # fmt: skip
-    """Expected states of one sequence: occupancy (T, K) is set; starts (K,) and transitions (K, K) are added to.
+    """Expected states of one sequence.
 
-    Returns the log-likelihood; when it is -inf nothing else is written.
+    Parameters
+    ----------
+    log_start, log_transitions
+        (K,) and (K, K)
+    log_densities
+        (T, K)
+    occupancy
+        (T, K), written
+    starts, transitions
+        (K,) and (K, K), added to
+
+    Returns
+    -------
+    float
+        the log-likelihood; when it is -inf nothing else is written
     """
     T, K = log_densities.shape
     alpha = np.empty((T, K))
@@ -103,7 +156,22 @@ def posteriors(
 
 @compiled
 def viterbi(log_start: Array, log_transitions: Array, log_densities: Array, path: Array) -> float:
-    """The likeliest states of one sequence, path (T,); returns the logarithm of their joint density."""
+    """The likeliest states of one sequence.
+
+    Parameters
+    ----------
+    log_start, log_transitions
+        (K,) and (K, K)
+    log_densities
+        (T, K)
+    path
+        (T,), written
+
+    Returns
+    -------
+    float
+        the logarithm of the joint density of states and samples
+    """
     T, K = log_densities.shape
     came_from = np.zeros((T, K), dtype=np.int64)
     best = log_start + log_densities[0]

@@ -21,7 +21,19 @@ from tpgmm_core.learning.hidden_markov.kernels_hmm import log_sum
 def cumulate(log_densities: Array, total: Array) -> float:
     """Cumulative log-densities: total[k, t] is the sum over the samples before t, less the best of each sample.
 
-    Returns the sum of these best ones. Sums of what is near zero keep their digits.
+    Sums of what is near zero keep their digits.
+
+    Parameters
+    ----------
+    log_densities
+        (T, K)
+    total
+        (K, T + 1), written
+
+    Returns
+    -------
+    float
+        the sum of the best ones
     """
     T, K = log_densities.shape
     taken = 0.0
@@ -37,7 +49,22 @@ def cumulate(log_densities: Array, total: Array) -> float:
 
 @compiled
 def log_sum_fast(values: Array, n: int, polynomial: Array, bits: Array, scale: Array) -> float:
-    """`log_sum` for many values, which are overwritten."""
+    """`log_sum` for many values.
+
+    Parameters
+    ----------
+    values
+        (n or more,), overwritten
+    n
+        how many
+    polynomial, bits, scale
+        (n or more,), scratch of `exp_in_place`
+
+    Returns
+    -------
+    float
+        log of the sum of the exponentials
+    """
     top = -np.inf
     for i in range(n):
         top = max(top, values[i])
@@ -56,9 +83,23 @@ def log_sum_fast(values: Array, n: int, polynomial: Array, bits: Array, scale: A
 def forward(
     log_start: Array, log_transitions: Array, log_durations: Array, total: Array, begins: Array, ends: Array
 ) -> float:
-    """begins[k, t] = log p(samples before t, a segment of k begins at t); ends[k, t]: one ends there.
+    """The forward recursion over segments.
 
-    total : see `cumulate`. Returns the log-likelihood, less what `cumulate` took off.
+    Parameters
+    ----------
+    log_start, log_transitions, log_durations
+        (K,), (K, K) and (K, L)
+    total
+        see `cumulate`
+    begins
+        (K, T + 1), written: log p(samples before t, a segment of k begins at t)
+    ends
+        (K, T + 1), written: log p(samples before t, a segment of k ends there)
+
+    Returns
+    -------
+    float
+        the log-likelihood, less what `cumulate` took off
     """
     K, L = log_durations.shape
     T = total.shape[1] - 1
@@ -96,7 +137,19 @@ def forward(
 
 @compiled
 def backward(log_transitions: Array, log_durations: Array, total: Array, begun: Array, ended: Array) -> None:
-    """begun[k, t] = log p(samples from t | a segment of k begins at t); ended[k, t]: one ends there."""
+    """The backward recursion over segments.
+
+    Parameters
+    ----------
+    log_transitions, log_durations
+        (K, K) and (K, L)
+    total
+        see `cumulate`
+    begun
+        (K, T + 1), written: log p(samples from t | a segment of k begins at t)
+    ended
+        (K, T + 1), written: log p(samples from t | a segment of k ends there)
+    """
     K, L = log_durations.shape
     T = total.shape[1] - 1
     values, polynomial, bits = np.empty(L), np.empty(L), np.empty(L, dtype=np.int64)
@@ -124,10 +177,23 @@ def posteriors(
     log_start: Array, log_transitions: Array, log_durations: Array, log_densities: Array,
     occupancy: Array, starts: Array, transitions: Array, durations: Array,
 ) -> float:  # fmt: skip
-    """Expected states of one sequence; returns the log-likelihood.
+    """Expected states of one sequence.
 
-    occupancy (T, K) is set; the expected numbers starts (K,), transitions (K, K) and durations (K, L) are added to.
-    When the log-likelihood is -inf nothing else is written.
+    Parameters
+    ----------
+    log_start, log_transitions, log_durations
+        (K,), (K, K) and (K, L)
+    log_densities
+        (T, K)
+    occupancy
+        (T, K), written
+    starts, transitions, durations
+        expected numbers, (K,), (K, K) and (K, L), added to
+
+    Returns
+    -------
+    float
+        the log-likelihood; when it is -inf nothing else is written
     """
     T, K = log_densities.shape
     L = log_durations.shape[1]
@@ -175,7 +241,22 @@ def posteriors(
 def viterbi(
     log_start: Array, log_transitions: Array, log_durations: Array, log_densities: Array, path: Array
 ) -> float:  # fmt: skip
-    """The likeliest states of one sequence, path (T,); returns the logarithm of their joint density."""
+    """The likeliest states of one sequence.
+
+    Parameters
+    ----------
+    log_start, log_transitions, log_durations
+        (K,), (K, K) and (K, L)
+    log_densities
+        (T, K)
+    path
+        (T,), written
+
+    Returns
+    -------
+    float
+        the logarithm of the joint density of states and samples
+    """
     T, K = log_densities.shape
     L = log_durations.shape[1]
     total = np.empty((K, T + 1))

@@ -73,6 +73,11 @@ class MarkovChain:
             see `_structure`
         mean_durations
             shape (K,), samples: they determine the probability of staying in a state
+
+        Returns
+        -------
+        MarkovChain
+            the chain
         """
         start, onwards = _structure(topology, len(mean_durations))
         if not isinstance(topology, str):
@@ -99,6 +104,11 @@ class MarkovChain:
             shape (N, K)
         lengths
             number of samples of each demonstration
+
+        Returns
+        -------
+        Posteriors
+            probabilities of the states and expected numbers, added up over the sequences
 
         Raises
         ------
@@ -155,6 +165,11 @@ class MarkovChain:
         n_states
             K
 
+        Returns
+        -------
+        MarkovChain
+            the chain
+
         Raises
         ------
         ValueError
@@ -197,6 +212,16 @@ class SemiMarkovChain:
             shape (K,), samples
         max_duration
             longest duration of a state, samples
+
+        Returns
+        -------
+        SemiMarkovChain
+            the chain
+
+        Raises
+        ------
+        ValueError
+            for transitions that do not fit, and those from a state to itself
         """
         start, onwards = _structure(topology, len(mean_durations))
         if np.diagonal(onwards).any():
@@ -224,6 +249,11 @@ class SemiMarkovChain:
             shape (N, K)
         lengths
             number of samples of each demonstration
+
+        Returns
+        -------
+        Posteriors
+            probabilities of the states and expected numbers, added up over the sequences
 
         Raises
         ------
@@ -261,9 +291,17 @@ class SemiMarkovChain:
         return states, total
 
     def state_probabilities(self, n_steps: int) -> Array:
-        """Probabilities (n_steps, K) of the states at each step when nothing is observed.
+        """Probabilities of the states when nothing is observed; a state that nothing follows goes on.
 
-        A state that nothing follows goes on.
+        Parameters
+        ----------
+        n_steps
+            number of steps
+
+        Returns
+        -------
+        Array
+            shape (n_steps, K)
         """
         K, L = self.durations.natural.shape[0], self.durations.max_duration
         p = np.exp(self.durations.log_probabilities)
@@ -300,6 +338,11 @@ class SemiMarkovChain:
             by name
         n_states
             K
+
+        Returns
+        -------
+        SemiMarkovChain
+            the chain
 
         Raises
         ------

@@ -54,6 +54,11 @@ def new_components(emissions: Emissions, priors: Array, samples: Samples, thresh
         the new ones
     threshold
         see above
+
+    Returns
+    -------
+    NewComponents | None
+        None where no samples are far enough, or where all of them are outliers
     """
     sizes = np.array([manifold.tangent_dim for manifold in samples.manifolds.values()])
     dimensions = np.maximum(sizes @ samples.seen, 1)

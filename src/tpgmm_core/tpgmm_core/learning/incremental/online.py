@@ -199,7 +199,9 @@ class OnlineTPGMM(TPGMM):
     def _check_parameters(self) -> None:
         super()._check_parameters()
         if self.covariance == "deep_mfa":
-            raise ValueError('"deep_mfa" components are no Gaussians, whose moments would do: learn from all data')
+            raise ValueError(
+                '"deep_mfa" components are not Gaussians, so moments are not sufficient: learn from all data'
+            )
         for name in ("cell_size", "max_cells"):
             value = getattr(self, name)
             if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:

@@ -25,7 +25,8 @@ from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.em import MixtureEstimate
 from tpgmm_core.learning.estimation.emissions import Emissions, Moments
 from tpgmm_core.learning.estimation.iteration import Progress, iterate
-from tpgmm_core.learning.estimation.kernels_em import EMPTY, NEGLIGIBLE
+from tpgmm_core.learning.estimation.kernels_em import EMPTY
+from tpgmm_core.learning.estimation.kernels_expectation import NEGLIGIBLE
 from tpgmm_core.model.samples import Samples
 
 PARTS = ("counts", "means", "scatters")  # of moments, in the order of their arguments
@@ -80,6 +81,11 @@ class SufficientStatistics:
             by name
         manifolds
             name → space of the frame's view
+
+        Returns
+        -------
+        SufficientStatistics
+            the statistics
 
         Raises
         ------
@@ -185,9 +191,21 @@ class SufficientStatistics:
         }
 
     def bound(self, priors: Array, emissions: Emissions) -> float:
-        """F(theta), nats: a lower bound of the log-likelihood of all the samples.
+        """A lower bound F(theta) of the log-likelihood of all the samples.
 
         On S³ this holds up to the curvature over the extent of a cell.
+
+        Parameters
+        ----------
+        priors
+            shape (K,)
+        emissions
+            the Gaussians
+
+        Returns
+        -------
+        float
+            nats
         """
         log_joint = self.log_densities(emissions) + np.log(np.maximum(priors, np.finfo(float).tiny))
         return float(self.counts @ logsumexp(log_joint, axis=1))
@@ -214,6 +232,11 @@ def fit_cells(
         components of the start
     tol, max_iter, progress
         as for `fit_mixture`
+
+    Returns
+    -------
+    MixtureEstimate
+        the parameters, and how F went
 
     Raises
     ------

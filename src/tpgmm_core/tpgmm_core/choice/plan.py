@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is tried, in which order: methods and frames, then components, then frames one by one, then priors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tpgmm_core.choice.search import LEADERS, Search
+from tpgmm_core.choice.trial import Trial
+from tpgmm_core.retrieval.methods import KEY, METHODS
+
+COMPONENTS = (3, 5, 7, 10, 14)
+STRUCTURES = ("diag", "full")
+MORE_STRUCTURES = ("tied", "mppca", "semi_tied")
+PRIORS = (1e-5, 1e-4, 1e-3, 1e-2)
+"""Tried as `reg_covar` that is added, and as prior."""
+MORE_FRAMES = 2
+"""Declared frames that the screen drops, up to which they are tried with every method all the same."""
+START = 7
+"""Components while methods and frames are compared."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Rounds of trials.
+
+    Parameters
+    ----------
+    declared
+        frames that the task file names
+    kept
+        frames that the screen keeps
+    candidates
+        frames that may be added one by one
+    settings
+        of the task file: what is not searched for stays as it says
+    methods
+        of retrieval
+    """
+
+    declared: tuple[str, ...]
+    kept: tuple[str, ...]
+    candidates: tuple[str, ...]
+    settings: Mapping[str, Any]
+    methods: tuple[str, ...] = tuple(METHODS)
+
+    def rounds(self, search: Search) -> Iterator[Sequence[Trial]]:
+        """See `tpgmm_core.choice.search.Rounds`."""
+        yield self._first()
+        yield [
+            result.trial.changed(n_components=K)
+            for result in search.leaders[:LEADERS]
+            if "n_components" in result.trial.settings
+            for K in COMPONENTS
+        ]
+        yield self._frames(search.leaders[0].trial)
+        yield self._structures(search.leaders[0].trial)
+        best = search.leaders[0].trial
+        yield [*self._frames(best), *self._components(best)]
+
+    def _first(self) -> list[Trial]:
+        """What the task file says, then every method; functions of time first, which are quick to try."""
+        settings = {name: value for name, value in self.settings.items() if name != KEY}
+        methods = sorted(self.methods, key=lambda name: METHODS[name].time_parametrized is None)
+        given = Trial.of(str(self.settings.get(KEY, methods[0])), self.declared, {"n_components": START, **settings})
+        # With many frames that the screen drops, every model of all of them would be slow to learn, and poor
+        sets = [self.kept, *([self.declared] if len(self.declared) <= len(self.kept) + MORE_FRAMES else [])]
+        others = [
+            Trial.of(method, frames, {**settings, "covariance": structure, "n_components": START})
+            for frames in sets
+            for method in methods
+            for structure in STRUCTURES
+        ]
+        return [given, *others]
+
+    def _frames(self, trial: Trial) -> list[Trial]:
+        """One frame fewer, or one more."""
+        fewer = [[name for name in trial.frames if name != one] for one in trial.frames]
+        more = [[*trial.frames, name] for name in self.candidates if name not in trial.frames]
+        return [trial.seen_from(frames) for frames in (*fewer, *more) if frames]
+
+    def _structures(self, trial: Trial) -> list[Trial]:
+        if "covariance" not in trial.settings:
+            return []
+        priors = [
+            trial.changed(regularization=kind, reg_covar=strength) for kind in ("add", "prior") for strength in PRIORS
+        ]
+        return [*priors, *(trial.changed(covariance=structure) for structure in (*STRUCTURES, *MORE_STRUCTURES))]
+
+    def _components(self, trial: Trial) -> list[Trial]:
+        if "n_components" not in trial.settings:
+            return []
+        K = int(trial.settings["n_components"])
+        near = [k for k in (K - 2, K - 1, K + 1, K + 2) if k >= 1]
+        return [trial.changed(n_components=k) for k in near]

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A whole movement of a model in the situation of a demonstration, as a robot would do it that follows at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.demonstration import Demonstration
+from tpgmm_core.model.derived_frames import DerivedFrames, with_frames
+from tpgmm_core.retrieval.interface import Retrieval, TimeParametrized
+from tpgmm_core.retrieval.methods import make_retrieval, method_named, method_of
+
+
+def reproduce(model: TPGMM, situation: Demonstration, method: str | None = None, settle: float = 0.0) -> Array:
+    """Points (T, D), such as poses, that a model gives at the times and with the frames of a demonstration.
+
+    A method that knows the movement as a function of time is asked for each time in the situation then. One that
+    has a state of its own is stepped through the times by a robot that is at once where it is to be. As long as no
+    frame is visible the movement stays where it starts.
+
+    Parameters
+    ----------
+    model
+        of [time, point] as any method encodes it
+    situation
+        [time, point], in the space that the model was learned in; the model's derived frames are made where it has not
+        got them
+    method
+        in place of the model's own
+    settle
+        a movement with a state of its own need not be at its end at the last time: it goes on in the last situation for
+        this share of the whole time, and then there are more than T points
+    """
+    chosen = method_of(model) if method is None else method_named(method)
+    chosen.check(model)
+    derived = DerivedFrames.of_metadata(model.metadata_)
+    missing = [name for name in derived.sources if name not in situation.frames]
+    seen = with_frames(derived.only(missing).extended(situation), model.frame_names_)
+    if chosen.time_parametrized is not None:
+        return _as_function_of_time(chosen.time_parametrized(model), seen)
+    return _step_by_step(make_retrieval(model, chosen.name, horizon_steps=0), seen, settle)
+
+
+def _as_function_of_time(course: TimeParametrized, situation: Demonstration) -> Array:
+    poses = np.tile(situation.data[0, 1:], (len(situation.times), 1))
+    for first, end, frames in _spans(situation):
+        if frames:
+            course.situate(frames, poses[0])
+            poses[first:end] = course.at(situation.times[first:end])[0]
+    return poses
+
+
+def _step_by_step(movement: Retrieval, situation: Demonstration, settle: float) -> Array:
+    times = situation.times
+    poses = np.tile(situation.data[0, 1:], (len(times), 1))
+    pose, known = poses[0], None
+    for first, end, frames in _spans(situation):
+        for i in range(first, end) if frames else ():
+            if known is None:
+                movement.start(round(1e9 * times[i]), pose)
+            poses[i] = pose = movement.step(round(1e9 * times[i]), frames, pose).gaussian.mean
+            known = frames
+    if known is None or settle == 0.0:
+        return poses
+    more = []
+    step = float(times[-1] - times[-2])
+    for time in np.arange(times[-1] + step, times[-1] + settle * (times[-1] - times[0]), step):
+        pose = movement.step(round(1e9 * time), known, pose).gaussian.mean
+        more.append(pose)
+    return np.vstack([poses, *more])
+
+
+def _spans(situation: Demonstration) -> Iterator[tuple[int, int, dict[str, Frame]]]:
+    """Runs of samples through which nothing changes: their first one, the one after the last, the visible frames."""
+    visible = {name: situation.is_visible(name) for name in situation.frames}
+    T = len(situation.times)
+    changes = np.zeros(T, dtype=bool)
+    for name, frame in situation.frames.items():
+        changes[1:] |= np.diff(visible[name])
+        if frame.is_time_varying:
+            changes[1:] |= (np.diff(frame.A, axis=0) != 0.0).any(axis=(1, 2)) | (np.diff(frame.b, axis=0) != 0.0).any(1)
+    starts = [0, *np.flatnonzero(changes).tolist()]
+    for first, end in zip(starts, [*starts[1:], T], strict=True):
+        frames = {name: frame.at(first) for name, frame in situation.frames.items() if visible[name][first]}
+        yield first, end, frames
+
+
+def without_frames(demonstration: Demonstration) -> Demonstration:
+    """The same, seen from the base alone: what a model without task parameters learns of it, and reproduces."""
+    D = demonstration.data.shape[1]
+    return Demonstration(demonstration.times, demonstration.data, {"base": Frame(np.eye(D), np.zeros(D))})
