@@ -132,6 +132,11 @@ def demonstrated_situations(demonstrations: Sequence[Demonstration], manifold: M
         over [time, data]
     manifold
         of [time, data]
+
+    Returns
+    -------
+    DemonstratedSituations
+        what they say of how the movement follows the frames
     """
     space = manifold.subset(range(1, manifold.dim))
     situations = [first_frames(demonstration) for demonstration in demonstrations]

@@ -86,9 +86,27 @@ def product_at(
 ) -> int:  # fmt: skip
     """Each frame's Gaussian at times (H,) within the grid (T,), then `adapt`, as if the times were components.
 
-    points (P, T, D_max), velocities (P, T, n_max), within (P, T, n_max, n_max), sizes (P, 2), view_flat (n_max,): what
-    each frame learned; flat, spheres, A, b, inverses, state: the common space, without time. Writes out_means (H, D)
-    and out_covariances (H, n, n), and returns what `adapt` does.
+    Parameters
+    ----------
+    grid
+        (T,), times of the steps, s
+    points, velocities, within
+        (P, T, D_max), (P, T, n_max), (P, T, n_max, n_max): means, their velocities, covariances as each frame sees them
+    sizes
+        (P, 2), ambient and tangent dimensions of each frame, without time
+    view_flat
+        (n_max,), the layout of what a frame sees, without time
+    flat, spheres, A, b, inverses, has_inverse, weights, state, min_precision
+        of the common space, without time, as for `adapt`
+    times
+        (H,), s
+    out_means, out_covariances
+        (H, D) and (H, n, n), which are written
+
+    Returns
+    -------
+    int
+        what `adapt` returns
     """
     P, H, n_max = len(points), len(times), within.shape[3]
     seen, precisions = np.zeros((P, points.shape[2], H)), np.zeros((P, n_max, n_max * H))

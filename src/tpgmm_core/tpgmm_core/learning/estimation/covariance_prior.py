@@ -66,6 +66,11 @@ class CovariancePrior:
             shape (N, K), at the start of EM
         strength
             in demonstrations, from 0
+
+        Returns
+        -------
+        CovariancePrior
+            one for each component and frame
         """
         K = responsibilities.shape[1]
         scales = {}
@@ -83,7 +88,22 @@ class CovariancePrior:
         return CovariancePrior(self.count / n_parts, scales)
 
     def with_samples(self, name: str, counts: Array, scatters: Array) -> tuple[Array, Array]:
-        """Counts (K,) and scatters (K, n, n) of samples that frame `name` saw, together with those of the prior."""
+        """What one frame saw, together with what the prior says it saw before.
+
+        Parameters
+        ----------
+        name
+            of the frame
+        counts
+            (K,), samples of each component
+        scatters
+            (K, n, n), their covariances
+
+        Returns
+        -------
+        tuple[Array, Array]
+            counts (K,) and scatters (K, n, n) of both
+        """
         total = counts + self.count
         share = (counts / total)[:, None, None]
         return total, share * scatters + (1.0 - share) * self.scales[name]

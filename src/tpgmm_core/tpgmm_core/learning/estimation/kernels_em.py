@@ -141,7 +141,24 @@ def maximisation(
 
 @compiled
 def prior_penalty(layout: Array, factors: Array, prior_count: float, prior_scatters: Array) -> float:
-    """Half the sum of prior_count log|Sigma| + tr(prior scatter Sigma^-1), from the inverse Cholesky factors."""
+    """-log of the prior of all covariances, without its constant.
+
+    Parameters
+    ----------
+    layout
+        (P, 2), first row and tangent dimensions of each frame
+    factors
+        (P, K, n, n), inverse Cholesky factors of the covariances
+    prior_count
+        samples that are taken to have been seen before
+    prior_scatters
+        (P, K, n, n), the sums of their outer products
+
+    Returns
+    -------
+    float
+        half the sum of prior_count log|Sigma| + tr(prior scatter Sigma^-1)
+    """
     P, K = factors.shape[:2]
     total = 0.0
     for j in range(P):
