@@ -24,10 +24,12 @@ from tpgmm_core.kinematics.tasks import compile_kernels
 from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
+from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.observation.pose_filter import PoseFilter
 from tpgmm_core.retrieval.dynamical_system import StableDynamics
 from tpgmm_core.retrieval.regression import RegressThenProduct
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
+from tpgmm_core.retrieval.time_steps import TimeSteps
 from tpgmm_core.retrieval.trajectory import TrajectoryModel
 
 type Tell = Callable[[str], None]
@@ -81,6 +83,8 @@ def retrieval(tell: Tell) -> None:
     SemiMarkovMovement(chain)
     markov = TPHMM(n_components=2, max_iter=1).fit_projected({"frame": X})
     markov.chain_.most_likely(np.zeros((40, 2)), [40])
+    steps = X[np.argsort(X[:, 0])]
+    TimeSteps(TimeStepTPGMM(n_steps=3, manifold="R1 x R3 x S3").fit_projected({"frame": steps}))
     tell("trajectories")
     rng = np.random.default_rng(1)
     features = np.concatenate([X, rng.normal(size=(40, 12))], axis=1)
