@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from tpgmm_core.choice.reproducing import reproduce
 from tpgmm_core.common.report import format_table
 from tpgmm_core.retrieval.methods import METHODS
-from tpgmm_ros.models.validation import path_errors, reproduce
+from tpgmm_ros.models.validation import path_errors
 from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings
 from tpgmm_ros.task.task_file import Task

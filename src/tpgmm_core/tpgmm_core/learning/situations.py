@@ -185,7 +185,7 @@ def _most_informative(coordinates: Coordinates, values: Array, chosen: NDArray[n
     H = np.column_stack([np.ones(len(shown)), (2.0 * shown - low - high) / (high - low)])
     d = len(chosen)
     if 2**d <= MOST_CORNERS:
-        corners: Array = 1.0 - 2.0 * ((np.arange(2**d)[:, None] >> np.arange(d)) & 1)
+        corners = np.asarray(1.0 - 2.0 * ((np.arange(2**d)[:, None] >> np.arange(d)) & 1), dtype=np.float64)
     else:
         corners = np.random.default_rng(0).choice([-1.0, 1.0], (MOST_CORNERS, d))
     h = np.column_stack([np.ones(len(corners)), corners])
