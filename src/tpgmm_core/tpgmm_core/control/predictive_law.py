@@ -30,8 +30,8 @@ from tpgmm_core.control.joint_target import JointGains, JointTarget
 from tpgmm_core.control.operational_space import bound_twist
 from tpgmm_core.control.planning import PlanConfig, Schedule, Submit, at_once
 from tpgmm_core.control.predictive import JointLimits, PredictiveController
-from tpgmm_core.control.predictive_problem import Planned, PredictiveTarget, Problem, solve
-from tpgmm_core.control.receding_gains import Course
+from tpgmm_core.control.predictive_problem import Planned, PlanProblem, PredictiveTarget, solve
+from tpgmm_core.control.receding_gains import GaussiansAhead
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
@@ -148,7 +148,7 @@ class PredictiveLaw(JointImpedanceLaw):
             super().target(reference, moving)
         elif reference.gaussian.manifold != POSE:
             raise ValueError(f"the reference is on '{reference.gaussian.manifold}'; expected a pose on '{POSE}'")
-        course = Course.of(reference, moving, needed=False)
+        course = GaussiansAhead.of(reference, moving, needed=False)
         means = course.means
         if not np.isfinite(means).all():
             raise ValueError("the reference is not finite")
@@ -228,14 +228,14 @@ class PredictiveLaw(JointImpedanceLaw):
     def _rest(self) -> Array:
         return self.robot.home[self._joints]
 
-    def _problem(self, moment: DynamicState, target: PredictiveTarget) -> Problem:
+    def _problem(self, moment: DynamicState, target: PredictiveTarget) -> PlanProblem:
         """Copy what a plan needs, since the next step overwrites the state."""
         i = self._joints
         pose = jacobian = None
         if self.endpoint is not None:
             pose = np.array(moment.data.pose(self.endpoint))
             jacobian = np.array(moment.data.jacobian(self.endpoint)[:, i])
-        return Problem(
+        return PlanProblem(
             moment.q[i].copy(),
             moment.v[i].copy(),
             np.array(moment.inertia[np.ix_(i, i)]),

@@ -35,7 +35,7 @@ class PredictiveTarget:
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class PlanProblem:
     """All that a plan is made from; `jacobian` (6, n) and `pose` (7,) of the hand are None for references of joints.
 
     `share` is that of the rates of the feedback, for the delay of the loop: planning again from late states is feedback
@@ -63,7 +63,7 @@ class Planned:
 
 
 def solve(
-    problem: Problem,
+    problem: PlanProblem,
     solver: PredictiveController,
     config: JointImpedanceConfig,
     rest: Array,
@@ -112,7 +112,7 @@ def solve(
     return Planned(problem.q, problem.v, plan, replace(gains, push=np.zeros(len(rest))))  # the plan has it
 
 
-def _course(problem: Problem, rest: Array, posture_precision: Array) -> tuple[Array, Array]:
+def _course(problem: PlanProblem, rest: Array, posture_precision: Array) -> tuple[Array, Array]:
     """Positions (T, n) and precisions (T, n, n) of the joints."""
     target, q, n = problem.target, problem.q, len(problem.q)
     if problem.pose is None or problem.jacobian is None:
