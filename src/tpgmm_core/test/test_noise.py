@@ -154,6 +154,7 @@ def test_a_profile_that_comes_later_is_the_same_and_one_that_goes_up_and_down_is
 LAGS = {
     "adapt_regress": 0.30,
     "regress_product": 0.30,
+    "time_steps": 0.30,
     "trajectory": 0.30,
     "dmp": 0.20,
     "dynamical_system": 0.41,

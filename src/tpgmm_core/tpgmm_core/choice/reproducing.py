@@ -17,7 +17,7 @@ from tpgmm_core.retrieval.methods import make_retrieval, method_named, method_of
 
 
 def reproduce(model: TPGMM, situation: Demonstration, method: str | None = None, settle: float = 0.0) -> Array:
-    """Points (T, D), such as poses, that a model gives at the times and with the frames of a demonstration.
+    """What a model does at the times and with the frames of a demonstration.
 
     A method that knows the movement as a function of time is asked for each time in the situation then. One that
     has a state of its own is stepped through the times by a robot that is at once where it is to be. As long as no
@@ -39,7 +39,26 @@ def reproduce(model: TPGMM, situation: Demonstration, method: str | None = None,
     Returns
     -------
     Array
-        shape (T, D), or more than T points
+        points (T, D), such as poses
+    """
+    return reproduce_gaussians(model, situation, method, settle)[0]
+
+
+def reproduce_gaussians(
+    model: TPGMM, situation: Demonstration, method: str | None = None, settle: float = 0.0
+) -> tuple[Array, Array]:
+    """What a model does, as `reproduce`, and how exactly.
+
+    Parameters
+    ----------
+    model, situation, method, settle
+        as for `reproduce`
+
+    Returns
+    -------
+    tuple[Array, Array]
+        means (T, D), and covariances (T, n, n) in the tangent spaces at them, without any calibration; those of samples
+        in which no frame was visible are not known: NaN
     """
     chosen = method_of(model) if method is None else method_named(method)
     chosen.check(model)
@@ -48,36 +67,41 @@ def reproduce(model: TPGMM, situation: Demonstration, method: str | None = None,
     seen = with_frames(derived.only(missing).extended(situation), model.frame_names_)
     if chosen.time_parametrized is not None:
         return _as_function_of_time(chosen.time_parametrized(model), seen)
-    return _step_by_step(make_retrieval(model, chosen.name, horizon_steps=0), seen, settle)
+    return _step_by_step(make_retrieval(model, chosen.name, horizon_steps=0, calibrated=False), seen, settle)
 
 
-def _as_function_of_time(course: TimeParametrized, situation: Demonstration) -> Array:
-    poses = np.tile(situation.data[0, 1:], (len(situation.times), 1))
+def _as_function_of_time(course: TimeParametrized, situation: Demonstration) -> tuple[Array, Array]:
+    n, T = course.manifold.tangent_dim, len(situation.times)
+    poses, covariances = np.tile(situation.data[0, 1:], (T, 1)), np.full((T, n, n), np.nan)
     for first, end, frames in _spans(situation):
         if frames:
             course.situate(frames, poses[0])
-            poses[first:end] = course.at(situation.times[first:end])[0]
-    return poses
+            poses[first:end], covariances[first:end], _ = course.at(situation.times[first:end])
+    return poses, covariances
 
 
-def _step_by_step(movement: Retrieval, situation: Demonstration, settle: float) -> Array:
-    times = situation.times
-    poses = np.tile(situation.data[0, 1:], (len(times), 1))
+def _step_by_step(movement: Retrieval, situation: Demonstration, settle: float) -> tuple[Array, Array]:
+    times, n = situation.times, movement.manifold.tangent_dim
+    poses, covariances = np.tile(situation.data[0, 1:], (len(times), 1)), np.full((len(times), n, n), np.nan)
     pose, known = poses[0], None
     for first, end, frames in _spans(situation):
         for i in range(first, end) if frames else ():
             if known is None:
                 movement.start(round(1e9 * times[i]), pose)
-            poses[i] = pose = movement.step(round(1e9 * times[i]), frames, pose).gaussian.mean
+            gaussian = movement.step(round(1e9 * times[i]), frames, pose).gaussian
+            poses[i] = pose = gaussian.mean
+            covariances[i] = gaussian.covariance
             known = frames
     if known is None or settle == 0.0:
-        return poses
-    more = []
+        return poses, covariances
+    more, wider = [], []
     step = float(times[-1] - times[-2])
     for time in np.arange(times[-1] + step, times[-1] + settle * (times[-1] - times[0]), step):
-        pose = movement.step(round(1e9 * time), known, pose).gaussian.mean
+        gaussian = movement.step(round(1e9 * time), known, pose).gaussian
+        pose = gaussian.mean
         more.append(pose)
-    return np.vstack([poses, *more])
+        wider.append(gaussian.covariance)
+    return np.vstack([poses, *more]), np.concatenate([covariances, np.array(wider).reshape(-1, n, n)])
 
 
 def _spans(situation: Demonstration) -> Iterator[tuple[int, int, dict[str, Frame]]]:

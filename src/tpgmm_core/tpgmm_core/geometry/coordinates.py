@@ -195,7 +195,7 @@ class Coordinates:
         ValueError
             for indices out of range or repeated, and when a quaternion would be split
         """
-        return type(self)(self._select(dims)[0])
+        return _subset(self, tuple(dims))
 
     def rest(self, dims: Sequence[int]) -> list[int]:
         """The ambient indices that are not in `dims`, in their order.
@@ -238,3 +238,8 @@ class Coordinates:
 
     def __getstate__(self) -> dict[str, object]:
         return {"factors": self.factors}  # the rest is worked out anew
+
+
+@lru_cache(maxsize=256)  # worked out once for the same dimensions, with all that the subset keeps of itself
+def _subset[SpaceT: Coordinates](space: SpaceT, dims: tuple[int, ...]) -> SpaceT:
+    return type(space)(space._select(dims)[0])

@@ -13,7 +13,9 @@ from tpgmm_core.common.text import shown
 from tpgmm_core.learning import model_file
 from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
+from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.retrieval.calibrated import Calibrated, covariance_scale
 from tpgmm_core.retrieval.dmp import DynamicMovementPrimitive
 from tpgmm_core.retrieval.dynamical_system import StableDynamics
 from tpgmm_core.retrieval.encodings import (
@@ -29,6 +31,7 @@ from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 from tpgmm_core.retrieval.reproduction import Reproduction
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
+from tpgmm_core.retrieval.time_steps import TimeSteps
 from tpgmm_core.retrieval.trajectory import SmoothTrajectory
 
 KEY = "retrieval"
@@ -103,6 +106,7 @@ METHODS: dict[str, RetrievalMethod] = {
     for method in (
         RetrievalMethod(name="adapt_regress", encoding=TimeEncoding, time_parametrized=AdaptThenRegress),
         RetrievalMethod(name="regress_product", encoding=TimeEncoding, time_parametrized=RegressThenProduct),
+        RetrievalMethod(name="time_steps", encoding=TimeEncoding, estimator=TimeStepTPGMM, time_parametrized=TimeSteps),
         RetrievalMethod(name="trajectory", encoding=DerivativesEncoding, time_parametrized=SmoothTrajectory),
         RetrievalMethod(
             name="dynamical_system", encoding=VelocityEncoding, estimator=EndpointTPGMM, movement=StableDynamics
@@ -174,6 +178,7 @@ def make_retrieval(
     horizon_steps: int = 2,
     horizon_time_step: float = 0.005,
     blend_time: float = 0.15,
+    calibrated: bool = True,
 ) -> Retrieval:
     """Make a movement that a loop can step through.
 
@@ -193,6 +198,8 @@ def make_retrieval(
         as for `Reproduction`
     horizon_time_step, blend_time
         as for `Reproduction`, s
+    calibrated
+        whether covariances are scaled by what the model says of its calibration (`covariance_scale`), if it does
 
     Returns
     -------
@@ -227,7 +234,8 @@ def make_retrieval(
             )
         retrieval = chosen.movement(model, **settings)
     retrieval.speed = speed
-    return retrieval
+    scale = covariance_scale(model, chosen.name) if calibrated else 1.0
+    return retrieval if scale == 1.0 else Calibrated(retrieval, scale)
 
 
 def load_model(path: str | PathLike[str]) -> TPGMM:

@@ -46,7 +46,7 @@ class Recipe:
     def of(cls, settings: Mapping[str, Any], method: str | None = None) -> Self:
         """Make a recipe from settings by name: `retrieval`, options of the encoding, arguments of the estimator.
 
-        Where they name no `prior_strength`, it is PRIOR_STRENGTH.
+        Where they name no `prior_strength` and the estimator has none of its own, it is PRIOR_STRENGTH.
 
         Parameters
         ----------
@@ -79,7 +79,7 @@ class Recipe:
         )
         if encoding.init is not None:
             rest.setdefault("init", encoding.init)
-        if "prior_strength" in arguments:
+        if "prior_strength" in arguments and not chosen.estimator().prior_strength:
             rest.setdefault("prior_strength", PRIOR_STRENGTH)
         return cls(chosen, encoding, rest)
 

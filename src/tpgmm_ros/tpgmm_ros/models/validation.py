@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tpgmm_core import TPGMM, Demonstration
-from tpgmm_core.choice.reproducing import reproduce
+from tpgmm_core.choice.calibration import squared_distances_of
+from tpgmm_core.choice.reproducing import reproduce_gaussians
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.geometry.pose import compose, inverse
 from tpgmm_ros.recordings.bag_messages import Array
 from tpgmm_ros.recordings.bags import Recording, align
@@ -56,12 +58,15 @@ class Fold:
         errors of replaying the most similar of the others, as seen from the anchor; for comparison
     iterations
         number of EM iterations
+    squared_distances
+        of what was shown from the reproduction, in units of its covariances, at each sample, (T,)
     """
 
     recording: Recording
     model: PathErrors
     nearest: PathErrors
     iterations: int
+    squared_distances: Array
 
 
 def cross_validate(
@@ -97,11 +102,13 @@ def cross_validate(
         others = [recording for recording in recordings if recording is not left_out]
         demonstrations, duration = align(others)
         model = learn(demonstrations)
+        path, covariances = reproduce_gaussians(model, left_out.to_demonstration(duration))
         yield Fold(
             left_out,
-            path_errors(reproduce(model, left_out.to_demonstration(duration)), left_out.movement),
+            path_errors(path, left_out.movement),
             path_errors(replay_nearest(others, left_out, anchor), left_out.movement),
             int(model.n_iter_),
+            squared_distances_of(path, covariances, left_out.movement, POSE),
         )
 
 

@@ -14,9 +14,13 @@ import numpy as np
 from tqdm import tqdm
 
 from tpgmm_core import TPGMM
+from tpgmm_core.choice.calibration import Calibration
 from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import one_line
+from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.learning.situations import demonstrated_situations
+from tpgmm_core.retrieval.calibrated import scale_key
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_ros.models.validation import Fold, PathErrors, cross_validate, mean_errors
@@ -97,7 +101,7 @@ def _run(options: argparse.Namespace, report: dict[str, Any]) -> None:
         training = _train(task, recipe, recordings)
     _summarize(training, task, report)
     if options.leave_one_out:
-        report["leave_one_out"] = _validate(task, recipe, recordings)
+        report["leave_one_out"] = _validate(task, recipe, recordings, training.model)
     if options.output is not None:
         options.output.parent.mkdir(parents=True, exist_ok=True)
         training.model.save(options.output)
@@ -201,7 +205,7 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
         "duration_s": training.duration_s,
         "duration_min_s": min(durations),
         "duration_max_s": max(durations),
-        "components": int(model.n_components),
+        "components": len(model.priors_),
         "iterations": int(model.n_iter_),
         "converged": bool(model.converged_),
         "log_likelihood": float(model.log_likelihood_),
@@ -220,9 +224,13 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
         "training time": f"{training.time_s:.2f} s",
     }
     print(format_table(("what", "value"), rows.items()))
+    if not task.space.joints():
+        situations = demonstrated_situations(align(training.recordings)[0], task.space.manifold())
+        report["situations"] = asdict(situations)
+        print(f"situations: {situations}")
 
 
-def _validate(task: Task, recipe: Recipe, recordings: list[Recording]) -> dict[str, Any]:
+def _validate(task: Task, recipe: Recipe, recordings: list[Recording], trained: TPGMM) -> dict[str, Any]:
     anchor, space = list(task.topics or task.frames)[-1], task.space.manifold()
     folds: list[Fold] = []
     with _bar(total=len(recordings), desc="leave one out", unit="demonstration") as bar:
@@ -247,8 +255,10 @@ def _validate(task: Task, recipe: Recipe, recordings: list[Recording]) -> dict[s
             ],
         )
     )
+    calibration = _calibrate(folds, recipe, trained)
     return {
         "anchor": anchor,
+        "calibration": asdict(calibration),
         "mean": asdict(mean),
         "mean_nearest": asdict(mean_nearest),
         "folds": [
@@ -261,6 +271,20 @@ def _validate(task: Task, recipe: Recipe, recordings: list[Recording]) -> dict[s
             for fold in folds
         ],
     }
+
+
+def _calibrate(folds: list[Fold], recipe: Recipe, trained: TPGMM) -> Calibration:
+    """Say how exact the references are that the model calls exact, and write the scale that mends it into the model."""
+    found = Calibration.of([fold.squared_distances for fold in folds], POSE.tangent_dim)
+    trained.metadata_[scale_key(recipe.method.name)] = found.scale
+    rows = [
+        (f"{level:.0%}", f"{share:.2f}", f"{found.scaled_coverage[level]:.2f}")
+        for level, share in found.coverage.items()
+    ]
+    print("\ncoverage: share of the poses left out that lie in the model's region of so many per cent")
+    print(format_table(("region", "as learned", "scaled"), rows))
+    print(f"covariances are scaled by {found.scale:.2f}, standard deviations by {found.scale**0.5:.2f}")
+    return found
 
 
 def _cells(errors: PathErrors) -> tuple[str, ...]:

@@ -70,7 +70,7 @@ class CovariancePrior:
         Returns
         -------
         CovariancePrior
-            the prior
+            one for each component and frame
         """
         K = responsibilities.shape[1]
         scales = {}
@@ -88,21 +88,21 @@ class CovariancePrior:
         return CovariancePrior(self.count / n_parts, scales)
 
     def with_samples(self, name: str, counts: Array, scatters: Array) -> tuple[Array, Array]:
-        """Moments of samples together with those of the prior.
+        """What one frame saw, together with what the prior says it saw before.
 
         Parameters
         ----------
         name
-            of the frame that saw them
+            of the frame
         counts
-            shape (K,)
+            (K,), samples of each component
         scatters
-            shape (K, n, n)
+            (K, n, n), their covariances
 
         Returns
         -------
         tuple[Array, Array]
-            counts (K,) and scatters (K, n, n)
+            counts (K,) and scatters (K, n, n) of both
         """
         total = counts + self.count
         share = (counts / total)[:, None, None]

@@ -141,23 +141,23 @@ def maximisation(
 
 @compiled
 def prior_penalty(layout: Array, factors: Array, prior_count: float, prior_scatters: Array) -> float:
-    """Half the sum of prior_count log|Sigma| + tr(prior scatter Sigma^-1).
+    """-log of the prior of all covariances, without its constant.
 
     Parameters
     ----------
     layout
-        see `kernels_expectation`
+        (P, 2), first row and tangent dimensions of each frame
     factors
         (P, K, n, n), inverse Cholesky factors of the covariances
     prior_count
-        weight of the prior, in samples
+        samples that are taken to have been seen before
     prior_scatters
-        scatters of the prior, (P, K, n, n)
+        (P, K, n, n), the sums of their outer products
 
     Returns
     -------
     float
-        the penalty
+        half the sum of prior_count log|Sigma| + tr(prior scatter Sigma^-1)
     """
     P, K = factors.shape[:2]
     total = 0.0

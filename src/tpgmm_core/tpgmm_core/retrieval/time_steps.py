@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A Gaussian per time step and frame, fused by the product of Eq. (6) at the time that is asked for.
+
+Between steps, each frame's mean goes along a cubic with continuous velocity, and its covariance is mixed. Only what is
+asked for is computed: a step costs as much as regression before the product with two components.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.disagreement import no_product
+from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
+from tpgmm_core.learning.time_steps import TimeStepTPGMM
+from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
+from tpgmm_core.model.kernels_adapt import adapt
+from tpgmm_core.retrieval.interpolation import interpolate
+from tpgmm_core.retrieval.regression import RegressThenProduct
+
+
+class TimeSteps(RegressThenProduct):
+    """The movement of a `TimeStepTPGMM` as a `TimeParametrized`.
+
+    Parameters
+    ----------
+    model
+        fitted
+
+    Raises
+    ------
+    ValueError
+        for a model without time
+    """
+
+    def __init__(self, model: TPGMM) -> None:
+        assert isinstance(model, TimeStepTPGMM)  # checked by `RetrievalMethod.check`
+        names = model.frame_names_
+        T, P = len(model.priors_), len(names)
+        sizes = np.array([[m.dim - 1, m.tangent_dim - 1] for m in model.frame_manifolds_.values()])
+        D, n = (int(size) for size in sizes.max(axis=0))
+        self._grid = np.ascontiguousarray(model.means_[names[0]][:, 0])
+        self._points, self._velocities = np.zeros((P, T, D)), np.zeros((P, T, n))
+        self._within = np.zeros((P, T, n, n))
+        for j, name in enumerate(names):
+            D, n = sizes[j]
+            S = model.covariances_[name]
+            velocities = S[:, 1:, 0] / S[:, 0, 0, None]
+            self._points[j, :, :D], self._velocities[j, :, :n] = model.means_[name][:, 1:], velocities
+            self._within[j, :, :n, :n] = S[:, 1:, 1:] - velocities[:, :, None] * S[:, None, 0, 1:]
+        self._sizes = sizes
+        super().__init__(model)
+
+    def at(self, times: Array) -> tuple[Array, Array, Array]:
+        """The product over the frames at times (H,), s.
+
+        Raises
+        ------
+        ValueError
+            where the frames contradict each other so much that there is no product
+        """
+        s, manifold = self._buffer, self.manifold
+        times = np.clip(np.asarray(times, dtype=float), self._grid[0], self._grid[-1])
+        H, n = len(times), manifold.tangent_dim
+        means, covariances = np.empty((H, manifold.dim)), np.empty((H, n, n))
+        view = np.arange(self._within.shape[-1]) if manifold.is_euclidean else manifold.ambient_of_tangent
+        failed = product_at(
+            self._grid, self._points, self._velocities, self._within, self._sizes, view,
+            manifold.ambient_of_tangent, manifold.sphere_starts, self._A, self._b, self._inverses, s.has_inverse,
+            s.weights, s.state[1:].copy(), 1.0 / UNCONSTRAINED_VARIANCE, times, means, covariances,
+        )  # fmt: skip
+        if failed < -1:
+            raise no_product(f"the time {times[-2 - failed]:.3g} s", self._views_at(times[-2 - failed]))
+        if failed >= 0:
+            s.refuse(failed)
+        near = np.maximum(1.0 - np.abs(self._grid - times[0]) / (self._grid[1] - self._grid[0]), 0.0)
+        return means, covariances, near / near.sum()
+
+
+@compiled
+def product_at(
+    grid: Array, points: Array, velocities: Array, within: Array, sizes: Array, view_flat: Array, flat: Array,
+    spheres: Array, A: Array, b: Array, inverses: Array, has_inverse: Array, weights: Array, state: Array,
+    min_precision: float, times: Array, out_means: Array, out_covariances: Array,
+) -> int:  # fmt: skip
+    """Each frame's Gaussian at times (H,) within the grid (T,), then `adapt`, as if the times were components.
+
+    Parameters
+    ----------
+    grid
+        (T,), times of the steps, s
+    points, velocities, within
+        (P, T, D_max), (P, T, n_max), (P, T, n_max, n_max): means, their velocities, covariances as each frame sees them
+    sizes
+        (P, 2), ambient and tangent dimensions of each frame, without time
+    view_flat
+        (n_max,), the layout of what a frame sees, without time
+    flat, spheres, A, b, inverses, has_inverse, weights, state, min_precision
+        of the common space, without time, as for `adapt`
+    times
+        (H,), s
+    out_means, out_covariances
+        (H, D) and (H, n, n), which are written
+
+    Returns
+    -------
+    int
+        what `adapt` returns
+    """
+    P, H, n_max = len(points), len(times), within.shape[3]
+    seen, precisions = np.zeros((P, points.shape[2], H)), np.zeros((P, n_max, n_max * H))
+    for j in range(P):
+        if not weights[j] > 0.0:
+            continue
+        D, n = sizes[j]
+        means, S, L = np.empty((H, D)), np.empty((n, n)), np.empty((n, n))
+        interpolate(
+            grid, np.ascontiguousarray(points[j, :, :D]), np.ascontiguousarray(velocities[j, :, :n]), view_flat[:n],
+            spheres, times, means,
+        )  # fmt: skip
+        for h in range(H):
+            i = min(max(np.searchsorted(grid, times[h], side="right") - 1, 0), len(grid) - 2)
+            s = (times[h] - grid[i]) / (grid[i + 1] - grid[i])
+            for o in range(n):
+                for m in range(n):
+                    S[o, m] = (1.0 - s) * within[j, i, o, m] + s * within[j, i + 1, o, m]
+            cholesky(S, n, L)  # definite, as both are
+            invert_lower(L, n, S)
+            gram(S, n, L)
+            for o in range(D):
+                seen[j, o, h] = means[h, o]
+            for o in range(n):
+                for m in range(n):
+                    precisions[j, o, m * H + h] = L[o, m]
+    failed: int = adapt(
+        seen, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, weights, state, min_precision,
+        out_means, out_covariances,
+    )  # fmt: skip
+    return failed
