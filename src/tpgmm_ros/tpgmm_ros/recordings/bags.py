@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from tpgmm_core import Demonstration
 from tpgmm_core.geometry import quaternion
-from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds
-from tpgmm_ros.recordings.joint_streams import JointStream, read_joint_stream
+from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds, Stream
+from tpgmm_ros.recordings.joint_streams import read_joint_stream
 from tpgmm_ros.recordings.pose_arrays import read_pose_array
-from tpgmm_ros.recordings.pose_streams import PoseStream, read_pose_streams
+from tpgmm_ros.recordings.pose_streams import read_pose_streams
 from tpgmm_ros.recordings.recording import Recording, align
 from tpgmm_ros.task.task_file import PoseArraySpec, Task
 
@@ -157,7 +157,7 @@ def _from_streams(path: Path, task: Task) -> Recording:
     streams = read_pose_streams(path, [task.movement, *task.topics.values()], task.base_frame)
     names = task.space.joints()
     joints = read_joint_stream(path, task.space.joint_states, names) if names else None
-    stamped: list[PoseStream | JointStream] = [*streams.values(), *([] if joints is None else [joints])]
+    stamped: list[Stream] = [*streams.values(), *([] if joints is None else [joints])]
     problem = _problem_of_stamps(streams[task.movement], stamped)
     notes = [f"{problem}: times of the recorder used"] if problem else []
     series: dict[str, tuple[Nanoseconds, Array]] = {}
@@ -166,7 +166,7 @@ def _from_streams(path: Path, task: Task) -> Recording:
         fresh = np.diff(ns, prepend=ns[0] - 1) > 0
         if not fresh.all():
             notes.append(f"{stream.topic}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
-        series[topic] = ns[fresh], stream.poses[fresh]
+        series[topic] = ns[fresh], stream.values[fresh]
 
     ns, movement = series[task.movement]
     frames: dict[str, Array] = {}
@@ -189,7 +189,7 @@ def _from_streams(path: Path, task: Task) -> Recording:
     return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes), configurations, task.derived)
 
 
-def _configurations(path: Path, joints: JointStream, at: Nanoseconds, by_recorder: bool) -> Array:
+def _configurations(path: Path, joints: Stream, at: Nanoseconds, by_recorder: bool) -> Array:
     """Positions (T, n) of joints at these times (T,), ns."""
     seen = joints.recorded if by_recorder else joints.stamps
     missed = 1e-9 * max(seen[0] - at[0], at[-1] - seen[-1])
@@ -198,7 +198,7 @@ def _configurations(path: Path, joints: JointStream, at: Nanoseconds, by_recorde
     return joints.at(seen, at)
 
 
-def _problem_of_stamps(movement: PoseStream, streams: Iterable[PoseStream | JointStream]) -> str | None:
+def _problem_of_stamps(movement: Stream, streams: Iterable[Stream]) -> str | None:
     """What forbids to use the header stamps of a bag, or None."""
     if movement.stamps[0] == movement.stamps[-1]:
         return f"{movement.topic} has stamps that never change"
