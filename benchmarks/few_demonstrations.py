@@ -44,26 +44,39 @@ def main() -> int:
                     chosen = np.random.default_rng([options.seed, i]).permutation(len(others))[:n]
                     errors.append(_error(task, options, method, [others[k] for k in chosen], recording))
                     bar.update()
-                rows.append({"method": method, "demonstrations": n, "rmse_m": float(np.mean(errors))})
-    table = [
-        (method, *(f"{row['rmse_m']:.4f}" for row in rows if row["method"] == method)) for method in options.methods
-    ]
-    print("RMSE of positions at the same share of the time, m; mean over the demonstrations left out")
+                known = [error for error in errors if error is not None]
+                rows.append(
+                    {
+                        "method": method,
+                        "demonstrations": n,
+                        "rmse_m": float(np.mean(known)) if known else None,
+                        "refused": len(errors) - len(known),
+                    }
+                )
+    table = [(method, *(_cell(row) for row in rows if row["method"] == method)) for method in options.methods]
+    print("RMSE of positions at the same share of the time, m, and how many were refused; mean over what was left out")
     print(format_table(("demonstrations", *map(str, counts)), table))
     _plot(rows, counts, options)
     print(f"report: {write_report(options.output, {'passed': True, 'rows': rows})}")
     return 0
 
 
-def _error(task: Task, options: argparse.Namespace, method: str, shown: list[Recording], left_out: Recording) -> float:
+def _error(
+    task: Task, options: argparse.Namespace, method: str, shown: list[Recording], left_out: Recording
+) -> float | None:
     settings = task.model if options.prior is None else {**task.model, "prior_strength": options.prior}
     demonstrations, duration = align(shown)
     try:
         model = task.space.recipe(settings, method).learn(demonstrations, task.space.manifold())
         path = reproduce(model, left_out.to_demonstration(duration))
     except ValueError:  # frames that contradict each other so much that there is no product, or a singular covariance
-        return float("inf")
+        return None
     return path_errors(path, left_out.movement).position_rmse_m
+
+
+def _cell(row: dict[str, Any]) -> str:
+    refused = f" ({row['refused']} refused)" if row["refused"] else ""
+    return "-" if row["rmse_m"] is None else f"{row['rmse_m']:.4f}{refused}"
 
 
 def _plot(rows: list[dict[str, Any]], counts: list[int], options: argparse.Namespace) -> None:

@@ -91,6 +91,26 @@ def test_a_model_may_have_frames_that_are_derived_from_where_the_hand_starts(pla
     np.testing.assert_allclose(POSE.log(expected.mean, mean), 0.0, atol=1e-4)
 
 
+def test_a_situation_that_is_too_new_is_refused_where_a_limit_is_set(player: Player, tmp_path: Path) -> None:
+    told = trained(tmp_path / "told.tpgmm", "--leave-one-out")
+    far = {**PLACES, "object": PLACES["object"] + [1.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]}
+    assert set_parameters(player.node, NODE, max_novelty=2.0).successful
+    try:
+        for places, path, reason in ((far, told, "too new to the model: novelty"), (PLACES, "", "--leave-one-out")):
+            for _ in range(20):
+                player.show(places)
+                player.tick(answered=False)
+            status, result = player.result(player.send(str(path)))
+            assert status == GoalStatus.STATUS_ABORTED and not result.success and reason in result.reason
+            assert not player.references
+        handle = player.start(str(told))
+        while player.references[-1].phase < 1.0:
+            player.tick()
+        assert player.result(handle)[1].success
+    finally:
+        assert set_parameters(player.node, NODE, max_novelty=0.0).successful
+
+
 def test_a_frame_that_is_never_seen_is_named_and_nothing_moves(player: Player) -> None:
     assert set_parameters(player.node, NODE, start_timeout=0.5).successful
     player.show({**PLACES, "target": None})

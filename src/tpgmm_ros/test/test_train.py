@@ -3,6 +3,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ from tpgmm_core import TPGMM, Frame
 from tpgmm_core.choice.reproducing import reproduce
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.methods import METHODS, method_of
+from tpgmm_core.retrieval.novelty import NoveltyScale
 from tpgmm_ros.models.task_model import load_task_model
 from tpgmm_ros.models.validation import path_errors, replay_nearest
 from tpgmm_ros.programs.train import main
@@ -125,6 +127,10 @@ def test_every_retrieval_method_is_trained_and_reproduces_what_was_left_out(
     assert report["retrieval"] == method and len(report["leave_one_out"]["folds"]) == len(few)
     model = load_task_model(output, Task.load(bags / "task.yaml"))
     assert isinstance(model, METHODS[method].estimator) and model.metadata_["retrieval"] == method
+    calibration = report["leave_one_out"]["calibration"]
+    assert model.metadata_[f"covariance_scale.{method}"] == calibration["scale"] > 0.0
+    assert all(0.0 <= calibration["coverage"][level] <= 1.0 for level in ("0.5", "0.9", "0.95"))
+    assert len(NoveltyScale.of_model(model).contradictions) == len(few)  # type: ignore[union-attr]
     recording = read_recording(bags / "demo_7", Task.load(bags / "task.yaml"))
     path = reproduce(model, recording.to_demonstration(5.0))
     assert path_errors(path, recording.movement).position_end_m < 0.05
@@ -152,6 +158,8 @@ def test_leave_one_out_reports_every_demonstration(
     assert model["position_rmse_m"] < 0.5 * nearest["position_rmse_m"]
     out = capsys.readouterr().out
     assert all(f"demo_{i}" in out for i in range(COUNT)) and "\nmean " in out
+    assert "coverage: share of the poses left out" in out and "novelty: in what was left out" in out
+    assert re.search(r"situations: object \(.*x, y.*\) vary: \d degrees of freedom", out)
 
 
 def test_a_bad_bag_stops_the_training_and_nothing_is_written(

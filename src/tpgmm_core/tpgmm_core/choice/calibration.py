@@ -21,6 +21,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
+from tpgmm_core.retrieval.encodings import VelocityEncoding, encoding_of
 
 LEVELS = (0.5, 0.9, 0.95)
 """Shares whose coverage is told."""
@@ -96,10 +97,17 @@ def squared_distances(model: TPGMM, left_out: Demonstration, manifold: Manifold,
         squared distances (T,) in units of the covariances; NaN where there is none
     """
     means, covariances = reproduce_gaussians(model, left_out, method)
-    return squared_distances_of(means, covariances, left_out.data[:, 1:], manifold)
+    return squared_distances_of(means, covariances, left_out.data[:, 1:], manifold, knows_time(model))
 
 
-def squared_distances_of(means: Array, covariances: Array, points: Array, manifold: Manifold) -> Array:
+def knows_time(model: TPGMM) -> bool:
+    """Whether a model says when it is where: those of velocities over places do not."""
+    return not isinstance(encoding_of(model), VelocityEncoding)
+
+
+def squared_distances_of(
+    means: Array, covariances: Array, points: Array, manifold: Manifold, at_same_time: bool = True
+) -> Array:
     """Squared distances of points from Gaussians, in units of the covariances.
 
     Parameters
@@ -112,12 +120,18 @@ def squared_distances_of(means: Array, covariances: Array, points: Array, manifo
         (T, D)
     manifold
         of the points
+    at_same_time
+        whether each point is compared with the Gaussian of its time, or with the one that it is nearest to
 
     Returns
     -------
     Array
         (T,); NaN where a covariance is not known
     """
+    if not at_same_time:
+        known = np.flatnonzero(np.isfinite(covariances).all(axis=(1, 2)))
+        to_each = [_from_gaussian(means[i], covariances[i], points, manifold) for i in known]
+        return np.min(to_each, axis=0) if to_each else np.full(len(points), np.nan)
     steps = manifold.log(means, points)
     found = np.full(len(means), np.nan)
     is_known = np.isfinite(covariances).all(axis=(1, 2))
@@ -125,6 +139,11 @@ def squared_distances_of(means: Array, covariances: Array, points: Array, manifo
         whitened = np.linalg.solve(covariances[is_known], steps[is_known][:, :, None])[:, :, 0]
         found[is_known] = np.einsum("ti,ti->t", steps[is_known], whitened)
     return found
+
+
+def _from_gaussian(mean: Array, covariance: Array, points: Array, manifold: Manifold) -> Array:
+    steps = manifold.log(mean, points)
+    return np.einsum("ti,it->t", steps, np.linalg.solve(covariance, steps.T))
 
 
 def coverage(distances: Sequence[Array], dimensions: int) -> dict[float, float]:

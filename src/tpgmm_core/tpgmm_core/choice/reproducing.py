@@ -62,12 +62,30 @@ def reproduce_gaussians(
     """
     chosen = method_of(model) if method is None else method_named(method)
     chosen.check(model)
-    derived = DerivedFrames.of_metadata(model.metadata_)
-    missing = [name for name in derived.sources if name not in situation.frames]
-    seen = with_frames(derived.only(missing).extended(situation), model.frame_names_)
+    seen = as_seen_by(model, situation)
     if chosen.time_parametrized is not None:
         return _as_function_of_time(chosen.time_parametrized(model), seen)
     return _step_by_step(make_retrieval(model, chosen.name, horizon_steps=0, calibrated=False), seen, settle)
+
+
+def as_seen_by(model: TPGMM, situation: Demonstration) -> Demonstration:
+    """A demonstration with the frames of a model, derived ones included.
+
+    Parameters
+    ----------
+    model
+        with metadata
+    situation
+        [time, point], with the frames that others are derived from
+
+    Returns
+    -------
+    Demonstration
+        the same movement
+    """
+    derived = DerivedFrames.of_metadata(model.metadata_)
+    missing = [name for name in derived.sources if name not in situation.frames]
+    return with_frames(derived.only(missing).extended(situation), model.frame_names_)
 
 
 def _as_function_of_time(course: TimeParametrized, situation: Demonstration) -> tuple[Array, Array]:

@@ -185,9 +185,10 @@ def _most_informative(coordinates: Coordinates, values: Array, chosen: NDArray[n
     H = np.column_stack([np.ones(len(shown)), (2.0 * shown - low - high) / (high - low)])
     d = len(chosen)
     if 2**d <= MOST_CORNERS:
-        corners = np.asarray(1.0 - 2.0 * ((np.arange(2**d)[:, None] >> np.arange(d)) & 1), dtype=np.float64)
+        bits = (np.arange(2**d)[:, None] >> np.arange(d)) & 1
     else:
-        corners = np.random.default_rng(0).choice([-1.0, 1.0], (MOST_CORNERS, d))
+        bits = np.random.default_rng(0).integers(0, 2, (MOST_CORNERS, d))
+    corners = np.where(bits == 1, -1.0, 1.0)
     h = np.column_stack([np.ones(len(corners)), corners])
     inverse = np.linalg.inv(H.T @ H + COLLINEAR * np.eye(d + 1))
     corner = corners[np.argmax(np.einsum("ci,ij,cj->c", h, inverse, h))]

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tpgmm_core import TPGMM, Demonstration
-from tpgmm_core.choice.calibration import squared_distances_of
+from tpgmm_core.choice.calibration import knows_time, squared_distances_of
+from tpgmm_core.choice.novelty import novelty_of
 from tpgmm_core.choice.reproducing import reproduce_gaussians
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import POSE
@@ -60,6 +61,8 @@ class Fold:
         number of EM iterations
     squared_distances
         of what was shown from the reproduction, in units of its covariances, at each sample, (T,)
+    novelty
+        contradiction and distance: see `tpgmm_core.retrieval.novelty`
     """
 
     recording: Recording
@@ -67,6 +70,7 @@ class Fold:
     nearest: PathErrors
     iterations: int
     squared_distances: Array
+    novelty: tuple[float, float]
 
 
 def cross_validate(
@@ -102,13 +106,15 @@ def cross_validate(
         others = [recording for recording in recordings if recording is not left_out]
         demonstrations, duration = align(others)
         model = learn(demonstrations)
-        path, covariances = reproduce_gaussians(model, left_out.to_demonstration(duration))
+        situation = left_out.to_demonstration(duration)
+        path, covariances = reproduce_gaussians(model, situation)
         yield Fold(
             left_out,
             path_errors(path, left_out.movement),
             path_errors(replay_nearest(others, left_out, anchor), left_out.movement),
             int(model.n_iter_),
-            squared_distances_of(path, covariances, left_out.movement, POSE),
+            squared_distances_of(path, covariances, left_out.movement, POSE, knows_time(model)),
+            novelty_of(model, demonstrations, situation, POSE),
         )
 
 

@@ -23,6 +23,7 @@ from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.execution import Execution, ExecutionConfig, Outcome, Stage
 from tpgmm_core.retrieval.interface import Retrieval
+from tpgmm_core.retrieval.novelty import Novelty, NoveltyScale
 from tpgmm_msgs.srv import LoadModel
 from tpgmm_ros.models.task_model import load_task_model, make_task_retrieval
 from tpgmm_ros.nodes.controller_words import ControllerWords
@@ -38,8 +39,9 @@ RETRIEVAL_SETTINGS = ("retrieval", "phase", "speed", "horizon_steps", "horizon_t
 
 DEACTIVATED = "the node was deactivated"
 
-type Prepared = tuple[TPGMM, Retrieval, DerivedFrames]
-"""A model, a movement of it that has not begun yet, and its frames that are not observed by themselves."""
+type Prepared = tuple[TPGMM, Retrieval, DerivedFrames, Novelty | None]
+"""A model, a movement of it that has not begun yet, its frames that are not observed by themselves, and how new to it
+the situation is, where that can be told."""
 
 
 class Movements:
@@ -68,6 +70,8 @@ class Movements:
         the known ones that its model has learned from
     state
         (D,), where the robot is, as far as that is known: its pose, or its configuration
+    novelty
+        of the situation in which the movement was asked for; None where the model, or the frames, did not tell
     """
 
     def __init__(
@@ -82,6 +86,7 @@ class Movements:
         self.execution: Execution | None = None
         self.frames: dict[str, Frame] = {}
         self.state: Array | None = None
+        self.novelty: Novelty | None = None
         self._node, self._task, self._model, self._parameters = node, task, model, parameters
         self._why_silent, self._controller = why_silent, controller
         self._known: Mapping[str, tuple[Frame, float]] = {}
@@ -169,7 +174,7 @@ class Movements:
         """Read the model in a file (the one in use where there is none) and make it ready."""
         task, model, known, state = self._task, self._model, self._known, self.state
         settings: dict[str, Any] = {name: self._parameters[name] for name in RETRIEVAL_SETTINGS}
-        method = settings.pop("retrieval") or None
+        method, most = settings.pop("retrieval") or None, self._parameters["max_novelty"]
 
         def work() -> Prepared:
             chosen = load_task_model(path, task) if path else model
@@ -182,7 +187,7 @@ class Movements:
                 # a rehearsal: what cannot be adapted to the situation is refused before anything depends on it
                 retrieval.start(0, state)
                 retrieval.step(0, frames, state, weights)
-            return chosen, retrieval, derived
+            return chosen, retrieval, derived, _judged(chosen, retrieval, frames, state, most)
 
         self._background.run(work, then)
 
@@ -197,7 +202,7 @@ class Movements:
             self._prepare(path, self._duration, partial(self._use, path, self._duration, answer))
             return
         try:
-            model, retrieval, derived = job.result()
+            model, retrieval, derived, _ = job.result()
             if self.execution is not None and self.execution.stage is not Stage.ENDED:
                 self._go_on_with(self.execution, retrieval, derived)
         except (ValueError, OSError) as error:
@@ -228,7 +233,7 @@ class Movements:
         try:
             if activation is not self._activation:
                 raise ValueError(DEACTIVATED)
-            _, retrieval, derived = job.result()
+            _, retrieval, derived, self.novelty = job.result()
         except (ValueError, OSError) as error:
             finish(goal, Outcome(False, str(error)))
             return
@@ -261,6 +266,28 @@ class Movements:
         if outcome.is_missed:
             outcome = replace(outcome, reason=f"{outcome.reason}; {self._controller.say()}")
         self.goals.end(outcome)
+
+
+def _judged(
+    model: TPGMM, retrieval: Retrieval, frames: Mapping[str, Frame], state: Array | None, most: float
+) -> Novelty | None:
+    """How new a situation is. With a limit `most` above 0, ValueError beyond it, and where that cannot be told."""
+    scale = NoveltyScale.of_model(model)
+    unseen = [name for name in retrieval.frame_names if name not in frames]
+    if scale is None or unseen:
+        if most > 0.0 and scale is None:
+            raise ValueError(
+                "max_novelty is set, but the model does not say what is new to it: train it with --leave-one-out"
+            )
+        if most > 0.0:
+            raise ValueError(f"max_novelty is set, but how new the situation is needs the frames {listed(unseen)}")
+        return None
+    novelty = scale.judge(retrieval, frames, state)
+    if 0.0 < most < novelty.score:
+        raise ValueError(
+            f"the situation is too new to the model: novelty {novelty.score:.2g}, max_novelty is {most:.2g}; {novelty}"
+        )
+    return novelty
 
 
 def those_of(

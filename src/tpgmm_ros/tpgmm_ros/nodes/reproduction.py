@@ -83,6 +83,14 @@ PARAMETERS = [
         0.001,
         5.0,
     ),
+    Declared(
+        "max_novelty",
+        0.0,
+        "A movement is refused in a situation that is newer to the model than this; 1: as new as what was left out in "
+        "training with --leave-one-out; 0: never",
+        0.0,
+        1.0e6,
+    ),
     *declared_of(ExecutionConfig),
 ]
 WATCH_PERIOD = 0.5  # s
@@ -317,6 +325,9 @@ class ReproductionNode(ManagedNode):
         values = {"stage": execution.stage.value, "frames": ", ".join(self.movements.frames)}
         if reference is not None:
             values["phase"] = f"{reference.phase:.3f}"
+        if self.movements.novelty is not None:
+            values["novelty"] = f"{self.movements.novelty.score:.2f}"
+            values["novelty_percentile"] = f"{100.0 * self.movements.novelty.percentile:.0f}"
         silence = 1e-9 * (self._steady.now().nanoseconds - self._received_ns)
         if silence > TRACKER_TIMEOUT:
             return DiagnosticStatus.ERROR, f"no task parameters for {silence:.1f} s: is frame_tracker alive?", values

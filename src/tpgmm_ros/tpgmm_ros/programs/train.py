@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import spearmanr
 from tqdm import tqdm
 
-from tpgmm_core import TPGMM
+from tpgmm_core import TPGMM, Demonstration
 from tpgmm_core.choice.calibration import Calibration
+from tpgmm_core.choice.novelty import range_of
 from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import one_line
@@ -22,6 +24,7 @@ from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.learning.situations import demonstrated_situations
 from tpgmm_core.retrieval.calibrated import scale_key
 from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_core.retrieval.novelty import NoveltyScale
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_ros.models.validation import Fold, PathErrors, cross_validate, mean_errors
 from tpgmm_ros.programs.reporting import write_report
@@ -256,9 +259,11 @@ def _validate(task: Task, recipe: Recipe, recordings: list[Recording], trained: 
         )
     )
     calibration = _calibrate(folds, recipe, trained)
+    novelty = _novelty(folds, align(recordings)[0], trained)
     return {
         "anchor": anchor,
         "calibration": asdict(calibration),
+        "novelty_rank_correlation": novelty,
         "mean": asdict(mean),
         "mean_nearest": asdict(mean_nearest),
         "folds": [
@@ -285,6 +290,26 @@ def _calibrate(folds: list[Fold], recipe: Recipe, trained: TPGMM) -> Calibration
     print(format_table(("region", "as learned", "scaled"), rows))
     print(f"covariances are scaled by {found.scale:.2f}, standard deviations by {found.scale**0.5:.2f}")
     return found
+
+
+def _novelty(folds: list[Fold], demonstrations: list[Demonstration], trained: TPGMM) -> float | None:
+    """Write what novelty was for what was left out into the model; returns its rank correlation with the error."""
+    against, far = zip(*(fold.novelty for fold in folds), strict=True)
+    if not np.isfinite(against).all():
+        print("\nnovelty: not judged, since the frames of a demonstration left out contradict each other too much")
+        return None
+    scale = NoveltyScale(range_of(trained, demonstrations, POSE), against, far)
+    trained.metadata_ |= scale.metadata()
+    errors = [fold.model.position_rmse_m for fold in folds]
+    print(
+        f"\nnovelty: in what was left out, frames contradict each other by {min(against):.2g} to {max(against):.2g} "
+        f"standard deviations, and are up to {max(far):.2g} from where they were otherwise"
+    )
+    if min(np.ptp(against), np.ptp(errors)) == 0.0:
+        return None
+    correlation = float(spearmanr(against, errors)[0])
+    print(f"rank correlation of the contradiction with the error: {correlation:.2f}")
+    return correlation
 
 
 def _cells(errors: PathErrors) -> tuple[str, ...]:
