@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Task files: what is read, and that whatever is wrong ends in a TaskError that says what and where."""
 
+import inspect
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,19 @@ def test_a_task_file_is_read() -> None:
     assert task.topics == {"object": "object/pose"}
     assert task.tracking == {"visible_timeout": 0.25}
     assert task.model == {"n_components": 5, "reg_covar": 1e-6, "init": "time"}
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_model_section_takes_every_setting_of_an_estimator_that_a_file_can_hold(method: str) -> None:
+    estimator = METHODS[method].estimator
+    others = {"manifold", "covariance_options", "transitions"}  # of the space and of arrays
+    settings = {
+        name: parameter.default
+        for name, parameter in inspect.signature(estimator).parameters.items()
+        if name not in others and parameter.default is not None
+    }
+    assert "prior_strength" in settings
+    assert Task.from_text(changed(model={"retrieval": method, **settings})).model == {"retrieval": method, **settings}
 
 
 def test_names_of_earlier_versions_are_read_as_the_present_ones() -> None:

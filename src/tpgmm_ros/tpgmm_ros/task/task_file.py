@@ -299,6 +299,8 @@ def _model(section: Section, space: StateSpace) -> dict[str, Any]:
         "covariance": a_choice(*STRUCTURES),
         "n_factors": an_integer(1),
         "max_duration": an_integer(1),
+        "prior_strength": a_number(0.0),
+        "n_steps": an_integer(3),
         **{item.name: a_number() for encoding in ENCODINGS.values() for item in fields(encoding)},
     }
     section.refuse_others(*filter(space.takes, readers))
