@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `train --auto` reproduces of demonstrations that took no part in any of its choices, beside simpler ways.
 
-Each demonstration in turn is left out; frames, method and settings are chosen among the others alone. Data sets are given as
-a task file and a directory of bags. A run that was ended goes on where it was.
+Each demonstration in turn is left out; frames, method and settings are chosen among the others alone. Data sets are
+given as a task file and a directory of bags. A run that was ended goes on where it was.
 """
 
 from __future__ import annotations
