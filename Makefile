@@ -81,6 +81,8 @@ results: setup ## compute the numbers of docs/reference/results.md: leave-one-ou
 		$(DATA)/baxter_valve
 	PYTHONPATH=. $(PYTHON) benchmarks/valve_selection.py --data $(DATA)/baxter_valve
 	PYTHONPATH=. $(PYTHON) benchmarks/retrieval_table.py --data $(DATA)
+	PYTHONPATH=. $(PYTHON) benchmarks/irrelevant_frames.py
+	PYTHONPATH=. $(PYTHON) benchmarks/automatic.py
 
 figures: setup ## draw figures 1 to 4 of the paper, weights of frames, extrapolation: out/figures/ (DATA=directory of the data sets)
 	@for number in 1 2 3 4; do PYTHONPATH=. $(PYTHON) examples/figure$$number.py || exit 1; done

@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, default=Path("out/results/irrelevant_frames"), help="of report.json")
     options = parser.parse_args(arguments)
     report: dict[str, Any] = {}
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for task_file, directory in options.set or SETS:
         if not Path(directory).is_dir():
             print(f"irrelevant_frames: {directory} left out, it is no directory")
@@ -139,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     f"{everything:.4f}",
                     f"{kept:.4f}",
                     f"{kept / screened - 1.0:+.1%}",
-                    len(intruders),
+                    str(len(intruders)),
                 )
             )
             row = {"seed": seed, "all": everything, "screened": kept, "intruders": intruders}
