@@ -82,12 +82,14 @@ def squared_distances(model: TPGMM, left_out: Demonstration, manifold: Manifold,
 
     Parameters
     ----------
-    model, method
+    model
         as for `reproduce_gaussians`
     left_out
         [time, point]
     manifold
         of the points, without time
+    method
+        as for `reproduce_gaussians`
 
     Returns
     -------
