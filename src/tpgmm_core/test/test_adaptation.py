@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,6 +12,7 @@ from random_problems import random_covariance, random_quaternion, random_rotatio
 from tpgmm_core import TPGMM, Adapter, Frame, Gaussian, GaussianMixture, Manifold
 from tpgmm_core.model import kernels_regress
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
+from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 from tpgmm_core.warm_up import warm_up
 from workloads import pose_demonstrations
 
@@ -289,3 +292,9 @@ def test_an_inverse_of_its_own_belongs_to_euclidean_data() -> None:
     model = model_of("R1 x S3", {"a": 5}, 1, np.random.default_rng(12))
     with pytest.raises(ValueError, match="its own inverse"):
         model.adapt({"a": Frame(np.eye(5), np.zeros(5), np.eye(5))})
+
+
+@pytest.mark.parametrize("use", [Adapter, RegressThenProduct, AdaptThenRegress])
+def test_a_model_that_is_not_fitted_is_refused(use: Callable[[TPGMM], object]) -> None:
+    with pytest.raises(ValueError, match="this TPGMM is not fitted, .*call fit or load first"):
+        use(TPGMM())

@@ -195,3 +195,7 @@ def test_bad_gaussians_are_refused_with_what_was_expected() -> None:
         _ = Gaussian([0.0, 0.0], np.diag([1.0, 0.0])).precision
     with pytest.raises(ValueError, match="same manifold"):
         Gaussian.product([Gaussian([0.0], [[1.0]]), Gaussian([0.0, 0.0], np.eye(2))])
+    with pytest.raises(ValueError, match=r"given dimensions \[0, 2\] is singular, .*larger reg_covar"):
+        Gaussian(np.zeros(3), [[1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 1.0]]).condition([0, 2], [0.0, 0.0])
+    with pytest.raises(ValueError, match=r"points of R2 have shape \(\.\.\., 2\)"):
+        Gaussian(np.zeros(3), np.eye(3)).condition([0, 2], [0.0])

@@ -102,3 +102,28 @@ def test_single_poses_and_stacks_of_them_go_through_the_same_maps() -> None:
         np.testing.assert_allclose(POSE.log(one_start, one_goal), one_v, atol=1e-12)
         np.testing.assert_allclose(POSE.log(one_start, np.r_[one_goal[:3], -one_goal[3:]]), one_v, atol=1e-12)
         np.testing.assert_allclose(POSE.distance(POSE.exp(one_start, one_v), one_goal), 0.0, atol=1e-7)
+
+
+@pytest.mark.parametrize("text", ["S3", "R3 x S3", "R3"])
+def test_points_and_vectors_of_other_dimensions_are_refused_with_the_shapes(text: str) -> None:
+    manifold = Manifold.parse(text)
+    point, vector = np.r_[np.zeros(manifold.dim - 1), 1.0], np.zeros(manifold.tangent_dim)
+    for wrong in (point[:-1], np.r_[point, 0.0], np.zeros((5, manifold.dim - 1)), 1.0):
+        with pytest.raises(ValueError, match=rf"points of {text} have shape \(\.\.\., {manifold.dim}\)"):
+            manifold.log(point, wrong)
+        with pytest.raises(ValueError, match=rf"points of {text} have shape \(\.\.\., {manifold.dim}\)"):
+            manifold.exp(wrong, vector)
+    with pytest.raises(ValueError, match=rf"tangent vectors \(\.\.\., {manifold.tangent_dim}\)"):
+        manifold.exp(point, np.r_[vector, 0.0])
+
+
+def test_a_mean_without_weight_or_without_points_is_refused() -> None:
+    points = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+    S3 = Manifold.parse("S3")
+    for weights in (np.zeros(3), [1.0, -1.0, 0.0], [np.nan, 1.0, 1.0], np.ones(2)):
+        with pytest.raises(ValueError, match="3 points have shape .* a positive sum"):
+            S3.mean(points, weights)
+    for wrong in (np.zeros((0, 4)), np.zeros((3, 3)), np.zeros(4)):
+        with pytest.raises(ValueError, match=r"needs points \(N, 4\) with N > 0"):
+            S3.mean(wrong)
+    np.testing.assert_array_equal(S3.mean(points, [0.0, 0.0, 2.0]), points[0])

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from scipy.special import logsumexp
 
 from tpgmm_core.common.types import Array
+from tpgmm_core.learning.hidden_markov.chain import Posteriors
 from tpgmm_core.learning.hidden_markov.durations import PRIOR_SEGMENTS, Durations
-from tpgmm_core.learning.hidden_markov.markov import MarkovChain, Posteriors, SemiMarkovChain
+from tpgmm_core.learning.hidden_markov.markov import MarkovChain, SemiMarkovChain
 
 
 def random_rows(rng: np.random.Generator, K: int, allowed: Array) -> Array:

@@ -395,6 +395,21 @@ def test_a_course_that_begins_at_its_former_solution_finds_what_one_from_the_beg
     np.testing.assert_allclose(covariances, expected_covariances, rtol=0.0, atol=1e-3 * expected_covariances.max())
 
 
+@pytest.mark.parametrize("jump", [0.0, 0.15, 2.5])
+def test_frames_that_move_at_each_step_leave_no_error_behind_however_long_they_do(jump: float) -> None:
+    """The factor of a former situation only saves time; a turn at once, jump, makes it useless."""
+    poses = SmoothTrajectory(pose_model(), steps=40)
+    times = np.linspace(0.0, POSE_DURATION, 15)
+    for i, angle in enumerate(np.linspace(0.0, 4.0 * np.pi, 120)):
+        turn = 3.0 + 0.1 * np.sin(angle) + jump * (i > 60)
+        situation = pose_situation() | frames_at(object=place(turn, 0.08 + 0.02 * np.cos(angle), -0.4))
+        poses.situate(situation)
+        if i % 20 == 1:
+            fresh = SmoothTrajectory(pose_model(), steps=40)
+            fresh.situate(situation)
+            np.testing.assert_allclose(POSE.log(fresh.at(times)[0], poses.at(times)[0]), 0.0, atol=1e-7)
+
+
 @pytest.mark.parametrize("of_poses", [False, True])
 def test_the_standard_deviation_does_not_depend_on_the_number_of_steps(of_poses: bool) -> None:
     """Eight demonstrations are eight observations at each time, however many steps a trajectory is asked for."""

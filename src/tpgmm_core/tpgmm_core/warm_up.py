@@ -1,17 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m tpgmm_core.warm_up`: compiles all kernels once; numba keeps the result on disk."""
+"""`python -m tpgmm_core.warm_up`: compiles all kernels once; numba keeps the result on disk.
+
+On more than one core two processes share the work: one learns and adapts, the other one controls, and then steps
+through movements, for which the first one has compiled most by then.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import os
+import subprocess
+import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-import tpgmm_core.lqr.double_integrator  # noqa: F401  these two compile on import
 from tpgmm_core import TPGMM, Adapter, Frame, Gaussian
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.kinematics.tasks import compile_kernels
 from tpgmm_core.learning.endpoints import EndpointTPGMM
@@ -25,8 +32,10 @@ from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 from tpgmm_core.retrieval.time_steps import TimeSteps
 from tpgmm_core.retrieval.trajectory import TrajectoryModel
 
+type Tell = Callable[[str], None]
 
-def warm_up(tell: Callable[[str], None] = lambda words: None) -> None:
+
+def warm_up(tell: Tell = lambda words: None) -> None:
     """Run every compiled path on a small problem, so that neither a fit nor a control step waits for the compiler.
 
     Parameters
@@ -34,39 +43,70 @@ def warm_up(tell: Callable[[str], None] = lambda words: None) -> None:
     tell
         called with a few words about what is compiled next: the first time takes minutes
     """
+    learning(tell)
+    control(tell)
+    retrieval(tell)
+
+
+def learning(tell: Tell) -> None:
+    """Compile what learns, adapts and regresses."""
     tell("EM of full covariances, adaptation, regression")
-    rng = np.random.default_rng(0)
-    time = np.linspace(0.0, 1.0, 40)[:, None]
-    pose = np.concatenate([rng.normal(size=(40, 3)), 0.1 * rng.normal(size=(40, 3)), np.ones((40, 1))], axis=1)
-    pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
-    X = np.concatenate([time, pose], axis=1)
-    model = TPGMM(n_components=2, manifold="R1 x R3 x S3", max_iter=1).fit_projected({"frame": X})
+    model = small_model()
     mixture = Adapter(model).adapt({"frame": Frame(np.eye(8), np.zeros(8))})
     Gaussian.product([mixture.component(0), mixture.component(1)])
     Adapter(model).condition([0.5])
     mixture.condition([0], [0.5])
     RegressThenProduct(model)
     PoseFilter.compile_kernels()
+    pose = samples()[:, 1:]
     POSE.exp(pose[0], POSE.log(pose[0], pose[1]))
-    steps = X[np.argsort(X[:, 0])]
-    TimeSteps(TimeStepTPGMM(n_steps=3, manifold="R1 x R3 x S3").fit_projected({"frame": steps}))
-    tell("dynamical systems")
-    moving = np.concatenate([pose, rng.normal(size=(40, 6))], axis=1)
-    velocities = EndpointTPGMM(n_components=2, manifold="R3 x S3 x R6", max_iter=1).fit_projected({"frame": moving})
-    StableDynamics(velocities, duration=1.0)
-    tell("trajectories")
-    features = np.concatenate([X, rng.normal(size=(40, 12))], axis=1)
-    TrajectoryModel(TPGMM(n_components=2, manifold="R1 x R3 x S3 x R12", max_iter=1).fit_projected({"frame": features}))
+
+
+def control(tell: Tell) -> None:
+    """Compile what controls."""
+    tell("linear-quadratic regulators")
+    import tpgmm_core.lqr.double_integrator
+    import tpgmm_core.lqr.finite_horizon  # noqa: F401  these compile on import
+
+    tell("kinematic frames, control laws")
+    compile_kernels()
+    warm_up_control()
+
+
+def retrieval(tell: Tell) -> None:
+    """Compile the retrieval methods that step through a movement, and what they learn."""
     tell("hidden Markov and semi-Markov models")
+    X = samples()
     chain = TPHSMM(n_components=2, max_iter=1).fit_projected({"frame": X})
     chain.chain_.most_likely(np.zeros((40, 2)), [40])
     chain.metadata_ = {"duration_s": 1.0}
     SemiMarkovMovement(chain)
     markov = TPHMM(n_components=2, max_iter=1).fit_projected({"frame": X})
     markov.chain_.most_likely(np.zeros((40, 2)), [40])
-    tell("kinematic frames, control laws")
-    compile_kernels()
-    warm_up_control()
+    steps = X[np.argsort(X[:, 0])]
+    TimeSteps(TimeStepTPGMM(n_steps=3, manifold="R1 x R3 x S3").fit_projected({"frame": steps}))
+    tell("trajectories")
+    rng = np.random.default_rng(1)
+    features = np.concatenate([X, rng.normal(size=(40, 12))], axis=1)
+    TrajectoryModel(TPGMM(n_components=2, manifold="R1 x R3 x S3 x R12", max_iter=1).fit_projected({"frame": features}))
+    tell("dynamical systems")
+    moving = np.concatenate([X[:, 1:], rng.normal(size=(40, 6))], axis=1)
+    velocities = EndpointTPGMM(n_components=2, manifold="R3 x S3 x R6", max_iter=1).fit_projected({"frame": moving})
+    StableDynamics(velocities, duration=1.0)
+
+
+def samples() -> Array:
+    """Times and poses, (40, 8)."""
+    rng = np.random.default_rng(0)
+    time = np.linspace(0.0, 1.0, 40)[:, None]
+    pose = np.concatenate([rng.normal(size=(40, 3)), 0.1 * rng.normal(size=(40, 3)), np.ones((40, 1))], axis=1)
+    pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+    return np.concatenate([time, pose], axis=1)
+
+
+def small_model() -> TPGMM:
+    """A model of them, in one frame."""
+    return TPGMM(n_components=2, manifold="R1 x R3 x S3", max_iter=1).fit_projected({"frame": samples()})
 
 
 def warm_up_control() -> None:
@@ -96,5 +136,25 @@ ARM = """{urdf: arm.urdf, base_frame: base, joint_groups: {arm: [to_elbow, to_ha
 endpoints: {hand: {frame: hand, joints: arm}}, home: {to_elbow: 0.0, to_hand: 0.0}}"""
 
 
+def main(parts: Sequence[str]) -> int:
+    """Compile all parts, in two processes where there are two cores, or those that are named; the exit status."""
+
+    def tell(words: str) -> None:
+        print(f"compiling: {words}", flush=True)
+
+    if parts:
+        for part in parts:
+            {"control": control, "retrieval": retrieval}[part](tell)
+        return 0
+    cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+    if cores < 2:
+        warm_up(tell)
+        return 0
+    command = [sys.executable, "-m", "tpgmm_core.warm_up", "control", "retrieval"]
+    with subprocess.Popen(command) as other:
+        learning(tell)
+    return other.returncode
+
+
 if __name__ == "__main__":
-    warm_up(lambda words: print(f"compiling: {words}", flush=True))
+    sys.exit(main(sys.argv[1:]))

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sensor_msgs.msg import JointState
 
-from tpgmm_core.geometry.manifold import MAX_TEXT
+from tpgmm_core.geometry.coordinates import MAX_TEXT
 from tpgmm_core.observation.tracking import check_pose
 from tpgmm_msgs.msg import Gaussian as GaussianMessage
 from tpgmm_msgs.msg import Reference as ReferenceMessage

@@ -89,6 +89,11 @@ class Choice:
 
         It is learned from as many samples of each demonstration as those were that trials were judged by: the window of
         derivatives and the weight of priors are in samples.
+
+        Returns
+        -------
+        TPGMM
+            a fitted model
         """
         trial = self.best.trial
         derived = self.derived.only(trial.frames)
@@ -162,6 +167,11 @@ def choose(
         of retrieval
     trials, seconds, workers, progress, clock
         see `run_search`
+
+    Returns
+    -------
+    Choice
+        what was chosen, and all that was tried
 
     Raises
     ------

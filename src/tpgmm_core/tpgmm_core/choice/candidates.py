@@ -54,6 +54,11 @@ def in_order_of_preference(demonstrations: Sequence[Demonstration], derived: Der
 
     What stands still comes first (it cannot be lost, and its noise cannot disturb), then the hand's start, then the
     frames that are observed, then those that are derived of them.
+
+    Returns
+    -------
+    tuple[str, ...]
+        the names, the preferred one first
     """
     still = DerivedFrames({_STILL: FrameSource(BASE)})
     extended = [still.extended(demonstration) for demonstration in demonstrations]
@@ -83,7 +88,20 @@ def _free(name: str, taken: Collection[str]) -> str:
 
 
 def see_the_same(demonstrations: Sequence[Demonstration], one: str, other: str) -> bool:
-    """Whether two frames never move with respect to each other: what one sees then says all that the other sees."""
+    """Whether two frames never move with respect to each other: what one sees then says all that the other sees.
+
+    Parameters
+    ----------
+    demonstrations
+        with both frames
+    one, other
+        names of the frames
+
+    Returns
+    -------
+    bool
+        whether they never move with respect to each other
+    """
     relative = [_relative(shown.frames[one], shown.frames[other]) for shown in demonstrations]
     A, b = (np.concatenate(parts) for parts in zip(*relative, strict=True))
     return bool(np.allclose(A, A[0], atol=1e-9) and np.allclose(b, b[0], atol=1e-9))

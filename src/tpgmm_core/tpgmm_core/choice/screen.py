@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.model.demonstration import Demonstration
 
 SHARES = 100
@@ -26,8 +27,11 @@ METRES_PER_RADIAN = 0.1
 """How far apart two poses are: a turn by 0.1 rad counts as a centimetre."""
 LEAST_SHARE = 0.05
 """A frame is kept where it predicts best, and none that is kept does as well, for at least this share of the time."""
-MARGIN = 0.1
+MARGIN = 0.15
 """A frame whose error is larger than the least one by less than this share is as good."""
+TOLD = 0.5
+"""What a frame predicts has to differ from what the base predicts by this share of the base's error: a frame that
+hardly moves cannot make that much smaller, and of many one will make it a little smaller by chance."""
 ALIKE = 0.05
 """Of frames that are good at most of the time, to this share, the one that is named first is taken."""
 
@@ -42,10 +46,13 @@ class FrameScreen:
         of the frames, those first that are taken where several are as good
     errors
         shape (J, M, S): of frame j, for demonstration m, at share s of the time, m; infinite where it was not seen
+    is_told
+        shape (J, S): whether frame j can be told from the base, or is as still as the base
     """
 
     names: tuple[str, ...]
     errors: Array
+    is_told: NDArray[np.bool_]
 
     @property
     def mean_errors(self) -> Array:
@@ -70,14 +77,19 @@ class FrameScreen:
         return tuple(sorted((name for name in good if good[name] >= LEAST_SHARE), key=lambda name: -good[name]))
 
     def _is_good(self) -> NDArray[np.bool_]:
-        means = self.mean_errors
-        return np.asarray(means <= (1.0 + MARGIN) * means.min(axis=0) + 1e-9)  # (J, S)
+        means = np.where(self.is_told, self.mean_errors, np.inf)  # (J, S)
+        return np.asarray(means <= (1.0 + MARGIN) * means.min(axis=0) + 1e-9) & self.is_told
 
     def relevance(self, names: Sequence[str], parts: int = 10) -> dict[str, Array]:
         """What each of some frames says of where the hand is, in each part of the time: name → shares (parts,).
 
         The shares of all add up to 1. They are those of the inverse squared errors: what the product of Gaussians (Eq.
         6) would weight frames with whose variances are these.
+
+        Returns
+        -------
+        dict[str, Array]
+            name → shares, (parts,)
         """
         rows = [self.names.index(name) for name in names]
         precisions = 1.0 / (self.mean_errors[rows] ** 2 + 1e-12)  # (J, S)
@@ -96,6 +108,11 @@ def screen_frames(demonstrations: Sequence[Demonstration], names: Sequence[str] 
     names
         of the frames, in order of preference; all where None
 
+    Returns
+    -------
+    FrameScreen
+        the errors of each frame
+
     Raises
     ------
     ValueError
@@ -106,8 +123,19 @@ def screen_frames(demonstrations: Sequence[Demonstration], names: Sequence[str] 
     chosen = tuple(demonstrations[0].frames) if names is None else tuple(names)
     samples = [_samples(shown.times) for shown in demonstrations]
     points = np.array([shown.data[chosen_ones] for shown, chosen_ones in zip(demonstrations, samples, strict=True)])
-    errors = np.array([_errors(points, demonstrations, samples, name) for name in chosen])
-    return FrameScreen(chosen, errors)
+    D = points.shape[2]
+    base = _predictions(points, [Frame(np.eye(D), np.zeros(D))] * len(points))
+    base_error = np.sqrt(np.mean(distances(base, points[..., 1:]) ** 2, axis=0))  # (S,)
+    errors, is_told = [], []
+    for name in chosen:
+        frames = [shown.frames[name].at(at) for shown, at in zip(demonstrations, samples, strict=True)]
+        predicted = _predictions(points, frames)
+        error = distances(predicted, points[..., 1:])
+        seen = [shown.is_visible(name)[at] for shown, at in zip(demonstrations, samples, strict=True)]
+        errors.append(np.where(seen, error, np.inf))
+        change = np.sqrt(np.mean(distances(predicted, base) ** 2, axis=0))
+        is_told.append((change >= TOLD * base_error) | (change <= 1e-6))
+    return FrameScreen(chosen, np.array(errors), np.array(is_told))
 
 
 def _samples(times: Array) -> NDArray[np.intp]:
@@ -117,21 +145,17 @@ def _samples(times: Array) -> NDArray[np.intp]:
     return np.asarray(np.where(wanted - times[after - 1] < times[after] - wanted, after - 1, after))
 
 
-def _errors(
-    points: Array, demonstrations: Sequence[Demonstration], samples: Sequence[NDArray[np.intp]], name: str
-) -> Array:
-    """Of one frame, (M, S); points are (M, S, D)."""
-    frames = [shown.frames[name].at(at) for shown, at in zip(demonstrations, samples, strict=True)]
+def _predictions(points: Array, frames: Sequence[Frame]) -> Array:
+    """Where each demonstration would be, as the others look from its frame, (M, S, D - 1); points are (M, S, D)."""
     seen = np.array([frame.project(data)[:, 1:] for frame, data in zip(frames, points, strict=True)])
     seen[..., 3:] = _one_sign(seen[..., 3:])
-    total = seen.sum(axis=0)
-    errors = np.empty(points.shape[:2])
-    for m, frame in enumerate(frames):
-        mean = (total - seen[m]) / (len(frames) - 1)
-        predicted = np.einsum("...ij,...j->...i", frame.A[..., 1:, 1:], mean) + frame.b[..., 1:]
-        errors[m] = distances(predicted, points[m, :, 1:])
-        errors[m, ~demonstrations[m].is_visible(name)[samples[m]]] = np.inf
-    return errors
+    means = (seen.sum(axis=0) - seen) / (len(frames) - 1)
+    return np.array(
+        [
+            np.einsum("...ij,...j->...i", frame.A[..., 1:, 1:], mean) + frame.b[..., 1:]
+            for frame, mean in zip(frames, means, strict=True)
+        ]
+    )
 
 
 def _one_sign(quaternions: Array) -> Array:
@@ -142,9 +166,10 @@ def _one_sign(quaternions: Array) -> Array:
 
 
 def distances(path: Array, shown: Array) -> Array:
-    """How far poses (T, 7) or positions (T, 3) are from others, (T,), m: METRES_PER_RADIAN says what a turn counts."""
-    squares = np.sum((path[:, :3] - shown[:, :3]) ** 2, axis=1)
-    if path.shape[1] == 7:
-        turns = quaternion.angle_between(quaternion.normalize(path[:, 3:]), shown[:, 3:])
+    """How far poses (..., 7) or positions (..., 3) are from others, m: METRES_PER_RADIAN says what a turn counts."""
+    squares = np.sum((path[..., :3] - shown[..., :3]) ** 2, axis=-1)
+    if path.shape[-1] == 7:
+        one, other = quaternion.normalize(path[..., 3:]), quaternion.normalize(shown[..., 3:])
+        turns = quaternion.angle_between(one, other)
         squares = squares + (METRES_PER_RADIAN * turns) ** 2
     return np.asarray(np.sqrt(squares))

@@ -55,7 +55,22 @@ class Trial:
 
     @classmethod
     def of(cls, method: str, frames: Sequence[str], settings: Mapping[str, Any]) -> Trial:
-        """Take of the settings those that the method has."""
+        """Take of the settings those that the method has.
+
+        Parameters
+        ----------
+        method
+            of retrieval, by name
+        frames
+            names
+        settings
+            of the method, and others
+
+        Returns
+        -------
+        Trial
+            the trial
+        """
         chosen = method_named(method)
         known = {item.name for item in fields(chosen.encoding)} | inspect.signature(chosen.estimator).parameters.keys()
         return cls(chosen.name, tuple(frames), {name: settings[name] for name in settings if name in known - {KEY}})
@@ -106,7 +121,22 @@ class HeldOutError:
 
     @classmethod
     def of(cls, path: Array, shown: Demonstration, objects: Sequence[str]) -> HeldOutError:
-        """Of a path (T, 7) or (T, 3), and the frames whose origins count as objects."""
+        """Errors of a path.
+
+        Parameters
+        ----------
+        path
+            shape (T, 7) or (T, 3)
+        shown
+            what it should have been
+        objects
+            frames whose origins count as objects
+
+        Returns
+        -------
+        HeldOutError
+            the errors
+        """
         points = shown.data[:, 1:]
         off = distances(path, points)
         positions = np.linalg.norm(path[:, :3] - points[:, :3], axis=1)
@@ -201,6 +231,11 @@ class Problem:
     def of(cls, demonstrations: Sequence[Demonstration], manifold: str | Manifold, objects: Sequence[str]) -> Problem:
         """Make one, with SAMPLES samples of each demonstration.
 
+        Returns
+        -------
+        Problem
+            the problem
+
         Raises
         ------
         ValueError
@@ -229,6 +264,11 @@ class Problem:
             what to learn with
         give_up
             called after each fold with the least that the trial's merit can become; True ends it
+
+        Returns
+        -------
+        TrialResult
+            merit, and the errors of each fold
         """
         M = len(self.demonstrations)
         errors: dict[int, HeldOutError] = {}

@@ -20,7 +20,7 @@ from tpgmm_core.control.operational_space import invert_inertia
 from tpgmm_core.model.reference import Reference
 
 if TYPE_CHECKING:
-    from tpgmm_core.robot.model import RobotData
+    from tpgmm_core.robot.data import RobotData
 
 
 @dataclass(frozen=True, slots=True)

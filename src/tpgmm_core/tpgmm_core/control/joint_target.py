@@ -10,7 +10,7 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.delay_margin import delay_margin
-from tpgmm_core.control.receding_gains import Course
+from tpgmm_core.control.receding_gains import GaussiansAhead
 from tpgmm_core.lqr.receding_horizon import RecedingHorizonGains, receding_horizon_gains
 
 
@@ -34,7 +34,7 @@ class JointTarget:
     velocities: Array
     precision: Array
     accelerations: Array | None = None
-    course: Course | None = None
+    course: GaussiansAhead | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.delay_margin import delay_margin, fastest_rate
-from tpgmm_core.control.receding_gains import Course, RecedingGains
+from tpgmm_core.control.receding_gains import GaussiansAhead, RecedingGains
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class PoseTarget:
     ratio: Array = field(default_factory=lambda: 0.5 * np.eye(6))
     rate: float = 0.0
     firmness: float = 0.5
-    course: Course | None = None
+    course: GaussiansAhead | None = None
 
     @property
     def delay_margin(self) -> float:
@@ -82,7 +82,7 @@ class PoseTarget:
 
 def receding_pose_target(
     reference: PoseReference,
-    course: Course,
+    course: GaussiansAhead,
     ahead: RecedingGains[PoseTarget],
     control_cost: float,
     characteristic_length: float,

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,66 +26,19 @@ from tpgmm_core.control.control_law import DynamicState, Lag, LawTorques
 from tpgmm_core.control.impedance import ANGULAR_LEASH
 from tpgmm_core.control.impedance import LEASH as HAND_LEASH
 from tpgmm_core.control.joint_impedance import LEASH, JointImpedanceConfig, JointImpedanceLaw
-from tpgmm_core.control.joint_target import JointGains, JointTarget, receding_joint_gains
+from tpgmm_core.control.joint_target import JointGains, JointTarget
 from tpgmm_core.control.operational_space import bound_twist
 from tpgmm_core.control.planning import PlanConfig, Schedule, Submit, at_once
-from tpgmm_core.control.predictive import JointLimits, JointReference, PredictiveController, PredictivePlan
-from tpgmm_core.control.receding_gains import Course
+from tpgmm_core.control.predictive import JointLimits, PredictiveController
+from tpgmm_core.control.predictive_problem import Planned, PlanProblem, PredictiveTarget, solve
+from tpgmm_core.control.receding_gains import GaussiansAhead
 from tpgmm_core.geometry.manifold import POSE
-from tpgmm_core.kinematics.joint_space import to_joint_space
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 
 STEPS = 10
 #: Each step of the horizon is longer than the one before: the first is short, as gains are those of constant controls.
 GROWTH = 1.2
-
-
-@dataclass(frozen=True, slots=True)
-class PredictiveTarget:
-    """Where to be from now on, as a pose or as joints.
-
-    Parameters
-    ----------
-    means
-        (T, D)
-    precisions
-        (T, m, m)
-    time_step
-        between them, s
-    """
-
-    means: Array
-    precisions: Array
-    time_step: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Problem:
-    """All that a plan is made from; `jacobian` (6, n) and `pose` (7,) of the hand are None for references of joints.
-
-    `share` is that of the rates of the feedback, for the delay of the loop: planning again from late states is feedback
-    too.
-    """
-
-    q: Array
-    v: Array
-    inertia: Array
-    nonlinear: Array
-    pose: Array | None
-    jacobian: Array | None
-    target: PredictiveTarget
-    share: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Planned:
-    """A plan from q and v (n,) on, and the gains around it."""
-
-    q: Array
-    v: Array
-    plan: PredictivePlan
-    gains: JointGains
 
 
 class PredictiveLaw(JointImpedanceLaw):
@@ -120,7 +73,7 @@ class PredictiveLaw(JointImpedanceLaw):
         config: JointImpedanceConfig | None = None,
         *,
         plan: PlanConfig | None = None,
-        submit: Submit[_Planned] = at_once,
+        submit: Submit[Planned] = at_once,
     ) -> None:
         if endpoint is not None and endpoint not in robot.endpoints:
             raise ValueError(f"the robot has no end point {shown(endpoint)}; it has {listed(robot.endpoints)}")
@@ -159,8 +112,8 @@ class PredictiveLaw(JointImpedanceLaw):
         """Reset as `JointImpedanceLaw.reset`; a plan that is being made is discarded."""
         super().reset()
         self._schedule = Schedule()
-        self._pending: tuple[Future[_Planned], float] | None = None
-        self._planned: _Planned | None = None
+        self._pending: tuple[Future[Planned], float] | None = None
+        self._planned: Planned | None = None
         self._time = self._begun = 0.0
         self._failed, self._share = False, 1.0
 
@@ -195,7 +148,7 @@ class PredictiveLaw(JointImpedanceLaw):
             super().target(reference, moving)
         elif reference.gaussian.manifold != POSE:
             raise ValueError(f"the reference is on '{reference.gaussian.manifold}'; expected a pose on '{POSE}'")
-        course = Course.of(reference, moving, needed=False)
+        course = GaussiansAhead.of(reference, moving, needed=False)
         means = course.means
         if not np.isfinite(means).all():
             raise ValueError("the reference is not finite")
@@ -234,7 +187,7 @@ class PredictiveLaw(JointImpedanceLaw):
             self._schedule.begun()
             problem, solver, config, rest = self._problem(moment, target), self._solver, self.config, self._rest()
             posture = self._posture_precision
-            self._pending = self._submit(lambda: _solve(problem, solver, config, rest, posture)), self._time
+            self._pending = self._submit(lambda: solve(problem, solver, config, rest, posture)), self._time
         if self._pending is not None and self._pending[0].done():
             future, begun = self._pending
             self._pending = None
@@ -275,14 +228,14 @@ class PredictiveLaw(JointImpedanceLaw):
     def _rest(self) -> Array:
         return self.robot.home[self._joints]
 
-    def _problem(self, moment: DynamicState, target: PredictiveTarget) -> _Problem:
+    def _problem(self, moment: DynamicState, target: PredictiveTarget) -> PlanProblem:
         """Copy what a plan needs, since the next step overwrites the state."""
         i = self._joints
         pose = jacobian = None
         if self.endpoint is not None:
             pose = np.array(moment.data.pose(self.endpoint))
             jacobian = np.array(moment.data.jacobian(self.endpoint)[:, i])
-        return _Problem(
+        return PlanProblem(
             moment.q[i].copy(),
             moment.v[i].copy(),
             np.array(moment.inertia[np.ix_(i, i)]),
@@ -293,7 +246,7 @@ class PredictiveLaw(JointImpedanceLaw):
             self._share,
         )
 
-    def _at(self, planned: _Planned, age: float) -> JointTarget:
+    def _at(self, planned: Planned, age: float) -> JointTarget:
         """The plan at an age (s) since it began; its last position once it is over."""
         steps, plan, n = self._solver.time_steps, planned.plan, len(self._joints)
         ends = np.cumsum(steps)
@@ -303,51 +256,3 @@ class PredictiveLaw(JointImpedanceLaw):
         q, v = (planned.q, planned.v) if k == 0 else (plan.positions[k - 1], plan.velocities[k - 1])
         t, a = age - (ends[k] - steps[k]), plan.accelerations[k]
         return JointTarget(q + t * v + 0.5 * t**2 * a, v + t * a, np.zeros((n, n)), a)
-
-
-def _solve(
-    problem: _Problem,
-    solver: PredictiveController,
-    config: JointImpedanceConfig,
-    rest: Array,
-    posture_precision: Array,
-) -> _Planned:
-    """Make a plan, and gains, from a problem alone. Raises ValueError for numbers that cannot be computed with."""
-    positions, precisions = _course(problem, rest, posture_precision)
-    dt = problem.target.time_step
-    known = dt * np.arange(len(positions))
-    at = np.array([np.interp(solver.times, known, joint) for joint in positions.T]).T
-    knot = np.searchsorted(known, solver.times, side="right") - 1
-    try:
-        L = np.linalg.cholesky(problem.inertia)
-        cost, covariances = config.joint_control_cost, np.linalg.inv(precisions)
-        gains = receding_joint_gains(L, positions, covariances, dt, cost, config.bounds)
-    except np.linalg.LinAlgError as error:
-        raise ValueError(f"no plan can be made: {error}") from error
-    # the fourth power: K_P is the square root of the precision, and goes with the square of the share
-    softer = problem.share**4 * _bounded(precisions, L, config)
-    bounded = JointReference(positions=at, precisions=softer[knot])
-    plan = solver.solve(problem.q, problem.v, bounded, problem.inertia, problem.nonlinear)
-    return _Planned(problem.q, problem.v, plan, replace(gains, push=np.zeros(len(rest))))  # the plan has it
-
-
-def _course(problem: _Problem, rest: Array, posture_precision: Array) -> tuple[Array, Array]:
-    """Positions (T, n) and precisions (T, n, n) of the joints."""
-    target, q, n = problem.target, problem.q, len(problem.q)
-    if problem.pose is None or problem.jacobian is None:
-        return target.means, target.precisions
-    both = []
-    for mean, precision in zip(target.means, target.precisions, strict=True):
-        errors = [POSE.log(problem.pose, mean), rest - q]
-        both.append(to_joint_space([precision, posture_precision], [problem.jacobian, np.eye(n)], errors, q))
-    return np.stack([positions for _, positions in both]), np.stack([precision for precision, _ in both])
-
-
-def _bounded(precisions: Array, L: Array, config: JointImpedanceConfig) -> Array:
-    """Precisions (T, n, n) with the stiffness within its bounds, in the coordinates L^T q of the inertia."""
-    F = np.linalg.inv(L)
-    values, vectors = np.linalg.eigh(F @ precisions @ F.T)
-    cost = config.joint_control_cost
-    values = np.clip(values, cost * config.joint_min_stiffness**2, cost * config.joint_max_stiffness**2)
-    basis = L @ vectors
-    return np.asarray((basis * values[:, None, :]) @ basis.mT)

@@ -21,7 +21,7 @@ from tpgmm_core.model.reference import Reference
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class GaussiansAhead:
     """A reference and what comes after it.
 
     Parameters
@@ -36,7 +36,7 @@ class Course:
     time_step: float
 
     @classmethod
-    def of(cls, reference: Reference, moving: bool, needed: bool) -> Course:
+    def of(cls, reference: Reference, moving: bool, needed: bool) -> GaussiansAhead:
         """Take the horizon of a reference, or the reference alone where it is not moving.
 
         Parameters
@@ -50,7 +50,7 @@ class Course:
 
         Returns
         -------
-        Course
+        GaussiansAhead
             what gains are made from
 
         Raises
@@ -94,7 +94,7 @@ class RecedingGains[GainsT]:
         self._schedule = Schedule()
         self._planned: GainsT | None = None
 
-    def course(self, reference: Reference, moving: bool) -> Course:
+    def course(self, reference: Reference, moving: bool) -> GaussiansAhead:
         """Take what gains are to be made from.
 
         Parameters
@@ -106,15 +106,15 @@ class RecedingGains[GainsT]:
 
         Returns
         -------
-        Course
-            see `Course.of`
+        GaussiansAhead
+            see `GaussiansAhead.of`
 
         Raises
         ------
         ValueError
             for a reference that lacks a horizon, or has a bad one
         """
-        return Course.of(reference, moving, needed=not self.risk_sensitive)
+        return GaussiansAhead.of(reference, moving, needed=not self.risk_sensitive)
 
     def at_present(self, dt: float, make: Callable[[], GainsT]) -> GainsT:
         """Gains dt s after the last call, made anew when it is time.

@@ -11,7 +11,8 @@ import numpy as np
 
 from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.manifold import Manifold, Sphere
+from tpgmm_core.geometry.coordinates import Sphere
+from tpgmm_core.geometry.manifold import Manifold
 
 FAR = 3.0
 """Standard deviations: orientations that are nearer do not contradict each other by themselves."""

@@ -212,7 +212,14 @@ class Gaussian:
         rest = self.manifold.rest(dims)
         i, o = self.manifold.tangent_indices(dims), self.manifold.tangent_indices(rest)
         given, free = self.manifold.subset(dims), self.manifold.subset(rest)
-        gain = np.linalg.solve(self.covariance[np.ix_(i, i)], self.covariance[np.ix_(i, o)]).T
+        within = self.covariance[np.ix_(i, i)]
+        if not is_positive_definite(within):
+            raise ValueError(
+                f"the covariance of the given dimensions {list(dims)} is singular, its smallest eigenvalue is "
+                f"{np.linalg.eigvalsh(within)[0]:.3g}: fit with a larger reg_covar, or leave out dimensions that "
+                "follow from others"
+            )
+        gain = np.linalg.solve(within, self.covariance[np.ix_(i, o)]).T
         mean = self.mean[rest]
         shifted = free.exp(mean, gain @ given.log(self.mean[list(dims)], values))
         T = free.transport(mean, shifted)
@@ -243,6 +250,15 @@ class Gaussian:
         log_determinant = 2.0 * np.sum(np.log(np.diagonal(factor)))
         n = self.manifold.tangent_dim
         return -0.5 * (np.sum(whitened**2, axis=-1) + log_determinant + n * np.log(2.0 * np.pi))
+
+
+def is_positive_definite(S: Array) -> bool:
+    """Whether a symmetric matrix (n, n) has a Cholesky factor."""
+    try:
+        np.linalg.cholesky(S)
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 # setters, which a frozen class does not offer

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.gaussian import Gaussian, Gaussians
 from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.split import split
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +161,7 @@ class GaussianMixture:
             for dimensions and values that do not fit, for values that are not finite or so far from all components that
             the distance is not finite, and for a component whose covariance of the dimensions `dims` is singular
         """
-        parts = self.manifold.split(tuple(dims))
+        parts = split(self.manifold, tuple(dims))
         given = np.array(values, float, order="C")  # a copy: of one type for the compiled code
         D, free = parts.given.dim, parts.free
         is_one = given.shape == (D,)

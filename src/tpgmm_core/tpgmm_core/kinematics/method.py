@@ -60,6 +60,11 @@ class KinematicEncoding(Encoding):
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
         """See `Encoding.encode`.
 
+        Returns
+        -------
+        Demonstration
+            over configurations, or [time, configuration]
+
         Raises
         ------
         ValueError

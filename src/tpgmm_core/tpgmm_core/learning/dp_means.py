@@ -223,14 +223,14 @@ class DPMeans(Estimator):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _View:
+class _FrameView:
     """What one frame saw, scaled: x (N, n), and which samples (N,) it saw."""
 
     x: Array
     seen: NDArray[np.bool_]
 
-    def of(self, chosen: NDArray[np.bool_]) -> _View:
-        return _View(self.x[chosen], self.seen[chosen])
+    def of(self, chosen: NDArray[np.bool_]) -> _FrameView:
+        return _FrameView(self.x[chosen], self.seen[chosen])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,7 +249,7 @@ class _Flat:
         return cls(centre, np.zeros((len(centre), 0)))
 
     @classmethod
-    def fit(cls, view: _View, dimension_penalty: float, former: _Flat | None = None) -> _Flat:
+    def fit(cls, view: _FrameView, dimension_penalty: float, former: _Flat | None = None) -> _Flat:
         """The cheapest subspace: principal directions along which the squares sum to more than the penalty are kept."""
         x = view.x[view.seen]
         if len(x) == 0:  # this frame saw nothing of it: any subspace is right
@@ -261,16 +261,16 @@ class _Flat:
         return cls(centre, directions[:, 1:][:, squares[1:] > dimension_penalty])
 
 
-def _views(samples: Samples) -> list[_View]:
+def _views(samples: Samples) -> list[_FrameView]:
     views = []
     for (name, manifold), seen in zip(samples.manifolds.items(), samples.seen, strict=True):
         x = manifold.log(manifold.mean(samples.X[name][seen]), samples.X[name])
         spread = x[seen].std(axis=0)
-        views.append(_View(x / np.where(spread > 0.0, spread, 1.0), seen))
+        views.append(_FrameView(x / np.where(spread > 0.0, spread, 1.0), seen))
     return views
 
 
-def _distances(views: Sequence[_View], flats: Sequence[_Flat]) -> Array:
+def _distances(views: Sequence[_FrameView], flats: Sequence[_Flat]) -> Array:
     """Squared distances (N,) of the samples to a cluster, over the frames that saw them."""
     total = np.zeros(len(views[0].x))
     for view, flat in zip(views, flats, strict=True):

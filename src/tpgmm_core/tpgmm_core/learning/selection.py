@@ -88,6 +88,11 @@ def leave_one_out(
     progress
         called with (folds done, folds)
 
+    Returns
+    -------
+    HeldOut
+        log-likelihoods per sample, by demonstration
+
     Raises
     ------
     ValueError
@@ -282,6 +287,11 @@ def select_model(
         called with (fits done, fits)
     clock
         returns a time in s, to measure fit_time_s
+
+    Returns
+    -------
+    SelectionTable
+        a row for each candidate
 
     Raises
     ------

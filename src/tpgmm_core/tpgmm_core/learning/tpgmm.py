@@ -368,6 +368,11 @@ class TPGMM(Estimator):
         frames, state, weights
             as for `Adapter.adapt`
 
+        Returns
+        -------
+        GaussianMixture
+            over the frames' common space, with the model's priors
+
         Raises
         ------
         ValueError
@@ -395,6 +400,11 @@ class TPGMM(Estimator):
         ----------
         demonstrations
             with the frames of the model
+
+        Returns
+        -------
+        float
+            nats
 
         Raises
         ------
@@ -469,6 +479,11 @@ class TPGMM(Estimator):
         path
             the file
 
+        Returns
+        -------
+        Self
+            a fitted model
+
         Raises
         ------
         ModelFileError
@@ -482,7 +497,20 @@ class TPGMM(Estimator):
     def from_contents(cls, contents: model_file.ModelContents) -> Self:
         """Make the model that a file holds.
 
-        Raises ModelFileError for another kind of model, and for arrays that do not fit it.
+        Parameters
+        ----------
+        contents
+            of the file
+
+        Returns
+        -------
+        Self
+            a fitted model
+
+        Raises
+        ------
+        ModelFileError
+            for another kind of model, and for arrays that do not fit it
         """
         header = contents.header
         if cls is not TPGMM and header.kind != cls.__name__:

@@ -16,7 +16,7 @@ from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.model import kernels_adapt, kernels_regress
-from tpgmm_core.model.fitted import FittedModel
+from tpgmm_core.model.fitted import FittedModel, check_fitted
 from tpgmm_core.model.frame_buffer import FrameBuffer
 from tpgmm_core.model.learned import Learned
 
@@ -45,10 +45,11 @@ class Adapter:
     Raises
     ------
     ValueError
-        for covariances that are not positive definite
+        for a model that is not fitted, and covariances that are not positive definite
     """
 
     def __init__(self, model: FittedModel) -> None:
+        check_fitted(model)
         self.learned = Learned(model)  # before anything is read from it
         self.frame_names = model.frame_names_
         self.priors = np.array(model.priors_, dtype=float)

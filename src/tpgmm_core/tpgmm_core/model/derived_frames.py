@@ -78,6 +78,11 @@ class DerivedFrames:
     def of_metadata(cls, metadata: Mapping[str, Any]) -> Self:
         """Those that a model was learned with; none for a model that names none.
 
+        Returns
+        -------
+        Self
+            the frames by name, and what they are made of
+
         Raises
         ------
         ValueError
@@ -121,6 +126,11 @@ class DerivedFrames:
             the frames that are known, by name
         start
             where the hand was when the movement began, a pose (7,) or a position (3,); None where not known
+
+        Returns
+        -------
+        dict[str, Frame]
+            by name
         """
         made = {}
         for name, source in self.sources.items():
@@ -135,6 +145,11 @@ class DerivedFrames:
 
     def extended(self, demonstration: Demonstration) -> Demonstration:
         """The demonstration with these frames beside its own; the hand started at its first sample.
+
+        Returns
+        -------
+        Demonstration
+            with its own frames and these
 
         Raises
         ------
@@ -178,6 +193,11 @@ def unturned(frame: Frame) -> Frame:
     ----------
     frame
         over [time, pose] or [time, position]
+
+    Returns
+    -------
+    Frame
+        with the same origin
     """
     b = frame.b[0] if frame.is_time_varying and (frame.b == frame.b[0]).all() else frame.b
     return Frame(np.eye(b.shape[-1]), b)

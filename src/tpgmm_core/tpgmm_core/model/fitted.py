@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
+from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
 
@@ -39,3 +40,26 @@ class FittedModel(Protocol):
     @property
     def frame_manifolds_(self) -> Mapping[str, Manifold]:
         """Frame → space of what the frame sees."""
+
+
+def check_fitted(model: FittedModel) -> None:
+    """Raise an error for a model that has learned nothing yet.
+
+    Parameters
+    ----------
+    model
+        such as `TPGMM`
+
+    Raises
+    ------
+    ValueError
+        where an attribute of `FittedModel` is missing
+    """
+    missing = [name for name in ATTRIBUTES if not hasattr(model, name)]
+    if missing:
+        raise ValueError(
+            f"this {type(model).__name__} is not fitted, it lacks {listed(missing)}: call fit or load first"
+        )
+
+
+ATTRIBUTES = tuple(name for name, item in vars(FittedModel).items() if isinstance(item, property))

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.model.fitted import FittedModel
+from tpgmm_core.model.fitted import FittedModel, check_fitted
 
 
 class FrameBuffer:
@@ -45,6 +45,7 @@ class FrameBuffer:
     state: Array
 
     def __init__(self, model: FittedModel) -> None:
+        check_fitted(model)
         self.frame_names = model.frame_names_
         manifolds = model.frame_manifolds_
         self.sizes: NDArray[np.int64] = np.array(

@@ -36,11 +36,9 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core.common.settings import check_settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
@@ -48,16 +46,18 @@ from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.learning.endpoints import BEGIN, END, EndpointTPGMM
 from tpgmm_core.model.adaptation import Adapter
-from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval import kernels_dynamical_system as kernels
 from tpgmm_core.retrieval.attractor_system import AttractorSystem
+from tpgmm_core.retrieval.convergence import Convergence
 from tpgmm_core.retrieval.covariance_mean import CovarianceMean
-from tpgmm_core.retrieval.differences import derivatives
 from tpgmm_core.retrieval.frame_derivatives import frame_with_derivatives
 from tpgmm_core.retrieval.frames import without_time
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.spring import Smoothed, critically_damped
+from tpgmm_core.retrieval.velocity_features import with_velocity
+
+__all__ = ["Convergence", "StableDynamics", "with_velocity"]
 
 MAX_TIME_STEP = 0.005
 """Step of the integration, in durations; at most MAX_STEPS are made at once, longer ones after a long pause."""
@@ -67,67 +67,6 @@ MEMORY = 0.05
 BEFORE_THE_END = 1.0 - 1e-9
 GONE_AGAIN = 3.0
 """A movement that has arrived stays ended up to this many times the distance `Convergence.arrival` from the goal."""
-
-
-def with_velocity(
-    demonstration: Demonstration, manifold: str | Manifold = "euclidean", window: int = 9
-) -> Demonstration:
-    """The demonstration as [x, v] in place of [time, x], for an `EndpointTPGMM` that `StableDynamics` retrieves from.
-
-    Data become (T, D + n), on the manifold of x and R^n: "R1 x R3 x S3" gives "R3 x S3 x R6". Velocities are per s, on
-    S³ about the fixed axes; frames see them as vectors (`frame_with_derivatives`).
-
-    Parameters
-    ----------
-    demonstration
-        data (T, 1 + D): time, then positions or poses
-    manifold
-        space of all data, time included
-    window
-        number of samples of the parabolas that velocities are taken from; at most as many as there are
-
-    Returns
-    -------
-    Demonstration
-        over [x, v]
-
-    Raises
-    ------
-    ValueError
-        for less than three samples, and frames that change time or do not fit the manifold
-    """
-    space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold, demonstration.data.shape[1])
-    points = space.subset(range(1, space.dim))
-    times, x = demonstration.times, demonstration.data[:, 1:]
-    velocity, _ = derivatives(times, x, points, min(window, (len(times) - 1) // 2 * 2 + 1))
-    frames = {name: frame_with_derivatives(frame, points) for name, frame in without_time(demonstration.frames).items()}
-    return Demonstration(times, np.column_stack([x, velocity]), frames, demonstration.visible)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Convergence:
-    """How a system comes to its goal.
-
-    Raises
-    ------
-    ValueError
-        for a value out of its range
-    """
-
-    rate: float = setting(
-        2.0, 0.1, 20.0, "Rate of convergence: the goal is reached within about 3 / rate durations at the latest"
-    )
-    goal_rate: float = setting(
-        20.0, 0.1, 100.0, "Rate of the spring that ends the movement, close to the goal, per duration"
-    )
-    detour: float = setting(0.5, 0.0, 10.0, "Share by which the distance to the goal may grow before it shrinks")
-    metres_per_radian: float = setting(0.2, 1e-3, 10.0, "Length that an angle counts as in distances, m/rad")
-    arrival: float = setting(0.002, 1e-6, 0.1, "Distance from the goal at which the movement has ended, m")
-    leash: float = setting(0.05, 1e-3, 10.0, "Distance from the reference beyond which the robot pulls it along, m")
-    leash_speed: float = setting(0.5, 1e-3, 10.0, "Largest speed with which the robot pulls the reference along, m/s")
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 class StableDynamics(AttractorSystem):

@@ -66,6 +66,11 @@ class Encoding(ABC):
         manifold
             space of all of it, time included
 
+        Returns
+        -------
+        Demonstration
+            in the same frames
+
         Raises
         ------
         ValueError
@@ -204,6 +209,11 @@ def encoding_of(model: TPGMM) -> Encoding:
     ----------
     model
         with metadata
+
+    Returns
+    -------
+    Encoding
+        with its options
 
     Raises
     ------

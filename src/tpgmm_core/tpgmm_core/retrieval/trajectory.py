@@ -43,8 +43,8 @@ from tpgmm_core.retrieval.smoothing import Smooth, smoothest
 
 WARM_TURN = 0.2
 """A course begins at its former solution where no state turned by more than this, rad: from there it finds the same."""
-WARM_TOLERANCE = 1e-5
-"""Steps from a former solution end below this, rad: what is left out is less than a thousandth of it."""
+WARM_TOLERANCE = 1e-8
+"""Steps from a former solution end where what they leave out is below this, m or rad."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,6 +141,11 @@ class TrajectoryModel:
         state
             (D,), where the robot is: what no frame constrains stays there; the origin where None
 
+        Returns
+        -------
+        Trajectory
+            positions, velocities, accelerations and covariances at the times
+
         Raises
         ------
         ValueError
@@ -175,9 +180,19 @@ class TrajectoryModel:
         return point_manifold(self._adapter.manifold)
 
     def activations(self, times: Array) -> Array:
-        """Activations (T, K) of the components at the model's times (T,), as learned: geometric means over the frames.
+        """Activations of the components as learned: geometric means over the frames.
 
         Not those of the adapted mixture: frames that contradict each other on where a component is move it in time too.
+
+        Parameters
+        ----------
+        times
+            of the model, (T,)
+
+        Returns
+        -------
+        Array
+            shape (T, K)
         """
         differences = times[:, None, None] - self._times
         log_densities = -0.5 * (differences**2 / self._variances + np.log(self._variances))
@@ -195,7 +210,18 @@ class TrajectoryModel:
         state: ArrayLike | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> GaussianMixture:
-        """The mixture over [time, position, velocity, acceleration] in a situation; parameters as for `retrieve`."""
+        """The mixture in a situation.
+
+        Parameters
+        ----------
+        frames, state, weights
+            as for `retrieve`
+
+        Returns
+        -------
+        GaussianMixture
+            over [time, position, velocity, acceleration]
+        """
         points = self.manifold
         if state is not None:
             state = np.concatenate([[0.0], np.asarray(state, dtype=float), np.zeros(2 * points.tangent_dim)])
@@ -205,8 +231,8 @@ class TrajectoryModel:
 class SmoothTrajectory:
     """A trajectory model as a `TimeParametrized`: solved once for each situation, and interpolated between its steps.
 
-    Where frames have moved little, the search begins at the former solution, which saves most of the Gauss-Newton
-    steps. The result depends on the situation alone, up to 1e-7 m or rad.
+    Where frames have moved little, the search begins at the former solution and with its factor, which saves most of
+    the Gauss-Newton steps and most of the time of each. The result depends on the situation alone, up to 1e-7 m or rad.
 
     Parameters
     ----------
@@ -249,7 +275,7 @@ class SmoothTrajectory:
         mixture = self._model.adapt(frames, state, weights)
         former = None
         if self._solved is not None and self._are_near(self._solved[0], mixture):
-            former = self._solved[1].points
+            former = self._solved[1]
         self._solved = mixture, _smoothest(mixture, self._grid, self._windows, self._states, former)
 
     def _are_near(self, one: GaussianMixture, other: GaussianMixture) -> bool:
@@ -284,7 +310,12 @@ class SmoothTrajectory:
         return means, _spread(mixture, within, self._model.activations(within), means), activations[0]
 
     def mixture(self) -> GaussianMixture:
-        """The model in this situation, over [time, position, velocity, acceleration].
+        """The model in this situation.
+
+        Returns
+        -------
+        GaussianMixture
+            over [time, position, velocity, acceleration]
 
         Raises
         ------
@@ -304,15 +335,15 @@ def _smoothest(
     times: Array,
     windows: tuple[NDArray[np.intp], Array],
     states: NDArray[np.intp],
-    former: Array | None = None,
+    former: Smooth | None = None,
 ) -> Smooth:
-    """`smoothest` for a mixture over [time, position, velocity, acceleration]; from former points (T, D) if given."""
+    """`smoothest` for a mixture over [time, position, velocity, acceleration]; from a former solution if given."""
     factors = np.linalg.inv(np.linalg.cholesky(mixture.covariances[:, 1:, 1:]))
     means = np.ascontiguousarray(mixture.means[:, 1:])
     manifold = point_manifold(mixture.manifold)
     precisions = np.swapaxes(factors, 1, 2) @ factors
     if former is not None:
-        return smoothest(*windows, means, precisions, states, manifold, former, WARM_TOLERANCE)
+        return smoothest(*windows, means, precisions, states, manifold, former.points, WARM_TOLERANCE, former)
     start = _between(times, states, means[:, : manifold.dim], manifold)
     return smoothest(*windows, means, precisions, states, manifold, start)
 

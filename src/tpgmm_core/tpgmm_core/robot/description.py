@@ -30,7 +30,8 @@ from xml.parsers import expat
 
 from tpgmm_core.common.safe_yaml import YamlError
 from tpgmm_core.common.text import listed, one_line, shown
-from tpgmm_core.common.yaml_sections import Section, a_number, a_text, numbers, some_names
+from tpgmm_core.common.yaml_sections import Section
+from tpgmm_core.common.yaml_values import a_number, a_text, numbers, some_names
 
 PACKAGE_SCHEME = "package://"
 REQUIRED_KEYS = ("urdf", "base_frame", "joint_groups", "endpoints", "home")

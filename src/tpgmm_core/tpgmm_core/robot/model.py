@@ -17,22 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
+from tpgmm_core.robot.data import RobotData
 from tpgmm_core.robot.description import Endpoint, RobotDescription, RobotFileError
 from tpgmm_core.robot.fit import check_inertia, check_mimics
+from tpgmm_core.robot.joint_values import JointValues, unit_of
 from tpgmm_core.robot.urdf import read_urdf
 from tpgmm_core.robot.urdf_tree import Mimic
-
-# No joint of an arm has more (N m or N; rad/s or m/s): URDFs hold larger numbers where the limit was not known.
-CREDIBLE_EFFORT = 1000.0
-CREDIBLE_VELOCITY = 100.0
-#: Units of joints that turn, and of those that slide.
-UNITS = {
-    "position": ("rad", "m"),
-    "velocity": ("rad/s", "m/s"),
-    "effort": ("N m", "N"),
-    "inertia": ("kg m^2", "kg"),
-}
-AXES = pin.LOCAL_WORLD_ALIGNED
 
 
 class RobotModel:
@@ -93,19 +83,22 @@ class RobotModel:
 
         self.mimics: Mapping[str, Mimic] = urdf.tree.mimics
         check_mimics(description, urdf.tree)
-        self._check_names(description)
-        self.effort_limits = self._limits(description, "effort", model.effortLimit)
-        self.velocity_limits = self._limits(description, "velocity", model.velocityLimit)
+        joints = JointValues(description, model, self.mimics)
+        joints.check_names()
+        self.effort_limits = joints.limits("effort", model.effortLimit)
+        self.velocity_limits = joints.limits("velocity", model.velocityLimit)
         endless = np.array([name in urdf.endless for name in self.joint_names], dtype=bool)
-        self.lower_limits = self._limits(description, "lower", np.where(endless, -np.inf, model.lowerPositionLimit))
-        self.upper_limits = self._limits(description, "upper", np.where(endless, np.inf, model.upperPositionLimit))
+        self.lower_limits = joints.limits("lower", np.where(endless, -np.inf, model.lowerPositionLimit))
+        self.upper_limits = joints.limits("upper", np.where(endless, np.inf, model.upperPositionLimit))
         self._endless = np.flatnonzero(np.isinf(self.upper_limits - self.lower_limits))
-        self.torque_rates = self._limits(description, "torque_rate", np.full(model.nv, np.inf))
-        self.viscous_friction = self._spread(model.damping, description.friction, "viscous")
-        self.coulomb_friction = self._spread(model.friction, description.friction, "coulomb")
-        model.armature = self._spread(model.armature, description.armature, "inertia")
+        self.torque_rates = joints.limits("torque_rate", np.full(model.nv, np.inf))
+        self.viscous_friction = joints.spread(model.damping, description.friction, "viscous")
+        self.coulomb_friction = joints.spread(model.friction, description.friction, "coulomb")
+        model.armature = joints.spread(model.armature, description.armature, "inertia")
         self.home = self.ordered(tuple(description.home), tuple(description.home.values()))
-        self._check_values(description)
+        joints.check_ranges(self.lower_limits, self.upper_limits, self.home, self.torque_rates)
+        joints.check_not_negative("friction", self.viscous_friction, self.coulomb_friction)
+        joints.check_not_negative("armature", model.armature)
         check_inertia(description, model, self.home)
         model.effortLimit, model.velocityLimit = self.effort_limits, self.velocity_limits
         model.lowerPositionLimit, model.upperPositionLimit = self.lower_limits, self.upper_limits
@@ -141,7 +134,7 @@ class RobotModel:
 
     def create_data(self) -> RobotData:
         """Scratch memory for one loop."""
-        return RobotData(self)
+        return RobotData(self.pinocchio, self.endpoint_frame_ids, self.world_to_base)
 
     def unit(self, joint: str, quantity: str) -> str:
         """Unit of a quantity of a joint; it depends on whether the joint turns or slides.
@@ -158,8 +151,7 @@ class RobotModel:
         str
             such as "rad" or "m"
         """
-        is_prismatic = self.pinocchio.joints[self._index[joint] + 1].shortname().startswith("JointModelP")
-        return UNITS[quantity][is_prismatic]
+        return unit_of(self.pinocchio, self._index[joint], quantity)
 
     def indices(self, joints: str | Sequence[str]) -> NDArray[np.intp]:
         """Indices in joint vectors of a group, or of joints by name.
@@ -274,147 +266,3 @@ class RobotModel:
                 f"twice {listed(twice)}"
             )
         return np.array([names.index(name) for name in self.joint_names], dtype=np.intp)
-
-    def _check_names(self, description: RobotDescription) -> None:
-        groups = [joint for joints in self.joint_groups.values() for joint in joints]
-        for key, names in (
-            ("joint_groups", groups),
-            ("limits", list(description.limits)),
-            ("friction", list(description.friction)),
-            ("armature", list(description.armature)),
-            ("home", list(description.home)),
-        ):
-            unknown = sorted({name for name in names if name not in self._index})
-            if unknown:
-                raise RobotFileError(
-                    f"{description.path}: {key} names the unknown joints {listed(unknown)}; "
-                    f"the URDF has {listed(self.joint_names, 40)}"
-                )
-        missing = [name for name in self.joint_names if name not in description.home]
-        if missing:
-            raise RobotFileError(
-                f"{description.path}: home lacks the joints {listed(missing, 40)}; give their positions, or lock "
-                f"those that are not commanded here: locked: {{{missing[0]}: POSITION}}"
-            )
-        frames = [self.base_frame, *(end.frame for end in self.endpoints.values())]
-        absent = [frame for frame in frames if not self.pinocchio.existFrame(frame)]
-        if absent:
-            raise RobotFileError(f"{description.path}: the URDF {description.urdf.name} has no frames {listed(absent)}")
-
-    def _spread(self, default: ArrayLike, entries: Mapping[str, Mapping[str, float]], word: str) -> Array:
-        values = np.array(default, dtype=np.float64)
-        for joint, entry in entries.items():
-            values[self._index[joint]] = entry.get(word, values[self._index[joint]])
-        return values
-
-    def _limits(self, description: RobotDescription, word: str, urdf: ArrayLike) -> Array:
-        values = self._spread(urdf, description.limits, word)
-        if word in ("effort", "velocity"):
-            bound = CREDIBLE_EFFORT if word == "effort" else CREDIBLE_VELOCITY
-            for joint, value in zip(self.joint_names, values, strict=True):
-                if not 0.0 < value <= bound:
-                    raise RobotFileError(
-                        f"{description.path}: {word} limit {value:g} of {joint!r} is not credible (expected "
-                        f"above 0, up to {bound:g} {self.unit(joint, word)}); give the real one: limits: {{{joint}: "
-                        f"{{{word}: ...}}}}, or take a joint that has no motor out of the model: locked: {{{joint}: "
-                        f"POSITION}}{self._more_to_say(joint, word, values, bound)}"
-                    )
-        return values
-
-    def _more_to_say(self, first: str, word: str, values: Array, bound: float) -> str:
-        """Words about whether a joint mimics another, and about other joints with the same problem."""
-        leader = ""
-        if first in self.mimics:
-            leader = f". It mimics {self.mimics[first].leader}: left out of home, it stands where its leader puts it"
-        wrong = ~((values > 0.0) & (values <= bound))
-        others = [joint for joint, bad in zip(self.joint_names, wrong, strict=True) if bad and joint != first]
-        return leader + (f". So are the {word} limits of {listed(others, 40)}" if others else "")
-
-    def _check_values(self, description: RobotDescription) -> None:
-        for i, joint in enumerate(self.joint_names):
-            lower, upper, home = self.lower_limits[i], self.upper_limits[i], self.home[i]
-            if not lower < upper:
-                raise RobotFileError(
-                    f"{description.path}: {joint!r} may move from {lower:g} to {upper:g} "
-                    f"{self.unit(joint, 'position')}, an empty range; give the "
-                    f"real limits: limits: {{{joint}: {{lower: ..., upper: ...}}}}"
-                )
-            if not lower <= home <= upper:
-                raise RobotFileError(
-                    f"{description.path}: home of {joint!r} is {home:g}, outside {lower:g} to {upper:g} "
-                    f"{self.unit(joint, 'position')}"
-                )
-            if not self.torque_rates[i] > 0.0:
-                raise RobotFileError(
-                    f"{description.path}: torque_rate of {joint!r} is {self.torque_rates[i]:g} N m/s; expected one "
-                    "above 0, or none where the maker gives none"
-                )
-            if self.viscous_friction[i] < 0.0 or self.coulomb_friction[i] < 0.0:
-                raise RobotFileError(f"{description.path}: friction of {joint!r} must not be negative")
-            if self.pinocchio.armature[i] < 0.0:
-                raise RobotFileError(f"{description.path}: armature of {joint!r} must not be negative")
-
-
-class RobotData:
-    """Kinematics and dynamics at one state; call `update` first. Not for two threads at once."""
-
-    def __init__(self, robot: RobotModel) -> None:
-        self.robot = robot
-        self._model = robot.pinocchio
-        # Apart, since the dynamics algorithms overwrite velocities and accelerations of the kinematics
-        self._data = self._model.createData()
-        self._dynamics = self._model.createData()
-        self._frame_ids = robot.endpoint_frame_ids
-        self._zero = np.zeros(robot.nv)
-        rotation = robot.world_to_base.rotation
-        # blkdiag(R, R) turns motions and forces from world to base axes; most robots have the same axes for
-        # both
-        aligned = np.allclose(rotation, np.eye(3), rtol=0.0, atol=1e-12)
-        self._turn = None if aligned else np.kron(np.eye(2), rotation)
-
-    def update(self, q: Array, v: Array | None = None) -> None:
-        """Kinematics at joint positions q and velocities v (nv,), zero if not given."""
-        pin.forwardKinematics(self._model, self._data, q, self._zero if v is None else v, self._zero)
-        pin.computeJointJacobians(self._model, self._data)
-        pin.updateFramePlacements(self._model, self._data)
-
-    def pose(self, endpoint: str) -> Array:
-        """Pose [x, y, z, qx, qy, qz, qw] of an end point in the base frame, m."""
-        return self.frame_pose(self._frame_ids[endpoint])
-
-    def frame_pose(self, frame_id: int) -> Array:
-        """Pose [x, y, z, qx, qy, qz, qw] of any frame of the URDF in the base frame, m."""
-        return pin.SE3ToXYZQUAT(self.robot.world_to_base.act(self._data.oMf[frame_id]))
-
-    def twist(self, endpoint: str) -> Array:
-        """Velocity (6,) of an end point in base axes: linear m/s, then angular rad/s."""
-        motion = pin.getFrameVelocity(self._model, self._data, self._frame_ids[endpoint], AXES)
-        return self._in_base(motion.vector)
-
-    def jacobian(self, endpoint: str) -> Array:
-        """Jacobian (6, nv) with `twist = J v`."""
-        return self.frame_jacobian(self._frame_ids[endpoint])
-
-    def frame_jacobian(self, frame_id: int) -> Array:
-        """Jacobian (6, nv) of any frame of the URDF: motion of its origin, in base axes."""
-        return self._in_base(pin.getFrameJacobian(self._model, self._data, frame_id, AXES))
-
-    def bias_acceleration(self, endpoint: str) -> Array:
-        """Acceleration `Jdot v` (6,) of an end point when no joint accelerates, in base axes."""
-        motion = pin.getFrameClassicalAcceleration(self._model, self._data, self._frame_ids[endpoint], AXES)
-        return self._in_base(motion.vector)
-
-    def mass_matrix(self, q: Array) -> Array:
-        """Joint-space inertia M(q), (nv, nv). The array is overwritten by the next call."""
-        return pin.crba(self._model, self._dynamics, q)
-
-    def nonlinear_effects(self, q: Array, v: Array) -> Array:
-        """Gravity, Coriolis and centrifugal torques (nv,). The array is overwritten by the next call."""
-        return pin.nonLinearEffects(self._model, self._dynamics, q, v)
-
-    def gravity(self, q: Array) -> Array:
-        """Torques (nv,) that hold the robot at q. The array is overwritten by the next call."""
-        return pin.computeGeneralizedGravity(self._model, self._dynamics, q)
-
-    def _in_base(self, motion: Array) -> Array:
-        return motion if self._turn is None else self._turn @ motion

@@ -296,7 +296,24 @@ def those_of(
     derived: DerivedFrames,
     start: Array | None,
 ) -> tuple[dict[str, Frame], dict[str, float]]:
-    """Of the frames that are known, those that a model has learned from, and how far each is trusted."""
+    """Those of the known frames that a model has learned from, derived ones included.
+
+    Parameters
+    ----------
+    retrieval
+        names the frames of the model
+    known
+        name → frame, and how far it is trusted
+    derived
+        frames that are made of others
+    start
+        where the hand was when the movement began; None where not known
+
+    Returns
+    -------
+    tuple[dict[str, Frame], dict[str, float]]
+        frames by name, and how far each is trusted
+    """
     frames = {name: frame for name, (frame, _) in known.items()}
     weights = {name: weight for name, (_, weight) in known.items()}
     frames |= derived.frames(frames, start)

@@ -36,6 +36,11 @@ def choose_for(
 ) -> Choice:
     """Choose what a model of recordings is learned with; the task file says where to begin.
 
+    Returns
+    -------
+    Choice
+        what was chosen, and all that was tried
+
     Raises
     ------
     ValueError

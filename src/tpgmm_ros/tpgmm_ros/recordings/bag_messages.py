@@ -53,6 +53,32 @@ class Messages:
     messages: tuple[Any, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """Numbers of one topic, in the order of the recorder.
+
+    Attributes
+    ----------
+    topic
+        the topic's name in the bag
+    stamps
+        (T,) header stamps in ns
+    recorded
+        (T,) times at which the recorder received the messages, in ns
+    values
+        (T, n)
+    """
+
+    topic: str
+    stamps: Nanoseconds
+    recorded: Nanoseconds
+    values: Array
+
+    def at(self, seen: Nanoseconds, times: Nanoseconds) -> Array:
+        """Values (S, n) at times (S,), linear between those seen at (T,) times that never decrease, ns."""
+        return np.column_stack([np.interp(times, seen, column) for column in self.values.T])
+
+
 def read_messages(path: Path, topics: Iterable[str], message_type: str) -> dict[str, Messages]:
     """Read topics of one type from one bag.
 

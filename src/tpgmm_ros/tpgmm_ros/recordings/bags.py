@@ -2,19 +2,19 @@
 """Bags to demonstrations: one clock, every frame at every sample of the movement, one common duration."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core import Demonstration, Frame
+from tpgmm_core import Demonstration
 from tpgmm_core.geometry import quaternion
-from tpgmm_core.model.derived_frames import DerivedFrames
-from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds
-from tpgmm_ros.recordings.joint_streams import JointStream, read_joint_stream
+from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds, Stream
+from tpgmm_ros.recordings.joint_streams import read_joint_stream
 from tpgmm_ros.recordings.pose_arrays import read_pose_array
-from tpgmm_ros.recordings.pose_streams import PoseStream, read_pose_streams
+from tpgmm_ros.recordings.pose_streams import read_pose_streams
+from tpgmm_ros.recordings.recording import Recording, align
 from tpgmm_ros.task.task_file import PoseArraySpec, Task
 
 __all__ = [
@@ -39,76 +39,6 @@ _CLOCK_BEHIND_S = 3600.0
 """A stamp may be old (a latched pose), but not from the future or from another clock (simulated time)."""
 
 _STORAGE_SUFFIXES = (".mcap", ".db3")
-
-
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """What one bag holds of a task, sampled where the movement was.
-
-    Attributes
-    ----------
-    path
-        the bag
-    times
-        (T,) s from the first sample, strictly increasing
-    movement
-        (T, 7) poses of what is demonstrated, in the base frame: x, y, z in m, qx, qy, qz, qw
-    frames
-        poses (T, 7) of every frame of the task: the latest observation at or before each sample
-    visible
-        masks (T,), False where a frame had not been seen yet
-    notes
-        what was put right or left out while reading, in words
-    configurations
-        (T, n) positions of the task's joints, rad and m; None for tasks that name none
-    derived
-        the task's frames that are made of those above, and of the first pose of the movement
-    """
-
-    path: Path
-    times: Array
-    movement: Array
-    frames: dict[str, Array]
-    visible: dict[str, NDArray[np.bool_]]
-    notes: tuple[str, ...] = ()
-    configurations: Array | None = None
-    derived: DerivedFrames = field(default_factory=DerivedFrames)
-
-    @property
-    def duration(self) -> float:
-        """Time from the first to the last sample in s."""
-        return float(self.times[-1])
-
-    def to_demonstration(self, duration: float | None = None) -> Demonstration:
-        """Demonstration of [time, pose], and of configurations where there are some, which frames leave as they are.
-
-        Parameters
-        ----------
-        duration
-            that the time is stretched to linearly, s; None: as recorded
-
-        Returns
-        -------
-        Demonstration
-            the demonstration
-        """
-        times = self.times if duration is None else self.times * (duration / self.duration)
-        joints = np.empty((len(times), 0)) if self.configurations is None else self.configurations
-        same = [Frame(np.eye(joints.shape[1]), np.zeros(joints.shape[1]))] if joints.size else []
-        demonstration = Demonstration(
-            times=times,
-            data=np.column_stack([times, self.movement, joints]),
-            frames={name: Frame.stacked([_frame(poses), *same]).with_time() for name, poses in self.frames.items()},
-            visible=self.visible,
-        )
-        return self.derived.extended(demonstration)
-
-
-def _frame(poses: Array) -> Frame:
-    """Frame of poses (T, 7); one constant map where the pose never changes."""
-    if (poses == poses[0]).all():
-        return Frame.from_pose(poses[0, :3], poses[0, 3:])
-    return Frame.from_pose(poses[:, :3], poses[:, 3:])
 
 
 def find_bags(paths: Iterable[str | Path]) -> list[Path]:
@@ -227,7 +157,7 @@ def _from_streams(path: Path, task: Task) -> Recording:
     streams = read_pose_streams(path, [task.movement, *task.topics.values()], task.base_frame)
     names = task.space.joints()
     joints = read_joint_stream(path, task.space.joint_states, names) if names else None
-    stamped: list[PoseStream | JointStream] = [*streams.values(), *([] if joints is None else [joints])]
+    stamped: list[Stream] = [*streams.values(), *([] if joints is None else [joints])]
     problem = _problem_of_stamps(streams[task.movement], stamped)
     notes = [f"{problem}: times of the recorder used"] if problem else []
     series: dict[str, tuple[Nanoseconds, Array]] = {}
@@ -236,7 +166,7 @@ def _from_streams(path: Path, task: Task) -> Recording:
         fresh = np.diff(ns, prepend=ns[0] - 1) > 0
         if not fresh.all():
             notes.append(f"{stream.topic}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
-        series[topic] = ns[fresh], stream.poses[fresh]
+        series[topic] = ns[fresh], stream.values[fresh]
 
     ns, movement = series[task.movement]
     frames: dict[str, Array] = {}
@@ -259,7 +189,7 @@ def _from_streams(path: Path, task: Task) -> Recording:
     return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes), configurations, task.derived)
 
 
-def _configurations(path: Path, joints: JointStream, at: Nanoseconds, by_recorder: bool) -> Array:
+def _configurations(path: Path, joints: Stream, at: Nanoseconds, by_recorder: bool) -> Array:
     """Positions (T, n) of joints at these times (T,), ns."""
     seen = joints.recorded if by_recorder else joints.stamps
     missed = 1e-9 * max(seen[0] - at[0], at[-1] - seen[-1])
@@ -268,7 +198,7 @@ def _configurations(path: Path, joints: JointStream, at: Nanoseconds, by_recorde
     return joints.at(seen, at)
 
 
-def _problem_of_stamps(movement: PoseStream, streams: Iterable[PoseStream | JointStream]) -> str | None:
+def _problem_of_stamps(movement: Stream, streams: Iterable[Stream]) -> str | None:
     """What forbids to use the header stamps of a bag, or None."""
     if movement.stamps[0] == movement.stamps[-1]:
         return f"{movement.topic} has stamps that never change"
@@ -323,30 +253,6 @@ def read_recordings(
         if progress is not None:
             progress(path)
     return good, bad
-
-
-def align(recordings: Sequence[Recording]) -> tuple[list[Demonstration], float]:
-    """Recordings as demonstrations of one duration.
-
-    Parameters
-    ----------
-    recordings
-        one or more
-
-    Returns
-    -------
-    tuple[list[Demonstration], float]
-        demonstrations with their times stretched linearly to the mean duration, and that duration, s
-
-    Raises
-    ------
-    ValueError
-        there are no recordings.
-    """
-    if not recordings:
-        raise ValueError("there are no recordings to align; expected at least one")
-    duration = float(np.mean([recording.duration for recording in recordings]))
-    return [recording.to_demonstration(duration) for recording in recordings], duration
 
 
 def read_demonstration(path: str | Path, task: Task) -> Demonstration:

@@ -3,45 +3,18 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from tpgmm_core.observation.joint_states import JointStateAssembler, JointStateError
 from tpgmm_core.observation.streams import RESTARTED_AFTER, SECOND, Stamp, StreamWatch
-from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds, read_messages
+from tpgmm_ros.recordings.bag_messages import Array, BagError, Stream, read_messages
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
-@dataclass(frozen=True, slots=True)
-class JointStream:
-    """What the topic holds, in the order of the recorder.
-
-    Attributes
-    ----------
-    topic
-        the topic's name in the bag
-    stamps
-        (T,) header stamps in ns
-    recorded
-        (T,) times at which the recorder received the messages, in ns
-    positions
-        (T, n), rad or m
-    """
-
-    topic: str
-    stamps: Nanoseconds
-    recorded: Nanoseconds
-    positions: Array
-
-    def at(self, seen: Nanoseconds, times: Nanoseconds) -> Array:
-        """Positions (S, n) at times (S,), linear between those seen at (T,) times that never decrease, ns."""
-        return np.column_stack([np.interp(times, seen, column) for column in self.positions.T])
-
-
-def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> JointStream:
+def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> Stream:
     """Read positions of joints from messages as the robot's drivers have published them.
 
     They become states as they do while a robot runs (`tpgmm_core.observation.joint_states`): a message may hold more
@@ -58,7 +31,7 @@ def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> JointStr
 
     Returns
     -------
-    JointStream
+    Stream
         positions (T, n) in the order of `joints`, with their stamps
 
     Raises
@@ -88,4 +61,4 @@ def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> JointStr
             "Record all their drivers, or correct the task file",
         )
     stamps, at, positions = zip(*states, strict=True)
-    return JointStream(several.topic, np.array(stamps, np.int64), np.array(at, np.int64), np.array(positions))
+    return Stream(several.topic, np.array(stamps, np.int64), np.array(at, np.int64), np.array(positions))

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from tpgmm_core.common.safe_yaml import YamlError
-from tpgmm_core.common.yaml_sections import Section, a_quaternion, numbers
+from tpgmm_core.common.yaml_sections import Section
+from tpgmm_core.common.yaml_values import a_quaternion, numbers
 from tpgmm_ros.recordings.bag_messages import Array, BagError, checked_poses, read_messages
 from tpgmm_ros.task.task_file import PoseArraySpec
 

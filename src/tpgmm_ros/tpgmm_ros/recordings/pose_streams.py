@@ -2,39 +2,16 @@
 """Topics of PoseStamped out of one bag."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from tpgmm_ros.recordings.bag_messages import Array, Nanoseconds, checked_poses, read_messages
+from tpgmm_ros.recordings.bag_messages import Stream, checked_poses, read_messages
 
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 
 
-@dataclass(frozen=True, slots=True)
-class PoseStream:
-    """What one topic holds, in the order of the recorder.
-
-    Attributes
-    ----------
-    topic
-        the topic's name in the bag
-    stamps
-        (T,) header stamps in ns
-    recorded
-        (T,) times at which the recorder received the messages, in ns
-    poses
-        (T, 7) x, y, z in m, qx, qy, qz, qw, unit quaternions of continuous sign
-    """
-
-    topic: str
-    stamps: Nanoseconds
-    recorded: Nanoseconds
-    poses: Array
-
-
-def read_pose_streams(path: Path, topics: Iterable[str], base_frame: str) -> dict[str, PoseStream]:
+def read_pose_streams(path: Path, topics: Iterable[str], base_frame: str) -> dict[str, Stream]:
     """Read PoseStamped topics of one bag.
 
     Topics are relative names. A bag recorded inside a namespace is understood when the namespace is the only
@@ -51,8 +28,8 @@ def read_pose_streams(path: Path, topics: Iterable[str], base_frame: str) -> dic
 
     Returns
     -------
-    dict[str, PoseStream]
-        by topic, as given
+    dict[str, Stream]
+        poses (T, 7) by topic, as given: x, y, z in m, qx, qy, qz, qw, unit quaternions of continuous sign
 
     Raises
     ------
@@ -63,11 +40,11 @@ def read_pose_streams(path: Path, topics: Iterable[str], base_frame: str) -> dic
     streams = {}
     for topic, several in read_messages(path, topics, POSE_STAMPED).items():
         headers = [message.header for message in several.messages]
-        streams[topic] = PoseStream(
+        streams[topic] = Stream(
             several.topic,
             stamps=np.array([h.stamp.sec * 1_000_000_000 + h.stamp.nanosec for h in headers], np.int64),
             recorded=several.recorded,
-            poses=checked_poses(
+            values=checked_poses(
                 path, several.topic, [m.pose for m in several.messages], [h.frame_id for h in headers], base_frame
             ),
         )

@@ -91,7 +91,20 @@ class Member(Node):
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., Any], qos_profile: Any, **options: Any
     ) -> Subscription:
-        """As of a node; what nodes of this process publish is handed over."""
+        """As of a node; what nodes of this process publish is handed over.
+
+        Parameters
+        ----------
+        msg_type, topic, callback, qos_profile
+            as for `Node.create_subscription`
+        **options
+            passed on
+
+        Returns
+        -------
+        Subscription
+            the subscription
+        """
         receiver: Receiver | None = None
 
         def take(data: bytes) -> None:
@@ -111,11 +124,37 @@ class Member(Node):
         return super().destroy_subscription(subscription)
 
     def create_timer(self, timer_period_sec: float, callback: Callable[..., Any], *args: Any, **options: Any) -> Timer:
-        """As of a node."""
+        """As of a node; what its callback raises ends this node alone.
+
+        Parameters
+        ----------
+        timer_period_sec, callback
+            as for `Node.create_timer`
+        *args, **options
+            passed on
+
+        Returns
+        -------
+        Timer
+            the timer
+        """
         return super().create_timer(timer_period_sec, lambda *given: self.call(callback, *given), *args, **options)
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any) -> Service:
-        """As of a node; a request that it fails at is answered by an empty response."""
+        """As of a node; a request that it fails at is answered by an empty response.
+
+        Parameters
+        ----------
+        srv_type, srv_name, callback
+            as for `Node.create_service`
+        **options
+            passed on
+
+        Returns
+        -------
+        Service
+            the service
+        """
 
         def answer(request: Any, response: Any) -> Any:
             answered = self.call(callback, request, response)
@@ -139,6 +178,11 @@ def composed(classes: Sequence[type[Node]]) -> list[type[Node]]:
     classes : sequence of type
         As they run alone. What one publishes is handed to the others in this order: what comes first in the way of
         the data comes first here, so that each tick is answered with what belongs to it.
+
+    Returns
+    -------
+    list[type[Node]]
+        classes whose nodes hand each other what they publish, in the order given
     """
     topics = LocalTopics()
     return [

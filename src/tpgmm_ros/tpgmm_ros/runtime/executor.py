@@ -107,11 +107,23 @@ def _no_log_file() -> str:
 
 
 def run(node_class: Callable[[], Node], args: list[str] | None = None) -> int:
-    """Create a node, serve it until it is told to stop, and end it. Returns the process's exit status.
+    """Create a node, serve it until it is told to stop, and end it.
 
     A node with a ``loop(executor, stop)`` method is given the thread; any other one answers events.
     A node that cannot start (``ValueError``, ``OSError``, a parameter out of range) ends with status 1 and one line
     that says why; arguments that are not ROS's end with 2.
+
+    Parameters
+    ----------
+    node_class
+        makes the node
+    args
+        of the command line; None: those of this process
+
+    Returns
+    -------
+    int
+        exit status of the process
     """
     args = sys.argv if args is None else args
     _parser(node_class).parse_args(remove_ros_args(args)[1:])
@@ -122,6 +134,18 @@ def run_together(classes: Sequence[type[Node]], args: list[str]) -> int:
     """The same for nodes that share this process (see `composition.composed`).
 
     What one of them raises ends that one alone. The status is 1 then, once the others have been told to stop.
+
+    Parameters
+    ----------
+    classes
+        of the nodes, in the order of the data
+    args
+        of the command line
+
+    Returns
+    -------
+    int
+        exit status of the process
     """
     return serve(composed(classes), args)
 
@@ -129,7 +153,22 @@ def run_together(classes: Sequence[type[Node]], args: list[str]) -> int:
 def serve(classes: Sequence[Callable[[], Node]], args: list[str]) -> int:
     """Create nodes, serve them until they are told to stop or the loop of one is over, and end them.
 
-    Returns the exit status, as `run` does.
+    Parameters
+    ----------
+    classes
+        make the nodes
+    args
+        of the command line
+
+    Returns
+    -------
+    int
+        exit status of the process
+
+    Raises
+    ------
+    ValueError
+        for several nodes that each make time go on
     """
     try:
         init(args)

@@ -20,6 +20,16 @@ def graph_problems(node: Node) -> list[str]:
 
     Nothing of it raises an error by itself: messages of incompatible quality of service just do not come, and of two
     that write to one topic, each command is followed by one of the other.
+
+    Parameters
+    ----------
+    node
+        whose topics are looked at
+
+    Returns
+    -------
+    list[str]
+        one sentence for each problem
     """
     found = []
     written = {publisher.topic_name for publisher in node.publishers}

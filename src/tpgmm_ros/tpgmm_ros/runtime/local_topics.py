@@ -103,7 +103,22 @@ class LocalTopics:
         self.version += 1
 
     def of(self, topic: str, kind: Any, qos: QoSProfile) -> list[Receiver]:
-        """Who gets what is published with this quality of service: those whom the middleware would connect, too."""
+        """Who gets what is published with a quality of service: those whom the middleware would connect, too.
+
+        Parameters
+        ----------
+        topic
+            full name
+        kind
+            type of its messages
+        qos
+            of the publisher
+
+        Returns
+        -------
+        list[Receiver]
+            the receivers
+        """
         return [
             item
             for item in self._receivers[topic, kind]

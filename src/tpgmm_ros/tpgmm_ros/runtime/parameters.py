@@ -73,6 +73,18 @@ def declared_of(config: type) -> list[Declared]:
 def fill[ConfigT](config: type[ConfigT], values: Mapping[str, Any]) -> ConfigT:
     """A dataclass from the values of its fields' names.
 
+    Parameters
+    ----------
+    config
+        the dataclass
+    values
+        by name; others may be among them
+
+    Returns
+    -------
+    ConfigT
+        an object of that class
+
     Raises
     ------
     ValueError
@@ -128,10 +140,20 @@ class Parameters:
     def file(self, name: str) -> str:
         """The value of a parameter that names a file.
 
+        Parameters
+        ----------
+        name
+            of the parameter
+
+        Returns
+        -------
+        str
+            the path
+
         Raises
         ------
         ValueError
-            it is not set.
+            where it is not set
         """
         value = str(self[name])
         if not value:
@@ -143,6 +165,16 @@ class Parameters:
 
     def fill[ConfigT](self, config: type[ConfigT]) -> ConfigT:
         """A dataclass whose fields are parameters of the same names.
+
+        Parameters
+        ----------
+        config
+            the dataclass
+
+        Returns
+        -------
+        ConfigT
+            an object of that class
 
         Raises
         ------

@@ -114,7 +114,13 @@ class NodeProcesses:
             )
 
     def check(self) -> None:
-        """Raises GraphError: a process ended on its own."""
+        """Check that all processes are running.
+
+        Raises
+        ------
+        GraphError
+            for a process that has ended on its own, with the end of its log
+        """
         for name, process in self._processes.items():
             status = process.poll()
             if status is not None:
@@ -213,6 +219,20 @@ class Graph:
     def result(self, future: Future, timeout: float, what: str) -> Any:
         """What a future (of a service or an action) comes to.
 
+        Parameters
+        ----------
+        future
+            the future
+        timeout
+            s
+        what
+            what is waited for, in words
+
+        Returns
+        -------
+        Any
+            its result
+
         Raises
         ------
         GraphError
@@ -245,6 +265,22 @@ class Graph:
 
         It is asked again every `ASK_AGAIN` seconds: the middleware drops a response where the server has not discovered
         yet who wants it, although it has the request.
+
+        Parameters
+        ----------
+        kind
+            type of the service
+        name
+            of the service
+        request
+            the request
+        timeout
+            s
+
+        Returns
+        -------
+        Any
+            the response
 
         Raises
         ------
@@ -280,6 +316,11 @@ def own_domain(domain: int | None = None, ros_log: Path | None = None) -> Iterat
         in place of a free one, for those who want to watch.
     ros_log
         directory of the log files that ROS writes; where it usually writes them without.
+
+    Yields
+    ------
+    None
+        nothing; the domain ends with the block
     """
     with ExitStack() as stack:
         if domain is None:
@@ -305,6 +346,11 @@ def open_graph(name: str, log_directory: Path, use_sim_time: bool = False) -> It
         see `NodeProcesses`.
     use_sim_time
         whether the node's clock is the simulated one.
+
+    Yields
+    ------
+    Graph
+        the node and the processes
     """
     node = Node(name, parameter_overrides=[Parameter("use_sim_time", value=use_sim_time)])
     executor = EventsExecutor()

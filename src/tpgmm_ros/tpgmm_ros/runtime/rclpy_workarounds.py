@@ -124,14 +124,36 @@ def parameter_overrides(node: Node) -> set[str]:
     """Names of the parameters that were given to a node at its start, declared or not.
 
     rclpy keeps those that no node declares to itself, and says nothing of them.
+
+    Parameters
+    ----------
+    node
+        the node
+
+    Returns
+    -------
+    set[str]
+        the names
     """
     return set(node._parameter_overrides)
 
 
 def waiting(subscription: Subscription, *, raw: bool = False) -> Iterator[Any]:
-    """The messages that have come since the executor has taken one; as bytes if they are to be raw.
+    """The messages that have come since the executor has taken one.
 
     rclpy hands messages to callbacks, one for each turn of an executor, and has no call to take what waits.
+
+    Parameters
+    ----------
+    subscription
+        whose messages they are
+    raw
+        whether they are to be bytes
+
+    Yields
+    ------
+    Any
+        a message
     """
     with subscription.handle:
         while (taken := subscription.handle.take_message(subscription.msg_type, raw)) is not None:

@@ -21,6 +21,16 @@ _CORES = re.compile(r"(?P<first>[0-9]{1,4})(-(?P<last>[0-9]{1,4}))?")
 def cores_of(text: str) -> set[int]:
     """Numbers of cores, as in ``0,2-3``; none for an empty text.
 
+    Parameters
+    ----------
+    text
+        numbers and ranges, separated by commas
+
+    Returns
+    -------
+    set[int]
+        the numbers
+
     Raises
     ------
     ValueError
@@ -50,8 +60,8 @@ def lock_memory() -> str:
 
     Returns
     -------
-    refusal : str
-        Empty, or why it was refused; then the process goes on without.
+    str
+        empty, or why it was refused; then the process goes on without
     """
     try:
         refused = ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT | _MCL_FUTURE)

@@ -10,6 +10,16 @@ def loop_clock(node: Node) -> Clock:
 
     Under ``use_sim_time`` it is the simulation's, so that a simulation that runs faster or slower than real time meets
     the same time-outs.
+
+    Parameters
+    ----------
+    node
+        whose parameter `use_sim_time` counts
+
+    Returns
+    -------
+    Clock
+        the clock
     """
     if node.get_parameter("use_sim_time").value:
         return node.get_clock()

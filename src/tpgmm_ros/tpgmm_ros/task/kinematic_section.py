@@ -32,7 +32,8 @@ from typing import Any, ClassVar
 from tpgmm_core import TPGMM
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
-from tpgmm_core.common.yaml_sections import Section, a_choice, a_name, a_number, a_topic
+from tpgmm_core.common.yaml_sections import Section
+from tpgmm_core.common.yaml_values import a_choice, a_name, a_number, a_topic
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.kinematics.frames import JointSpace, KinematicFrame, NullSpace, PreviousConfiguration
 from tpgmm_core.kinematics.hierarchy import Level, hierarchy_frames, level_names

@@ -26,8 +26,8 @@ from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.safe_yaml import YamlError
 from tpgmm_core.common.settings import configured
 from tpgmm_core.common.text import listed, shown
-from tpgmm_core.common.yaml_sections import (
-    Section,
+from tpgmm_core.common.yaml_sections import Section
+from tpgmm_core.common.yaml_values import (
     a_choice,
     a_name,
     a_number,

@@ -16,7 +16,7 @@ Progress = Callable[[int, float], None]
 """Called with the number of the iteration and the log-likelihood per sample."""
 
 
-class Course(NamedTuple):
+class IterationHistory(NamedTuple):
     """What the iterations came to, one number for each; converged : whether the last one gained too little."""
 
     log_likelihoods: Array
@@ -26,7 +26,7 @@ class Course(NamedTuple):
 
 def iterate(
     step: Callable[[], tuple[float, float]], *, tol: float, max_iter: int, progress: Progress | None = None
-) -> Course:
+) -> IterationHistory:
     """Iterate until a step gains less than `tol`, at the earliest after 5 steps.
 
     Parameters
@@ -42,7 +42,7 @@ def iterate(
 
     Returns
     -------
-    Course
+    IterationHistory
         Both numbers of each step.
     """
     log_likelihoods: list[float] = []
@@ -57,4 +57,4 @@ def iterate(
         if iteration >= MIN_ITERATIONS and objectives[-1] - objectives[-2] < tol:
             converged = True
             break
-    return Course(np.array(log_likelihoods), np.array(objectives), converged)
+    return IterationHistory(np.array(log_likelihoods), np.array(objectives), converged)

@@ -17,12 +17,11 @@ from tpgmm_core.learning.estimation.em import expectation
 from tpgmm_core.learning.estimation.emissions import Emissions
 from tpgmm_core.learning.estimation.iteration import Progress, iterate
 from tpgmm_core.learning.estimation.structured_em import start_emissions
-from tpgmm_core.learning.hidden_markov.markov import MarkovChain, SemiMarkovChain
+from tpgmm_core.learning.hidden_markov.chain import Chain
+from tpgmm_core.learning.hidden_markov.markov import MarkovChain
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.samples import Samples
-
-Chain = MarkovChain | SemiMarkovChain
 
 
 @dataclass(frozen=True, slots=True, eq=False)

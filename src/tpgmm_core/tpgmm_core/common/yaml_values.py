@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readers of single values of YAML files: each makes a value, or raises ValueError with what was expected."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from typing import Any
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_TOPIC = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_QUATERNION_TOLERANCE = 1e-3
+"""How far from 1 the norm of a written quaternion may be: three or four digits are what people type."""
+
+
+def is_name(text: str) -> bool:
+    """Letters, digits and underscores, no digit first."""
+    return _NAME.fullmatch(text) is not None
+
+
+def a_name(value: Any) -> str:
+    """A value that must be a name.
+
+    Parameters
+    ----------
+    value
+        as YAML holds it
+
+    Returns
+    -------
+    str
+        the value
+
+    Raises
+    ------
+    ValueError
+        with what was expected
+    """
+    if not isinstance(value, str) or not is_name(value):
+        raise ValueError("a name of letters, digits and underscores")
+    return value
+
+
+def a_text(value: Any) -> str:
+    """A value that must be a text.
+
+    Parameters
+    ----------
+    value
+        as YAML holds it
+
+    Returns
+    -------
+    str
+        the value
+
+    Raises
+    ------
+    ValueError
+        with what was expected
+    """
+    if not isinstance(value, str):
+        raise ValueError("a text; quote it if it looks like something else")
+    return value
+
+
+def some_names(value: Any) -> tuple[str, ...]:
+    """A value that must be a list of names, at least one.
+
+    Parameters
+    ----------
+    value
+        as YAML holds it
+
+    Returns
+    -------
+    tuple[str, ...]
+        the names
+
+    Raises
+    ------
+    ValueError
+        with what was expected
+    """
+    if not isinstance(value, list) or not value or not all(isinstance(name, str) for name in value):
+        raise ValueError("a list of names; quote names that look like something else, such as '1' or 'on'")
+    if len(set(value)) != len(value):
+        raise ValueError("a list of names, none of them twice")
+    return tuple(value)
+
+
+def a_topic(value: Any) -> str:
+    """A value that must be a relative topic.
+
+    Parameters
+    ----------
+    value
+        as YAML holds it
+
+    Returns
+    -------
+    str
+        the value
+
+    Raises
+    ------
+    ValueError
+        with what was expected
+    """
+    if not isinstance(value, str) or not _TOPIC.fullmatch(value):
+        raise ValueError("a relative topic such as object/pose (no leading slash, so that namespaces work)")
+    return value
+
+
+def a_number(least: float = -math.inf) -> Callable[[Any], float]:
+    """A reader of finite numbers of at least `least`."""
+
+    def read(value: Any) -> float:
+        what = "a finite number" + (f" of at least {least:g}" if math.isfinite(least) else "")
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(what)
+        try:
+            number = float(value)
+        except OverflowError:
+            raise ValueError(what) from None
+        if not math.isfinite(number) or number < least:
+            raise ValueError(what)
+        return number
+
+    return read
+
+
+def numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
+    """A reader of lists of so many finite numbers."""
+
+    def read(value: Any) -> tuple[float, ...]:
+        if not isinstance(value, list) or len(value) != count:
+            raise ValueError(f"{count} finite numbers")
+        try:
+            return tuple(a_number()(number) for number in value)
+        except ValueError:
+            raise ValueError(f"{count} finite numbers") from None
+
+    return read
+
+
+def a_quaternion(value: Any) -> tuple[float, ...]:
+    """A value that must be four numbers of unit length.
+
+    Parameters
+    ----------
+    value
+        as YAML holds it
+
+    Returns
+    -------
+    tuple[float, ...]
+        qx, qy, qz, qw, normalised
+
+    Raises
+    ------
+    ValueError
+        with what was expected
+    """
+    try:
+        quaternion = numbers(4)(value)
+    except ValueError:
+        quaternion = (0.0,)
+    norm = math.hypot(*quaternion)
+    if abs(norm - 1.0) > _QUATERNION_TOLERANCE:
+        raise ValueError("four finite numbers qx qy qz qw of norm 1")
+    return tuple(number / norm for number in quaternion)
+
+
+def an_integer(least: int) -> Callable[[Any], int]:
+    """A reader of whole numbers of at least `least`."""
+
+    def read(value: Any) -> int:
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value < 2**32:
+            raise ValueError(f"a whole number of at least {least}")
+        return value
+
+    return read
+
+
+def a_choice(*choices: str) -> Callable[[Any], str]:
+    """A reader of texts that are one of these."""
+
+    def read(value: Any) -> str:
+        if not isinstance(value, str) or value not in choices:
+            raise ValueError("one of " + ", ".join(choices))
+        return value
+
+    return read

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`Recording`: what one bag holds of a task, and demonstrations of one duration from several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core import Demonstration, Frame
+from tpgmm_core.model.derived_frames import DerivedFrames
+from tpgmm_ros.recordings.bag_messages import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What one bag holds of a task, sampled where the movement was.
+
+    Attributes
+    ----------
+    path
+        the bag
+    times
+        (T,) s from the first sample, strictly increasing
+    movement
+        (T, 7) poses of what is demonstrated, in the base frame: x, y, z in m, qx, qy, qz, qw
+    frames
+        poses (T, 7) of every frame of the task: the latest observation at or before each sample
+    visible
+        masks (T,), False where a frame had not been seen yet
+    notes
+        what was put right or left out while reading, in words
+    configurations
+        (T, n) positions of the task's joints, rad and m; None for tasks that name none
+    derived
+        the task's frames that are made of those above, and of the first pose of the movement
+    """
+
+    path: Path
+    times: Array
+    movement: Array
+    frames: dict[str, Array]
+    visible: dict[str, NDArray[np.bool_]]
+    notes: tuple[str, ...] = ()
+    configurations: Array | None = None
+    derived: DerivedFrames = field(default_factory=DerivedFrames)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample in s."""
+        return float(self.times[-1])
+
+    def to_demonstration(self, duration: float | None = None) -> Demonstration:
+        """Demonstration of [time, pose], and of configurations where there are some, which frames leave as they are.
+
+        Parameters
+        ----------
+        duration
+            that the time is stretched to linearly, s; None: as recorded
+
+        Returns
+        -------
+        Demonstration
+            the demonstration
+        """
+        times = self.times if duration is None else self.times * (duration / self.duration)
+        joints = np.empty((len(times), 0)) if self.configurations is None else self.configurations
+        same = [Frame(np.eye(joints.shape[1]), np.zeros(joints.shape[1]))] if joints.size else []
+        demonstration = Demonstration(
+            times=times,
+            data=np.column_stack([times, self.movement, joints]),
+            frames={name: Frame.stacked([_frame(poses), *same]).with_time() for name, poses in self.frames.items()},
+            visible=self.visible,
+        )
+        return self.derived.extended(demonstration)
+
+
+def _frame(poses: Array) -> Frame:
+    """Frame of poses (T, 7); one constant map where the pose never changes."""
+    if (poses == poses[0]).all():
+        return Frame.from_pose(poses[0, :3], poses[0, 3:])
+    return Frame.from_pose(poses[:, :3], poses[:, 3:])
+
+
+def align(recordings: Sequence[Recording]) -> tuple[list[Demonstration], float]:
+    """Recordings as demonstrations of one duration.
+
+    Parameters
+    ----------
+    recordings
+        one or more
+
+    Returns
+    -------
+    tuple[list[Demonstration], float]
+        demonstrations with their times stretched linearly to the mean duration, and that duration, s
+
+    Raises
+    ------
+    ValueError
+        there are no recordings.
+    """
+    if not recordings:
+        raise ValueError("there are no recordings to align; expected at least one")
+    duration = float(np.mean([recording.duration for recording in recordings]))
+    return [recording.to_demonstration(duration) for recording in recordings], duration
