@@ -76,13 +76,15 @@ bags: setup ## record the demonstrations in bags/ again
 	rm -rf bags/pick_place
 	$(DEMOS)/scripted_lessons --perception exact --output bags/pick_place
 
-results: setup ## compute the numbers of docs/reference/results.md: leave-one-out on real demonstrations (DATA=directory of the data sets)
+SETS = --set config/baxter_valve.yaml $(DATA)/baxter_valve --set config/franka_bolts.yaml $(DATA)/franka_bolts \
+	--set config/pick_place.yaml bags/pick_place
+results: setup ## compute the numbers of docs/reference/results.md: leave-one-out on real demonstrations (hours; DATA=directory of the data sets)
 	$(PROGRAMS)/train --task config/baxter_valve.yaml --leave-one-out --report out/results/baxter_valve \
 		$(DATA)/baxter_valve
 	PYTHONPATH=. $(PYTHON) benchmarks/valve_selection.py --data $(DATA)/baxter_valve
 	PYTHONPATH=. $(PYTHON) benchmarks/retrieval_table.py --data $(DATA)
-	PYTHONPATH=. $(PYTHON) benchmarks/irrelevant_frames.py
-	PYTHONPATH=. $(PYTHON) benchmarks/automatic.py
+	PYTHONPATH=. $(PYTHON) benchmarks/irrelevant_frames.py $(SETS)
+	PYTHONPATH=. $(PYTHON) benchmarks/automatic.py $(SETS)
 
 figures: setup ## draw figures 1 to 4 of the paper, weights of frames, extrapolation: out/figures/ (DATA=directory of the data sets)
 	@for number in 1 2 3 4; do PYTHONPATH=. $(PYTHON) examples/figure$$number.py || exit 1; done
