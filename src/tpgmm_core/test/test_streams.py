@@ -115,6 +115,7 @@ def test_a_step_between_two_messages_has_a_time_between_them_and_time_never_goes
     assert beat.between(19 * MS) == 1014 * MS
     assert beat.between(18 * MS) == 1014 * MS
     assert beat.between(24 * MS) is None  # the next message is near
+    assert beat.between(19 * MS, 0.0019) is not None and beat.between(19 * MS, 0.0021) is None  # it would take too long
     beat.take(1012 * MS, 20 * MS)  # it came earlier than expected, after a step that was later
     assert beat.step_ns == 1014 * MS
     beat.take(1022 * MS, 30 * MS)

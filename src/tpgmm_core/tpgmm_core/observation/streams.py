@@ -23,6 +23,8 @@ RESTARTED_AFTER = 0.25
 CHANGED = 0.1
 #: Up to this share of the period after a message, the next one is not near.
 BETWEEN = 0.9
+#: A step between two messages takes at most this share of the period: who is slower has no time for it.
+AFFORDED = 0.2
 
 
 class Stamp(enum.Enum):
@@ -208,21 +210,24 @@ class Beat:
         # where messages come irregularly, a step between two of them may have been late
         self.step_ns = stamp_ns if restarted else max(stamp_ns, self.step_ns)
 
-    def between(self, now_ns: int) -> int | None:
+    def between(self, now_ns: int, cost: float = 0.0) -> int | None:
         """The time of a step that is made now, on the clock of the stamps.
 
         Parameters
         ----------
         now_ns : int
             By the clock of `take`, ns.
+        cost : float
+            How long the last step took, s.
 
         Returns
         -------
         int or None
-            ns; None where the next message is near: as long after the last one as that came after the one before.
+            ns; None where the next message is near (as long after the last one as that came after the one before), and
+            where such a step would take too long.
         """
         elapsed = now_ns - self._received_ns
-        if not 0 < elapsed < BETWEEN * self._period_ns:
+        if not 0 < elapsed < BETWEEN * self._period_ns or cost * SECOND > AFFORDED * self._period_ns:
             return None
         self.step_ns = max(self.step_ns, self._stamp_ns + elapsed)
         return self.step_ns

@@ -271,7 +271,7 @@ class ReproductionNode(ManagedNode):
         """Frames have changed: their reference need not wait for the next joint state, where that is not near."""
         # Simulated time does not go on between two joint states as far as one can know.
         if self._barrier is None and not self._simulated and self.parameters["rate"] == 0.0:
-            if stamp_ns := self._beat.between(self._steady.now().nanoseconds):
+            if stamp_ns := self._beat.between(self._steady.now().nanoseconds, self.monitor.step.last):
                 self._step(stamp_ns, is_tick=False)
 
     def _step(self, stamp_ns: int, is_tick: bool = True) -> None:

@@ -30,10 +30,11 @@ class RecentTimes:
     def __init__(self, size: int = 1 << 16) -> None:
         self._values = np.full(size, 0.0)  # zeros would take their memory one by one, later
         self.count = 0
+        self.last = 0.0
 
     def add(self, value: float) -> None:
         """Record a value, s."""
-        self._values[self.count % len(self._values)] = value
+        self._values[self.count % len(self._values)] = self.last = value
         self.count += 1
 
     def percentile_ms(self, *percents: float) -> list[float]:
