@@ -10,7 +10,7 @@ from reaching import frames_at, place, reaching_demonstrations
 from tpgmm_core import Demonstration
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.situations import Coordinates, DemonstratedSituations, demonstrated_situations
+from tpgmm_core.learning.situations import DemonstratedSituations, FrameCoordinates, demonstrated_situations
 from worlds import moved, random_world
 
 ROBOT = place(0.0, 0.0, 0.0)
@@ -64,12 +64,12 @@ def test_coordinates_of_a_missing_frame_are_not_known_and_those_of_a_moved_world
     rng = np.random.default_rng(1)
     situations = [d.frames for d in reaching_demonstrations()]
     space = MANIFOLD.subset(range(1, 8))
-    coordinates = Coordinates.of(situations, space)
+    coordinates = FrameCoordinates.of(situations, space)
     assert coordinates(situations[0]).shape == (12,)
     half = coordinates({"object": situations[0]["object"]})
     assert np.isnan(half).sum() == 6
     world = random_world(7, rng)
     elsewhere = [moved(world, frames) for frames in situations]
-    again = Coordinates.of(elsewhere, space)
+    again = FrameCoordinates.of(elsewhere, space)
     for one, other in zip(situations, elsewhere, strict=True):
         assert np.linalg.norm(coordinates(one)) == pytest.approx(np.linalg.norm(again(other)), abs=1e-9)

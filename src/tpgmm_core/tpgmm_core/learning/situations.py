@@ -31,7 +31,7 @@ AXES = "xyz"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Coordinates:
+class FrameCoordinates:
     """Where frames are, as numbers: their images of the space's origin, in the tangent spaces at the means of these.
 
     Parameters
@@ -46,8 +46,8 @@ class Coordinates:
     means: Mapping[str, Array]
 
     @classmethod
-    def of(cls, situations: Sequence[Mapping[str, Frame]], manifold: Manifold) -> Coordinates:
-        """Coordinates about the mean of situations, frames over [time, data]; manifold of the data, without time."""
+    def of(cls, situations: Sequence[Mapping[str, Frame]], manifold: Manifold) -> FrameCoordinates:
+        """FrameCoordinates about the mean of situations, frames over [time, data]; manifold of the data, without time."""
         origin = manifold_origin(manifold)
         means = {
             name: manifold.mean(np.stack([_image(frames[name], origin) for frames in situations if name in frames]))
@@ -140,7 +140,7 @@ def demonstrated_situations(demonstrations: Sequence[Demonstration], manifold: M
     """
     space = manifold.subset(range(1, manifold.dim))
     situations = [first_frames(demonstration) for demonstration in demonstrations]
-    coordinates = Coordinates.of(situations, space)
+    coordinates = FrameCoordinates.of(situations, space)
     values = np.array([coordinates(frames) for frames in situations])
     values = np.where(np.isnan(values), np.nanmean(values, axis=0), values)
     ranges, names = np.ptp(values, axis=0), coordinates.names
@@ -178,7 +178,7 @@ def first_frames(demonstration: Demonstration) -> dict[str, Frame]:
     return found
 
 
-def _most_informative(coordinates: Coordinates, values: Array, chosen: NDArray[np.intp]) -> list[float]:
+def _most_informative(coordinates: FrameCoordinates, values: Array, chosen: NDArray[np.intp]) -> list[float]:
     """Positions of frames, and their turns from the mean, at the corner of the range with the largest leverage."""
     shown = values[:, chosen]
     low, high = shown.min(axis=0), shown.max(axis=0)
