@@ -47,7 +47,7 @@ class FrameCoordinates:
 
     @classmethod
     def of(cls, situations: Sequence[Mapping[str, Frame]], manifold: Manifold) -> FrameCoordinates:
-        """FrameCoordinates about the mean of situations, frames over [time, data]; manifold of the data, without time."""
+        """Coordinates about the mean of situations, frames over [time, data]; manifold of the data, without time."""
         origin = manifold_origin(manifold)
         means = {
             name: manifold.mean(np.stack([_image(frames[name], origin) for frames in situations if name in frames]))
