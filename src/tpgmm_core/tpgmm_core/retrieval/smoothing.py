@@ -30,7 +30,6 @@ MAX_ITERATIONS = 300
 STEP_TOLERANCE = 1e-11  # relative to the extent of the points, and in rad: steps shorter than this end the iteration
 LINEAR_STEP = 1e-3  # no step that is shorter than this is too long
 FACTOR_LEADS = 1e-2  # after a step shorter than this the factor still leads to the solution, by a hundredth each time
-KEPT_LEADS = 0.2  # a factor of a former situation is kept as long as each step is at most this much of the one before
 NOT_DEFINITE, NOT_CONVERGED = -1, -2
 
 
@@ -46,20 +45,17 @@ class Smooth:
         (T, n), per s and s²
     iterations
         steps that were taken
-    factor
-        (T n, 3 n), of the Hessian, for `smoothest` in a situation that is nearly the same
     """
 
     points: Array
     velocities: Array
     accelerations: Array
     iterations: int
-    factor: Array
 
 
 def smoothest(
     first: NDArray[np.intp], weights: Array, means: Array, precisions: Array, states: NDArray[np.intp],
-    manifold: Manifold, start: Array, tolerance: float = STEP_TOLERANCE, former: Smooth | None = None,
+    manifold: Manifold, start: Array, tolerance: float = STEP_TOLERANCE,
 ) -> Smooth:  # fmt: skip
     """Points (T, D) that fit best the positions, velocities and accelerations that the state at each time expects.
 
@@ -84,15 +80,11 @@ def smoothest(
         (T, D), where to begin; matters on S³ only
     tolerance
         steps shorter than this, relative to the extent of the points and in rad, end the iteration
-    former
-        of a situation that is nearly the same. The steps then begin with its factor, which takes a fourth of the time
-        of a new one, and end when what they leave out is below `tolerance`, as the last two of them show. Where it
-        leads too slowly (`KEPT_LEADS`), a new factor takes its place
 
     Returns
     -------
     Smooth
-        points, their derivatives and the factor
+        points and their derivatives
 
     Raises
     ------
@@ -102,10 +94,9 @@ def smoothest(
     points = np.array(start, dtype=float, order="C")
     T, n = len(points), manifold.tangent_dim
     rates = np.empty((T, 2 * n))
-    factor = np.empty((T * n, 3 * n)) if former is None else former.factor.copy()
     iterations = _solve(
         first, weights, means, precisions, states, manifold.ambient_of_tangent, manifold.sphere_starts,
-        tolerance, points, rates, factor, former is not None,
+        tolerance, points, rates,
     )  # fmt: skip
     if iterations == NOT_DEFINITE or iterations == NOT_CONVERGED and manifold.is_euclidean:
         raise ValueError(
@@ -117,7 +108,7 @@ def smoothest(
             f"no smooth trajectory was found in {MAX_ITERATIONS} steps: either the orientations of neighbouring states "
             "contradict each other (check the frames), or times are too close together (take longer time steps)"
         )
-    return Smooth(points, rates[:, :n], rates[:, n:], iterations, factor)
+    return Smooth(points, rates[:, :n], rates[:, n:], iterations)
 
 
 @compiled
@@ -272,19 +263,16 @@ def _extent(points: Array, flat: Array, spheres: Array) -> tuple[float, float]:
 @compiled
 def _solve(
     first: Array, weights: Array, means: Array, precisions: Array, states: Array, flat: Array, spheres: Array,
-    tolerance: float, points: Array, rates: Array, band: Array, is_kept: bool,
+    tolerance: float, points: Array, rates: Array,
 ) -> int:  # fmt: skip
-    """`smoothest` in place: points (T, D), rates (T, 2 n), and the factor, band, which is kept from before or not.
-
-    Returns the number of steps taken.
-    """
+    """`smoothest` in place: points (T, D), rates (T, 2 n). Returns the number of steps taken."""
     T, n = len(points), len(flat)
-    step, former_points = np.zeros(T * n), points.copy()
-    former_cost, length, iterations, is_factor = np.inf, np.inf, NOT_CONVERGED, is_kept
-    gain, is_rounded, left_out = np.inf, False, np.inf
+    band, step, former_points = np.empty((T * n, 3 * n)), np.zeros(T * n), points.copy()
+    former_cost, length, iterations, is_factor = np.inf, np.inf, NOT_CONVERGED, False
+    gain, is_rounded = np.inf, False
     is_curved = len(spheres) > 0
     for i in range(MAX_ITERATIONS):
-        with_hessian = not is_factor or (is_curved and length > FACTOR_LEADS and not is_kept)
+        with_hessian = not is_factor or (is_curved and length > FACTOR_LEADS)
         former_step = step.copy()
         cost = _assemble(
             first, weights, means, precisions, states, flat, spheres, points, rates, with_hessian, band, step
@@ -297,25 +285,18 @@ def _solve(
             former_cost = cost
             if with_hessian:
                 is_factor = cholesky_band(band)
-                is_kept = False
                 if not is_factor:
                     return NOT_DEFINITE
-            downhill, former_gain, former_length = step.copy(), gain, length
+            downhill, former_gain = step.copy(), gain
             solve_band(band, step)
             length, gain = longest(step), np.dot(step, downhill)
-            left_out = length
-            if is_kept:  # the steps are a geometric series, whose ratio the last two tell
-                ratio = length / former_length if former_length > 0.0 else 0.0
-                left_out = np.inf if i == 0 else length * ratio
-                if i > 0 and not ratio <= KEPT_LEADS:
-                    is_factor = is_kept = False
             is_rounded = bool(is_curved and 0.25 * former_gain < gain < ROUNDED_GAIN * len(step))
             former_points[:] = points
         points[:] = former_points
         for t in range(T):
             move(points[t], step[t * n : (t + 1) * n], flat, spheres)
         extent, largest = _extent(points, flat, spheres)
-        if is_rounded or left_out <= max(tolerance * extent, 4.0 * 2.2e-16 * largest):
+        if is_rounded or length <= max(tolerance * extent, 4.0 * 2.2e-16 * largest):
             iterations = i + 1
             break
     if iterations == NOT_CONVERGED:

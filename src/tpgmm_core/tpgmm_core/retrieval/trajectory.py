@@ -43,8 +43,8 @@ from tpgmm_core.retrieval.smoothing import Smooth, smoothest
 
 WARM_TURN = 0.2
 """A course begins at its former solution where no state turned by more than this, rad: from there it finds the same."""
-WARM_TOLERANCE = 1e-8
-"""Steps from a former solution end where what they leave out is below this, m or rad."""
+WARM_TOLERANCE = 1e-5
+"""Steps from a former solution end below this, rad: what is left out is less than a thousandth of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -231,8 +231,8 @@ class TrajectoryModel:
 class SmoothTrajectory:
     """A trajectory model as a `TimeParametrized`: solved once for each situation, and interpolated between its steps.
 
-    Where frames have moved little, the search begins at the former solution and with its factor, which saves most of
-    the Gauss-Newton steps and most of the time of each. The result depends on the situation alone, up to 1e-7 m or rad.
+    Where frames have moved little, the search begins at the former solution, which saves most of the Gauss-Newton
+    steps. The result depends on the situation alone, up to 1e-7 m or rad.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ class SmoothTrajectory:
         mixture = self._model.adapt(frames, state, weights)
         former = None
         if self._solved is not None and self._are_near(self._solved[0], mixture):
-            former = self._solved[1]
+            former = self._solved[1].points
         self._solved = mixture, _smoothest(mixture, self._grid, self._windows, self._states, former)
 
     def _are_near(self, one: GaussianMixture, other: GaussianMixture) -> bool:
@@ -335,15 +335,15 @@ def _smoothest(
     times: Array,
     windows: tuple[NDArray[np.intp], Array],
     states: NDArray[np.intp],
-    former: Smooth | None = None,
+    former: Array | None = None,
 ) -> Smooth:
-    """`smoothest` for a mixture over [time, position, velocity, acceleration]; from a former solution if given."""
+    """`smoothest` for a mixture over [time, position, velocity, acceleration]; from former points (T, D) if given."""
     factors = np.linalg.inv(np.linalg.cholesky(mixture.covariances[:, 1:, 1:]))
     means = np.ascontiguousarray(mixture.means[:, 1:])
     manifold = point_manifold(mixture.manifold)
     precisions = np.swapaxes(factors, 1, 2) @ factors
     if former is not None:
-        return smoothest(*windows, means, precisions, states, manifold, former.points, WARM_TOLERANCE, former)
+        return smoothest(*windows, means, precisions, states, manifold, former, WARM_TOLERANCE)
     start = _between(times, states, means[:, : manifold.dim], manifold)
     return smoothest(*windows, means, precisions, states, manifold, start)
 
