@@ -316,8 +316,8 @@ def test_an_interrupted_choice_saves_the_best_so_far(bags: Path, tmp_path: Path)
     driver = tmp_path / "interrupted.py"
     driver.write_text(INTERRUPTS_ITSELF)
     run = subprocess.run(
-        [sys.executable, driver, "--task", bags / "task.yaml", "--auto", "--workers", "1", "--every", "2"]
-        + ["--output", tmp_path / "model", "--report", tmp_path, bags],
+        [sys.executable, driver, "--task", bags / "task.yaml", "--auto", "--budget", "290s", "--workers", "1"]
+        + ["--every", "2", "--output", tmp_path / "model", "--report", tmp_path, bags],
         capture_output=True,
         text=True,
         timeout=300,
