@@ -156,7 +156,8 @@ def test_a_package_that_is_copied_elsewhere_is_built_with_its_configuration(tmp_
     (built,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(built) as archive:
         names = {Path(name).name for name in archive.namelist() if "/share/tpgmm_ros/config/" in name}
-    assert names == {path.name for path in (REPOSITORY / "config").glob("*.yaml")} != set()
+    expected = {path.name for path in (REPOSITORY / "config").rglob("*") if path.is_file()}
+    assert names == expected and {"pick_place.yaml", "this_machine.xml"} <= names
 
 
 @pytest.mark.parametrize("program", ["lib/tpgmm_ros/demo", "lib/tpgmm_demos/demo", "bin/another"])
