@@ -133,9 +133,10 @@ def test_frames_that_change_between_two_joint_states_are_answered_before_the_nex
         loop.wait(lambda: time.monotonic() >= end, "the time to pass")
 
     def is_answered() -> bool:
-        """After two joint states, 0.3 s apart, the object moves: the last torques answer the second state again."""
-        loop.live()
-        pause(0.3)
+        """After three joint states, 0.3 s apart, the object moves: the last torques answer the last state again."""
+        for _ in range(2):
+            loop.live()
+            pause(0.3)
         loop.live()
         pause(0.1)
         loop.torques.clear()

@@ -109,7 +109,10 @@ def test_who_names_most_joints_gives_the_beat_until_it_is_silent() -> None:
 def test_a_step_between_two_messages_has_a_time_between_them_and_time_never_goes_back() -> None:
     beat = Beat()
     assert beat.between(0) is None
+    beat.take(990 * MS, 0)
+    assert beat.between(MS) is None
     beat.take(1000 * MS, 5 * MS)
+    assert beat.between(6 * MS) is None
     beat.take(1010 * MS, 15 * MS)
     assert beat.between(15 * MS) is None
     assert beat.between(19 * MS) == 1014 * MS
@@ -120,5 +123,8 @@ def test_a_step_between_two_messages_has_a_time_between_them_and_time_never_goes
     assert beat.step_ns == 1014 * MS
     beat.take(1022 * MS, 30 * MS)
     assert beat.step_ns == 1022 * MS
+    beat.take(5022 * MS, 4030 * MS)  # after a pause
+    beat.take(5032 * MS, 4040 * MS)
+    assert beat.between(4060 * MS) is None and beat.between(4045 * MS) == 5037 * MS
     beat.take(10 * MS, 40 * MS, restarted=True)
     assert beat.step_ns == 10 * MS and beat.between(42 * MS) is None

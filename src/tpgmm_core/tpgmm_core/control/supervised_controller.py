@@ -82,7 +82,7 @@ class SupervisedController[TargetT]:
         self._answer: Answer | None = None
         self._answered_state = False
         self._q = self._v = np.zeros(0)
-        self._period_ns = 0
+        self._interval_ns = self._period_ns = 0
         self._sent_ns = self._watched_ns = 0
         self._paused = False
         self.decision = decide(Inputs(None, "", None, ""), self.timeouts)
@@ -183,7 +183,8 @@ class SupervisedController[TargetT]:
         if stale or self._state_fault:
             self.controller.restart()
         dt = self._since_last(stamp_ns if self._answered_state else None, now_ns)
-        self._period_ns = stamp_ns - (self._states.stamp_ns or stamp_ns)
+        former, self._interval_ns = self._interval_ns, stamp_ns - (self._states.stamp_ns or stamp_ns)
+        self._period_ns = min(former, self._interval_ns)  # a pause is no period
         self._states.accept(stamp_ns, now_ns)
         self._q, self._v = q, v
         self._rate.add(stamp_ns)

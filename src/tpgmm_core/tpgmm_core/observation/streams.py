@@ -191,7 +191,7 @@ class Beat:
     """
 
     def __init__(self) -> None:
-        self._period_ns = self._stamp_ns = self._received_ns = self.step_ns = 0
+        self._interval_ns = self._period_ns = self._stamp_ns = self._received_ns = self.step_ns = 0
 
     def take(self, stamp_ns: int, now_ns: int, restarted: bool = False) -> None:
         """A step with a message.
@@ -205,7 +205,8 @@ class Beat:
         restarted : bool
             Whether time has jumped backwards.
         """
-        self._period_ns = stamp_ns - self._stamp_ns
+        former, self._interval_ns = self._interval_ns, stamp_ns - self._stamp_ns if self._stamp_ns else 0
+        self._period_ns = min(former, self._interval_ns)  # a pause is no period
         self._stamp_ns, self._received_ns = stamp_ns, now_ns
         # where messages come irregularly, a step between two of them may have been late
         self.step_ns = stamp_ns if restarted else max(stamp_ns, self.step_ns)
@@ -223,8 +224,8 @@ class Beat:
         Returns
         -------
         int or None
-            ns; None where the next message is near (as long after the last one as that came after the one before), and
-            where such a step would take too long.
+            ns; None where the next message is near (by the shorter one of the last two intervals), where such a step
+            would take too long, and before the third message.
         """
         elapsed = now_ns - self._received_ns
         if not 0 < elapsed < BETWEEN * self._period_ns or cost * SECOND > AFFORDED * self._period_ns:
