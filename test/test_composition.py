@@ -120,36 +120,6 @@ def test_what_nodes_hand_over_is_on_the_topics_too_each_message_once(loop: Loop)
     assert set(stamps_of(references.messages)) & set(stamps_of(loop.torques.messages))
 
 
-def test_frames_that_change_between_two_joint_states_are_answered_before_the_next_one(loop: Loop) -> None:
-    slow = {"joint_state_timeout": 2.0, "reference_timeout": 2.0, "max_age": 2.0}
-    assert set_parameters(loop.node, "impedance_controller", **slow).successful
-    loop.move()
-    references = Inbox(loop.node, Reference, "reference")
-    place = np.array([0.65, 0.4, 0.0, 0.0, 0.0, 0.0, 1.0])
-
-    def pause(seconds: float) -> None:
-        end = time.monotonic() + seconds
-        loop.wait(lambda: time.monotonic() >= end, "the time to pass")
-
-    def is_answered() -> bool:
-        """After three joint states, 0.3 s apart, the object moves: the last torques answer the last state again."""
-        for _ in range(2):
-            loop.live()
-            pause(0.3)
-        loop.live()
-        pause(0.1)
-        loop.torques.clear()
-        references.clear()
-        place[1] = 0.9 - place[1]
-        loop.poses["object"].publish(conversions.pose_stamped(place, loop.hand.stamp_ns + 100_000_000, "base"))
-        pause(0.1)
-        stamps = stamps_of(loop.torques.messages)
-        between = [stamp - loop.hand.stamp_ns for stamp in stamps_of(references.messages)]
-        return stamps == [loop.hand.stamp_ns] and len(between) == 1 and 0 < between[0] < 300_000_000
-
-    loop.wait(is_answered, "an answer between two joint states")
-
-
 def test_a_reference_of_another_process_is_heard(loop: Loop) -> None:
     loop.live_until(lambda: loop.mode == ControllerMode.DAMPING, "the controller to wait for a reference")
     place = loop.hand.pose
