@@ -120,6 +120,23 @@ def test_what_nodes_hand_over_is_on_the_topics_too_each_message_once(loop: Loop)
     assert set(stamps_of(references.messages)) & set(stamps_of(loop.torques.messages))
 
 
+def test_frames_that_change_between_two_joint_states_are_answered_before_the_next_one_and_once(loop: Loop) -> None:
+    """Joint states are never late here, so that what answers one of them twice is not what silence calls for."""
+    never_late = {"joint_state_timeout": 5.0, "reference_timeout": 5.0, "max_age": 5.0}
+    assert set_parameters(loop.node, "impedance_controller", **never_late).successful
+    loop.move()
+    loop.torques.clear()
+    answers: Counter[int] = Counter()
+
+    def is_answered_again() -> bool:
+        answers.update(stamps_of(loop.torques.messages))
+        loop.torques.clear()
+        return sum(count == 2 for count in answers.values()) >= 3
+
+    loop.live_until(is_answered_again, "joint states to be answered once more")  # the frames change at each tick
+    assert max(answers.values()) == 2
+
+
 def test_a_reference_of_another_process_is_heard(loop: Loop) -> None:
     loop.live_until(lambda: loop.mode == ControllerMode.DAMPING, "the controller to wait for a reference")
     place = loop.hand.pose
