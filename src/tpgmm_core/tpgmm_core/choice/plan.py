@@ -16,6 +16,8 @@ STRUCTURES = ("diag", "full")
 MORE_STRUCTURES = ("tied", "mppca", "semi_tied")
 PRIORS = (1e-5, 1e-4, 1e-3, 1e-2)
 """Tried as `reg_covar` that is added, and as prior."""
+STRENGTHS = (0.0, 1.0, 3.0, 10.0, 30.0)
+"""Of the prior of the covariances, in demonstrations."""
 MORE_FRAMES = 2
 """Declared frames that the screen drops, up to which they are tried with every method all the same."""
 START = 7
@@ -56,7 +58,10 @@ class Plan:
             for K in COMPONENTS
         ]
         yield self._frames(search.leaders[0].trial)
-        yield self._structures(search.leaders[0].trial)
+        yield [
+            *self._structures(search.leaders[0].trial),
+            *(trial for result in search.leaders[:LEADERS] for trial in self._strengths(result.trial)),
+        ]
         best = search.leaders[0].trial
         yield [*self._frames(best), *self._components(best)]
 
@@ -88,6 +93,13 @@ class Plan:
             trial.changed(regularization=kind, reg_covar=strength) for kind in ("add", "prior") for strength in PRIORS
         ]
         return [*priors, *(trial.changed(covariance=structure) for structure in (*STRUCTURES, *MORE_STRUCTURES))]
+
+    @staticmethod
+    def _strengths(trial: Trial) -> list[Trial]:
+        """Other strengths of the prior: how much few demonstrations are believed is a matter of the demonstrations."""
+        recipe = trial.recipe
+        present = recipe.method.estimator(**recipe.arguments).prior_strength
+        return [trial.changed(prior_strength=strength) for strength in STRENGTHS if strength != present]
 
     def _components(self, trial: Trial) -> list[Trial]:
         if "n_components" not in trial.settings:
