@@ -24,7 +24,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
@@ -60,11 +60,12 @@ class ProMPTPGMM(TimeStepTPGMM):
         covariance_options: Mapping[str, Any] | None = None,
         prior_strength: float = PRIOR_STRENGTH,
         n_steps: int = 100,
+        locality: float = 0.0,
         n_basis: int = 20,
     ) -> None:
         super().__init__(
             n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
-            covariance, n_factors, covariance_options, prior_strength, n_steps,
+            covariance, n_factors, covariance_options, prior_strength, n_steps, locality,
         )  # fmt: skip
         self.n_basis = n_basis
 
@@ -87,6 +88,14 @@ class ProMPTPGMM(TimeStepTPGMM):
             within[t] = self._predictive(space, spread) + noise
         within[~shown.visible.any(axis=0)] *= UNSEEN
         return centres, within
+
+    def _deviations(self, shown: ShownToFrame, centres: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Those that the basis functions follow, of the demonstrations that the frame saw at some time."""
+        phi, known = basis(self.n_steps, self.n_basis), shown.visible.any(axis=1)
+        found = np.zeros((len(known), self.n_steps, shown.space.tangent_dim))
+        deviations = shown.space.log(centres[None], shown.held())
+        found[known] = np.einsum("ts,msn->mtn", phi @ np.linalg.pinv(phi), deviations)
+        return found, known[:, None] & shown.visible.any(axis=0)
 
     def _check_parameters(self) -> None:
         super()._check_parameters()

@@ -18,7 +18,7 @@ mean moves on with time. So model files, `adapt` and regression work as for othe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -29,7 +29,9 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.compiled_em import Estimate, MixtureParameters, Workspace
 from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.local_weights import ShownSteps
 from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.samples import Samples
 
 PRIOR_STRENGTH = 10.0
@@ -56,7 +58,17 @@ class TimeStepTPGMM(TPGMM):
         c, in demonstrations: how far covariances are shrunk
     n_steps
         number of time steps, from 2
+    locality
+        how much more demonstrations say whose situations are near (`tpgmm_core.learning.local_weights`); 0: all count
+        alike. The mixture of the steps, and so `adapt` and `score`, do not know of it; retrieval does
+
+    Attributes
+    ----------
+    shown_
+        `ShownSteps`: the demonstrations themselves, where `locality` is above 0; else None
     """
+
+    shown_: ShownSteps | None
 
     unused: ClassVar[frozenset[str]] = frozenset(
         (
@@ -82,12 +94,64 @@ class TimeStepTPGMM(TPGMM):
         covariance_options: Mapping[str, Any] | None = None,
         prior_strength: float = PRIOR_STRENGTH,
         n_steps: int = 100,
+        locality: float = 0.0,
     ) -> None:
         super().__init__(
             n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
             covariance, n_factors, covariance_options, prior_strength,
         )  # fmt: skip
         self.n_steps = n_steps
+        self.locality = locality
+
+    def fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
+        """Learn from demonstrations: see `TPGMM.fit`."""
+        super().fit(demonstrations, progress)
+        if self._is_local:
+            samples = self._samples(demonstrations)
+            deviations, seen = {}, []
+            for (name, x), mask in zip(samples.X.items(), samples.seen, strict=True):
+                shown = ShownToFrame.of(samples.manifolds[name], x, mask, samples, self.n_steps)
+                deviations[name], which = self._deviations(shown, self.means_[name][:, 1:])
+                seen.append(which)
+            space = self.manifold_.subset(range(1, self.manifold_.dim))
+            self.shown_ = ShownSteps.of(demonstrations, space, deviations, np.stack(seen))
+        return self
+
+    @property
+    def _is_local(self) -> bool:
+        return self.locality > 0.0 and "locality" not in self.unused
+
+    def _deviations(self, shown: ShownToFrame, centres: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Tangent vectors (m, T, n) from the means (T, D) of the steps to what the frame saw; what it saw, (m, T)."""
+        return shown.space.log(centres[None], shown.points) * shown.visible[:, :, None], shown.visible
+
+    def predictive(self, space: Manifold, deviations: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """What the covariances of steps are made of where all demonstrations count alike.
+
+        Parameters
+        ----------
+        space
+            of the points, without time
+        deviations
+            (m, T, n)
+        seen
+            (m, T), which of them count
+
+        Returns
+        -------
+        tuple[Array, Array]
+            B and R of the module, without `reg_covar`, (T, n, n); zeros where fewer than two were seen
+        """
+        c = self.prior_strength
+        B = np.zeros((seen.shape[1], space.tangent_dim, space.tangent_dim))
+        R = np.zeros_like(B)
+        for t, m in enumerate(seen.sum(axis=0).tolist()):
+            if m > 1:
+                spread = deviations[seen[:, t], t]
+                S = spread.T @ spread / (m - 1)
+                B[t] = isotropic(space, S)
+                R[t] = self._student(space, m) * ((m - 1) * S + c * B[t]) / (m - 1 + c)
+        return B, R
 
     def _fit(self, samples: Samples, progress: Progress | None) -> Self:
         T = self.n_steps
@@ -106,6 +170,7 @@ class TimeStepTPGMM(TPGMM):
         if progress is not None:
             progress(1, float(course[0]))
         self._learned(Estimate(parameters, course, course, converged=True), samples.manifold)
+        self.shown_ = None
         return self
 
     def _gaussians(self, shown: ShownToFrame) -> tuple[Array, Array]:
@@ -126,9 +191,14 @@ class TimeStepTPGMM(TPGMM):
         return np.asarray(R + self.reg_covar * np.eye(len(R)))
 
     @staticmethod
+    def block_size(space: Manifold) -> int:
+        """Dimensions of the smallest place or turn of a space."""
+        return min(block.stop - block.start for block in isotropic_blocks(space))
+
+    @staticmethod
     def _student(space: Manifold, m: int) -> float:
         """f(m) of the module."""
-        freedom = min(block.stop - block.start for block in isotropic_blocks(space)) * (m - 1)
+        freedom = TimeStepTPGMM.block_size(space) * (m - 1)
         return (1.0 + 1.0 / m) * freedom / max(freedom - 2.0, 1.0)
 
     @staticmethod
@@ -155,6 +225,17 @@ class TimeStepTPGMM(TPGMM):
         T = self.n_steps
         if not isinstance(T, int | np.integer) or isinstance(T, bool) or T < 2:
             raise ValueError(f"n_steps is an integer from 2, got {T!r}")
+        L = self.locality
+        if not isinstance(L, int | float | np.number) or not (np.isfinite(L) and L >= 0.0):
+            raise ValueError(f"locality is a finite number from 0, got {L!r}")
+
+    def _more_arrays(self) -> dict[str, Array]:
+        return {} if self.shown_ is None else self.shown_.arrays()
+
+    def _restore(self, arrays: Mapping[str, Array]) -> None:
+        self.shown_ = None
+        if self._is_local:
+            self.shown_ = ShownSteps.from_arrays(arrays, self.frame_manifolds_, len(self.priors_))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
