@@ -116,7 +116,11 @@ class Tree:
         # what lies beside the repository is found beside the copy too
         if (root.parent / "shared").is_dir():
             (directory.parent / "shared").symlink_to(root.parent / "shared")
-        self._imports = {path: _imports(path) for package in PACKAGES for path in (directory / package).rglob("*.py")}
+        self._imports = {
+            path: _imports(path)
+            for package in map(Path, PACKAGES)
+            for path in (directory / package / package.name).rglob("*.py")
+        }
 
     @contextmanager
     def with_fault(self, mutant: Mutant) -> Iterator[None]:
