@@ -258,10 +258,10 @@ def _frames(section: Section, movement: str, base_frame: str) -> tuple[dict[str,
             )
         taken[source] = f"the frame {name!r}"
         frames[name] = TaskFrameSpec(name, source)
-    for name, source in derived.items():
-        if source.of not in (*frames, HAND):
+    for name, made_of in derived.items():
+        if made_of.of not in (*frames, HAND):
             raise section.error(
-                f"has {shown(name)}, which is derived from {shown(source.of)}; expected an observed or fixed frame of "
+                f"has {shown(name)}, which is derived from {shown(made_of.of)}; expected an observed or fixed frame of "
                 f"this file: {listed(frames) or 'there is none'}"
             )
     return frames, DerivedFrames(derived)
