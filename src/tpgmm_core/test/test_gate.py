@@ -73,6 +73,17 @@ def test_what_moves_as_fast_as_it_can_is_always_followed(seed: int, period: floa
     assert likeliest_course(np.array(poses), np.array(stamps), LIMITS).kept.all()
 
 
+@pytest.mark.parametrize("period", PERIODS)
+@pytest.mark.parametrize("flip", FLIPS)
+def test_the_solution_of_a_tag_that_is_seen_more_often_wins_whichever_came_first(period: float, flip: str) -> None:
+    gate = LeapGate(LIMITS)
+    refused = [gate.judge(FLIPS[flip] if k % 4 == 0 else HOME, ns(k * period)) is not None for k in range(2000)]
+    switched = 6.0 * 3 * LIMITS.leap_time + 1.0  # of four poses three are for it and one against
+    late = np.arange(2000) >= round(switched / period)
+    assert late.sum() > 500
+    np.testing.assert_array_equal(np.array(refused)[late], (np.arange(2000) % 4 == 0)[late])
+
+
 def test_what_was_not_seen_for_a_while_may_be_anywhere() -> None:
     gate = LeapGate(LIMITS)
     gate.judge(HOME, ns(0.0))

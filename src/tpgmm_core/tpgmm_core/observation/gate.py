@@ -28,6 +28,9 @@ NOISE_WAY, NOISE_TURN = 0.03, 0.2
 FEWEST, FEWEST_FLIPS = 3, 10
 #: A turn on the spot has to persist for so many times the time of a leap.
 FLIP_PATIENCE = 3.0
+#: What was followed is given up where the time at one other place exceeds that at its own by so many times the
+#: patience: the first pose that came may have been a flipped one.
+MAJORITY = 3.0
 #: Messages that come in bursts: the time between two counts as their mean period, of so many, up to this, s.
 PERIODS, LONGEST_PERIOD = 8, 0.1
 #: Pieces between leaps of a recording that are tried as what came before another one.
@@ -102,6 +105,15 @@ class _Elsewhere(_Seen):
     times: int = 1
 
 
+@dataclass(slots=True)
+class _Rival(_Seen):
+    """Where it is seen too, by turns."""
+
+    is_flip: bool
+    excess: float = 0.0
+    """Time there less the time where it is followed, s."""
+
+
 class LeapGate:
     """Judges the observations of one frame, one after the other; time is their stamps.
 
@@ -120,6 +132,7 @@ class LeapGate:
         """Start anew."""
         self._last: _Seen | None = None
         self._other: _Elsewhere | None = None
+        self._rival: _Rival | None = None
         self._rate.forget()
         self._stamps: deque[int] = deque(maxlen=PERIODS + 1)
 
@@ -144,16 +157,36 @@ class LeapGate:
             None: the frame is followed there. Else how far it would have leapt
         """
         self._rate.add(stamp_ns)
+        since = min(LONGEST_PERIOD, (stamp_ns - self._stamps[-1]) / SECOND) if self._stamps else 0.0
         self._stamps.append(stamp_ns)
         seen, last, other = pose.tolist(), self._last, self._other
         if last is not None and self.limits.hold_anything:
             leap = self._leap(last, seen, stamp_ns)
             if other is not None and self._goes_on(other, last, seen, stamp_ns):
                 leap = leap or other.leap
-            if leap is not None and not self._persists(leap, seen, stamp_ns):
-                return leap
+            if leap is not None:
+                outweighs = self._outweighs(leap, seen, stamp_ns, since)
+                if not (self._persists(leap, seen, stamp_ns) or outweighs):
+                    return leap
+                self._rival = None
         self._last, self._other = _Seen(seen, stamp_ns), None
+        if self._rival is not None:
+            self._rival.excess -= since
+            if self._rival.excess < 0.0:
+                self._rival = None
         return None
+
+    def _outweighs(self, leap: Leap, seen: list[float], stamp_ns: int, since: float) -> bool:
+        """Whether it is seen there so much more than where it is followed that this is the wrong place."""
+        rival = self._rival
+        if rival is None:
+            self._rival = _Rival(seen, stamp_ns, leap.is_flip, since)
+            return False
+        if self._leap(rival, seen, stamp_ns) is not None:
+            return False
+        self._rival = _Rival(seen, stamp_ns, rival.is_flip, rival.excess + since)
+        patience = FLIP_PATIENCE if rival.is_flip else 1.0
+        return self._rival.excess >= MAJORITY * patience * self.limits.leap_time
 
     def _goes_on(self, other: _Elsewhere, last: _Seen, seen: list[float], stamp_ns: int) -> bool:
         """Whether this is nearer to where it leapt than to where it was before."""
