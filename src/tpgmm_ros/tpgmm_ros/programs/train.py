@@ -234,7 +234,7 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
 
 
 def _validate(task: Task, recipe: Recipe, recordings: list[Recording], trained: TPGMM) -> dict[str, Any]:
-    anchor, space = list(task.topics or task.frames)[-1], task.space.manifold()
+    anchor, space = list(task.sources or task.frames)[-1], task.space.manifold()
     folds: list[Fold] = []
     with _bar(total=len(recordings), desc="leave one out", unit="demonstration") as bar:
         for fold in cross_validate(recordings, lambda demonstrations: recipe.learn(demonstrations, space), anchor):
