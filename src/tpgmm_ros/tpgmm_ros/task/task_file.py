@@ -303,6 +303,8 @@ def _model(section: Section, space: StateSpace) -> dict[str, Any]:
         "n_steps": an_integer(3),
         "n_basis": an_integer(2),
         "locality": a_number(0.0),
+        "modes": an_integer(0),
+        "mode": an_integer(0),
         **{item.name: a_number() for encoding in ENCODINGS.values() for item in fields(encoding)},
     }
     section.refuse_others(*filter(space.takes, readers))
