@@ -29,7 +29,7 @@ def past(seed: int, side: float, shift: float = 0.0) -> Demonstration:
 
     The obstacle is `shift` (m) to the left of the straight way.
     """
-    rng = np.random.default_rng([seed, int(side > 0)])
+    rng = np.random.default_rng(seed)
     start = np.array([0.0, 0.0]) + rng.uniform(-0.1, 0.1, 2)
     goal = np.array([1.0, 0.2]) + rng.uniform(-0.1, 0.1, 2)
     along = (goal - start) / np.linalg.norm(goal - start)

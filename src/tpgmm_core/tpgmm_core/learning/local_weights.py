@@ -111,8 +111,10 @@ class ShownSteps:
         """Of demonstrations over [time, data]; manifold of the data, without time; the others as above."""
         names, (m, T) = tuple(demonstrations[0].frames), seen.shape[1:]
         points = np.stack([_points(shown, names, manifold, T) for shown in demonstrations])  # (m, T, P - 1, D)
-        bases = np.stack([manifold.mean(points[:, :, j].reshape(m * T, -1)) for j in range(len(names) - 1)] or [[]])
-        places = Places(manifold, names, bases.reshape(len(names) - 1, manifold.dim))
+        bases = np.zeros((len(names) - 1, manifold.dim))
+        for j in range(len(bases)):
+            bases[j] = manifold.mean(points[:, :, j].reshape(m * T, -1))
+        places = Places(manifold, names, bases)
         shown = np.concatenate(
             [manifold.log(base, points[:, :, j]) for j, base in enumerate(places.bases)] or [np.zeros((m, T, 0))],
             axis=-1,

@@ -64,7 +64,11 @@ def find_modes(
 
 
 def _unexplained(
-    shown: Demonstration, names: Sequence[str], means: Sequence[Array], covariances: Sequence[Array], flat: Array
+    shown: Demonstration,
+    names: Sequence[str],
+    means: Sequence[Array],
+    covariances: Sequence[Array],
+    flat: NDArray[np.intp],
 ) -> Array:
     """What is left over of one demonstration, r (T, d): places alone, in the axes of the frame that is surest."""
     T = len(means[0])

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
@@ -34,7 +35,13 @@ class LocalSteps:
     """
 
     def __init__(
-        self, model: TimeStepTPGMM, points: Array, velocities: Array, within: Array, view: Array, spheres: Array
+        self,
+        model: TimeStepTPGMM,
+        points: Array,
+        velocities: Array,
+        within: Array,
+        view: NDArray[np.intp],
+        spheres: NDArray[np.int64],
     ) -> None:
         assert model.shown_ is not None
         self._shown, self._strength = model.shown_, float(model.prior_strength)
@@ -44,7 +51,8 @@ class LocalSteps:
         self._layout = view, spheres
         P, T, n = velocities.shape
         m = len(self._shown.shown)
-        self.n_modes, self._set = int(self._shown.modes.max()) + 1, None
+        self.n_modes = int(self._shown.modes.max()) + 1
+        self._set: int | None = None
         self._deviations = np.zeros((P, T, m, n))
         self._more = np.zeros((P, T, n, n))  # of the covariances: what does not come from how demonstrations differ
         self._isotropic = np.zeros((self.n_modes, P, T, n, n))

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.disagreement import no_product
@@ -59,7 +59,7 @@ class TimeSteps(RegressThenProduct):
             self._local = LocalSteps(model, self._points, self._velocities, self._within, view, spheres)
         super().__init__(model)
 
-    def _view(self, manifold: Manifold) -> tuple[Array, Array]:
+    def _view(self, manifold: Manifold) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """The layout of what frames see, without time."""
         flat = np.arange(self._within.shape[-1]) if manifold.is_euclidean else manifold.ambient_of_tangent
         return flat, manifold.sphere_starts
