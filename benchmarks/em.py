@@ -11,6 +11,8 @@ import os
 
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy is imported
 
+import sys  # noqa: E402
+
 import numpy as np  # noqa: E402
 
 import numpy_tpgmm  # noqa: E402
@@ -81,4 +83,4 @@ def measure(work: Workload) -> list[Row]:
 
 
 if __name__ == "__main__":
-    write_report("em", [*measure(W1), *measure(W2)])
+    sys.exit(write_report("em", [*measure(W1), *measure(W2)]))
