@@ -12,6 +12,8 @@ import pytest
 from reaching import reaching_demonstrations
 from tpgmm_core import Demonstration, Frame
 from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.modes import find_modes
 from tpgmm_core.learning.promp import ProMPTPGMM
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.retrieval.methods import load_model, make_retrieval
@@ -170,6 +172,16 @@ def test_demonstrations_of_one_way_are_one_way(seed: int) -> None:
 def test_two_that_went_another_way_are_too_few_for_a_way() -> None:
     shown = [past(seed, LEFT) for seed in range(6)] + [past(seed, RIGHT) for seed in range(2)]
     assert TimeStepTPGMM(manifold="R1 x R2").fit(shown).modes_.max() == 0
+
+
+def test_demonstrations_that_are_all_the_same_or_partly_hidden_from_all_frames_are_one_way() -> None:
+    same = [past(3, LEFT)] * 7
+    centres = [frame.project(same[0].data)[:, 1:] for frame in same[0].frames.values()]
+    nothing = [np.zeros((80, 2, 2))] * 3
+    assert find_modes(centres, nothing, same, Manifold.parse("R2")).max() == 0
+    seen = np.arange(80) > 15
+    hidden = [Demonstration(d.times, d.data, d.frames, dict.fromkeys(d.frames, seen)) for d in half_on_each_side()]
+    np.testing.assert_array_equal(TimeStepTPGMM(manifold="R1 x R2").fit(hidden).modes_, learned().modes_)
 
 
 @pytest.mark.parametrize(("name", "value"), [("modes", 2), ("modes", -1), ("mode", -1), ("mode", 1.5)])

@@ -27,6 +27,8 @@ FEWEST = 3
 CLEAR = 0.7
 """Least mean silhouette: 1 for groups that are points, 0 for none."""
 APART = 0.05
+LEAST = 1e-9
+"""Share of the largest variance that any direction has at least: of demonstrations that are the same."""
 LASTING = 0.1
 """Share of the time that ways differ for, at least."""
 
@@ -81,15 +83,19 @@ def _unexplained(
         A = np.broadcast_to(frame.A, (len(t), *frame.A.shape[-2:]))[steps][:, 1 + flat[:, None], 1 + flat]
         b = np.broadcast_to(frame.b, (len(t), frame.b.shape[-1]))[steps][:, 1 + flat]
         seen = shown.is_visible(name)[steps].astype(float)
-        P = seen[:, None, None] * np.linalg.inv(A @ S @ np.swapaxes(A, 1, 2))
+        spread = A @ S @ np.swapaxes(A, 1, 2)
+        floor = LEAST * max(float(np.trace(spread, axis1=1, axis2=2).max()), LEAST)
+        P = seen[:, None, None] * np.linalg.inv(spread + floor * np.eye(len(flat)))
         precision += P
         weighted += np.einsum("tij,tj->ti", P, np.einsum("tij,tj->ti", A, mean) + b)
         turns.append(A)
-    ridge = 1e-12 * np.trace(precision, axis1=1, axis2=2).max() * np.eye(len(flat))
-    expected = np.linalg.solve(precision + ridge, weighted[:, :, None])[:, :, 0]
+    known = precision.any(axis=(1, 2))
+    precision[~known] = np.eye(len(flat))
+    expected = np.linalg.solve(precision, weighted[:, :, None])[:, :, 0]
     surest = np.argmin([np.trace(S, axis1=1, axis2=2) for S in covariances], axis=0)
     A = np.stack(turns)[surest, np.arange(T)]
-    return np.linalg.solve(A, (shown.data[steps][:, 1 + flat] - expected)[:, :, None])[:, :, 0]
+    off = (shown.data[steps][:, 1 + flat] - expected) * known[:, None]
+    return np.linalg.solve(A, off[:, :, None])[:, :, 0]
 
 
 def _divided(left: Array, members: Labels, apart: float) -> list[Labels]:
