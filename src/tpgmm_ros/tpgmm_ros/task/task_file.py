@@ -32,6 +32,7 @@ from tpgmm_core.common.yaml_values import (
     a_name,
     a_number,
     a_quaternion,
+    a_text,
     a_topic,
     an_integer,
     is_name,
@@ -329,6 +330,9 @@ def _model(section: Section, space: StateSpace) -> dict[str, Any]:
         "n_steps": an_integer(3),
         "n_basis": an_integer(2),
         "locality": a_number(0.0),
+        "modes": an_integer(0),
+        "mode": an_integer(0),
+        "exact": a_text,
         **{item.name: a_number() for encoding in ENCODINGS.values() for item in fields(encoding)},
     }
     section.refuse_others(*filter(space.takes, readers))
