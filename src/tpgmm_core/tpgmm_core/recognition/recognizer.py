@@ -45,6 +45,9 @@ class RecognitionConfig:
     expected: float = setting(
         0.99, 0.5, 0.999999, "Share of what is shown of a skill that lies within the border of what it expects"
     )
+    pause: float = setting(
+        2.0, 0.01, 3600.0, "A hand that was not seen for longer than this begins another movement, s"
+    )
     unknown_prior: float = setting(
         0.1, 0.0, 0.999, "Probability of an unknown movement, before anything was seen; 0: it is one of the skills"
     )
@@ -139,7 +142,8 @@ class Recognizer:
         Parameters
         ----------
         time_ns
-            when it was there, ns; a time before the last one counts as that
+            when it was there, ns; a time before the last one counts as that. Further away than `pause`, another
+            movement begins
         point
             (D,), such as its pose
         frames
@@ -161,6 +165,8 @@ class Recognizer:
         x = np.array(point, dtype=float)
         if x.shape != (self.manifold.dim,) or not np.isfinite(x).all():
             raise ValueError(f"the point is finite, of shape ({self.manifold.dim},) on {self.manifold}; got {point!r}")
+        if self._last_ns is not None and abs(time_ns - self._last_ns) > self.config.pause * _SECOND:
+            self.start()
         seconds = 0.0 if self._last_ns is None else max(0.0, (time_ns - self._last_ns) / _SECOND)
         first, self._last_ns = self._last_ns is None, time_ns if self._last_ns is None else max(time_ns, self._last_ns)
         situation = Situation(frames, weights)

@@ -25,6 +25,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.recognition import kernels_recognition
 from tpgmm_core.retrieval.calibrated import covariance_scale
 from tpgmm_core.retrieval.interface import TimeParametrized
 from tpgmm_core.retrieval.methods import method_of
@@ -122,9 +123,13 @@ class SkillFilter:
         self.times = np.linspace(0.0, skill.course.duration, n_states)
         self._start = np.full(n_states, (1.0 - begins) / n_states)
         self._start[0] += begins
-        self.means, self.covariances = np.zeros((n_states, 0)), np.zeros((n_states, 0, 0))
+        n, D = self.manifold.tangent_dim, self.manifold.dim
+        self.means, self.covariances = np.zeros((n_states, D)), np.zeros((n_states, n, n))
+        self._whitening, self._log_norms = np.zeros((n_states, n, n)), np.zeros(n_states)
         self._is_situated = False
         self.start()
+        self.log_densities(np.zeros(D), 1.0)  # compiled, or loaded from the cache
+        self.later(1e-3)
 
     def start(self) -> None:
         """Forget all that was seen; the situation stays."""
@@ -154,10 +159,10 @@ class SkillFilter:
             return
         self.skill.course.situate(mine, state, known)
         means, covariances, _ = self.skill.course.at(self.times)
-        self.means, self.covariances = np.array(means), self.skill.scale * covariances
+        self.means, self.covariances = np.array(means), np.array(self.skill.scale * covariances)
         self.manifold = self.skill.course.manifold
         L = np.linalg.cholesky(self.covariances)
-        self._whitening = np.linalg.inv(L)
+        self._whitening = np.ascontiguousarray(np.linalg.inv(L))
         logs = np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
         self._log_norms = -logs - 0.5 * self.manifold.tangent_dim * LOG_2PI
 
@@ -168,14 +173,8 @@ class SkillFilter:
     def later(self, seconds: float) -> Array:
         """Probabilities (N,) of the states in some seconds, with no more known than now."""
         alpha = self.alpha.copy()
-        if seconds <= 0.0:
-            return alpha
-        share = seconds * (len(alpha) - 1) / self.times[-1]
-        n = math.ceil(share / LARGEST_SHARE)
-        for _ in range(n):
-            leaving = (share / n) * alpha[:-1]
-            alpha[:-1] -= leaving
-            alpha[1:] += leaving
+        if seconds > 0.0:
+            kernels_recognition.advance(alpha, seconds * (len(alpha) - 1) / self.times[-1], LARGEST_SHARE)
         return alpha
 
     def see(self, point: Array, weight: float, border: float) -> tuple[float, float]:
@@ -208,8 +207,12 @@ class SkillFilter:
 
     def log_densities(self, point: Array, weight: float) -> Array:
         """Of a point (D,) in each state, (N,), times a weight."""
-        errors = np.einsum("nij,nj->ni", self._whitening, self.manifold.log(self.means, point))
-        return np.asarray(weight * (self._log_norms - 0.5 * np.einsum("ni,ni->n", errors, errors)))
+        out, manifold = np.empty(len(self.means)), self.manifold
+        kernels_recognition.log_densities(
+            self.means, self._whitening, self._log_norms, point, weight,
+            manifold.ambient_of_tangent, manifold.sphere_starts, out,
+        )  # fmt: skip
+        return out
 
     def border_densities(self, border: float, weight: float) -> Array:
         """As `log_densities`, (N,), of points at this squared Mahalanobis distance from each state."""
