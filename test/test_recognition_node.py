@@ -75,11 +75,18 @@ def test_a_hand_that_reaches_is_recognised_and_another_one_is_not(
             spin_until(ros_node, send, message=f"an answer to pose {i}", processes=(process,))
         return list(probabilities.messages[-1].data)
 
-    found = show(hand[:40], 100.0)
+    def knows_the_frames() -> bool:
+        """A prediction of where the movement ends needs them."""
+        poses.publish(conversions.pose_stamped(hand[0], 50_000_000_000, "base"))
+        return bool(end.messages)
+
+    spin_until(ros_node, knows_the_frames, message="a prediction", processes=(process,))
+    seen = len(probabilities.messages)
+    found = show(hand[:40], 100.0)  # after a pause: another movement
+    assert len(probabilities.messages) >= seen + 40
     assert probabilities.messages[-1].layout.dim[0].label == "reach,unknown"
     assert found[0] > 0.9 and sum(found) == pytest.approx(1.0)
     assert skill.messages[-1].data == "reach"
-    spin_until(ros_node, lambda: end.messages, message="a prediction", processes=(process,))
     goal = conversions.pose_to_array(end.messages[-1].pose.pose)
     assert np.linalg.norm(goal[:3] - hand[-1, :3]) < 0.05
     assert np.linalg.eigvalsh(np.array(end.messages[-1].pose.covariance).reshape(6, 6))[0] > 0.0
