@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from os import PathLike
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -111,6 +111,9 @@ class TPGMM(Estimator):
     metadata_
         free texts and numbers by name
     """
+
+    unused: ClassVar[frozenset[str]] = frozenset()
+    """Constructor arguments that an estimator takes, but takes no notice of."""
 
     priors_: Array
     means_: dict[str, Array]

@@ -152,10 +152,8 @@ def _derivatives(own: int, weights: Array, t: int, plain: Array) -> None:
 
 
 @compiled
-def _descend(
-    own: int, plain: Array, flat: Array, spheres: Array, J: Array, force: Array, downhill: Array
-) -> None:
-    """Subtract one time's gradient from downhill (3 n,), at the window's points; force (3 n,) is the precise residual."""
+def _descend(own: int, plain: Array, flat: Array, spheres: Array, J: Array, force: Array, downhill: Array) -> None:
+    """Subtract one time's gradient from downhill (3 n,), at the window's points; force (3 n,): the precise residual."""
     n = len(flat)
     for p in range(3):
         for i in range(n):
@@ -179,7 +177,7 @@ def _descend(
 
 @compiled
 def _add_columns(M: Array, J: Array, transposed: bool, sign: float, spheres: Array, out: Array) -> None:
-    """out += sign M D, D the identity with J (S, 3, 3), or the transpose, for each S³; M and out (n, n)."""
+    """Out += sign M D, D the identity with J (S, 3, 3), or the transpose, for each S³; M and out (n, n)."""
     n = len(M)
     for i in range(n):
         for m in range(n):
@@ -195,7 +193,7 @@ def _add_columns(M: Array, J: Array, transposed: bool, sign: float, spheres: Arr
 
 @compiled
 def _add_rows(M: Array, J: Array, transposed: bool, sign: float, spheres: Array, out: Array) -> None:
-    """out += sign D M, see `_add_columns`."""
+    """Out += sign D M, see `_add_columns`."""
     n = len(M)
     for i in range(n):
         for m in range(n):

@@ -17,9 +17,7 @@ from tpgmm_ros.messages.joint_state_bytes import JointStateValues
 
 def joint_state_of_values(values: JointStateValues) -> JointState:
     """The message that holds these values."""
-    return joint_state_message(
-        list(values.name), values.stamp_ns, values.position, values.velocity, values.effort
-    )
+    return joint_state_message(list(values.name), values.stamp_ns, values.position, values.velocity, values.effort)
 
 
 def joint_state_message(

@@ -57,7 +57,9 @@ class JointStateValues:
     @classmethod
     def of(cls, message: JointState) -> JointStateValues:
         """The same out of a message object."""
-        columns = [np.asarray(column, dtype=np.float64) for column in (message.position, message.velocity, message.effort)]
+        columns = [
+            np.asarray(column, dtype=np.float64) for column in (message.position, message.velocity, message.effort)
+        ]
         return cls(time_to_ns(message.header.stamp), message.name, *columns)
 
 
@@ -96,14 +98,13 @@ class JointStateDecoder:
             raise ValueError("another representation")
         seconds, nanoseconds = _STAMP.unpack_from(data, _BODY)
         place = _BODY + _STAMP.size
-        for beginning, names in self._known:
-            if data.startswith(beginning, place):
-                place += len(beginning)
-                break
-        else:
+        known = next((item for item in self._known if data.startswith(item[0], place)), None)
+        if known is None:
             names, end = _names(data, place)
-            self._known = [(data[place:end], names), *self._known[: _MOST_KNOWN - 1]]
-            place = end
+            known = data[place:end], names
+            self._known = [known, *self._known[: _MOST_KNOWN - 1]]
+        beginning, names = known
+        place += len(beginning)
         columns = []
         for _ in range(3):
             place += -place % 4
