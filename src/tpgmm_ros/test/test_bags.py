@@ -242,10 +242,11 @@ def test_fewer_messages_than_recorded_are_a_loss(tmp_path: Path) -> None:
     refused(path, "lost messages: /endpoint/pose holds 100 of the 150")
 
 
-def test_a_missing_metadata_file_is_named(tmp_path: Path) -> None:
+def test_a_folder_without_metadata_and_files_is_refused(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "demo", reach(0))
-    (path / "metadata.yaml").unlink()
-    refused(path, "no metadata.yaml.*reindex")
+    for file in path.iterdir():
+        file.unlink()
+    refused(path, "neither metadata.yaml nor a .mcap, .db3 or .bag file")
 
 
 @pytest.mark.parametrize("content", ["", "{}", "[", "rosbag2_bagfile_information: 3", "\x00"])
@@ -311,7 +312,7 @@ def test_a_frame_seen_only_after_the_movement_is_refused(tmp_path: Path) -> None
 
 def test_one_bad_bag_does_not_lose_the_others(tmp_path: Path) -> None:
     paths = [write_bag(tmp_path / f"demo_{i}", reach(i)) for i in range(4)]
-    (paths[1] / "metadata.yaml").unlink()
+    (paths[1] / "metadata.yaml").write_text("")
     next(paths[2].glob("*.mcap")).unlink()
     seen: list[Path] = []
     good, bad = read_recordings(paths, TASK, progress=seen.append)

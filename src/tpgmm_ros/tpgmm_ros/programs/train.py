@@ -29,7 +29,7 @@ from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_ros.models.validation import Fold, PathErrors, cross_validate, mean_errors
 from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.programs.train_auto import choose_for, words
-from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings
+from tpgmm_ros.recordings.bags import Recording, align, find_bags, join_parts, read_recordings
 from tpgmm_ros.runtime.entry import INTERRUPTED
 from tpgmm_ros.task.task_file import Task
 
@@ -113,7 +113,8 @@ def _run(options: argparse.Namespace, report: dict[str, Any]) -> None:
 
 
 def _read(options: argparse.Namespace, task: Task, report: dict[str, Any]) -> list[Recording]:
-    bags = find_bags(options.bags)
+    found = find_bags(options.bags)
+    bags = found if options.separate else join_parts(found, task.movement)
     with _bar(total=len(bags), desc="reading bags", unit="bag") as bar:
         good, bad = read_recordings(bags, task, options.every, progress=lambda _: bar.update())
     report["bags"] = [
@@ -338,7 +339,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="BAG",
         nargs="+",
         type=Path,
-        help="rosbag2 (MCAP, sqlite3) or ROS 1 bag, or a directory with several bags",
+        help="rosbag2 (MCAP, sqlite3) or ROS 1 bag, or one of its files, or a directory with several of them",
     )
     parser.add_argument("--task", required=True, type=Path, help="task file: topics, frames and settings of the model")
     parser.add_argument("--output", type=Path, metavar="FILE", help="where the model is saved, such as task.tpgmm")
@@ -382,6 +383,11 @@ def _parser() -> argparse.ArgumentParser:
         "--workers", type=_positive, metavar="N", help="for --auto: processes (default: one for each core)"
     )
     parser.add_argument("--report", type=Path, metavar="DIR", help="write report.json into this directory")
+    parser.add_argument(
+        "--separate",
+        action="store_true",
+        help="bags that go on where another one ends are demonstrations of their own, not parts of one recording",
+    )
     parser.add_argument("--skip-bad", action="store_true", help="train on the good bags when some are bad")
     parser.add_argument("-v", "--verbose", action="store_true", help="say what each bag holds")
     return parser

@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core import Demonstration
+from tpgmm_core.common.text import listed
 from tpgmm_core.geometry import quaternion
 from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds, Stream
+from tpgmm_ros.recordings.finding import find_bags, join_parts
 from tpgmm_ros.recordings.joint_streams import read_joint_stream
 from tpgmm_ros.recordings.pose_arrays import read_pose_array
 from tpgmm_ros.recordings.pose_streams import read_pose_streams
 from tpgmm_ros.recordings.recording import Recording, align
+from tpgmm_ros.recordings.storage.bag_reader import parts_of
 from tpgmm_ros.task.task_file import PoseArraySpec, Task
 
 __all__ = [
@@ -22,6 +25,7 @@ __all__ = [
     "Recording",
     "align",
     "find_bags",
+    "join_parts",
     "read_demonstration",
     "read_demonstrations",
     "read_recording",
@@ -37,48 +41,6 @@ START_TOLERANCE_S = 0.5
 _CLOCK_AHEAD_S = 1.0
 _CLOCK_BEHIND_S = 3600.0
 """A stamp may be old (a latched pose), but not from the future or from another clock (simulated time)."""
-
-_STORAGE_SUFFIXES = (".mcap", ".db3")
-
-
-def find_bags(paths: Iterable[str | Path]) -> list[Path]:
-    """Bags among some paths.
-
-    Parameters
-    ----------
-    paths
-        each a bag, or a directory with bags directly inside
-
-    Returns
-    -------
-    list[Path]
-        in the order given, those of a directory in order of name
-
-    Raises
-    ------
-    BagError
-        a path does not exist, or is neither.
-    """
-    bags: list[Path] = []
-    for path in map(Path, paths):
-        if not path.exists():
-            raise BagError(path, "does not exist; expected a bag, or a directory of bags")
-        found = [path] if _is_bag(path) else sorted(filter(_is_bag, path.iterdir())) if path.is_dir() else []
-        if not found:
-            raise BagError(
-                path,
-                "is not a bag and contains none; expected a rosbag2 directory (metadata.yaml and .mcap "
-                "or .db3), a .bag, .mcap or .db3 file, or a directory of such bags",
-            )
-        bags += (bag for bag in found if bag not in bags)
-    return bags
-
-
-def _is_bag(path: Path) -> bool:
-    if path.is_dir():
-        # Without its metadata.yaml it is a bag all the same: a damaged one, which the reader will name.
-        return (path / "metadata.yaml").exists() or any(child.suffix in _STORAGE_SUFFIXES for child in path.iterdir())
-    return path.suffix in (".bag", *_STORAGE_SUFFIXES)
 
 
 def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
@@ -110,7 +72,7 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
     BagError
         anything that is wrong with the bag.
     """
-    path = Path(path)
+    path = path if isinstance(path, Path) else Path(path)
     recording = _from_streams(path, task) if task.recordings is None else _from_pose_array(path, task, task.recordings)
     if len(recording.times) < MIN_SAMPLES:
         raise BagError(
@@ -118,6 +80,10 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
             f"the movement has {len(recording.times)} samples, expected at least {MIN_SAMPLES}; "
             "record the whole movement",
         )
+    others = parts_of(path)[1:]
+    if others:
+        note = f"goes on in {listed([part.name for part in others])}: parts of one recording, read as one"
+        recording = replace(recording, notes=(note, *recording.notes))
     return recording if every == 1 else _thinned(recording, every)
 
 
@@ -245,7 +211,8 @@ def read_recordings(
     """
     good: list[Recording] = []
     bad: list[BagError] = []
-    for path in map(Path, paths):
+    for given in paths:
+        path = given if isinstance(given, Path) else Path(given)  # a BagPath stays one
         try:
             good.append(read_recording(path, task, every))
         except BagError as error:
