@@ -29,6 +29,7 @@ PACKAGES = (
     "learning.incremental",
     "retrieval",
     "choice",
+    "doubt",
     "robot",
     "observation",
     "kinematics",

@@ -30,6 +30,7 @@ from tpgmm_ros.models.validation import Fold, PathErrors, cross_validate, mean_e
 from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.programs.train_auto import choose_for, words
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, join_parts, read_recordings
+from tpgmm_ros.recordings.judging import doubts_about
 from tpgmm_ros.runtime.entry import INTERRUPTED
 from tpgmm_ros.task.task_file import Task
 
@@ -136,9 +137,37 @@ def _read(options: argparse.Namespace, task: Task, report: dict[str, Any]) -> li
             f"{len(bad)} of {len(bags)} bags are bad, nothing was trained; repair or leave out the bags "
             "named above, or train on the others with --skip-bad"
         )
+    if good:
+        good = _without_doubt(good, task, options, report)
     if not good:
         raise TrainingError(f"none of the {len(bags)} bags could be used")
     return good
+
+
+def _without_doubt(
+    recordings: list[Recording], task: Task, options: argparse.Namespace, report: dict[str, Any]
+) -> list[Recording]:
+    """Say what makes no sense; those recordings with which nothing can be learned are refused, or left out."""
+    doubts = doubts_about(recordings, task)
+    refusing = [doubt for doubt in doubts if doubt.refuses]
+    named = {name for doubt in refusing for name in doubt.about}
+    left = [recording for recording in recordings if str(recording.path) not in named]
+    if options.skip_bad and named and all(doubt.about for doubt in refusing):
+        for doubt in refusing:
+            print(f"left out: {doubt}", file=sys.stderr)
+        report["bad_bags"] += [{"bag": name, "error": d.text} for d in refusing for name in d.about]
+        return _without_doubt(left, task, options, report) if left else []
+    report["doubts"] = [asdict(doubt) for doubt in doubts]
+    for doubt in doubts:
+        print(f"doubt: {doubt}", file=sys.stderr)
+    if refusing:
+        raise TrainingError(
+            f"{len(refusing)} of the doubts above forbid to learn from these bags together, nothing was trained; put "
+            "them right, or leave out the bags that are named" + (", or use --skip-bad" if named else "")
+        )
+    if doubts and options.strict:
+        raise TrainingError(f"{len(doubts)} doubts, and --strict refuses all; nothing was trained")
+    return recordings
 
 
 def _recipe(task: Task, options: argparse.Namespace) -> Recipe:
@@ -387,6 +416,9 @@ def _parser() -> argparse.ArgumentParser:
         "--separate",
         action="store_true",
         help="bags that go on where another one ends are demonstrations of their own, not parts of one recording",
+    )
+    parser.add_argument(
+        "--strict", action="store_true", help="refuse recordings about which there is any doubt, where it is only said"
     )
     parser.add_argument("--skip-bad", action="store_true", help="train on the good bags when some are bad")
     parser.add_argument("-v", "--verbose", action="store_true", help="say what each bag holds")

@@ -67,10 +67,6 @@ class Stream:
     recorded: Nanoseconds
     values: Array
 
-    def at(self, seen: Nanoseconds, times: Nanoseconds) -> Array:
-        """Values (S, n) at times (S,), linear between those seen at (T,) times that never decrease, ns."""
-        return np.column_stack([np.interp(times, seen, column) for column in self.values.T])
-
 
 def read_messages(path: Path, topics: Iterable[str], message_type: str) -> dict[str, Messages]:
     """Read topics of one type from one bag.

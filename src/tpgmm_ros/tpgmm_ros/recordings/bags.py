@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags to demonstrations: one clock, every frame at every sample of the movement, one common duration."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from tpgmm_core import Demonstration
 from tpgmm_core.common.text import listed
+from tpgmm_core.doubt.clocks import ClockError, TopicTimes, common_clock, gaps
+from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_core.geometry import quaternion
 from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds, Stream
 from tpgmm_ros.recordings.finding import find_bags, join_parts
@@ -38,9 +40,13 @@ MIN_SAMPLES = 10
 START_TOLERANCE_S = 0.5
 """Topics start in any order when a recorder is switched on: a frame seen so soon was there all along."""
 
-_CLOCK_AHEAD_S = 1.0
-_CLOCK_BEHIND_S = 3600.0
-"""A stamp may be old (a latched pose), but not from the future or from another clock (simulated time)."""
+GAP_S = 0.5
+FRAME_GAP_S = 1.0
+GAP_PERIODS = 10.0
+"""A pause of a topic is said where it is longer than this time, and than so many of its periods."""
+
+MOVED = 0.005
+"""A frame whose numbers change by less has not moved, m."""
 
 
 def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
@@ -124,15 +130,19 @@ def _from_streams(path: Path, task: Task) -> Recording:
     names = task.space.joints()
     joints = read_joint_stream(path, task.space.joint_states, names) if names else None
     stamped: list[Stream] = [*streams.values(), *([] if joints is None else [joints])]
-    problem = _problem_of_stamps(streams[task.movement], stamped)
-    notes = [f"{problem}: times of the recorder used"] if problem else []
+    try:
+        clock = common_clock(_times_of(streams[task.movement]), [_times_of(s) for s in stamped if s is not stamped[0]])
+    except ClockError as error:
+        raise BagError(path, str(error)) from None
+    notes, doubts = list(clock.notes), [*clock.doubts]
     series: dict[str, tuple[Nanoseconds, Array]] = {}
     for topic, stream in streams.items():
-        ns = stream.recorded if problem else stream.stamps
+        ns, values = clock.times[stream.topic], stream.values[clock.kept[stream.topic]]
         fresh = np.diff(ns, prepend=ns[0] - 1) > 0
         if not fresh.all():
             notes.append(f"{stream.topic}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
-        series[topic] = ns[fresh], stream.values[fresh]
+        series[topic] = ns[fresh], values[fresh]
+        doubts += _doubts_of_rate(stream.topic, series[topic], topic == task.movement)
 
     ns, movement = series[task.movement]
     frames: dict[str, Array] = {}
@@ -151,32 +161,36 @@ def _from_streams(path: Path, task: Task) -> Recording:
         unseen = np.count_nonzero(~visible[name])
         if unseen:
             notes.append(f"{name}: not seen in the first {unseen} of {len(ns)} samples")
-    configurations = None if joints is None else _configurations(path, joints, ns, bool(problem))
-    return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes), configurations, task.derived)
+    configurations = None
+    if joints is not None:
+        kept, seen = clock.kept[joints.topic], clock.times[joints.topic]
+        configurations = _configurations(path, joints, joints.values[kept], seen, ns)
+    times, derived = (ns - ns[0]) * 1e-9, task.derived
+    return Recording(path, times, movement, frames, visible, tuple(notes), configurations, derived, tuple(doubts))
 
 
-def _configurations(path: Path, joints: Stream, at: Nanoseconds, by_recorder: bool) -> Array:
-    """Positions (T, n) of joints at these times (T,), ns."""
-    seen = joints.recorded if by_recorder else joints.stamps
+def _times_of(stream: Stream) -> TopicTimes:
+    return TopicTimes(stream.topic, stream.stamps, stream.recorded)
+
+
+def _doubts_of_rate(topic: str, series: tuple[Nanoseconds, Array], moves: bool) -> list[Doubt]:
+    """Pauses of a topic: of the movement, and of frames that are elsewhere after the pause."""
+    ns, values = series
+    found = []
+    for begin, length in gaps(ns, GAP_S if moves else FRAME_GAP_S, GAP_PERIODS):
+        k = int(np.searchsorted(ns, ns[0] + round(1e9 * begin)))
+        if moves or not np.allclose(values[k], values[k + 1], atol=MOVED):
+            where = f"{topic} pauses for {length:.2f} s, {begin:.2f} s after its first message"
+            found.append(Doubt("gap", (), f"{where}; what happened there is not known"))
+    return found[:3]
+
+
+def _configurations(path: Path, joints: Stream, values: Array, seen: Nanoseconds, at: Nanoseconds) -> Array:
+    """Positions (S, n) of joints at these times (S,), ns, from those (T, n) seen at times (T,)."""
     missed = 1e-9 * max(seen[0] - at[0], at[-1] - seen[-1])
     if missed > START_TOLERANCE_S:
         raise BagError(path, f"{joints.topic} does not cover the movement, by {missed:.1f} s; record both all the time")
-    return joints.at(seen, at)
-
-
-def _problem_of_stamps(movement: Stream, streams: Iterable[Stream]) -> str | None:
-    """What forbids to use the header stamps of a bag, or None."""
-    if movement.stamps[0] == movement.stamps[-1]:
-        return f"{movement.topic} has stamps that never change"
-    for stream in streams:
-        if (stream.stamps <= 0).any():
-            return f"{stream.topic} has stamps of zero"
-        if (np.diff(stream.stamps) < 0).any():
-            return f"{stream.topic} has stamps that run backwards"
-        ahead = (np.median(stream.stamps - stream.recorded) - np.median(movement.stamps - movement.recorded)) * 1e-9
-        if not -_CLOCK_BEHIND_S < ahead < _CLOCK_AHEAD_S:
-            return f"{stream.topic} is stamped {ahead:+.1f} s away from {movement.topic}"
-    return None
+    return np.column_stack([np.interp(at, seen, column) for column in values.T])
 
 
 def _hold(seen: Nanoseconds, poses: Array, at: Nanoseconds) -> tuple[Array, NDArray[np.bool_]]:
