@@ -27,7 +27,7 @@ DATA ?= ../shared/data
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup dev lint format test properties faults fuzz determinism seeds soak demo bags results figures figure5 figure6 bench scaling stress colcon docs reference lock clean
+.PHONY: help setup dev lint format test mutants properties faults fuzz determinism seeds soak demo bags results figures figure5 figure6 bench scaling stress colcon docs reference lock clean
 
 help: ## list all targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
@@ -51,6 +51,9 @@ test: lint ## run lint, then all tests
 
 properties: dev ## try 10 000 sequences of inputs: no torque and no rate exceeds its limit (`make test` tries fewer)
 	TPGMM_PROPERTY_SEQUENCES=10000 $(PYTHON) -m pytest --timeout 3600 src/tpgmm_core/test/test_controller_properties.py
+
+mutants: dev ## put known faults into a copy of the sources, one at a time; status 1 where no test notices one: out/mutants/ (10 minutes; ONLY=phase for some)
+	$(PYTHON) tools/mutants.py $(if $(ONLY),--only $(ONLY))
 
 fuzz: dev ## try 20 000 untrusted files and messages of each kind: valid, or refused with the reason (`make test` tries fewer)
 	TPGMM_FUZZ_EXAMPLES=20000 $(PYTHON) -m pytest --timeout 7200 src/tpgmm_core/test/test_fuzz_model_file.py \
@@ -99,8 +102,9 @@ figure6: setup ## figure 6 of the paper, priorities of two hands of a planar rob
 	PYTHONPATH=. $(PYTHON) examples/kinematic_relevance.py
 
 BENCHMARKS := em reproduction_step retrieval_step lqr control simulator loop latency kinematic_frames
-bench: setup ## run the benchmarks: tables, and JSON in out/bench/ (needs two idle cores)
-	@for name in $(BENCHMARKS); do PYTHONPATH=.:src/tpgmm_core/test $(PYTHON) benchmarks/$$name.py; done
+bench: setup ## run the benchmarks: tables, and JSON in out/bench/; status 1 where one does not reach its figures (needs two idle cores)
+	@failed=""; for name in $(BENCHMARKS); do PYTHONPATH=.:src/tpgmm_core/test $(PYTHON) benchmarks/$$name.py || failed="$$failed $$name"; \
+		done; if [ -n "$$failed" ]; then echo "not reached:$$failed"; exit 1; fi
 
 scaling: setup ## run the benchmarks of learning, 100 dimensions and a million samples: out/high_dimension/, out/scaling/
 	PYTHONPATH=. $(PYTHON) benchmarks/high_dimension.py

@@ -12,6 +12,7 @@ import os
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy is imported
 
 import argparse  # noqa: E402
+import sys  # noqa: E402
 from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
@@ -51,8 +52,8 @@ def first(values: list[int]) -> int | None:
     return min(values, default=None)
 
 
-def main() -> None:
-    """Measure and report."""
+def main() -> int:
+    """Measure and report; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("robots", nargs="*", default=list(ROBOTS), help=f"some of {', '.join(ROBOTS)}")
     rows: list[Row] = []
@@ -78,8 +79,8 @@ def main() -> None:
                     "passed": all(settles(robot, record) for record in aware.values()),
                 }
             )
-    write_report("delay", rows)
+    return write_report("delay", rows)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,8 +58,21 @@ def main() -> int:
     print("RMSE of positions at the same share of the time, m, and how many were refused; mean over what was left out")
     print(format_table(("demonstrations", *map(str, counts)), table))
     _plot(rows, counts, options)
-    print(f"report: {write_report(options.output, {'passed': True, 'rows': rows})}")
-    return 0
+    passed = all(more_is_better([row for row in rows if row["method"] == method]) for method in options.methods)
+    print(f"report: {write_report(options.output, {'passed': passed, 'rows': rows})}")
+    return 0 if passed else 1
+
+
+def more_is_better(rows: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether the error of a method with the most demonstrations is less than with the fewest, and nothing is refused.
+
+    Parameters
+    ----------
+    rows
+        of the method, in the order of the number of demonstrations
+    """
+    known = [row["rmse_m"] for row in rows if row["rmse_m"] is not None]
+    return not rows[-1]["refused"] and (len(known) == 1 or known[-1] < known[0])
 
 
 def _error(

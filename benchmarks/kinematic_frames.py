@@ -12,6 +12,7 @@ import os
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy is imported
 
 import gc  # noqa: E402
+import sys  # noqa: E402
 from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
@@ -55,8 +56,8 @@ def movement(home: Array, rng: np.random.Generator) -> Array:
     return home + 0.2 * waves @ rng.normal(size=(3, len(home)))
 
 
-def main() -> None:
-    """Measure and write the report."""
+def main() -> int:
+    """Measure and write the report; returns the exit status."""
     robot = RobotModel.from_file(Path(__file__).resolve().parents[1] / "config" / "baxter.yaml")
     joints = [*robot.joint_groups["left_arm"], *robot.joint_groups["right_arm"]]
     frames = MovingFrames(UrdfKinematics(robot, joints), CANDIDATES)
@@ -78,8 +79,8 @@ def main() -> None:
         seconds = durations(step, 3000)
         p50, p99 = (1e6 * float(np.percentile(seconds, p)) for p in (50, 99))
         rows.append({"work": what, "p50_us": p50, "p99_us": p99, "passed": p99 < 1000.0})
-    write_report("kinematic_frames", rows)
+    return write_report("kinematic_frames", rows)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

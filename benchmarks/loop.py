@@ -7,6 +7,7 @@ The nodes are apart or in one process, on an idle machine or beside two busy pro
 from __future__ import annotations
 
 import os
+import sys
 import time
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 
 from benchmarks.graph import CASES, Scene, running
 from benchmarks.report import write_report
+from tpgmm_core.common.report import Row
 
 LOOP = ("frame_tracker", "reproduction", "impedance_controller")
 NODES = ("reproduction", "impedance_controller", "baxter_simulator")
@@ -38,8 +40,8 @@ class Counters:
             self.rows.setdefault(status.name, []).append({item.key: item.value for item in status.values})
 
 
-def measure(scene: Scene) -> Counters:
-    """What the nodes say of themselves during one movement."""
+def measure(scene: Scene) -> tuple[Counters, bool]:
+    """What the nodes say of themselves during one movement, and whether it succeeded."""
     counters = Counters(scene)
 
     def forget_the_start() -> None:
@@ -49,10 +51,10 @@ def measure(scene: Scene) -> Counters:
     timer = scene.node.create_timer(BEGIN, forget_the_start)
     outcome = scene.reproduce(DURATION)
     print(f"movement: {outcome.reason}")
-    return counters
+    return counters, outcome.success
 
 
-def ticks(counters: Counters, case: str, node: str, to_reach: float) -> dict[str, str | float | bool]:
+def ticks(counters: Counters, case: str, node: str, to_reach: float) -> Row:
     """Ticks of a node, and its time per step."""
     first, last = counters.rows[node][0], counters.rows[node][-1]
     asked, done = (int(last[key]) - int(first[key]) for key in ("ticks_asked", "ticks_done"))
@@ -68,7 +70,7 @@ def ticks(counters: Counters, case: str, node: str, to_reach: float) -> dict[str
     }
 
 
-def torque_age(counters: Counters, case: str, bound: float) -> dict[str, str | float | bool]:
+def torque_age(counters: Counters, case: str, bound: float) -> Row:
     """Age of the joint state that the torques answer, when the simulator applies them."""
     last = counters.rows["baxter_simulator"][-1]
     ages = {key: float(last[key]) for key in ("age_p50_ms", "age_p99_ms")}
@@ -85,18 +87,19 @@ def cpu_seconds(scene: Scene) -> float:
 
 
 if __name__ == "__main__":
-    shares: list[dict[str, str | float | bool]] = []
-    ages: list[dict[str, str | float | bool]] = []
-    cpu: list[dict[str, str | float | bool]] = []
+    outcomes: list[Row] = []
+    shares: list[Row] = []
+    ages: list[Row] = []
+    cpu: list[Row] = []
     for name, together, load in CASES:
         with running(together, load) as running_scene:
             running_scene.run_for(2.0)
             before, began = cpu_seconds(running_scene), time.monotonic()
-            result = measure(running_scene)
+            result, success = measure(running_scene)
             used = (cpu_seconds(running_scene) - before) / (time.monotonic() - began)
         shares += [ticks(result, name, node, 0.99 if load else 0.999) for node in NODES]
         ages.append(torque_age(result, name, 3.0 if load else 2.0))
-        cpu.append({"case": name, "cores": used, "passed": not together or used <= 0.6})
-    write_report("loop", shares)
-    write_report("torque_age", ages)
-    write_report("loop_cpu", cpu)
+        cpu.append({"case": name, "cores": used, "passed": used <= 0.6 if together else None})
+        outcomes.append({"case": name, "passed": success})
+    status = write_report("loop_movements", outcomes) | write_report("loop", shares)
+    sys.exit(status | write_report("torque_age", ages) | write_report("loop_cpu", cpu))

@@ -8,6 +8,8 @@ from collections.abc import Callable
 
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy is imported
 
+import sys  # noqa: E402
+
 import numpy as np  # noqa: E402
 from scipy.linalg import solve_continuous_are  # noqa: E402
 
@@ -111,4 +113,4 @@ def doubling(precision: Array) -> Gains:
 if __name__ == "__main__":
     rows = [infinite_horizon(state, "closed form", 50.0, 0.0, closed_form) for state in (6, 14)]
     rows += [infinite_horizon(state, "with velocities", 1.0, 1.0, doubling) for state in (6, 14, 28)]
-    write_report("lqr", [*rows, finite_horizon(6), finite_horizon(14)])
+    sys.exit(write_report("lqr", [*rows, finite_horizon(6), finite_horizon(14)]))

@@ -33,6 +33,7 @@ from workloads import W1, demonstrations, pose_demonstrations  # noqa: E402
 N_FIRST = 3
 CELL_SIZES = (1, 5, 10, 20)
 SHOWN = 5  # the cell size in the picture
+AS_GOOD = 0.5  # nats per sample that learning one by one may cost, against all demonstrations at once
 CURVATURE = 0.05  # nats: on the sphere the bound holds up to the curvature over the extent of a cell
 
 WORK: dict[str, tuple[Callable[[int], list[Demonstration]], dict[str, Any]]] = {
@@ -78,7 +79,8 @@ def compare(work: str, seed: int, cell_size: int) -> tuple[Row, Curves]:
         "memory_share": held * len(online.cells_.counts) / (shown * sum(len(demo.times) for demo in demos)),
         "online_ms": 1e3 * float(np.median(online_s)),
         "batch_ms": 1e3 * float(np.median(batch_s)),
-        "passed": bool(np.all(np.array(course["retained"]) <= np.array(course["online"]) + tolerance)),
+        "passed": bool(np.all(np.array(course["retained"]) <= np.array(course["online"]) + tolerance))
+        and course["online"][-1] >= course["batch"][-1] - AS_GOOD,
     }
     return row, {name: np.array(values) for name, values in course.items()}
 
@@ -124,9 +126,9 @@ def main(arguments: list[str] | None = None) -> int:
                 rows.append(row)
                 if cell_size == SHOWN:
                     courses[work, seed] = course
-    write_report("report", rows, options.output)
+    status = write_report("report", rows, options.output)
     draw(courses, options.output / "online.png")
-    return 0 if all(row["passed"] for row in rows) else 1
+    return status
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How benchmarks tell what they measured: a table, and the same as JSON in out/bench/NAME.json."""
+"""How benchmarks tell what they measured: a table, the same as JSON in out/bench/NAME.json, and an exit status."""
 
 from __future__ import annotations
 
@@ -12,10 +12,30 @@ import numpy as np
 from tpgmm_core.common.report import Row, format_rows, write_json
 
 
-def write_report(name: str, rows: Sequence[Row], directory: Path = Path("out/bench")) -> None:
-    """Print rows with the same keys (lower case, unit at the end) as a table and write them to directory/name.json."""
+def write_report(name: str, rows: Sequence[Row], directory: Path = Path("out/bench")) -> int:
+    """Print rows as a table, write them to directory/name.json, and judge them.
+
+    Parameters
+    ----------
+    name
+        of the table
+    rows
+        with the same keys: lower case, unit at the end. `passed` is the verdict of a row; None, or no such key, where
+        it has nothing to reach
+    directory
+        made where it is missing
+
+    Returns
+    -------
+    int
+        the exit status: 1 where a row did not pass, else 0
+    """
     print(f"\n{name}\n{format_rows(rows)}")
     write_json(directory / f"{name}.json", rows)
+    failed = [row for row in rows if row.get("passed") not in (None, True)]
+    for row in failed:
+        print(f"{name}: not reached: {', '.join(f'{key} {value}' for key, value in row.items() if value is not None)}")
+    return 1 if failed else 0
 
 
 def durations(function: Callable[[], object], repetitions: int, warm_up: int = 3) -> np.ndarray:

@@ -8,6 +8,7 @@ import os
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy is imported
 
 import gc  # noqa: E402
+import sys  # noqa: E402
 
 import numpy as np  # noqa: E402
 
@@ -84,5 +85,5 @@ def percentiles(seconds: np.ndarray) -> dict[str, float]:
 
 if __name__ == "__main__":
     gc.freeze()
-    write_report("reproduction_step", [*measure(W1), *measure(W2), measure_poses()])
-    write_report("regression_at_several_times", [measure_several(W1), measure_several(W2)])
+    status = write_report("reproduction_step", [*measure(W1), *measure(W2), measure_poses()])
+    sys.exit(status | write_report("regression_at_several_times", [measure_several(W1), measure_several(W2)]))

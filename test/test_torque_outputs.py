@@ -97,6 +97,7 @@ def test_linear_feedback_holds_the_measured_state_the_torque_and_how_it_changes(
     state = fields["initial_state"]["joint_state"]
     np.testing.assert_array_equal(state.position, command.q[::-1])
     np.testing.assert_array_equal(state.velocity, command.v[::-1])
+    np.testing.assert_array_equal(state.effort, command.tau[::-1])
     assert fields["initial_state"]["base_pose"].orientation.w == 1.0
 
 

@@ -111,6 +111,16 @@ def test_what_no_frame_constrains_stays_at_the_state() -> None:
     np.testing.assert_allclose(mixture.means @ A, np.tile(A.T @ state, (2, 1)), atol=1e-6)
 
 
+def test_a_state_counts_for_its_own_call_alone() -> None:
+    rng = np.random.default_rng(2)
+    model = model_of("euclidean", {"tall": 2}, 2, rng)
+    tall = {"tall": Frame(np.linalg.qr(rng.normal(size=(4, 2)))[0], np.zeros(4))}
+    adapter = Adapter(model)
+    fresh = adapter.adapt(tall).means
+    assert np.abs(adapter.adapt(tall, np.full(4, 3.0)).means - fresh).max() > 0.1
+    np.testing.assert_array_equal(adapter.adapt(tall).means, fresh)
+
+
 def test_a_frame_fades_out_without_a_jump() -> None:
     rng = np.random.default_rng(3)
     model = model_of("euclidean", {"a": 3, "b": 3}, 2, rng)
@@ -237,6 +247,11 @@ def test_bad_situations_are_refused_with_the_reason() -> None:
     pose = model_of("R1 x R3 x S3", {"a": 8}, 2, rng)
     with pytest.raises(ValueError, match="S3"):
         pose.adapt({"a": Frame(2.0 * np.eye(8), np.zeros(8))})
+    for row, column in ((2, 5), (5, 2)):  # positions that depend on a quaternion, and a quaternion on positions
+        mixed = np.eye(8)
+        mixed[row, column] = 0.1
+        with pytest.raises(ValueError, match="S3"):
+            pose.adapt({"a": Frame(mixed, np.zeros(8))})
     with pytest.raises(ValueError, match="time as the first dimension"):
         Adapter(model_of("euclidean", {"a": 1}, 2, rng)).adapt_and_condition({"a": Frame([[1.0]], [0.0])}, [0.0])
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -79,16 +81,29 @@ def test_a_product_of_gaussians_far_apart_is_stationary_or_refused(space: str, s
             assert "contradict each other" in str(error)
             refused += 1
             continue
-        n = manifold.tangent_dim
-        H, pull = np.zeros((n, n)), np.zeros(n)
-        for g in gaussians:
-            e = nearest_error(manifold, product.mean, g)
-            J = np.stack([numerical_rate(manifold, product.mean, g, e, axis) for axis in np.eye(n)], axis=1)
-            H += J.T @ g.precision @ J
-            pull += J.T @ g.precision @ e
-        np.testing.assert_allclose(product.covariance @ pull, 0.0, atol=1e-7)
-        np.testing.assert_allclose(product.covariance @ H, np.eye(n), atol=1e-4)
+        assert_stationary(product, gaussians)
     assert refused <= 2
+
+
+@pytest.mark.parametrize("seed", [455, 1038, 1418])
+def test_a_product_is_found_where_steps_have_to_be_halved_several_times(seed: int) -> None:
+    manifold, rng = Manifold.parse("S3 x S3"), np.random.default_rng(seed)
+    gaussians = [random_gaussian(rng, manifold) for _ in range(4)]
+    assert_stationary(Gaussian.product(gaussians), gaussians)
+
+
+def assert_stationary(product: Gaussian, gaussians: Sequence[Gaussian]) -> None:
+    """Eq. (3) pulls nowhere at the product's mean, and its Hessian there is the product's precision."""
+    manifold = product.manifold
+    n = manifold.tangent_dim
+    H, pull = np.zeros((n, n)), np.zeros(n)
+    for g in gaussians:
+        e = nearest_error(manifold, product.mean, g)
+        J = np.stack([numerical_rate(manifold, product.mean, g, e, axis) for axis in np.eye(n)], axis=1)
+        H += J.T @ g.precision @ J
+        pull += J.T @ g.precision @ e
+    np.testing.assert_allclose(product.covariance @ pull, 0.0, atol=1e-7)
+    np.testing.assert_allclose(product.covariance @ H, np.eye(n), atol=1e-4)
 
 
 def nearest_error(manifold: Manifold, x: Array, g: Gaussian) -> Array:

@@ -7,6 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from random_problems import random_covariance, random_rotation
 from tpgmm_core.geometry import kernels, kernels_rotation
+from tpgmm_core.geometry.kernels_product import fuse
+from tpgmm_core.learning.estimation.kernels_expectation import factorise
 
 rng = np.random.default_rng(0)
 
@@ -67,3 +69,27 @@ def test_the_inverse_left_jacobian_is_the_derivative_of_the_logarithm() -> None:
             for u in np.eye(3)
         ]
         np.testing.assert_allclose(J, np.transpose(numeric), atol=1e-8)
+
+
+@pytest.mark.parametrize(("left", "definite"), [(4e-13, True), (2e-15, False)])
+def test_a_covariance_that_is_definite_by_rounding_alone_is_refused(left: float, definite: bool) -> None:
+    """`left`: the variance of the second dimension, given the first, of a variance of 1."""
+    singular = np.array([[1.0, 1.0], [1.0, 1.0 + left]])
+    assert kernels.cholesky(singular, 2, np.zeros((2, 2)))
+    covariances = np.stack([np.stack([np.eye(2), np.eye(2)]), np.stack([np.eye(2), singular])])
+    layout = np.array([[0, 2], [2, 2]])
+    found = factorise(layout, covariances, np.zeros((2, 2, 2, 2)), np.zeros((2, 2)))
+    assert found == (-1 if definite else 3)  # of frame 1 and component 1
+
+
+def test_rounding_of_a_large_precision_is_no_information_about_the_free_directions() -> None:
+    """One direction is known to 1e-10; in the others the mean stays at the state."""
+    u = np.array([0.6, 0.0, 0.8])
+    precision = 1e20 * np.outer(u, u)
+    target, state = np.array([1.0, 2.0, 3.0]), np.array([-4.0, 5.0, -6.0])
+    flat, spheres = np.arange(3), np.empty((0, 2), np.int64)
+    mean, covariance = np.empty(3), np.empty((3, 3))
+    fuse(target[None], precision[None], np.ones(1), state, 1e-8, flat, spheres, mean, covariance)
+    np.testing.assert_allclose(u @ mean, u @ target, rtol=1e-9)
+    across = np.array([[0.0, 1.0, 0.0], [0.8, 0.0, -0.6]])
+    np.testing.assert_allclose(across @ mean, across @ state, atol=0.02)

@@ -122,6 +122,17 @@ def test_how_fast_a_product_goes_depends_on_no_rate() -> None:
         np.testing.assert_allclose(covariance, covariances[0], atol=0.05 * np.abs(covariances[0]).max())
 
 
+def test_a_damping_that_is_trusted_by_half_is_that_of_a_step_twice_as_long() -> None:
+    frames, robot = bimanual(), planar_bimanual()
+    robot.update(START)
+    target = objects_at(robot.place("left") + [0.1, -0.1], robot.place("right"))
+    model = model_of({"left": (np.zeros(2), 0.03**2 * np.eye(2)), "previous": (np.zeros(5), 0.01**2 * np.eye(5))})
+    product = ConfigurationProduct(model, frames)
+    halved = product.step(START, target, dt=0.01, weights={"previous": 0.5}).mean
+    np.testing.assert_allclose(halved, product.step(START, target, dt=0.02).mean, rtol=1e-12)
+    assert np.abs(halved - product.step(START, target, dt=0.01).mean).max() > 1e-3
+
+
 def model_of(frames: dict[str, tuple[Array, Array]]) -> TPGMM:
     """One component, from name → mean and covariance."""
     model = TPGMM(1).fit_projected({name: np.vstack([mean, mean + 1.0]) for name, (mean, _) in frames.items()})

@@ -134,6 +134,21 @@ def test_risk_in_continuous_time_is_known_for_one_dimension() -> None:
     np.testing.assert_allclose(gains, [4.0, 4.0 * np.sqrt(4.0 / (4.0 - 3.0)), 4.0 * np.sqrt(4.0 / 5.0)], rtol=1e-9)
 
 
+def test_beyond_the_breakdown_no_gains_are_given_however_near_it_is() -> None:
+    """xdot = -x + u + w, all costs and the noise 1: P = (sqrt(1 + g) - 1) / g with g = 1 - theta, up to g = -1."""
+
+    def solve(theta: float) -> float:
+        regulator = continuous_regulator([[-1.0]], [[1.0]], [[1.0]], 1.0, noise=[[1.0]], risk=theta)
+        return float(regulator.value[0, 0])
+
+    beyond = 2.0 + np.logspace(-8, 1, 91)
+    for theta in beyond:
+        with pytest.raises(ValueError, match="breakdown"):
+            solve(theta)
+    for g in -1.0 + np.logspace(-6, -0.1, 20):
+        assert solve(1.0 - g) == pytest.approx((np.sqrt(1.0 + g) - 1.0) / g, rel=1e-6)
+
+
 @pytest.mark.parametrize("regulator", [continuous_regulator, discrete_regulator])
 def test_risk_beyond_the_breakdown_and_bad_systems_are_refused(regulator: Callable[..., object]) -> None:
     A, B = np.array([[0.5]]), np.array([[1.0]])

@@ -15,17 +15,26 @@ def mixture(K: int = 3, D: int = 4) -> GaussianMixture:
     return GaussianMixture(rng.dirichlet(np.ones(K)), rng.normal(size=(K, D)), covariances)
 
 
-def test_regression_has_the_moments_of_the_conditional_mixture() -> None:
-    m = mixture()
-    given = [0.3, -0.2]
+@pytest.mark.parametrize("several", [False, True])
+def test_regression_has_the_moments_of_the_conditional_mixture(several: bool) -> None:
+    """Its covariance is that within the components, and that of their means about the common one: the spread."""
+    random = np.random.default_rng(4)
+    covariances = np.stack([random_covariance(random, 4, 1.0) for _ in range(3)])
+    m = GaussianMixture([0.3, 0.3, 0.4], 2.0 * random.normal(size=(3, 4)), covariances)
+    given = m.priors @ m.means[:, [1, 3]]
     h = m.responsibilities([1, 3], given)
     parts = [m.component(k).condition([1, 3], given) for k in range(3)]
-    samples = np.concatenate(
-        [rng.multivariate_normal(p.mean, p.covariance, size=int(200000 * w)) for p, w in zip(parts, h, strict=True)]
-    )
-    g = m.condition([1, 3], given)
-    np.testing.assert_allclose(g.mean, samples.mean(axis=0), atol=0.02)
-    np.testing.assert_allclose(g.covariance, np.cov(samples.T), atol=0.03)
+    mean = sum(w * p.mean for w, p in zip(h, parts, strict=True))
+    within = sum(w * p.covariance for w, p in zip(h, parts, strict=True))
+    spread = sum(w * np.outer(p.mean - mean, p.mean - mean) for w, p in zip(h, parts, strict=True))
+    assert np.trace(spread) > 0.1 * np.trace(within)
+    found = m.condition([1, 3], given)
+    found_mean, found_covariance = found.mean, found.covariance
+    if several:
+        both = m.condition([1, 3], np.array([[0.1, 0.5], given]))
+        found_mean, found_covariance = both.mean[1], both.covariance[1]
+    np.testing.assert_allclose(found_mean, mean, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(found_covariance, within + spread, rtol=1e-10, atol=1e-12)
 
 
 def test_responsibilities_are_bayes_rule_also_far_away() -> None:

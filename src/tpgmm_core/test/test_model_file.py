@@ -59,6 +59,19 @@ def test_frames_of_different_dimensions_and_a_fitted_init_can_be_saved(tmp_path:
     assert mixture.means.shape == (2, 4)
 
 
+def test_arrays_that_are_stored_column_by_column_are_read_as_they_are(model: TPGMM, path: Path) -> None:
+    _, arrays = read_parts(path)
+    rewrite(
+        path, means_1=np.asfortranarray(arrays["means_1"]), covariances_0=np.asfortranarray(arrays["covariances_0"])
+    )
+    with zipfile.ZipFile(path) as archive:
+        assert b"'fortran_order': True" in archive.read("means_1.npy")
+    loaded = TPGMM.load(path)
+    names = model.frame_names_
+    np.testing.assert_array_equal(loaded.means_[names[1]], model.means_[names[1]])
+    np.testing.assert_array_equal(loaded.covariances_[names[0]], model.covariances_[names[0]])
+
+
 def test_saving_replaces_whole_files_only(model: TPGMM, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = path.read_bytes()
 

@@ -44,9 +44,9 @@ STARTS = {"planar": np.array([-0.1, 0.3]), "poses": PLACES["poses"]["start"]}
 
 @cache
 def learned(method: str, what: str) -> TPGMM:
-    # What a retrieval makes of noise is measured on the covariances that were learned. time_steps needs its prior: a
-    # Gaussian of one sample for each demonstration is none.
-    own_prior = {} if method == "time_steps" else {"prior_strength": 0.0}
+    # What a retrieval makes of noise is measured on the covariances that were learned. Gaussians of a time
+    # step need their prior: those of one sample for each demonstration are none.
+    own_prior = {} if method in ("time_steps", "promp", "gaussian_process") else {"prior_strength": 0.0}
     recipe = Recipe.of({"n_components": 4, "reg_covar": 1e-5, "retrieval": method, **own_prior})
     if what == "planar":
         return recipe.learn(planar_demonstrations(), "R1 x R2")
@@ -158,6 +158,8 @@ LAGS = {
     "adapt_regress": 0.30,
     "regress_product": 0.30,
     "time_steps": 0.30,
+    "promp": 0.30,
+    "gaussian_process": 0.30,
     "trajectory": 0.30,
     "dmp": 0.20,
     "dynamical_system": 0.41,

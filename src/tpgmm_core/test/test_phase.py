@@ -261,6 +261,37 @@ def test_a_robot_that_is_not_seen_leaves_the_clock() -> None:
     assert unseen.phase == pytest.approx(clock.phase, abs=1e-12)
 
 
+def test_a_robot_that_is_seen_no_longer_leaves_the_clock_as_well() -> None:
+    def held(_: int, mean: Array) -> Array:
+        return POSE.exp(mean, np.array([-0.03, 0.0, 0.0, 0.0, 0.0, 0.0]))
+
+    reproduction = started(StatePhase())
+    behind = run(reproduction, 0, 700, robot=held)
+    assert behind[-1].phase < 0.34  # 0.35 by the clock
+    run(reproduction, 700, 1_200)  # ten times the response
+    alone = run(reproduction, 1_200, 1_401)
+    assert alone[-1].phase - alone[0].phase == pytest.approx(0.1, abs=1e-5)
+
+
+def test_at_its_end_a_movement_has_no_speed_left_that_a_way_back_would_have_to_brake() -> None:
+    reproduction = started(ClockPhase())
+    assert run(reproduction, 0, 3_000)[-1].phase == 1.0
+    reproduction.speed = -1.0
+    # s after the last step, with a low-pass of 0.1 s from rest
+    back = run(reproduction, 3_000, 3_500)
+    seconds = 1e-3 * np.arange(1, 501)
+    expected = 1.0 - (seconds + 0.1 * np.expm1(-seconds / 0.1)) / DURATION
+    np.testing.assert_allclose([r.phase for r in back], expected, atol=1e-9)
+
+
+def test_a_movement_by_arc_length_that_starts_again_takes_nothing_over() -> None:
+    reproduction = started(ArcLengthPhase())
+    run(reproduction, 0, 500)
+    reproduction.start(1_000 * MS, phase=0.4)
+    elsewhere = frames_at(start=place(-0.6, 0.3, 0.2), object=place(0.2, 0.2, -0.6))
+    assert reproduction.step(1_000 * MS, elsewhere).phase == 0.4
+
+
 def test_the_filter_does_not_depend_on_the_rate_of_the_loop() -> None:
     robot = RegressThenProduct(reaching_model()).retrieve(HERE, [0.9])[0].mean
     phases = []
@@ -269,7 +300,7 @@ def test_the_filter_does_not_depend_on_the_rate_of_the_loop() -> None:
         for ms in range(0, 1_501, step):
             reference = reproduction.step(ms * MS, HERE, robot)
         phases.append(reference.phase)
-    assert phases[0] == pytest.approx(phases[1], abs=0.01)
+    assert phases[0] == pytest.approx(phases[1], abs=1e-6)
 
 
 @ALL_PHASES

@@ -164,7 +164,7 @@ def test_a_model_that_does_not_suit_is_refused_with_the_reason(model: str, metho
 
 
 def test_a_phase_is_for_functions_of_time_only() -> None:
-    functions_of_time = "adapt_regress, regress_product, time_steps, trajectory"
+    functions_of_time = "adapt_regress, regress_product, time_steps, promp, gaussian_process, trajectory"
     with pytest.raises(ValueError, match=f"'arc_length' is for {functions_of_time}: dmp"):
         make_retrieval(learned("dmp"), phase="arc_length")
     with pytest.raises(ValueError, match="no phase 'moon'; known are clock"):

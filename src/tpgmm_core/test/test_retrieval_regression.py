@@ -101,3 +101,28 @@ def test_bad_input_is_refused_with_the_reason() -> None:
             order(planar_model()).retrieve({"moon": planar_frame(0.0, 0.0, 0.0).with_time()}, TIMES)
         with pytest.raises(ValueError, match="at least one"):
             order(planar_model()).retrieve({}, TIMES)
+
+
+def test_activations_are_the_mean_over_the_frames_by_their_weights() -> None:
+    model, frames = planar_model(), planar_situation()
+    weights = {"start": 0.2, "goal": 0.7}
+    method = RegressThenProduct(model)
+    method.situate(frames, weights=weights)
+    for t in (0.3, 0.7):
+        shares = []
+        for name, weight in weights.items():
+            variances = model.covariances_[name][:, 0, 0]
+            density = (
+                model.priors_ * np.exp(-0.5 * (t - model.means_[name][:, 0]) ** 2 / variances) / np.sqrt(variances)
+            )
+            shares.append(weight * density / density.sum())
+        expected = np.sum(shares, axis=0) / sum(weights.values())
+        np.testing.assert_allclose(method.at(np.array([t]))[2], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_a_frame_that_shifts_time_is_refused(order: Order) -> None:
+    frames = planar_situation()
+    shifted = Frame(frames["goal"].A, frames["goal"].b + [0.1, 0.0, 0.0])
+    with pytest.raises(ValueError, match="time"):
+        order(planar_model()).retrieve({**frames, "goal": shifted}, TIMES)

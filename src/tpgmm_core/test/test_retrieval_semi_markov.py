@@ -289,7 +289,7 @@ def test_a_place_that_the_movement_comes_back_to_is_not_taken_for_the_later_one(
     model.metadata_ = {"duration_s": 2.0}
     references, path = run(SemiMarkovMovement(model), demonstrations[0].frames, demonstrations[1].data[0, 1:], 2.6)
     phases = np.array([r.phase for r in references])
-    assert phases[200] == pytest.approx(0.5, abs=0.15) and phases[-1] == 1.0
+    assert phases[200] == pytest.approx(0.5, abs=0.05) and phases[-1] == 1.0
     assert np.ptp(path, axis=0).min() > 1.6
 
 

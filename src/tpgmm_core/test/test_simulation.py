@@ -211,3 +211,32 @@ def test_bad_starts_are_refused(baxter: RobotModel) -> None:
         RobotSimulator(baxter, q0=q0)
     with pytest.raises(ValueError, match="not finite"):
         RobotSimulator(baxter).reset(v=np.full(baxter.nv, np.inf))
+
+
+def sliding(folder: Path) -> RobotModel:
+    """The test arm without friction: its slide of 0.5 kg moves freely between stops at 0 and 0.5 m, with 20 N."""
+    return RobotModel.from_file(write_arm(folder, {"friction": {"all": {"viscous": 0.0, "coulomb": 0.0}}}))
+
+
+def test_a_joint_settles_in_its_stop_as_fast_as_stated_and_leaves_it_unbraked(tmp_path: Path) -> None:
+    """The stop is a spring of 20 N/mm, with a damper of 0.01 s times that against what comes: implicit Euler."""
+    robot = sliding(tmp_path)
+    m, K, dt = 0.5, 20.0 / 1e-3, 1e-3
+    D = 0.01 * K
+    turn, slide = robot.joint_names.index("turn"), robot.joint_names.index("slide")
+    simulator = RobotSimulator(robot, dt)
+    start = np.zeros(2)
+    start[slide] = 0.5
+    simulator.reset(start)
+    pull = np.zeros(2)
+    depth = v = 0.0
+    for force, damping, steps in ((20.0, D, 60), (-20.0, 0.0, 4)):
+        pull[slide] = force
+        for _ in range(steps):
+            v = (m * v + dt * (force - K * depth)) / (m + dt * damping + dt**2 * K)
+            depth += dt * v
+            state = simulator.step(pull)
+            np.testing.assert_allclose([state.q[slide] - 0.5, state.v[slide]], [depth, v], rtol=1e-7, atol=1e-12)
+        assert abs(state.q[turn]) < 1e-9
+        if force > 0.0:
+            assert 0.95e-3 < depth < 1e-3

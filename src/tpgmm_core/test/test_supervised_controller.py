@@ -12,6 +12,7 @@ pytest.importorskip("pinocchio")
 
 from robots import BAXTER
 from tpgmm_core import Gaussian
+from tpgmm_core.control.controller import REST_TIME
 from tpgmm_core.control.impedance import ImpedanceLaw
 from tpgmm_core.control.pose_target import PoseTarget
 from tpgmm_core.control.supervised_controller import SupervisedController
@@ -96,6 +97,30 @@ def test_silence_is_answered_by_damping_for_its_time_and_then_by_silence(bench: 
     assert len(torques) - 1 == 40  # every 5 ms for 0.2 s
     gravity = bench.robot.create_data().gravity(bench.simulator.state.q)
     np.testing.assert_allclose(torques[-1], gravity, atol=0.05)
+
+
+def test_an_arm_that_moves_is_braked_where_nothing_is_asked_for_and_when_its_states_stop(bench: Bench) -> None:
+    home, v, data = bench.robot.home, np.zeros(bench.robot.nv), bench.robot.create_data()
+    arm = bench.robot.indices("left_arm")
+    v[arm] = 0.05 * bench.robot.velocity_limits[arm]
+    felt = 1.0 / np.diagonal(np.linalg.inv(data.mass_matrix(home)))
+
+    def safe(speed: np.ndarray) -> np.ndarray:
+        """2 N m s/rad, or as much as takes half of a light joint's speed in 14 ms (`limit_bandwidth`)."""
+        data.update(home, speed)
+        return np.asarray(data.nonlinear_effects(home, speed) - np.minimum(2.0, 50.0 * felt) * speed)
+
+    for _ in range(2):
+        bench.now_ns += MS
+        answer = bench.controller.take_state(home, v, bench.now_ns, bench.now_ns, bench.now_ns)
+    assert bench.mode is ControllerMode.DAMPING and answer is not None
+    np.testing.assert_allclose(answer.command.tau, safe(v), atol=1e-4)  # the arm moves on for a tick
+    seen_ns = bench.now_ns
+    for _ in range(6):
+        bench.now_ns += 5 * MS
+        answer = bench.controller.watch(bench.now_ns) or answer
+    faded = v * np.exp(-1e-9 * (bench.now_ns - seen_ns) / REST_TIME)
+    np.testing.assert_allclose(answer.command.tau, safe(faded), atol=1e-4)
 
 
 def test_after_a_pause_of_its_own_it_reads_what_came_before_it_calls_the_others_silent(bench: Bench) -> None:
@@ -193,9 +218,13 @@ def test_a_reference_counts_by_its_stamp_where_that_is_older_than_its_arrival(be
 
 def test_a_state_or_a_reference_from_the_future_is_refused(bench: Bench) -> None:
     bench.tick(bench.home)
+    bench.refer(bench.home, stamp_ns=bench.now_ns + 49 * MS)  # within max_future
     with pytest.raises(ValueError, match="ahead of this machine's clock"):
         bench.refer(bench.home, stamp_ns=bench.now_ns + 51 * MS)
     state = bench.simulator.state
+    answer = bench.controller.take_state(state.q, state.v, bench.now_ns + 49 * MS, bench.now_ns, bench.now_ns)
+    assert bench.mode is ControllerMode.ACTIVE
+    assert answer is not None and answer.command.law is not None
     answer = bench.controller.take_state(state.q, state.v, bench.now_ns + 51 * MS, bench.now_ns, bench.now_ns)
     assert bench.mode is ControllerMode.FAULT
     assert answer is not None and answer.command.law is None
@@ -246,3 +275,27 @@ def test_changed_parameters_change_the_gains_of_the_reference_that_is_followed(b
     assert answer is not None and answer.command.law is not None
     eigenvalues = np.linalg.eigvals(answer.command.law.stiffness @ np.linalg.inv(answer.command.law.damping))
     assert eigenvalues.real.max() < 1.01 * np.sqrt(20.0 / 2.0)  # K_P K_V^-1 = K_V / 2
+
+
+def test_changed_parameters_change_the_gains_of_the_pose_that_is_held(bench: Bench) -> None:
+    for _ in range(800):
+        bench.tick(bench.home)
+    law = bench.controller.law
+    assert isinstance(law, ImpedanceLaw)
+
+    def stiffest() -> float:
+        """Largest eigenvalue of K_P K_V^-1 = K_V / 2, half a second later."""
+        for _ in range(500):
+            bench.now_ns += MS
+            state = bench.simulator.state
+            answer = bench.controller.take_state(state.q, state.v, bench.now_ns, bench.now_ns, bench.now_ns)
+        assert bench.mode is ControllerMode.HOLD
+        assert answer is not None and answer.command.law is not None
+        return float(
+            np.linalg.eigvals(answer.command.law.stiffness @ np.linalg.inv(answer.command.law.damping)).real.max()
+        )
+
+    assert stiffest() > 2.0 * np.sqrt(20.0 / 2.0)
+    law.configure(replace(law.config, max_stiffness=20.0))
+    bench.controller.configure(TorqueLimits(), TIMEOUTS)
+    assert stiffest() < 1.01 * np.sqrt(20.0 / 2.0)

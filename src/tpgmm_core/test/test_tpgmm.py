@@ -14,6 +14,7 @@ from scipy.stats import multivariate_normal
 
 import numpy_tpgmm
 from tpgmm_core import TPGMM, Demonstration, Frame, Manifold
+from tpgmm_core.learning.estimation.kernels_expectation import PART
 from workloads import W1, demonstrations, pose_demonstrations, projected
 
 DATA02 = Path(__file__).parents[4] / "shared" / "data" / "pbdlib" / "Data02.mat"
@@ -261,3 +262,27 @@ def test_demonstrations_must_agree_in_frames_and_dimensions() -> None:
         TPGMM().fit([demo(("a", "b"), 2), demo(("a",), 2)])
     with pytest.raises(ValueError, match="demonstration 1 has 3 dimensions"):
         TPGMM().fit([demo(("a",), 2), demo(("a",), 3)])
+
+
+@pytest.mark.parametrize("regularization", ["add", "prior"])
+@pytest.mark.parametrize("poses", [False, True])
+def test_the_number_of_threads_changes_no_bit(poses: bool, regularization: str) -> None:
+    rng = np.random.default_rng(5)
+    demos = pose_demonstrations(6, 430) if poses else demonstrations(W1)
+    X = projected(demos)
+    N = len(next(iter(X.values())))
+    assert N > PART, "several parts, so that several threads have something to do"
+    seen = {name: rng.random(N) > 0.1 for name in X}
+    settings = {"manifold": "R1 x R3 x S3"} if poses else {}
+
+    def learned(n_threads: int) -> TPGMM:
+        model = TPGMM(4, n_threads=n_threads, regularization=regularization, max_iter=15, **settings)
+        return model.fit_projected(X, seen)
+
+    one = learned(1)
+    for n_threads in (2, 3, 64):
+        other = learned(n_threads)
+        np.testing.assert_array_equal(other.log_likelihoods_, one.log_likelihoods_)
+        for name, means in one.means_.items():
+            np.testing.assert_array_equal(other.means_[name], means)
+            np.testing.assert_array_equal(other.covariances_[name], one.covariances_[name])

@@ -109,7 +109,20 @@ def test_time_that_jumps_back_is_forgotten_and_tracking_goes_on():
     frames.forget()
     assert state(frames, 50.1)["object"].status is FrameStatus.MISSING
     assert frames.observe("object", POSE, ns(1.0), ns(1.0), ns(50.2)) is None
-    assert state(frames, 50.2)["object"].status is FrameStatus.VISIBLE
+    now = state(frames, 50.2)["object"]
+    assert now.status is FrameStatus.VISIBLE
+    # it was published as missing 0.1 s before, and fades in from there
+    assert now.confidence == pytest.approx(0.1 / CONFIG.fade_time)
+
+
+def test_after_time_has_jumped_back_a_frame_that_is_seen_is_trusted_at_once():
+    frames = tracker()
+    see(frames, 50.0)
+    state(frames, 50.0)
+    frames.forget()
+    assert frames.observe("object", POSE, ns(1.0), ns(1.0), ns(50.01)) is None
+    now = state(frames, 50.02)["object"]
+    assert now.status is FrameStatus.VISIBLE and now.confidence == 1.0
 
 
 def test_a_fixed_frame_takes_no_observations_and_must_be_a_pose():

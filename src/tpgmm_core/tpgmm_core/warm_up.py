@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Adapter, Frame, Gaussian
+from tpgmm_core import TPGMM, Adapter, Demonstration, Frame, Gaussian
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.kinematics.tasks import compile_kernels
@@ -84,7 +84,9 @@ def retrieval(tell: Tell) -> None:
     markov = TPHMM(n_components=2, max_iter=1).fit_projected({"frame": X})
     markov.chain_.most_likely(np.zeros((40, 2)), [40])
     steps = X[np.argsort(X[:, 0])]
-    TimeSteps(TimeStepTPGMM(n_steps=3, manifold="R1 x R3 x S3").fit_projected({"frame": steps}))
+    still = {"frame": Frame(np.eye(8), np.zeros(8))}
+    shown = [Demonstration(steps[:, 0], steps, still) for _ in range(2)]
+    TimeSteps(TimeStepTPGMM(n_steps=3, manifold="R1 x R3 x S3", locality=1.0).fit(shown))
     tell("trajectories")
     rng = np.random.default_rng(1)
     features = np.concatenate([X, rng.normal(size=(40, 12))], axis=1)

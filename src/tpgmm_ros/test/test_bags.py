@@ -57,6 +57,13 @@ def test_a_frame_holds_its_latest_pose(tmp_path: Path) -> None:
     assert recording.to_demonstration().frames["object"].is_time_varying
 
 
+def test_a_pose_with_the_stamp_of_a_sample_belongs_to_it(tmp_path: Path) -> None:
+    topics = reach(0)
+    topics["/object/pose"].poses[:, 0] += 1e-3 * np.arange(100)
+    recording = read_recording(write_bag(tmp_path / "demo", topics), TASK)
+    np.testing.assert_allclose(recording.frames["object"], topics["/object/pose"].poses, atol=1e-12)
+
+
 def test_a_frame_is_invisible_before_it_was_first_seen(tmp_path: Path) -> None:
     topics = reach(0, samples=11, duration=2.0)
     topics["/object/pose"] = Topic([[1.0, 0, 0, 0, 0, 0, 1]], [0.7])

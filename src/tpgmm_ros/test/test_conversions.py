@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Callable
 
@@ -91,6 +92,7 @@ def change(name: str, value: object) -> Callable[[TaskParameters], None]:
         (change("a", array("d", [np.nan] * 49)), "finite"),
         (change("status", 9), "status 9"),
         (change("confidence", 1.5), "confidence 1.5"),
+        (change("confidence", -0.1), "confidence -0.1"),
         (change("confidence", np.nan), "confidence nan"),
         (change("name", "far"), "twice"),
     ],
@@ -147,10 +149,11 @@ def test_a_gaussian_that_is_none_is_refused_with_the_reason(
         conversions.gaussian(message)
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("name", ["phase", "horizon_time_step"])
-def test_a_reference_whose_times_are_not_finite_is_refused(name: str) -> None:
+def test_a_reference_whose_times_are_not_finite_is_refused(name: str, value: float) -> None:
     message = conversions.reference_message(reference(), (), 0, "base")
-    setattr(message, name, float("nan"))
+    setattr(message, name, value)
     with pytest.raises(MessageError, match="not finite"):
         conversions.reference(message)
 

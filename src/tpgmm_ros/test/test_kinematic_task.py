@@ -111,6 +111,8 @@ def write_bag(path: Path, task: Task, broken: str = "") -> None:
                 writer.write(connection, ns, STORE.serialize_cdr(message, message.__msgtype__))
             if broken == "late" and i < 40:
                 continue
+            if broken == "clock":  # that of the robot's driver is ahead
+                header = Header(stamp=Time(sec=ns // 10**9 + 30, nanosec=ns % 10**9), frame_id=task.base_frame)
             positions = np.arange(len(names)) + 0.01 * i
             if broken == "nan":
                 positions[3] = np.nan
@@ -132,6 +134,10 @@ def test_configurations_are_read_by_joint_names(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.configurations[0], np.arange(14)[::-1])
     np.testing.assert_allclose(np.diff(recording.configurations[:-1], axis=0), 0.02, atol=1e-9)
     assert read_recording(tmp_path / "good", replace(task, space=PoseSpace(tuple(task.frames)))).configurations is None
+    write_bag(tmp_path / "clock", task, "clock")
+    recorded = read_recording(tmp_path / "clock", task, every=2)
+    assert "times of the recorder used" in recorded.notes[0] and recorded.configurations is not None
+    np.testing.assert_allclose(recorded.configurations, recording.configurations, atol=1e-9)
     write_bag(tmp_path / "part", task, "parts")
     parts = read_recording(tmp_path / "part", task, every=2)
     assert parts.configurations is not None

@@ -16,6 +16,10 @@ STRUCTURES = ("diag", "full")
 MORE_STRUCTURES = ("tied", "mppca", "semi_tied")
 PRIORS = (1e-5, 1e-4, 1e-3, 1e-2)
 """Tried as `reg_covar` that is added, and as prior."""
+LOCALITIES = (0.3, 1.0, 3.0)
+"""How much more demonstrations say whose situations are near, for methods that can tell."""
+STRENGTHS = (0.0, 1.0, 3.0, 10.0, 30.0)
+"""Of the prior of the covariances, in demonstrations."""
 MORE_FRAMES = 2
 """Declared frames that the screen drops, up to which they are tried with every method all the same."""
 START = 7
@@ -56,7 +60,10 @@ class Plan:
             for K in COMPONENTS
         ]
         yield self._frames(search.leaders[0].trial)
-        yield self._structures(search.leaders[0].trial)
+        yield [
+            *self._structures(search.leaders[0].trial),
+            *(trial for result in search.leaders[:LEADERS] for trial in self._weights(result.trial)),
+        ]
         best = search.leaders[0].trial
         yield [*self._frames(best), *self._components(best)]
 
@@ -88,6 +95,15 @@ class Plan:
             trial.changed(regularization=kind, reg_covar=strength) for kind in ("add", "prior") for strength in PRIORS
         ]
         return [*priors, *(trial.changed(covariance=structure) for structure in (*STRUCTURES, *MORE_STRUCTURES))]
+
+    @staticmethod
+    def _weights(trial: Trial) -> list[Trial]:
+        """Other strengths of the prior, and localities: how far demonstrations are believed is theirs to tell."""
+        recipe = trial.recipe
+        present = recipe.method.estimator(**recipe.arguments).prior_strength
+        strengths = [trial.changed(prior_strength=strength) for strength in STRENGTHS if strength != present]
+        localities = [trial.changed(locality=locality) for locality in LOCALITIES]
+        return [*strengths, *(other for other in localities if "locality" in other.settings)]
 
     def _components(self, trial: Trial) -> list[Trial]:
         if "n_components" not in trial.settings:

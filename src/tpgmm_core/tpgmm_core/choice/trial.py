@@ -55,7 +55,7 @@ class Trial:
 
     @classmethod
     def of(cls, method: str, frames: Sequence[str], settings: Mapping[str, Any]) -> Trial:
-        """Take of the settings those that the method has.
+        """Take of the settings those that the method has and takes notice of.
 
         Parameters
         ----------
@@ -73,7 +73,8 @@ class Trial:
         """
         chosen = method_named(method)
         known = {item.name for item in fields(chosen.encoding)} | inspect.signature(chosen.estimator).parameters.keys()
-        return cls(chosen.name, tuple(frames), {name: settings[name] for name in settings if name in known - {KEY}})
+        used = known - {KEY} - chosen.estimator.unused
+        return cls(chosen.name, tuple(frames), {name: settings[name] for name in settings if name in used})
 
     def changed(self, **settings: Any) -> Trial:
         """The same with other settings."""

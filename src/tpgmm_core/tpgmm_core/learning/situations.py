@@ -178,6 +178,12 @@ def first_frames(demonstration: Demonstration) -> dict[str, Frame]:
     return found
 
 
+def seen_from(reference: Frame, frame: Frame, origin: Array) -> Array:
+    """The origin (D,) of a frame, as seen from the reference; both frames over [time, data]."""
+    image = np.concatenate([[0.0], _image(frame, origin)])
+    return np.asarray(reference.project(image[None])[0, 1:])
+
+
 def _most_informative(coordinates: FrameCoordinates, values: Array, chosen: NDArray[np.intp]) -> list[float]:
     """Positions of frames, and their turns from the mean, at the corner of the range with the largest leverage."""
     shown = values[:, chosen]

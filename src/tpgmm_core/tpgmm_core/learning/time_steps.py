@@ -18,17 +18,20 @@ mean moves on with time. So model files, `adapt` and regression work as for othe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Self
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.compiled_em import Estimate, MixtureParameters, Workspace
 from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.local_weights import ShownSteps
 from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.samples import Samples
 
 PRIOR_STRENGTH = 10.0
@@ -55,7 +58,25 @@ class TimeStepTPGMM(TPGMM):
         c, in demonstrations: how far covariances are shrunk
     n_steps
         number of time steps, from 2
+    locality
+        how much more demonstrations say whose situations are near (`tpgmm_core.learning.local_weights`); 0: all count
+        alike. The mixture of the steps, and so `adapt` and `score`, do not know of it; retrieval does
+
+    Attributes
+    ----------
+    shown_
+        `ShownSteps`: the demonstrations themselves, where `locality` is above 0; else None
     """
+
+    shown_: ShownSteps | None
+
+    unused: ClassVar[frozenset[str]] = frozenset(
+        (
+            "n_components", "init", "tol", "max_iter", "random_state", "regularization", "n_init", "covariance",
+            "n_factors", "covariance_options",
+        )
+    )  # fmt: skip
+    """Parameters without a meaning here."""
 
     def __init__(
         self,
@@ -73,12 +94,64 @@ class TimeStepTPGMM(TPGMM):
         covariance_options: Mapping[str, Any] | None = None,
         prior_strength: float = PRIOR_STRENGTH,
         n_steps: int = 100,
+        locality: float = 0.0,
     ) -> None:
         super().__init__(
             n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
             covariance, n_factors, covariance_options, prior_strength,
         )  # fmt: skip
         self.n_steps = n_steps
+        self.locality = locality
+
+    def fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
+        """Learn from demonstrations: see `TPGMM.fit`."""
+        super().fit(demonstrations, progress)
+        if self._is_local:
+            samples = self._samples(demonstrations)
+            deviations, seen = {}, []
+            for (name, x), mask in zip(samples.X.items(), samples.seen, strict=True):
+                shown = ShownToFrame.of(samples.manifolds[name], x, mask, samples, self.n_steps)
+                deviations[name], which = self._deviations(shown, self.means_[name][:, 1:])
+                seen.append(which)
+            space = self.manifold_.subset(range(1, self.manifold_.dim))
+            self.shown_ = ShownSteps.of(demonstrations, space, deviations, np.stack(seen))
+        return self
+
+    @property
+    def _is_local(self) -> bool:
+        return self.locality > 0.0 and "locality" not in self.unused
+
+    def _deviations(self, shown: ShownToFrame, centres: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Tangent vectors (m, T, n) from the means (T, D) of the steps to what the frame saw; what it saw, (m, T)."""
+        return shown.space.log(centres[None], shown.points) * shown.visible[:, :, None], shown.visible
+
+    def predictive(self, space: Manifold, deviations: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """What the covariances of steps are made of where all demonstrations count alike.
+
+        Parameters
+        ----------
+        space
+            of the points, without time
+        deviations
+            (m, T, n)
+        seen
+            (m, T), which of them count
+
+        Returns
+        -------
+        tuple[Array, Array]
+            B and R of the module, without `reg_covar`, (T, n, n); zeros where fewer than two were seen
+        """
+        c = self.prior_strength
+        B = np.zeros((seen.shape[1], space.tangent_dim, space.tangent_dim))
+        R = np.zeros_like(B)
+        for t, m in enumerate(seen.sum(axis=0).tolist()):
+            if m > 1:
+                spread = deviations[seen[:, t], t]
+                S = spread.T @ spread / (m - 1)
+                B[t] = isotropic(space, S)
+                R[t] = self._student(space, m) * ((m - 1) * S + c * B[t]) / (m - 1 + c)
+        return B, R
 
     def _fit(self, samples: Samples, progress: Progress | None) -> Self:
         T = self.n_steps
@@ -87,7 +160,9 @@ class TimeStepTPGMM(TPGMM):
             manifold = samples.manifolds[name]
             if manifold.ambient_of_tangent[0] != 0 or manifold.tangent_dim < 2:
                 raise ValueError(f"time steps need time first, then other dimensions; frame {name!r} is {manifold}")
-            means[name], covariances[name] = self._steps(manifold, x, seen, samples)
+            shown = ShownToFrame.of(manifold, x, seen, samples, T)
+            centres, within = self._gaussians(shown)
+            means[name], covariances[name] = self._over_time(shown.space, shown.times, centres, within)
         parameters = MixtureParameters(np.full(T, 1.0 / T), means, covariances)
         workspace = Workspace(samples, parameters)
         workspace.factorise()
@@ -95,44 +170,36 @@ class TimeStepTPGMM(TPGMM):
         if progress is not None:
             progress(1, float(course[0]))
         self._learned(Estimate(parameters, course, course, converged=True), samples.manifold)
+        self.shown_ = None
         return self
 
-    def _steps(self, manifold: Manifold, x: Array, seen: Array, samples: Samples) -> tuple[Array, Array]:
-        """Means (T, D) and covariances (T, n, n) over [time, point] of what one frame saw, x (N, D) where seen (N,)."""
-        space = manifold.subset(range(1, manifold.dim))
-        shares = np.linspace(0.0, 1.0, self.n_steps)
-        points, visible, spans = [], [], []
-        first = 0
-        for length in samples.lengths:
-            own = slice(first, first + length)
-            first += length
-            t = samples.times[own]
-            points.append(_resampled(space, t, x[own, 1:], t[0] + shares * (t[-1] - t[0])))
-            nearest = np.abs(t[:, None] - (t[0] + shares * (t[-1] - t[0]))).argmin(axis=0)
-            visible.append(seen[own][nearest])
-            spans.append((t[0], t[-1]))
-        begin, end = np.mean(spans, axis=0)
-        grid = begin + shares * (end - begin)
-        everything = x[seen, 1:]
+    def _gaussians(self, shown: ShownToFrame) -> tuple[Array, Array]:
+        """Means (T, D) and covariances (T, n, n) of one frame, of the points at each step alone."""
         centres, within = [], []
-        for step in range(self.n_steps):
-            chosen = np.array([p[step] for p, v in zip(points, visible, strict=True) if v[step]])
-            centres.append(space.mean(chosen if len(chosen) else everything))
-            spread = space.log(centres[-1], chosen if len(chosen) > 1 else everything)
-            within.append(self._predictive(space, spread) * (1.0 if len(chosen) else UNSEEN))
-        return self._over_time(space, grid, np.stack(centres), np.stack(within))
+        for points, visible in zip(shown.points.swapaxes(0, 1), shown.visible.T, strict=True):
+            chosen = points[visible]
+            centres.append(shown.space.mean(chosen if len(chosen) else shown.everything))
+            spread = shown.space.log(centres[-1], chosen if len(chosen) > 1 else shown.everything)
+            within.append(self._predictive(shown.space, spread) * (1.0 if len(chosen) else UNSEEN))
+        return np.stack(centres), np.stack(within)
 
     def _predictive(self, space: Manifold, spread: Array) -> Array:
         """R (n, n) of the module for points at tangent vectors `spread` (m, n) from their mean."""
         m, c = len(spread), self.prior_strength
         S = spread.T @ spread / (m - 1)
-        B, blocks = np.zeros_like(S), isotropic_blocks(space)
-        for block in blocks:
-            B[block, block] = np.trace(S[block, block]) / (block.stop - block.start) * np.eye(block.stop - block.start)
-        freedom = min(block.stop - block.start for block in blocks) * (m - 1)
-        factor = (1.0 + 1.0 / m) * freedom / max(freedom - 2.0, 1.0)
-        R = factor * ((m - 1) * S + c * B) / (m - 1 + c)
+        R = self._student(space, m) * ((m - 1) * S + c * isotropic(space, S)) / (m - 1 + c)
         return np.asarray(R + self.reg_covar * np.eye(len(R)))
+
+    @staticmethod
+    def block_size(space: Manifold) -> int:
+        """Dimensions of the smallest place or turn of a space."""
+        return min(block.stop - block.start for block in isotropic_blocks(space))
+
+    @staticmethod
+    def _student(space: Manifold, m: int) -> float:
+        """f(m) of the module."""
+        freedom = TimeStepTPGMM.block_size(space) * (m - 1)
+        return (1.0 + 1.0 / m) * freedom / max(freedom - 2.0, 1.0)
 
     @staticmethod
     def _over_time(space: Manifold, grid: Array, centres: Array, within: Array) -> tuple[Array, Array]:
@@ -158,6 +225,82 @@ class TimeStepTPGMM(TPGMM):
         T = self.n_steps
         if not isinstance(T, int | np.integer) or isinstance(T, bool) or T < 2:
             raise ValueError(f"n_steps is an integer from 2, got {T!r}")
+        L = self.locality
+        if not isinstance(L, int | float | np.number) or not (np.isfinite(L) and L >= 0.0):
+            raise ValueError(f"locality is a finite number from 0, got {L!r}")
+
+    def _more_arrays(self) -> dict[str, Array]:
+        return {} if self.shown_ is None else self.shown_.arrays()
+
+    def _restore(self, arrays: Mapping[str, Array]) -> None:
+        self.shown_ = None
+        if self._is_local:
+            self.shown_ = ShownSteps.from_arrays(arrays, self.frame_manifolds_, len(self.priors_))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownToFrame:
+    """What one frame saw, at the same shares of the time of each demonstration.
+
+    Parameters
+    ----------
+    space
+        of the points, without time
+    times
+        (T,), of the steps, s: between the mean begin and the mean end
+    points
+        (m, T, D)
+    visible
+        (m, T), whether the frame saw them
+    everything
+        (N, D), all samples that the frame saw
+    """
+
+    space: Manifold
+    times: Array
+    points: Array
+    visible: NDArray[np.bool_]
+    everything: Array
+
+    @classmethod
+    def of(cls, manifold: Manifold, x: Array, seen: Array, samples: Samples, n_steps: int) -> ShownToFrame:
+        """Of one frame's view x (N, D) over [time, point], where seen (N,), at n_steps."""
+        space = manifold.subset(range(1, manifold.dim))
+        shares = np.linspace(0.0, 1.0, n_steps)
+        points, visible, spans = [], [], []
+        first = 0
+        for length in samples.lengths:
+            own = slice(first, first + length)
+            first += length
+            t = samples.times[own]
+            asked = t[0] + shares * (t[-1] - t[0])
+            points.append(_resampled(space, t, x[own, 1:], asked))
+            visible.append(seen[own][np.abs(t[:, None] - asked).argmin(axis=0)])
+            spans.append((t[0], t[-1]))
+        begin, end = np.mean(spans, axis=0)
+        return cls(space, begin + shares * (end - begin), np.stack(points), np.stack(visible), x[seen, 1:])
+
+    def held(self) -> Array:
+        """Points (m', T, D) of the demonstrations that the frame saw, which stay where it last saw or first sees them.
+
+        So a demonstration of which a part was hidden is a whole path too.
+        """
+        steps = np.arange(self.points.shape[1])
+        held = []
+        for points, visible in zip(self.points, self.visible, strict=True):
+            seen = np.flatnonzero(visible)
+            if len(seen):
+                held.append(points[seen[np.abs(steps[:, None] - seen).argmin(axis=1)]])
+        return np.stack(held)
+
+
+def isotropic(space: Manifold, S: Array) -> Array:
+    """B (n, n) of the module: the same variance in all directions of a place, and of a turn, as S has on average."""
+    B = np.zeros_like(S)
+    for block in isotropic_blocks(space):
+        size = block.stop - block.start
+        B[block, block] = np.trace(S[block, block]) / size * np.eye(size)
+    return B
 
 
 def isotropic_blocks(space: Manifold) -> list[slice]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from os import PathLike
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -78,6 +78,9 @@ class TPGMM(Estimator):
     prior_strength
         weight, in demonstrations, of an inverse-Wishart prior of the covariances whose scale the data give
         (`tpgmm_core.learning.estimation.covariance_prior`); 0: none. 3 is a good value for demonstrations of poses
+    n_threads
+        threads that share the samples in EM of full covariances. The result is the same, bit by bit, for any number.
+        Worth it from some ten thousand samples on; more than 1 disturbs other processes on the same cores
 
     Attributes
     ----------
@@ -109,6 +112,9 @@ class TPGMM(Estimator):
         free texts and numbers by name
     """
 
+    unused: ClassVar[frozenset[str]] = frozenset()
+    """Constructor arguments that an estimator takes, but takes no notice of."""
+
     priors_: Array
     means_: dict[str, Array]
     covariances_: dict[str, Array]
@@ -138,6 +144,7 @@ class TPGMM(Estimator):
         n_factors: int = 1,
         covariance_options: Mapping[str, Any] | None = None,
         prior_strength: float = 0.0,
+        n_threads: int = 1,
     ) -> None:
         self.n_components = n_components
         self.init = init
@@ -152,6 +159,7 @@ class TPGMM(Estimator):
         self.n_factors = n_factors
         self.covariance_options = covariance_options
         self.prior_strength = prior_strength
+        self.n_threads = n_threads
 
     def fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
         """Learn from demonstrations, projected into their frames by Eq. (4).
@@ -239,7 +247,7 @@ class TPGMM(Estimator):
         rules: dict[str, Any] = {"tol": self.tol, "max_iter": self.max_iter, "prior": prior, "progress": progress}
         if structure.name == "full":
             regularization: dict[str, Any] = {"reg_covar": self.reg_covar, "regularization": self.regularization}
-            return expectation_maximisation(samples, start, **regularization, **rules), None
+            return expectation_maximisation(samples, start, n_threads=self.n_threads, **regularization, **rules), None
         begun = self.init.emissions_ if isinstance(self.init, TPGMM) and start.priors is self.init.priors_ else None
         estimate = fit_structure(samples, structure, start, begun, self.random_state, **rules)
         return estimate.with_dense_covariances(), estimate.emissions
@@ -305,10 +313,10 @@ class TPGMM(Estimator):
         return {name: view_manifold(self.manifold_, mean.shape[1]) for name, mean in self.means_.items()}
 
     def _check_parameters(self) -> None:
-        for name, lowest in (("n_components", 1), ("max_iter", 1), ("n_init", 1)):
+        for name in ("n_components", "max_iter", "n_init", "n_threads"):
             value = getattr(self, name)
-            if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < lowest:
-                raise ValueError(f"{name} is an integer from {lowest}, got {value!r}")
+            if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
+                raise ValueError(f"{name} is an integer from 1, got {value!r}")
         for name in ("reg_covar", "tol", "prior_strength"):
             value = getattr(self, name)
             if not isinstance(value, int | float | np.number) or not (np.isfinite(value) and value >= 0.0):
@@ -444,6 +452,7 @@ class TPGMM(Estimator):
         """
         self._check_fitted()
         settings = {k: v for k, v in self.get_params().items() if v is None or isinstance(v, str | int | float)}
+        settings.pop("n_threads", None)  # says nothing about the model
         structure = self.emissions_.structure
         is_full = structure.name == "full"
         header = model_file.ModelHeader(

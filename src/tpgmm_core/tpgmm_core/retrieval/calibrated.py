@@ -11,12 +11,11 @@ from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
-from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.interface import Retrieval
+from tpgmm_core.retrieval.wrapped import Wrapped
 
 
 def scale_key(method: str) -> str:
@@ -50,7 +49,7 @@ def covariance_scale(model: TPGMM, method: str) -> float:
     return float(scale)
 
 
-class Calibrated(Retrieval):
+class Calibrated(Wrapped):
     """A `Retrieval` with the references of another one, whose covariances are scaled.
 
     A direction that no frame constrains is not known in any way: there, covariances do not become less. `mixture` is
@@ -65,35 +64,8 @@ class Calibrated(Retrieval):
     """
 
     def __init__(self, retrieval: Retrieval, scale: float) -> None:
-        self._retrieval, self._scale = retrieval, scale
-
-    @property
-    def manifold(self) -> Manifold:
-        """Manifold of the references, without time."""
-        return self._retrieval.manifold
-
-    @property
-    def frame_names(self) -> tuple[str, ...]:
-        """The frames that the model was learned from."""
-        return self._retrieval.frame_names
-
-    @property
-    def duration(self) -> float:
-        """Duration of the whole movement at speed 1, s."""
-        return self._retrieval.duration
-
-    @property
-    def speed(self) -> float:
-        """Speed of the movement: see `Retrieval.speed`."""
-        return self._retrieval.speed
-
-    @speed.setter
-    def speed(self, speed: float) -> None:
-        self._retrieval.speed = speed
-
-    def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
-        """Begin a movement: see `Retrieval.start`."""
-        self._retrieval.start(time_ns, state, phase)
+        super().__init__(retrieval)
+        self._scale = scale
 
     def step(
         self,
@@ -113,10 +85,6 @@ class Calibrated(Retrieval):
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
         """The next n Gaussians, dt (s) apart: see `Retrieval.horizon`."""
         return [self._scaled(gaussian) for gaussian in self._retrieval.horizon(n, dt)]
-
-    def mixture(self) -> GaussianMixture:
-        """The model in the situation of the last step: see `Retrieval.mixture`."""
-        return self._retrieval.mixture()
 
     def _scaled(self, gaussian: Gaussian) -> Gaussian:
         is_free = float(gaussian.covariance.max()) > 0.5 * UNCONSTRAINED_VARIANCE

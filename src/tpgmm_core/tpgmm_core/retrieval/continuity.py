@@ -13,20 +13,15 @@ Once all of it is gone, the reference is exactly the course.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.model.frame_buffer import manifold_origin
-from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.covariance_fade import CovarianceFade
-from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.retrieval.spring import critically_damped
 
 #: The velocity of a reference is taken from two moments this far apart, s. Short, so that a controller which takes it
@@ -35,7 +30,6 @@ MOMENT = 0.005
 SWING = 0.25
 """A swing leads less than this share of the distance between the courses, since its velocity held for a moment only."""
 NEGLIGIBLE = 1e-13  # offsets (m, rad) that rounding hides
-_SECOND = 1_000_000_000
 
 
 class Continuity:
@@ -180,117 +174,3 @@ class Continuity:
         offset, _ = critically_damped(self._offset, self._rate, 1.0 / self.time_constant, seconds)
         swing, _ = critically_damped(self._swing, self._swing_rate, 1.0 / self._swing_time, seconds)
         return offset + swing
-
-
-class Continued:
-    """A `Retrieval` that continues from another one while the robot moves, whatever methods both are.
-
-    Parameters
-    ----------
-    retrieval
-        the new one, started
-    former, former_ns
-        the last reference of the former one, and its time, ns
-    time_constant
-        with which the difference dies out, s
-
-    Raises
-    ------
-    ValueError
-        when the references are on different manifolds
-    """
-
-    def __init__(self, retrieval: Retrieval, former: Reference, former_ns: int, time_constant: float) -> None:
-        manifold = retrieval.manifold
-        if manifold != former.gaussian.manifold:
-            raise ValueError(
-                f"the new retrieval is on {manifold}, the movement on {former.gaussian.manifold}: "
-                "load a model of the same dimensions, or end the movement first"
-            )
-        self._retrieval = retrieval
-        self._continuity = Continuity(manifold, time_constant)
-        self._former: Reference | None = former
-        self._last_ns = former_ns
-
-    @property
-    def manifold(self) -> Manifold:
-        """Manifold of the references, the same for both retrievals."""
-        return self._retrieval.manifold
-
-    @property
-    def frame_names(self) -> tuple[str, ...]:
-        """The frames of the new retrieval's model."""
-        return self._retrieval.frame_names
-
-    @property
-    def duration(self) -> float:
-        """Duration of the new retrieval at speed 1, s."""
-        return self._retrieval.duration
-
-    @property
-    def speed(self) -> float:
-        """Speed of the new retrieval; setting it raises ValueError where that method cannot go at this speed."""
-        return self._retrieval.speed
-
-    @speed.setter
-    def speed(self, speed: float) -> None:
-        self._retrieval.speed = speed
-
-    def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
-        """Start the new retrieval afresh: the former one no longer matters."""
-        self._continuity.forget()
-        self._former = None
-        self._retrieval.start(time_ns, state, phase)
-
-    def step(
-        self,
-        time_ns: int,
-        frames: Mapping[str, Frame],
-        state: Array | None = None,
-        weights: Mapping[str, float] | None = None,
-    ) -> Reference:
-        """The reference of the new retrieval, with what remains of the difference to the former one.
-
-        Parameters
-        ----------
-        time_ns, frames, state, weights
-            as for `Retrieval.step`
-
-        Returns
-        -------
-        Reference
-            see `Retrieval.step`
-        """
-        reference = self._retrieval.step(time_ns, frames, state, weights)
-        since = max(0.0, (time_ns - self._last_ns) / _SECOND)
-        self._last_ns = time_ns
-        if self._former is None:
-            self._continuity.advance(since)
-        else:
-            self._take_over(self._former, reference, since)
-            self._former = None
-        dt, present = reference.horizon_time_step, reference.gaussian
-        return replace(
-            reference,
-            gaussian=self._continuity.gaussian(present.mean, present.covariance),
-            horizon=tuple(
-                self._continuity.gaussian(g.mean, g.covariance, dt * i)
-                for i, g in enumerate(reference.horizon, start=1)
-            ),
-        )
-
-    def _take_over(self, former: Reference, reference: Reference, since: float) -> None:
-        """Continue from where the former reference would be by now, with the velocity that it had."""
-        velocity, start = former.velocity(), former.gaussian.mean
-        paths = [self.manifold.exp(start, (since + ahead) * velocity) for ahead in (0.0, MOMENT)]
-        means = [reference.gaussian.mean, self._retrieval.horizon(1, MOMENT)[0].mean]
-        self._continuity.take_over(paths, means, former.gaussian.covariance, reference.gaussian.covariance[None])
-
-    def horizon(self, n: int, dt: float) -> list[Gaussian]:
-        """The next n Gaussians, dt (s) apart, with what will remain of the difference then."""
-        ahead = self._retrieval.horizon(n, dt)
-        return [self._continuity.gaussian(g.mean, g.covariance, dt * i) for i, g in enumerate(ahead, start=1)]
-
-    def mixture(self) -> GaussianMixture:
-        """The model of the new retrieval in the situation of the last step."""
-        return self._retrieval.mixture()

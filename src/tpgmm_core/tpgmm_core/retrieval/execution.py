@@ -23,7 +23,7 @@ from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.model.reference import Reference
-from tpgmm_core.retrieval.continuity import Continued
+from tpgmm_core.retrieval.continued import Continued
 from tpgmm_core.retrieval.interface import Retrieval
 
 _SECOND = 1_000_000_000

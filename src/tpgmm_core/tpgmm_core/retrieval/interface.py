@@ -61,7 +61,7 @@ class Retrieval(Protocol):
             (D,), where the robot is; None where not known
         phase
             share of the movement that is already done, 0 to 1: where to continue when another method, or another model,
-            takes over while the robot moves. `tpgmm_core.retrieval.continuity.Continued` then keeps the references free
+            takes over while the robot moves. `tpgmm_core.retrieval.continued.Continued` then keeps the references free
             of jumps, for all methods alike
         """
 

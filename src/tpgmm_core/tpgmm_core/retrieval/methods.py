@@ -12,7 +12,9 @@ from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.text import shown
 from tpgmm_core.learning import model_file
 from tpgmm_core.learning.endpoints import EndpointTPGMM
+from tpgmm_core.learning.gaussian_process import GaussianProcessTPGMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
+from tpgmm_core.learning.promp import ProMPTPGMM
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.retrieval.calibrated import Calibrated, covariance_scale
@@ -107,6 +109,13 @@ METHODS: dict[str, RetrievalMethod] = {
         RetrievalMethod(name="adapt_regress", encoding=TimeEncoding, time_parametrized=AdaptThenRegress),
         RetrievalMethod(name="regress_product", encoding=TimeEncoding, time_parametrized=RegressThenProduct),
         RetrievalMethod(name="time_steps", encoding=TimeEncoding, estimator=TimeStepTPGMM, time_parametrized=TimeSteps),
+        RetrievalMethod(name="promp", encoding=TimeEncoding, estimator=ProMPTPGMM, time_parametrized=TimeSteps),
+        RetrievalMethod(
+            name="gaussian_process",
+            encoding=TimeEncoding,
+            estimator=GaussianProcessTPGMM,
+            time_parametrized=TimeSteps,
+        ),
         RetrievalMethod(name="trajectory", encoding=DerivativesEncoding, time_parametrized=SmoothTrajectory),
         RetrievalMethod(
             name="dynamical_system", encoding=VelocityEncoding, estimator=EndpointTPGMM, movement=StableDynamics

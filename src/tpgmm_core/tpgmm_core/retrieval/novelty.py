@@ -29,6 +29,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
+from tpgmm_core.learning.situations import seen_from
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.frame_buffer import manifold_origin
 from tpgmm_core.retrieval.interface import Retrieval
@@ -119,7 +120,7 @@ class SituationRange:
         means, deviations = {}, {}
         for name in names[1:]:
             both = [frames for frames in situations if name in frames and names[0] in frames]
-            points = np.stack([_seen_from(frames[names[0]], frames[name], origin) for frames in both])
+            points = np.stack([seen_from(frames[names[0]], frames[name], origin) for frames in both])
             mean = manifold.mean(points)
             spread = np.sqrt(np.mean(manifold.log(mean, points) ** 2, axis=0) * len(both) / max(len(both) - 1, 1))
             means[name] = mean.tolist()
@@ -134,7 +135,7 @@ class SituationRange:
             return largest
         for name, mean in self.means.items():
             if name in frames:
-                point = _seen_from(frames[self.reference], frames[name], origin)
+                point = seen_from(frames[self.reference], frames[name], origin)
                 deviations = np.abs(manifold.log(np.asarray(mean), point)) / np.asarray(self.deviations[name])
                 largest = max(largest, float(deviations.max()))
         return largest
@@ -251,9 +252,3 @@ def _mixture(retrieval: Retrieval, frames: Mapping[str, Frame], state: Array | N
     retrieval.start(0, state)
     retrieval.step(0, frames, state)
     return retrieval.mixture()
-
-
-def _seen_from(reference: Frame, frame: Frame, origin: Array) -> Array:
-    """The origin of a frame, as seen from the reference; both frames over [time, data]."""
-    image = np.concatenate([[0.0], frame.A[1:, 1:] @ origin + frame.b[1:]])
-    return np.asarray(reference.project(image[None])[0, 1:])

@@ -137,61 +137,121 @@ def _differences(first: Array, weights: Array, flat: Array, spheres: Array, poin
 
 
 @compiled
-def _differentiate(
-    own: int, weights: Array, spheres: Array, steps: Array, residual: Array, plain: Array, turning: Array
-) -> None:
-    """Derivatives of the residual with respect to tangent steps of the window's three points, at point `own` of it.
+def _derivatives(own: int, weights: Array, t: int, plain: Array) -> None:
+    """Derivatives of position, velocity and acceleration by the window's points, on R^n: plain (3, 3).
 
-    plain (3, 3): of position, velocity and acceleration by each point, the same for all dimensions of R^n
-    turning (S, 3, 3, 3, 3): the same on S³, where each is a matrix: the inverse left Jacobian of SO(3) for the point
-        that a logarithm goes to, its transpose, negative, for that from which it goes
+    The same numbers hold for all dimensions. weights (3, T, 3); `own` is the place of x[t] in the window.
     """
     plain[:] = 0.0
     plain[0, own] = 1.0
     for order in range(1, 3):
         for p in range(3):
             if p != own:
-                plain[order, p] += weights[order, p]
-                plain[order, own] -= weights[order, p]
-    J = np.empty((3, 3))
-    for s in range(len(spheres)):
-        t, block = spheres[s, 1], turning[s]
-        block[:] = 0.0
-        inverse_left_jacobian(residual[t], residual[t + 1], residual[t + 2], block[0, own])
-        for p in range(3):
-            if p == own:
-                continue
-            inverse_left_jacobian(steps[p, t], steps[p, t + 1], steps[p, t + 2], J)
-            for order in range(1, 3):
-                w = weights[order, p]
-                for i in range(3):
-                    for m in range(3):
-                        block[order, p, i, m] = w * J[i, m]
-                        block[order, own, i, m] -= w * J[m, i]
+                plain[order, p] += weights[order, t, p]
+                plain[order, own] -= weights[order, t, p]
 
 
 @compiled
-def _apply_transposed(plain: Array, turning: Array, flat: Array, spheres: Array, M: Array, out: Array) -> None:
-    """Product out = G^T M (3 n, columns), where G (3 n, 3 n) are the derivatives of `_differentiate`."""
-    n, columns = len(flat), M.shape[1]
+def _descend(own: int, plain: Array, flat: Array, spheres: Array, J: Array, force: Array, downhill: Array) -> None:
+    """Subtract one time's gradient from downhill (3 n,), at the window's points; force (3 n,): the precise residual."""
+    n = len(flat)
     for p in range(3):
         for i in range(n):
             if flat[i] >= 0:
-                row, a, b, c = out[p * n + i], plain[0, p], plain[1, p], plain[2, p]
-                for m in range(columns):
-                    row[m] = a * M[i, m] + b * M[n + i, m] + c * M[2 * n + i, m]
-        for s in range(len(spheres)):
-            t = spheres[s, 1]
+                pull = plain[0, p] * force[i] + plain[1, p] * force[n + i] + plain[2, p] * force[2 * n + i]
+                downhill[p * n + i] -= pull
+    for s in range(len(spheres)):
+        a = spheres[s, 1]
+        for i in range(3):
+            for m in range(3):
+                downhill[own * n + a + m] -= J[own, s, i, m] * force[a + i]
+        for p in range(3):
+            if p == own:
+                continue
             for i in range(3):
-                row = out[p * n + t + i]
-                row[:] = 0.0
-                for order in range(3):
-                    if order == 0 and plain[0, p] == 0.0:  # positions depend on their own point only
-                        continue
-                    J, base = turning[s, order, p], order * n + t
-                    a, b, c = J[0, i], J[1, i], J[2, i]
-                    for m in range(columns):
-                        row[m] += a * M[base, m] + b * M[base + 1, m] + c * M[base + 2, m]
+                pull = plain[1, p] * force[n + a + i] + plain[2, p] * force[2 * n + a + i]
+                for m in range(3):
+                    downhill[p * n + a + m] -= J[p, s, i, m] * pull
+                    downhill[own * n + a + m] += J[p, s, m, i] * pull
+
+
+@compiled
+def _add_columns(M: Array, J: Array, transposed: bool, sign: float, spheres: Array, out: Array) -> None:
+    """Out += sign M D, D the identity with J (S, 3, 3), or the transpose, for each S³; M and out (n, n)."""
+    n = len(M)
+    for i in range(n):
+        for m in range(n):
+            out[i, m] += sign * M[i, m]
+        for s in range(len(spheres)):
+            a = spheres[s, 1]
+            for m in range(3):
+                total = -M[i, a + m]
+                for o in range(3):
+                    total += M[i, a + o] * (J[s, m, o] if transposed else J[s, o, m])
+                out[i, a + m] += sign * total
+
+
+@compiled
+def _add_rows(M: Array, J: Array, transposed: bool, sign: float, spheres: Array, out: Array) -> None:
+    """Out += sign D M, see `_add_columns`."""
+    n = len(M)
+    for i in range(n):
+        for m in range(n):
+            out[i, m] += sign * M[i, m]
+    for s in range(len(spheres)):
+        a = spheres[s, 1]
+        for i in range(3):
+            for m in range(n):
+                total = -M[a + i, m]
+                for o in range(3):
+                    total += M[a + o, m] * (J[s, o, i] if transposed else J[s, i, o])
+                out[a + i, m] += sign * total
+
+
+@compiled
+def _add_hessian(
+    own: int, plain: Array, spheres: Array, J: Array, precision: Array, base: int, mixed: Array, forces: Array,
+    block: Array, band: Array,
+) -> None:  # fmt: skip
+    """Add one time's part of the Gauss-Newton Hessian to the band (T n, 3 n), from row `base` on.
+
+    The derivatives of order 1 and 2 by a neighbour are a number times D, the same for both: the number is applied
+    first, to blocks of the precision. mixed (3, n, n), forces (3, 3, n, n) and block (n, n) are scratch.
+    """
+    n = len(block)
+    forces[:] = 0.0  # by order and point: what a step of the point changes of the precise residual
+    for order in range(3):
+        row = precision[order * n : (order + 1) * n]
+        for p in range(3):
+            if p == own:
+                _add_columns(row[:, :n], J[own], False, 1.0, spheres, forces[order, own])
+                continue
+            b, c = plain[1, p], plain[2, p]
+            for i in range(n):
+                for m in range(n):
+                    mixed[p, i, m] = b * row[i, n + m] + c * row[i, 2 * n + m]
+            _add_columns(mixed[p], J[p], False, 1.0, spheres, forces[order, p])
+            _add_columns(mixed[p], J[p], True, -1.0, spheres, forces[order, own])
+    for q in range(3):
+        for p in range(3):
+            if p != own:
+                b, c = plain[1, p], plain[2, p]
+                for i in range(n):
+                    for m in range(n):
+                        mixed[p, i, m] = b * forces[1, q, i, m] + c * forces[2, q, i, m]
+        for p in range(q, 3):
+            block[:] = 0.0
+            if p == own:
+                _add_rows(forces[0, q], J[own], True, 1.0, spheres, block)
+                for other in range(3):
+                    if other != own:
+                        _add_rows(mixed[other], J[other], False, -1.0, spheres, block)
+            else:
+                _add_rows(mixed[p], J[p], True, 1.0, spheres, block)
+            for i in range(n):
+                row_of_band, shift = band[base + p * n + i], (3 - p + q) * n - 1 - i
+                for m in range(n if q < p else i + 1):
+                    row_of_band[shift + m] += block[i, m]
 
 
 @compiled
@@ -202,48 +262,40 @@ def _assemble(
     """Half the sum that is minimised.
 
     Writes rates (T, 2 n), the negative gradient downhill (T n,) and, if asked for, the Gauss-Newton Hessian band
-    (T n, 3 n).
+    (T n, 3 n). On S³ the derivatives of a logarithm are exact: J[p] is the inverse left Jacobian of SO(3) for the
+    neighbour p that it goes to, its transpose, negative, belongs to the point from which it goes, and J[own] is that of
+    the position.
     """
     T, n, D = len(points), len(flat), points.shape[1]
-    steps, residual, force = np.empty((3, n)), np.empty(3 * n), np.empty((3 * n, 1))
-    plain, turning = np.empty((3, 3)), np.empty((len(spheres), 3, 3, 3, 3))
-    half, turned, H = np.empty((3 * n, 3 * n)), np.empty((3 * n, 3 * n)), np.empty((3 * n, 3 * n))
-    pull, push, window = np.empty((3 * n, 1)), np.empty(3 * n), np.empty((3, 3))
+    steps, residual, force = np.empty((3, n)), np.empty(3 * n), np.empty(3 * n)
+    plain, J = np.empty((3, 3)), np.empty((3, len(spheres), 3, 3))
+    mixed, forces, block = np.empty((3, n, n)), np.empty((3, 3, n, n)), np.empty((n, n))
     downhill[:] = 0.0
     if with_hessian:
         band[:] = 0.0
     cost = 0.0
     for t in range(T):
-        precision, mean, base = precisions[states[t]], means[states[t]], first[t] * n
+        precision, mean, base, own = precisions[states[t]], means[states[t]], first[t] * n, t - first[t]
         _rate(points, t, first[t], weights, flat, spheres, steps, rates[t])
         difference(points[t], mean[:D], flat, spheres, residual[:n])
         for i in range(2 * n):
             residual[n + i] = rates[t, i] - mean[D + i]
-        for order in range(3):
-            for p in range(3):
-                window[order, p] = weights[order, t, p]
-        _differentiate(t - first[t], window, spheres, steps, residual, plain, turning)
-        push[:] = 0.0
+        force[:] = 0.0
         for m in range(3 * n):
             row, share = precision[m], residual[m]
             for i in range(3 * n):
-                push[i] += share * row[i]
+                force[i] += share * row[i]
         for i in range(3 * n):
-            force[i, 0] = push[i]
-            cost += 0.5 * residual[i] * push[i]
-        _apply_transposed(plain, turning, flat, spheres, force, pull)
-        for i in range(3 * n):
-            downhill[base + i] -= pull[i, 0]
+            cost += 0.5 * residual[i] * force[i]
+        for s in range(len(spheres)):
+            a = spheres[s, 1]
+            for p in range(3):
+                e = residual if p == own else steps[p]
+                inverse_left_jacobian(e[a], e[a + 1], e[a + 2], J[p, s])
+        _derivatives(own, weights, t, plain)
+        _descend(own, plain, flat, spheres, J, force, downhill[base : base + 3 * n])
         if with_hessian:
-            _apply_transposed(plain, turning, flat, spheres, precision, half)
-            for i in range(3 * n):
-                for m in range(3 * n):
-                    turned[m, i] = half[i, m]
-            _apply_transposed(plain, turning, flat, spheres, turned, H)
-            for i in range(3 * n):
-                row, shift = band[base + i], 3 * n - 1 - i
-                for m in range(i + 1):
-                    row[shift + m] += H[i, m]
+            _add_hessian(own, plain, spheres, J, precision, base, mixed, forces, block, band)
     return cost
 
 

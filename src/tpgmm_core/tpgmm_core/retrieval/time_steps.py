@@ -7,16 +7,22 @@ asked for is computed: a step costs as much as regression before the product wit
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.disagreement import no_product
+from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
+from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
 from tpgmm_core.model.kernels_adapt import adapt
 from tpgmm_core.retrieval.interpolation import interpolate
+from tpgmm_core.retrieval.local_steps import LocalSteps
 from tpgmm_core.retrieval.regression import RegressThenProduct
 
 
@@ -50,7 +56,24 @@ class TimeSteps(RegressThenProduct):
             self._points[j, :, :D], self._velocities[j, :, :n] = model.means_[name][:, 1:], velocities
             self._within[j, :, :n, :n] = S[:, 1:, 1:] - velocities[:, :, None] * S[:, None, 0, 1:]
         self._sizes = sizes
+        view, spheres = self._view(model.manifold_.subset(range(1, model.manifold_.dim)))
+        self._local = None
+        if model.shown_ is not None:
+            self._local = LocalSteps(model, self._points, self._velocities, self._within, view, spheres)
         super().__init__(model)
+
+    def _view(self, manifold: Manifold) -> tuple[Array, Array]:
+        """The layout of what frames see, without time."""
+        flat = np.arange(self._within.shape[-1]) if manifold.is_euclidean else manifold.ambient_of_tangent
+        return flat, manifold.sphere_starts
+
+    def situate(
+        self, frames: Mapping[str, Frame], state: ArrayLike | None = None, weights: Mapping[str, float] | None = None
+    ) -> None:
+        """Keep the frames, weights and state of this situation for `at`, and how near demonstrations are to it."""
+        super().situate(frames, state, weights)
+        if self._local is not None:
+            self._local.situate(frames)
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
         """The product over the frames at times (H,), s.
@@ -64,11 +87,13 @@ class TimeSteps(RegressThenProduct):
         times = np.clip(np.asarray(times, dtype=float), self._grid[0], self._grid[-1])
         H, n = len(times), manifold.tangent_dim
         means, covariances = np.empty((H, manifold.dim)), np.empty((H, n, n))
-        view = np.arange(self._within.shape[-1]) if manifold.is_euclidean else manifold.ambient_of_tangent
+        if self._local is not None:
+            self._local.at(times)
         failed = product_at(
-            self._grid, self._points, self._velocities, self._within, self._sizes, view,
-            manifold.ambient_of_tangent, manifold.sphere_starts, self._A, self._b, self._inverses, s.has_inverse,
-            s.weights, s.state[1:].copy(), 1.0 / UNCONSTRAINED_VARIANCE, times, means, covariances,
+            self._grid, self._points, self._velocities, self._within, self._sizes,
+            self._view(manifold)[0], manifold.ambient_of_tangent, manifold.sphere_starts, self._A, self._b,
+            self._inverses, s.has_inverse, s.weights, s.state[1:].copy(), 1.0 / UNCONSTRAINED_VARIANCE, times, means,
+            covariances,
         )  # fmt: skip
         if failed < -1:
             raise no_product(f"the time {times[-2 - failed]:.3g} s", self._views_at(times[-2 - failed]))

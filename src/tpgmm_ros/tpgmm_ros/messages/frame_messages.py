@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from tpgmm_core import Frame
 from tpgmm_core.common.text import shown
+from tpgmm_core.common.types import Array
 from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import TaskFrame, TaskParameters
 from tpgmm_ros.messages.basic_messages import MessageError, floats, header_at, time_from_ns
@@ -27,6 +29,17 @@ class TaskFrameState:
     frame: Frame | None
     weight: float
     status: FrameStatus
+
+
+def frame_of(pose: Array) -> Frame:
+    """The frame at a pose (7,), kept for the next time: most poses are published often before they change."""
+    return _frame_of(pose.tobytes())
+
+
+@functools.lru_cache(maxsize=MAX_ITEMS)
+def _frame_of(pose: bytes) -> Frame:
+    values = np.frombuffer(pose)
+    return Frame.from_pose(values[:3], values[3:])
 
 
 def task_parameters_message(frames: Iterable[TrackedFrame], nanoseconds: int, frame_id: str) -> TaskParameters:
@@ -55,7 +68,7 @@ def task_parameters_message(frames: Iterable[TrackedFrame], nanoseconds: int, fr
             stamp=time_from_ns(tracked.stamp_ns),
         )
         if tracked.pose is not None:
-            frame = Frame.from_pose(tracked.pose[:3], tracked.pose[3:])
+            frame = frame_of(tracked.pose)
             item.rows, item.cols = frame.A.shape
             item.a = floats(frame.A)
             item.b = floats(frame.b)

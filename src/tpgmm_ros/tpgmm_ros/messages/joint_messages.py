@@ -11,7 +11,13 @@ from std_msgs.msg import Header
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.observation.joint_states import JointColumns, JointSample, JointStateAssembler, JointStateError
-from tpgmm_ros.messages.basic_messages import MessageError, floats, time_from_ns, time_to_ns
+from tpgmm_ros.messages.basic_messages import MessageError, floats, time_from_ns
+from tpgmm_ros.messages.joint_state_bytes import JointStateValues
+
+
+def joint_state_of_values(values: JointStateValues) -> JointState:
+    """The message that holds these values."""
+    return joint_state_message(list(values.name), values.stamp_ns, values.position, values.velocity, values.effort)
 
 
 def joint_state_message(
@@ -111,7 +117,7 @@ class JointStates:
         self._assembler = JointStateAssembler(names, fields, max_spread)
         self.forget, self.incomplete = self._assembler.forget, self._assembler.incomplete
 
-    def take(self, message: JointState) -> JointSample | None:
+    def take(self, message: JointStateValues) -> JointSample | None:
         """Take a message.
 
         Parameters
@@ -131,6 +137,6 @@ class JointStates:
         """
         columns = [getattr(message, field) for field in self._fields]
         try:
-            return self._assembler.take(message.name, columns, time_to_ns(message.header.stamp))
+            return self._assembler.take(message.name, columns, message.stamp_ns)
         except JointStateError as error:
             raise MessageError(str(error)) from error

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tpgmm_core import Frame
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import TaskFrameState
+from tpgmm_ros.messages.frame_messages import frame_of
 from tpgmm_ros.messages.lockstep import is_no_reference, no_reference
 
 
@@ -97,6 +97,5 @@ class StampedFrames:
             if item.pose is None or item.status is FrameStatus.MISSING or item.confidence == 0.0:
                 states[item.name] = TaskFrameState(None, 0.0, item.status)
             else:
-                frame = Frame.from_pose(item.pose[:3], item.pose[3:])
-                states[item.name] = TaskFrameState(frame, item.confidence, item.status)
+                states[item.name] = TaskFrameState(frame_of(item.pose), item.confidence, item.status)
         return states

@@ -25,8 +25,11 @@ from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointReader, MessageError
+from tpgmm_ros.messages.joint_messages import joint_state_of_values
+from tpgmm_ros.messages.joint_state_bytes import JointStateValues
 from tpgmm_ros.messages.qos import EVENTS, STREAM
 from tpgmm_ros.runtime.executor import StopFlag, run
+from tpgmm_ros.runtime.local_topics import publish_value
 from tpgmm_ros.runtime.monitor import Monitor
 from tpgmm_ros.runtime.parameters import Declared, Parameters
 
@@ -162,7 +165,8 @@ class BaxterSimulatorNode(Node):
 
     def _publish_state(self) -> None:
         state = self.simulator.state
-        self._states.publish(conversions.joint_state_message(self._names, self._stamp_ns, state.q, state.v, state.tau))
+        values = JointStateValues(self._stamp_ns, self._names, state.q, state.v, state.tau)
+        publish_value(self._states, values, joint_state_of_values)
 
     def _publish_poses(self) -> None:
         if self._steps % self._steps_per_pose == 0:

@@ -32,6 +32,7 @@ from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointStates, MessageError
+from tpgmm_ros.messages.joint_state_bytes import JointStateDecoder, JointStateValues
 from tpgmm_ros.messages.lockstep import Barrier
 from tpgmm_ros.messages.qos import LATCHED, STATES, STREAM
 from tpgmm_ros.messages.torque_outputs import OUTPUTS, TorqueOutputs
@@ -156,7 +157,7 @@ class ImpedanceControllerNode(ManagedNode):
         self._states = self.create_lifecycle_publisher(ControllerState, "controller_state", LATCHED)
         references = self.create_subscription(ReferenceMessage, "reference", self._take_reference, STREAM)
         receive_values(references, self._take_stamped_reference)
-        Batches(self, JointState, "joint_states", self._take_states, STATES)
+        Batches(self, JointState, "joint_states", self._take_states, STATES, JointStateDecoder())
         # The steady clock, also under simulated time: it calls even where that stands still. Ages are the loop clock's.
         self.create_timer(WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return TransitionCallbackReturn.SUCCESS
@@ -248,7 +249,7 @@ class ImpedanceControllerNode(ManagedNode):
         self.controller.refuse_reference(str(error))
         self.get_logger().error(f"reference refused: {error}", throttle_duration_sec=1.0)
 
-    def _take_states(self, messages: Sequence[JointState]) -> None:
+    def _take_states(self, messages: Sequence[JointStateValues]) -> None:
         """All that wait, since a state may come in parts; the newest state is answered, others would be too late."""
         samples = [self._sample(message) for message in messages if self._active]
         newest = next((sample for sample in reversed(samples) if sample is not None), None)
@@ -259,14 +260,13 @@ class ImpedanceControllerNode(ManagedNode):
         else:
             self._barrier.take(newest, newest.stamp_ns)
 
-    def _sample(self, message: JointState) -> JointSample | None:
+    def _sample(self, message: JointStateValues) -> JointSample | None:
         """The state that a message completes, if it completes one."""
         try:
             sample = self._joint_states.take(message)
         except MessageError as error:
-            stamp_ns = conversions.time_to_ns(message.header.stamp)
-            now_ns, _ = self._times(stamp_ns)
-            self._report(self.controller.refuse_state(str(error), stamp_ns, now_ns), now_ns)
+            now_ns, _ = self._times(message.stamp_ns)
+            self._report(self.controller.refuse_state(str(error), message.stamp_ns, now_ns), now_ns)
             return None
         if sample is None:  # joints of others, or a part of the state
             self.controller.miss_state(self._joint_states.incomplete)

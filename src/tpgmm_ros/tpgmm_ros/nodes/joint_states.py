@@ -14,8 +14,8 @@ from sensor_msgs.msg import JointState
 from tpgmm_core.common.types import Array
 from tpgmm_core.observation.joint_states import MAX_SPREAD
 from tpgmm_core.observation.streams import RESTARTED_AFTER, Leader, Stamp, StreamWatch, standing_still
-from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointStates, MessageError
+from tpgmm_ros.messages.joint_state_bytes import JointStateDecoder, JointStateValues
 from tpgmm_ros.messages.qos import STATES
 from tpgmm_ros.runtime.batches import Batches
 from tpgmm_ros.runtime.parameters import Declared
@@ -83,19 +83,19 @@ class JointStateStream:
         self._max_future = max_future
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._trouble: Callable[[], str] = str
-        Batches(node, JointState, topic, self._take_all, STATES)
+        Batches(node, JointState, topic, self._take_all, STATES, JointStateDecoder())
 
-    def _take_all(self, messages: Sequence[JointState]) -> None:
+    def _take_all(self, messages: Sequence[JointStateValues]) -> None:
         heard = [item for item in map(self.take, messages) if item is not None]
         if heard:
             newest = heard[-1]
             restarted = any(item.kind is Stamp.RESTARTED for item in heard)
             self._answer(replace(newest, kind=Stamp.RESTARTED) if restarted else newest)
 
-    def take(self, message: JointState) -> Heard | None:
+    def take(self, message: JointStateValues) -> Heard | None:
         """What a message has brought; None where that is nothing to answer."""
         now_ns = self._steady.now().nanoseconds
-        stamp_ns = conversions.time_to_ns(message.header.stamp)
+        stamp_ns = message.stamp_ns
         values: tuple[Array, ...] = ()
         if self._assembler is None:
             if not self._leader.is_led_by(message.name, now_ns):

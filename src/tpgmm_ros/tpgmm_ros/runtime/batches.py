@@ -10,8 +10,9 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from tpgmm_core.common.text import one_line
 from tpgmm_ros.runtime.composition import guarded
-from tpgmm_ros.runtime.local_topics import waiting_messages
+from tpgmm_ros.runtime.local_topics import receive_values, waiting_messages
 
 #: Messages that wait at most; of more, the newest.
 MOST = 64
@@ -37,23 +38,43 @@ class Batches:
         Gets the messages, oldest first, at least one.
     qos : QoSProfile
         Of the subscription; its depth bounds how many can wait.
+    decode : callable
+        Makes of a serialised message what `take` gets; nodes of this process may publish the same as values.
     """
 
     def __init__(
-        self, node: Node, kind: type, topic: str, take: Callable[[Sequence[Any]], object], qos: QoSProfile
+        self,
+        node: Node,
+        kind: type,
+        topic: str,
+        take: Callable[[Sequence[Any]], object],
+        qos: QoSProfile,
+        decode: Callable[[bytes], Any],
     ) -> None:
-        self._node, self._take = node, take
+        self._node, self._take, self._decode = node, take, decode
         self._messages: deque[Any] = deque(maxlen=MOST)
         self._due = False
-        self._subscription = node.create_subscription(kind, topic, self._come, qos)
+        self._subscription = node.create_subscription(kind, topic, self._come, qos, raw=True)
+        receive_values(self._subscription, self._come_as_value)
 
-    def _come(self, message: Any) -> None:
-        self._messages.append(message)
-        self._messages.extend(waiting_messages(self._subscription))
+    def _come(self, data: bytes) -> None:
+        for one in (data, *waiting_messages(self._subscription)):
+            try:
+                self._messages.append(self._decode(one))
+            except RuntimeError as error:  # of rclpy, for bytes that are no such message
+                text = f"a message on {self._subscription.topic_name} cannot be read: {one_line(error, 200)}"
+                self._node.get_logger().error(text, throttle_duration_sec=1.0)
+        self._plan()
+
+    def _come_as_value(self, value: Any) -> None:
+        self._messages.append(value)
+        self._plan()
+
+    def _plan(self) -> None:
         executor = self._node.executor
         if self._due:
             return
-        if len(self._messages) == 1 or executor is None:
+        if len(self._messages) <= 1 or executor is None:
             self._hand_on()
         else:
             self._due = True

@@ -89,13 +89,14 @@ class Member(Node):
         return publisher
 
     def create_subscription(
-        self, msg_type: Any, topic: str, callback: Callable[..., Any], qos_profile: Any, **options: Any
-    ) -> Subscription:
+        self, msg_type: Any, topic: str, callback: Callable[..., Any], qos_profile: Any, *, raw: bool = False,
+        **options: Any,
+    ) -> Subscription:  # fmt: skip
         """As of a node; what nodes of this process publish is handed over.
 
         Parameters
         ----------
-        msg_type, topic, callback, qos_profile
+        msg_type, topic, callback, qos_profile, raw
             as for `Node.create_subscription`
         **options
             passed on
@@ -112,7 +113,7 @@ class Member(Node):
             self.call(receiver.take, data)
 
         subscription = super().create_subscription(msg_type, topic, take, qos_profile, raw=True, **options)
-        receiver = Receiver(msg_type, callback, self.call_when_idle, self.order, subscription.qos_profile)
+        receiver = Receiver(msg_type, callback, self.call_when_idle, self.order, subscription.qos_profile, raw)
         subscription.receiver = receiver  # type: ignore[attr-defined]
         self.topics.add(subscription.topic_name, receiver)
         return subscription

@@ -45,6 +45,8 @@ class Receiver:
         Of all receivers of a message, those with lower numbers get it first.
     qos : QoSProfile
         Of the subscription.
+    raw : bool
+        Whether the callback gets messages as bytes.
     """
 
     def __init__(
@@ -54,15 +56,16 @@ class Receiver:
         run: Callable[[Callable[[Any], object], Any], None],
         order: int,
         qos: QoSProfile,
+        raw: bool = False,
     ) -> None:
-        self.kind, self.order, self.qos = kind, order, qos
+        self.kind, self.order, self.qos, self.raw = kind, order, qos, raw
         self.take_value: Callable[[Any], object] | None = None
         self._callback, self.run = callback, run
         self._copies: deque[bytes] = deque(maxlen=MAX_COPIES)
 
     def hand_over(self, message: Any) -> None:
-        """A message from this process, as the object that it is."""
-        self.run(self._callback, message)
+        """A message from this process, as the object that it is, or as bytes where these are asked for."""
+        self.run(self._callback, serialize_message(message) if self.raw else message)
 
     def expect(self, copy: bytes) -> None:
         """What was handed over comes through the middleware too."""
@@ -74,7 +77,7 @@ class Receiver:
             while self._copies.popleft() != data:  # those before it are lost
                 pass
             return None
-        return deserialize_message(data, self.kind)
+        return data if self.raw else deserialize_message(data, self.kind)
 
     def take(self, data: bytes) -> None:
         """Call back with a message that came through the middleware."""
@@ -220,7 +223,7 @@ def waiting_messages(subscription: Subscription) -> Iterator[Any]:
     """The messages that have come since the executor has taken one."""
     receiver: Receiver | None = getattr(subscription, "receiver", None)
     if receiver is None:
-        yield from waiting(subscription)
+        yield from waiting(subscription, raw=subscription.raw)
         return
     for data in waiting(subscription, raw=True):
         if (message := receiver.unpack(data)) is not None:

@@ -327,6 +327,8 @@ def _model(section: Section, space: StateSpace) -> dict[str, Any]:
         "max_duration": an_integer(1),
         "prior_strength": a_number(0.0),
         "n_steps": an_integer(3),
+        "n_basis": an_integer(2),
+        "locality": a_number(0.0),
         **{item.name: a_number() for encoding in ENCODINGS.values() for item in fields(encoding)},
     }
     section.refuse_others(*filter(space.takes, readers))

@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -64,6 +67,7 @@ def expectation_maximisation(
     max_iter: int,
     prior: CovariancePrior | None = None,
     progress: Progress | None = None,
+    n_threads: int = 1,
 ) -> Estimate:
     """EM from `start` until an iteration gains less than `tol`, at the earliest after 5 iterations.
 
@@ -90,6 +94,8 @@ def expectation_maximisation(
         of the covariances, besides the regularisation; its part of the objective is penalised likewise
     progress
         called with (iteration, log-likelihood per sample)
+    n_threads
+        that share the samples; the result is the same, bit by bit, for any number
 
     Returns
     -------
@@ -101,7 +107,7 @@ def expectation_maximisation(
     ValueError
         when a covariance is no longer positive definite
     """
-    state = Workspace(samples, start)
+    state = Workspace(samples, start, n_threads)
     K = len(start.priors)
     added = reg_covar if regularization == "add" else 0.0
     if regularization == "prior":
@@ -120,9 +126,13 @@ def expectation_maximisation(
 
 
 class Workspace:
-    """Samples and parameters in the arrangement of `kernels_em`, for all algorithms that iterate over them."""
+    """Samples and parameters in the arrangement of `kernels_em`, for all algorithms that iterate over them.
 
-    def __init__(self, samples: Samples, start: MixtureParameters) -> None:
+    Sums over samples are made in parts of a fixed size, which are added in order. Threads share the parts, so that
+    results do not depend on their number.
+    """
+
+    def __init__(self, samples: Samples, start: MixtureParameters, n_threads: int = 1) -> None:
         self.names = list(samples.X)
         self.manifolds = [samples.manifolds[name] for name in self.names]
         P, K, N = len(self.names), len(start.priors), samples.n_samples
@@ -149,6 +159,11 @@ class Workspace:
         self.first = np.zeros((P, K, n))
         self.second = np.zeros((P, K, n, n))
         self.responsibilities = np.zeros((K, N) if spheres else (0, 0))
+        S = -(-N // kernels_expectation.PART)
+        self._part_counts, self._part_first = np.zeros((S, P + 1, K)), np.zeros((S, P, K, n))
+        self._part_second, self._log_likelihoods = np.zeros((S, P, K, n, n)), np.zeros(S)
+        self._n_threads = min(n_threads, S)
+        self._threads = ThreadPoolExecutor(self._n_threads - 1) if self._n_threads > 1 else None
         self.prior_count, self.prior_scatters = 0.0, np.zeros((P, K, n, n))
 
     def add_prior(self, prior: CovariancePrior) -> None:
@@ -159,21 +174,65 @@ class Workspace:
             self.prior_scatters[j, :, :n, :n] += prior.count * prior.scales[name]
 
     def iterate(self, added: float) -> tuple[float, float, int]:
-        """Make one EM iteration in place: see `kernels_em.em_iteration`, whose results it returns."""
-        result: tuple[float, float, int] = kernels_em.em_iteration(
-            self.X, self.seen, self.layout, self.flat, self.spheres, self.log_priors, self.means,
-            self.covariances, self.factors, self.log_norms, self.counts, self.first, self.second,
-            self.responsibilities, added, self.prior_count, self.prior_scatters,
+        """Make one EM iteration in place: E-step, then M-step, then the factors of the new covariances.
+
+        Parameters
+        ----------
+        added
+            added to the diagonals of the covariances
+
+        Returns
+        -------
+        tuple[float, float, int]
+            the log-likelihood and the penalised log-likelihood per sample, both before the M-step, and what
+            `kernels_expectation.factorise` returns
+        """
+        log_likelihood, N = self.expectation(), self.X.shape[1]
+        penalty = kernels_em.prior_penalty(self.layout, self.factors, self.prior_count, self.prior_scatters)
+        self.recentre()
+        kernels_em.maximisation(
+            self.layout, self.flat, self.spheres, self.log_priors, self.means, self.covariances, self.counts,
+            self.first, self.second, added, self.prior_count, self.prior_scatters,
         )  # fmt: skip
-        return result
+        failed = kernels_expectation.factorise(self.layout, self.covariances, self.factors, self.log_norms)
+        return log_likelihood / N, (log_likelihood - penalty) / N, failed
 
     def expectation(self) -> float:
         """Make the E-step alone, with the present factors and normalisations; returns the total log-likelihood."""
-        result: float = kernels_expectation.expectation(
-            self.X, self.seen, self.layout, self.flat, self.spheres, self.log_priors, self.means,
-            self.factors, self.log_norms, self.counts, self.first, self.second, self.responsibilities,
+        self._in_parts(
+            kernels_expectation.expectation, self.X, self.seen, self.layout, self.flat, self.spheres, self.log_priors,
+            self.means, self.factors, self.log_norms, self._part_counts, self._part_first, self._part_second,
+            self.responsibilities, self._log_likelihoods,
         )  # fmt: skip
-        return result
+        self._sum_parts()
+        return float(self._log_likelihoods.sum())
+
+    def recentre(self) -> None:
+        """Move the means by the first moments and take the moments about them, where there are S³ factors."""
+        if len(self.spheres):
+            kernels_em.move_means(self.layout, self.flat, self.spheres, self.means, self.counts, self.first)
+            self._in_parts(
+                kernels_em.moments_about, self.X, self.seen, self.layout, self.flat, self.spheres, self.means,
+                self.responsibilities, self._part_first, self._part_second,
+            )  # fmt: skip
+            self._sum_parts()
+
+    def _in_parts(self, kernel: Callable[..., None], *arguments: Any) -> None:
+        """Call a kernel, which releases the interpreter's lock, for all parts, a share of them in each thread."""
+        S = len(self._log_likelihoods)
+        if self._threads is None:
+            kernel(*arguments, 0, S)
+            return
+        shares = [S * i // self._n_threads for i in range(self._n_threads + 1)]
+        others = [self._threads.submit(kernel, *arguments, *share) for share in pairwise(shares[1:])]
+        kernel(*arguments, 0, shares[1])
+        for other in others:
+            other.result()
+
+    def _sum_parts(self) -> None:
+        kernels_expectation.sum_parts(
+            self._part_counts, self._part_first, self._part_second, self.counts, self.first, self.second
+        )
 
     def factorise(self) -> None:
         """Compute the factors and normalisations of the covariances.

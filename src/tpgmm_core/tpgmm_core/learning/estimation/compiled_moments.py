@@ -44,9 +44,8 @@ class CompiledMoments:
             w.covariances[j, :, :n, :n] = emissions.frames[name].dense()
         w.factorise()
         log_likelihood = w.expectation()
-        arranged = w.X, w.seen, w.layout, w.flat, w.spheres, w.means, w.counts, w.first, w.second
         if len(w.spheres):
-            kernels_em.recentre(*arranged, w.responsibilities)
+            w.recentre()
         else:
             kernels_em.move_means(w.layout, w.flat, w.spheres, w.means, w.counts, w.first)
         return log_likelihood, w.counts[-1].copy(), {name: self._moments(j) for j, name in enumerate(w.names)}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One EM iteration of a TP-GMM, compiled (Section 3 of the paper).
+"""The M-step of a TP-GMM, compiled (Section 3 of the paper).
 
 Samples and parameters are arranged as in `kernels_expectation`.
 """
@@ -13,26 +13,19 @@ import numpy as np
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.kernels import compiled
 from tpgmm_core.geometry.kernels_rotation import turn
-from tpgmm_core.learning.estimation.kernels_expectation import (
-    BLOCK,
-    NEGLIGIBLE,
-    add_moments,
-    differences,
-    expectation,
-    factorise,
-)
+from tpgmm_core.learning.estimation.kernels_expectation import BLOCK, NEGLIGIBLE, PART, add_moments, differences
 
 EMPTY = 1e-12  # a component with fewer samples than this keeps its Gaussian
 
 
 @compiled
-def recentre(
-    X: Array, seen: Array, layout: Array, flat: Array, spheres: Array, means: Array, counts: Array,
-    first: Array, second: Array, responsibilities: Array,
+def moments_about(
+    X: Array, seen: Array, layout: Array, flat: Array, spheres: Array, means: Array, responsibilities: Array,
+    first: Array, second: Array, from_part: int, to_part: int,
 ) -> None:  # fmt: skip
-    """Move the means by the first moments and compute the moments about the new means.
+    """Sum the moments of some parts of the samples about other means than those of the E-step.
 
-    For S³, where a shift of the tangent space is more than a subtraction.
+    For S³, where a shift of the tangent space is more than a subtraction. Parts are those of `expectation`.
 
     Parameters
     ----------
@@ -41,32 +34,34 @@ def recentre(
     seen
         which frames saw them
     layout, flat, spheres
-        see the module
+        see `kernels_expectation`
     means
-        (K, D_1 + ... + D_P), changed
-    counts, first, second
-        of `expectation`; changed
+        (K, D_1 + ... + D_P)
     responsibilities
         (K, N)
+    first, second
+        (S, P, K, n) and (S, P, K, n, n), lower triangles, written for each part
+    from_part, to_part
+        the parts to work on, the last one excluded
     """
-    P, K = first.shape[:2]
-    N = X.shape[1]
-    move_means(layout, flat, spheres, means, counts, first)
-    first[:] = 0.0
-    second[:] = 0.0
-    d = np.empty((first.shape[2], BLOCK))
+    P, K, n = first.shape[1:]
+    d = np.empty((n, BLOCK))
     weights, weighted = np.empty(BLOCK), np.empty(BLOCK)
-    for start in range(0, N, BLOCK):
-        size = min(BLOCK, N - start)
-        x = X[:, start : start + size].copy()
-        for k in range(K):
-            if responsibilities[k, start : start + size].max() < NEGLIGIBLE:
-                continue
-            for j in range(P):
-                for b in range(size):
-                    weights[b] = responsibilities[k, start + b] * seen[j, start + b]
-                differences(x, size, means[k], j, layout, flat, spheres, d)
-                add_moments(d, layout[j, 1], size, weights, weighted, first[j, k], second[j, k])
+    for part in range(from_part, to_part):
+        first[part] = 0.0
+        second[part] = 0.0
+        end = min((part + 1) * PART, X.shape[1])
+        for start in range(part * PART, end, BLOCK):
+            size = min(BLOCK, end - start)
+            x = X[:, start : start + size].copy()
+            for k in range(K):
+                if responsibilities[k, start : start + size].max() < NEGLIGIBLE:
+                    continue
+                for j in range(P):
+                    for b in range(size):
+                        weights[b] = responsibilities[k, start + b] * seen[j, start + b]
+                    differences(x, size, means[k], j, layout, flat, spheres, d)
+                    add_moments(d, layout[j, 1], size, weights, weighted, first[part, j, k], second[part, j, k])
 
 
 @compiled
@@ -174,59 +169,3 @@ def prior_penalty(layout: Array, factors: Array, prior_count: float, prior_scatt
                             share += scatter[m, o] * F[i, o]
                         total += F[i, m] * share
     return 0.5 * total
-
-
-@compiled
-def em_iteration(
-    X: Array, seen: Array, layout: Array, flat: Array, spheres: Array, log_priors: Array, means: Array,
-    covariances: Array, factors: Array, log_norms: Array, counts: Array, first: Array, second: Array,
-    responsibilities: Array, added: float, prior_count: float, prior_scatters: Array,
-) -> tuple[float, float, int]:  # fmt: skip
-    """One EM iteration in place: E-step, then M-step, then the factors of the new covariances.
-
-    Parameters
-    ----------
-    X
-        samples
-    seen
-        which frames saw them
-    layout, flat, spheres
-        see the module
-    log_priors, means, covariances, factors, log_norms
-        of the components, changed
-    counts, first, second, responsibilities
-        scratch, of `expectation`
-    added, prior_count, prior_scatters
-        the regularisation; the log of the prior is -1/2 (prior_count log|Sigma| + tr(prior scatter Sigma^-1)), summed
-        over the covariances
-
-    Returns
-    -------
-    tuple[float, float, int]
-        the log-likelihood and the penalised log-likelihood per sample, both before the M-step, and what `factorise`
-        returns
-    """
-    N = X.shape[1]
-    log_likelihood = expectation(
-        X,
-        seen,
-        layout,
-        flat,
-        spheres,
-        log_priors,
-        means,
-        factors,
-        log_norms,
-        counts,
-        first,
-        second,
-        responsibilities,
-    )
-    penalty = prior_penalty(layout, factors, prior_count, prior_scatters)
-    if len(spheres) > 0:
-        recentre(X, seen, layout, flat, spheres, means, counts, first, second, responsibilities)
-    maximisation(
-        layout, flat, spheres, log_priors, means, covariances, counts, first, second, added, prior_count, prior_scatters
-    )  # fmt: skip
-    failed = factorise(layout, covariances, factors, log_norms)
-    return log_likelihood / N, (log_likelihood - penalty) / N, failed

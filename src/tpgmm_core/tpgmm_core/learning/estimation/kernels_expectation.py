@@ -21,6 +21,7 @@ from tpgmm_core.geometry.kernels import cholesky, compiled, exp_in_place, invert
 from tpgmm_core.geometry.kernels_rotation import quaternion_difference
 
 BLOCK = 256  # samples that are worked on together: large enough to vectorise, small enough for the cache
+PART = 4 * BLOCK  # samples that are summed together; threads share parts, and the sums of parts are added in order
 NEGLIGIBLE = 1e-20  # responsibilities below this, in a whole block, are left out of the sums
 
 
@@ -188,36 +189,13 @@ def add_moments(d: Array, n: int, size: int, weights: Array, weighted: Array, fi
 
 
 @compiled
-def expectation(
+def _expectation_of_part(
     X: Array, seen: Array, layout: Array, flat: Array, spheres: Array, log_priors: Array, means: Array,
-    factors: Array, log_norms: Array, counts: Array, first: Array, second: Array, responsibilities: Array,
+    factors: Array, log_norms: Array, begin: int, end: int, counts: Array, first: Array, second: Array,
+    responsibilities: Array,
 ) -> float:  # fmt: skip
-    """E-step; it also adds up the moments about the means that the M-step needs.
-
-    Parameters
-    ----------
-    X
-        samples
-    seen
-        which frames saw them
-    layout, flat, spheres
-        see the module
-    log_priors, means, factors, log_norms
-        of the components
-    counts
-        (P + 1, K), written: weight per frame and, last, of all samples
-    first, second
-        (P, K, n) and (P, K, n, n), written
-    responsibilities
-        (K, N), kept where there are S³ factors
-
-    Returns
-    -------
-    float
-        the sum of the samples' log-likelihoods
-    """
+    """E-step of the samples from begin to end, and the sums that the M-step needs of them; see `expectation`."""
     P, K = log_norms.shape
-    N = X.shape[1]
     x = np.empty((X.shape[0], BLOCK))
     s = np.ones((P, BLOCK))
     d = np.empty((first.shape[2], BLOCK))
@@ -231,8 +209,8 @@ def expectation(
     first[:] = 0.0
     second[:] = 0.0
     log_likelihood = 0.0
-    for start in range(0, N, BLOCK):
-        size = min(BLOCK, N - start)
+    for start in range(begin, end, BLOCK):
+        size = min(BLOCK, end - start)
         x[:, :size] = X[:, start : start + size]
         s[:, :size] = seen[:, start : start + size]
         for k in range(K):
@@ -274,3 +252,64 @@ def expectation(
                 differences(x, size, means[k], j, layout, flat, spheres, d)
                 counts[j, k] += add_moments(d, n, size, weights, y[1], first[j, k], second[j, k])
     return log_likelihood
+
+
+@compiled
+def expectation(
+    X: Array, seen: Array, layout: Array, flat: Array, spheres: Array, log_priors: Array, means: Array,
+    factors: Array, log_norms: Array, counts: Array, first: Array, second: Array, responsibilities: Array,
+    log_likelihoods: Array, from_part: int, to_part: int,
+) -> None:  # fmt: skip
+    """E-step of some parts of the samples, PART each; it also sums the moments about the means for the M-step.
+
+    Parts are independent of each other, so that several threads can work on them. `sum_parts` adds them in order:
+    the result does not depend on the number of threads.
+
+    Parameters
+    ----------
+    X
+        samples
+    seen
+        which frames saw them
+    layout, flat, spheres
+        see the module
+    log_priors, means, factors, log_norms
+        of the components
+    counts
+        (S, P + 1, K), written for each part: weight per frame and, last, of all its samples
+    first, second
+        (S, P, K, n) and (S, P, K, n, n), lower triangles, written
+    responsibilities
+        (K, N), kept where there are S³ factors
+    log_likelihoods
+        (S,), written: the sum of the log-likelihoods of the part's samples
+    from_part, to_part
+        the parts to work on, the last one excluded
+    """
+    for part in range(from_part, to_part):
+        log_likelihoods[part] = _expectation_of_part(
+            X, seen, layout, flat, spheres, log_priors, means, factors, log_norms, part * PART,
+            min((part + 1) * PART, X.shape[1]), counts[part], first[part], second[part], responsibilities,
+        )  # fmt: skip
+
+
+@compiled
+def sum_parts(
+    part_counts: Array, part_first: Array, part_second: Array, counts: Array, first: Array, second: Array
+) -> None:
+    """Add the sums of all parts, in order.
+
+    Parameters
+    ----------
+    part_counts, part_first, part_second
+        of `expectation`
+    counts, first, second
+        (P + 1, K), (P, K, n) and (P, K, n, n), written
+    """
+    counts[:] = part_counts[0]
+    first[:] = part_first[0]
+    second[:] = part_second[0]
+    for part in range(1, len(part_counts)):
+        counts += part_counts[part]
+        first += part_first[part]
+        second += part_second[part]

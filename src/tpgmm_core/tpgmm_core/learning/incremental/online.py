@@ -12,7 +12,9 @@ from numpy.typing import ArrayLike
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.estimation.em import MixtureEstimate
+from tpgmm_core.learning.estimation import initialization
+from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
+from tpgmm_core.learning.estimation.em import MixtureEstimate, expectation
 from tpgmm_core.learning.estimation.emissions import Emissions
 from tpgmm_core.learning.estimation.iteration import Progress
 from tpgmm_core.learning.incremental.component_birth import new_components
@@ -36,6 +38,13 @@ class OnlineTPGMM(TPGMM):
     `TPGMM`, and equal to it with one component, with cells of one sample, and wherever the samples of each cell
     belong to one component. The search starts from the model as it was, so that it may end in another maximum.
 
+    Few demonstrations are points in a subspace: a model that began with no more of them than a frame has dimensions
+    takes directions in which they happen to agree for certain, and whatever comes later for something new. As long as
+    it began with so few, `partial_fit` starts anew from the cells of all demonstrations, as `fit` starts from their
+    samples (by their place in the demonstration where `init` is "time"), with `n_components`. So it is as good as
+    learning from all at once, up to the cells, when it has seen more demonstrations than dimensions, and goes on from
+    there. Labels and models as `init` are a start for the first demonstrations alone: then it always goes on.
+
     What it forgets: `retained_` is a lower bound of the log-likelihood of all data so far, known without the
     data. With `max_loss`, new demonstrations lower it by at most that much.
 
@@ -53,12 +62,18 @@ class OnlineTPGMM(TPGMM):
     max_loss
         nats per sample by which `partial_fit` may lower the likelihood of what was learned before: new demonstrations
         that contradict it get less weight. None: no limit; a few old demonstrations then yield to new ones, as they do
-        in learning from all at once
+        in learning from all at once. As long as each call starts anew there is no limit: what so few agreed in is not
+        yet known
+
+    prior_strength
+        as for `TPGMM`; with 3, ten demonstrations that came one by one are learned from as well as all at once
 
     Attributes
     ----------
     cells_
         `SufficientStatistics` of all data so far
+    began_with_
+        number of demonstrations that the present components were started from
     retained_
         the mean log-likelihood per sample of all data so far is at least this, each demonstration counted by the
         influence that it was given
@@ -71,6 +86,7 @@ class OnlineTPGMM(TPGMM):
     cells_: SufficientStatistics
     retained_: float
     influence_: float
+    began_with_: int
 
     def __init__(
         self,
@@ -90,10 +106,11 @@ class OnlineTPGMM(TPGMM):
         max_cells: int = 2000,
         growth_threshold: float | None = 16.0,
         max_loss: float | None = None,
+        prior_strength: float = 0.0,
     ) -> None:
         super().__init__(
             n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
-            covariance, n_factors, covariance_options,
+            covariance, n_factors, covariance_options, prior_strength,
         )  # fmt: skip
         self.cell_size = cell_size
         self.max_cells = max_cells
@@ -124,6 +141,11 @@ class OnlineTPGMM(TPGMM):
             return self.fit(demonstrations, progress)
         self._check_parameters()
         samples = self._samples(demonstrations)
+        if self._is_provisional:
+            cells = self.cells_.followed_by(SufficientStatistics.of(samples).coarser(self.cell_size))
+            self.influence_, self.began_with_ = 1.0, cells.n_demonstrations
+            self._keep(cells, self._anew(cells, progress))
+            return self
         lowest = -np.inf
         if self.max_loss is not None:
             lowest = self.cells_.bound(self.priors_, self.emissions_) - self.max_loss * self.cells_.n_samples
@@ -138,6 +160,43 @@ class OnlineTPGMM(TPGMM):
                 return self
         self.influence_ = 0.0
         return self
+
+    @property
+    def _is_provisional(self) -> bool:
+        """Whether the components were started from too few demonstrations to go on from."""
+        dimensions = max(manifold.tangent_dim for manifold in self.frame_manifolds_.values())
+        return isinstance(self.init, str) and self.began_with_ <= dimensions
+
+    def _anew(self, cells: SufficientStatistics, progress: Progress | None) -> MixtureEstimate:
+        """EM on cells from the start that `fit` takes, with each cell in place of its samples."""
+        samples, rng = cells.as_samples(), np.random.default_rng(self.random_state)
+        init = "bins" if self.init == "time" else self.init
+        labels = initialization.assignments(samples, init, self.n_components, rng)
+        start = self._start(samples, labels)
+        emissions = Emissions.from_gaussians(
+            self._structure(), samples, cells.n_samples * start.priors, start.means, start.covariances
+        )
+        chosen = np.eye(self.n_components)[labels]
+        counts = chosen.T @ cells.counts
+        emissions = self._with_priors(emissions, counts / counts.sum(), cells)
+        emissions = emissions.updated(cells.moments(emissions, chosen))
+        return fit_cells(
+            cells, counts / counts.sum(), emissions, tol=self.tol, max_iter=self.max_iter, progress=progress
+        )
+
+    def _with_priors(self, emissions: Emissions, priors: Array, cells: SufficientStatistics) -> Emissions:
+        """Components with what is known of their covariances besides these cells, in proportion to the cells."""
+        if self.regularization == "prior":
+            scatter = self.reg_covar * cells.n_samples / emissions.n_components
+            emissions = replace(emissions, prior_scatter=scatter)
+        if self.prior_strength:
+            samples = cells.as_samples()
+            responsibilities, _ = expectation(priors, emissions, samples)
+            strength = self.prior_strength * cells.n_samples / samples.n_samples
+            emissions = replace(
+                emissions, prior=CovariancePrior.of_data(samples, emissions.means, responsibilities, strength)
+            )
+        return emissions
 
     def _continued(
         self, samples: Samples, cells: SufficientStatistics, weight: float, progress: Progress | None
@@ -158,16 +217,14 @@ class OnlineTPGMM(TPGMM):
                 {name: np.concatenate([mean, more.means[name]]) for name, mean in emissions.means.items()},
                 {name: np.concatenate([covariances[name], C]) for name, C in more.covariances.items()},
             )
-        if self.regularization == "prior":  # which counts in proportion to the samples
-            scatter = self.reg_covar * cells.n_samples / emissions.n_components
-            emissions = replace(emissions, prior_scatter=scatter)
+        emissions = self._with_priors(emissions, priors, cells)
         # the old samples hardly change: the new ones determine the gain
         tol = self.tol * weight * samples.n_samples / cells.n_samples
         return fit_cells(cells, priors, emissions, tol=tol, max_iter=self.max_iter, progress=progress)
 
     def _fit(self, samples: Samples, progress: Progress | None) -> Self:
         super()._fit(samples, progress)
-        self.influence_ = 1.0
+        self.influence_, self.began_with_ = 1.0, len(samples.lengths)
         self.cells_ = self._bounded(SufficientStatistics.of(samples).coarser(self.cell_size))
         self.retained_ = self.cells_.bound(self.priors_, self.emissions_) / self.cells_.n_samples
         return self
@@ -180,11 +237,14 @@ class OnlineTPGMM(TPGMM):
         self.retained_ = self.cells_.bound(self.priors_, self.emissions_) / self.cells_.n_samples
 
     def _more_arrays(self) -> dict[str, Array]:
-        return {**self.cells_.arrays(), "influence": np.array([self.influence_])}
+        numbers = {"influence": self.influence_, "began_with": float(self.began_with_)}
+        return {**self.cells_.arrays(), **{name: np.array([number]) for name, number in numbers.items()}}
 
     def _restore(self, arrays: Mapping[str, Array]) -> None:
         self.cells_ = SufficientStatistics.from_arrays(arrays, self.frame_manifolds_)
         self.influence_ = float(arrays["influence"].item())
+        known = arrays.get("began_with")  # files of earlier versions do not say
+        self.began_with_ = self.cells_.n_demonstrations if known is None else int(known.item())
         self.retained_ = self.cells_.bound(self.priors_, self.emissions_) / self.cells_.n_samples
 
     def _bounded(self, cells: SufficientStatistics) -> SufficientStatistics:

@@ -115,6 +115,22 @@ class SufficientStatistics:
         """Samples in all cells, by weight."""
         return float(self.counts.sum())
 
+    @property
+    def n_demonstrations(self) -> int:
+        """How many demonstrations the cells are of."""
+        return int(self.demonstrations[-1]) + 1
+
+    def as_samples(self) -> Samples:
+        """The means of the cells, one sample for each; their places in the demonstrations stand for times."""
+        lengths = np.bincount(self.demonstrations)
+        return Samples(
+            dict(self.manifolds),
+            {name: moments.means for name, moments in self.frames.items()},
+            np.stack([moments.counts > 0.0 for moments in self.frames.values()]),
+            np.concatenate([np.arange(n) / n for n in lengths]),
+            lengths.tolist(),
+        )
+
     def followed_by(self, others: SufficientStatistics) -> SufficientStatistics:
         """The cells of these demonstrations, followed by those of others."""
         joined = {}

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ProMPTPGMM`: a probabilistic movement primitive in each frame, fused by the product of Gaussians.
+
+A probabilistic movement primitive (Paraschos et al., NIPS 2013) describes each demonstration, as seen from a frame, by
+the weights of B basis functions of time, y(t) = (phi(t)^T kron I) w + e, and the demonstrations by one Gaussian of the
+weights, w ~ N(mu_w, Sigma_w), with e ~ N(0, Sigma_y). At a time, that is the Gaussian
+
+    N((phi^T kron I) mu_w, (phi^T kron I) Sigma_w (phi kron I) + Sigma_y),
+
+a local measure of uncertainty, which is all that the product over the frames needs (Section 7). Sigma_w is a full
+covariance of B n dimensions out of m demonstrations. As for time steps (`tpgmm_core.learning.time_steps`), it is shrunk
+towards the covariance between the weights of basis functions that is the same in all directions of a place and of a
+turn, and widened as the Student distribution asks for. Both are linear in Sigma_w, so that the Gaussians at the steps
+are computed, and Sigma_w itself never is.
+
+Basis functions are Gaussians of time, a spacing wide, divided by their sum. Weights are those of least squares: paths
+at rest are kept, and so is where a movement ends. On S³ a demonstration is a tangent vector at each point of the mean
+path, in fixed axes. What the basis functions cannot follow (noise, tremor) is Sigma_y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.smooth_paths import smoothed
+from tpgmm_core.learning.time_steps import PRIOR_STRENGTH, UNSEEN, ShownToFrame, TimeStepTPGMM, isotropic
+from tpgmm_core.learning.tpgmm import TPGMM
+
+
+class ProMPTPGMM(TimeStepTPGMM):
+    """Probabilistic movement primitives in all frames, as a Gaussian for each time step and frame.
+
+    Parameters and attributes that are not listed here are those of `TimeStepTPGMM`.
+
+    Parameters
+    ----------
+    n_basis
+        number of basis functions, from 2 to `n_steps`: the more, the finer the details that are kept
+    """
+
+    def __init__(
+        self,
+        n_components: int = 3,
+        init: str | ArrayLike | TPGMM = "time",
+        reg_covar: float = 1e-6,
+        tol: float = 1e-5,
+        max_iter: int = 100,
+        random_state: int | np.random.Generator | None = 0,
+        manifold: str | Manifold = "euclidean",
+        regularization: str = "add",
+        n_init: int = 1,
+        covariance: str = "full",
+        n_factors: int = 1,
+        covariance_options: Mapping[str, Any] | None = None,
+        prior_strength: float = PRIOR_STRENGTH,
+        n_steps: int = 100,
+        locality: float = 0.0,
+        n_basis: int = 20,
+    ) -> None:
+        super().__init__(
+            n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
+            covariance, n_factors, covariance_options, prior_strength, n_steps, locality,
+        )  # fmt: skip
+        self.n_basis = n_basis
+
+    def _gaussians(self, shown: ShownToFrame) -> tuple[Array, Array]:
+        space, points = shown.space, shown.held()
+        phi = basis(self.n_steps, self.n_basis)
+        weights_of = np.linalg.pinv(phi)
+        H = np.broadcast_to(phi @ weights_of, (space.tangent_dim, self.n_steps, self.n_steps))
+        centres = smoothed(space, np.stack([space.mean(p) for p in points.swapaxes(0, 1)]), H)
+        deviations = space.log(centres[None], points)  # (m, T, n)
+        w = np.einsum("bt,mtn->mbn", weights_of, deviations)
+        centres = space.exp(centres, phi @ w.mean(axis=0))
+        followed = np.einsum("tb,mbn->mtn", phi, w - w.mean(axis=0))
+        left = deviations - np.einsum("tb,mbn->mtn", phi, w)
+        freedom = len(points) * max(self.n_steps - self.n_basis, 1)
+        noise = isotropic(space, np.einsum("mtn,mto->no", left, left) / freedom)
+        within = np.empty((self.n_steps, space.tangent_dim, space.tangent_dim))
+        for t, centre in enumerate(centres):
+            spread = followed[:, t] if len(points) > 1 else space.log(centre, shown.everything)
+            within[t] = self._predictive(space, spread) + noise
+        within[~shown.visible.any(axis=0)] *= UNSEEN
+        return centres, within
+
+    def _deviations(self, shown: ShownToFrame, centres: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Those that the basis functions follow, of the demonstrations that the frame saw at some time."""
+        phi, known = basis(self.n_steps, self.n_basis), shown.visible.any(axis=1)
+        found = np.zeros((len(known), self.n_steps, shown.space.tangent_dim))
+        deviations = shown.space.log(centres[None], shown.held())
+        found[known] = np.einsum("ts,msn->mtn", phi @ np.linalg.pinv(phi), deviations)
+        return found, known[:, None] & shown.visible.any(axis=0)
+
+    def _check_parameters(self) -> None:
+        super()._check_parameters()
+        B = self.n_basis
+        if not isinstance(B, int | np.integer) or isinstance(B, bool) or not 2 <= B <= self.n_steps:
+            raise ValueError(f"n_basis is an integer from 2 to n_steps = {self.n_steps}, got {B!r}")
+
+
+def basis(n_steps: int, n_basis: int) -> Array:
+    """Basis functions (T, B) at steps from 0 to 1; the values at each step add up to 1."""
+    centres = np.linspace(0.0, 1.0, n_basis)
+    from_centres = (np.linspace(0.0, 1.0, n_steps)[:, None] - centres) * (n_basis - 1)
+    values = np.exp(-0.5 * from_centres**2)
+    return np.asarray(values / values.sum(axis=1, keepdims=True))

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Time steps of a model as demonstrations of near situations say them: `tpgmm_core.learning.local_weights`.
+
+Only the steps that a time lies between are computed, once for each situation, so that a step of a loop stays below a
+millisecond where frames move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels_manifold import move
+from tpgmm_core.learning.time_steps import TimeStepTPGMM
+
+
+class LocalSteps:
+    """Means, velocities and covariances of steps, for the situation at hand.
+
+    Parameters
+    ----------
+    model
+        with `shown_`
+    points, velocities, within
+        (P, T, D), (P, T, n), (P, T, n, n): where all demonstrations count alike; they are written to
+    view
+        (n,), the layout of what a frame sees, without time
+    spheres
+        as `Manifold.sphere_starts`, without time
+    """
+
+    def __init__(
+        self, model: TimeStepTPGMM, points: Array, velocities: Array, within: Array, view: Array, spheres: Array
+    ) -> None:
+        assert model.shown_ is not None
+        self._shown, self._strength = model.shown_, float(model.prior_strength)
+        self._locality = float(model.locality)
+        self._out = points, velocities, within
+        self._alike = points.copy(), velocities.copy(), within.copy()
+        self._layout = view, spheres
+        P, T, n = velocities.shape
+        m = len(self._shown.shown)
+        self._deviations, self._isotropic = np.zeros((P, T, m, n)), np.zeros((P, T, n, n))
+        self._more = np.zeros((P, T, n, n))  # of the covariances: what does not come from how demonstrations differ
+        self._freedom = np.zeros(P)
+        self._sizes = np.zeros(P, dtype=np.int64)
+        for j, (name, deviations) in enumerate(self._shown.deviations.items()):
+            manifold = model.frame_manifolds_[name]
+            space, size = manifold.subset(range(1, manifold.dim)), deviations.shape[2]
+            B, R = model.predictive(space, deviations, self._shown.seen[j])
+            self._deviations[j, :, :, :size] = np.swapaxes(deviations, 0, 1)
+            self._isotropic[j, :, :size, :size] = B
+            self._more[j, :, :size, :size] = within[j, :, :size, :size] - R
+            self._freedom[j], self._sizes[j] = model.block_size(space), size
+        self._seen = np.ascontiguousarray(np.moveaxis(self._shown.seen, 2, 1))  # (P, T, m)
+        self._grid = np.ascontiguousarray(next(iter(model.means_.values()))[:, 0])
+        self._squares = np.zeros((T, m))
+        self._is_fresh = np.zeros(T, dtype=np.bool_)
+
+    def situate(self, frames: Mapping[str, Frame]) -> None:
+        """Take the places of frames over [time, data]."""
+        here = self._shown.places(frames)
+        known = np.flatnonzero(np.isfinite(here))
+        self._squares[:] = 0.0
+        if len(known):
+            off = (self._shown.shown[:, :, known] - here[known]) / self._shown.scales[known]
+            self._squares[:] = np.mean(off**2, axis=2).T
+        self._is_fresh[:] = False
+
+    def at(self, times: Array) -> None:
+        """Make the steps that these times lie between those of the situation."""
+        localise(
+            self._grid, times, self._squares, self._locality, self._strength, self._deviations, self._seen,
+            self._isotropic, self._more, self._freedom, self._sizes, *self._layout, *self._alike, *self._out,
+            self._is_fresh,
+        )  # fmt: skip
+
+    def weights(self, step: int) -> Array:
+        """How much each demonstration counts at a step, (m,)."""
+        return _weights(self._squares[step], self._locality)
+
+
+@compiled
+def _weights(squares: Array, locality: float) -> Array:
+    least = squares.min()
+    w = np.exp(-0.5 * locality * (squares - least))
+    return w / w.sum()
+
+
+@compiled
+def localise(
+    grid: Array, times: Array, squares: Array, locality: float, strength: float, deviations: Array, seen: Array,
+    isotropic: Array, more: Array, freedom: Array, sizes: Array, view: Array, spheres: Array, points: Array,
+    velocities: Array, within: Array, out_points: Array, out_velocities: Array, out_within: Array, is_fresh: Array,
+) -> None:  # fmt: skip
+    """Write the steps before and after each time, where they are not fresh.
+
+    Parameters
+    ----------
+    grid, times
+        (T,) and (H,), s
+    squares
+        (T, m), squared distances of the demonstrations' places
+    locality, strength
+        of the model; the strength of its prior
+    deviations, seen
+        (P, T, m, n), (P, T, m)
+    isotropic, more
+        (P, T, n, n): the prior's covariance, and what is added to that of the demonstrations
+    freedom, sizes
+        (P,), dimensions of the smallest block, and of each frame's view
+    view, spheres
+        layout of a view
+    points, velocities, within
+        where all demonstrations count alike
+    out_points, out_velocities, out_within
+        written
+    is_fresh
+        (T,), which steps are written already; written
+    """
+    P, T, m, n = deviations.shape
+    shifts = np.zeros((3, n))
+    for h in range(len(times)):
+        before = min(max(np.searchsorted(grid, times[h], side="right") - 1, 0), T - 2)
+        for t in range(before, before + 2):
+            if is_fresh[t]:
+                continue
+            is_fresh[t] = True
+            for j in range(P):
+                size = sizes[j]
+                w = np.zeros(m)
+                for side in range(3):
+                    other = min(max(t + side - 1, 0), T - 1)
+                    of_step = _weights(squares[other], locality) * seen[j, other]
+                    total = of_step.sum()
+                    for a in range(size):
+                        shifts[side, a] = 0.0
+                        if total > 0.0:
+                            for i in range(m):
+                                shifts[side, a] += of_step[i] / total * deviations[j, other, i, a]
+                    if side == 1 and total > 0.0:
+                        w[:] = of_step / total
+                square = (w**2).sum()
+                first, last = max(t - 1, 0), min(t + 1, T - 1)
+                for a in range(size):
+                    out_velocities[j, t, a] = velocities[j, t, a] + (shifts[2, a] - shifts[0, a]) / (
+                        grid[last] - grid[first]
+                    )
+                out_points[j, t] = points[j, t]
+                if square == 0.0:
+                    out_within[j, t] = within[j, t]
+                    continue
+                move(out_points[j, t], shifts[1, :size], view[:size], spheres)
+                # as many demonstrations as have the same sum of squared weights, and at least a little of one more
+                count = max(1.0 / square, 1.01)
+                nu = freedom[j] * (count - 1.0)
+                factor = (1.0 + 1.0 / count) * nu / max(nu - 2.0, min(nu, 1.0))
+                share = (count - 1.0) / (count - 1.0 + strength)
+                for a in range(size):
+                    for b in range(size):
+                        S = 0.0
+                        for i in range(m):
+                            S += (
+                                w[i] * (deviations[j, t, i, a] - shifts[1, a]) * (deviations[j, t, i, b] - shifts[1, b])
+                            )
+                        S /= max(1.0 - square, 0.01)
+                        out_within[j, t, a, b] = more[j, t, a, b] + factor * (
+                            share * S + (1.0 - share) * isotropic[j, t, a, b]
+                        )
