@@ -63,8 +63,9 @@ def reproduce_gaussians(
     chosen = method_of(model) if method is None else method_named(method)
     chosen.check(model)
     seen = as_seen_by(model, situation)
-    if chosen.time_parametrized is not None:
-        return _as_function_of_time(chosen.time_parametrized(model), seen)
+    course = chosen.course(model)
+    if course is not None:
+        return _as_function_of_time(course, seen)
     return _step_by_step(make_retrieval(model, chosen.name, horizon_steps=0, calibrated=False), seen, settle)
 
 

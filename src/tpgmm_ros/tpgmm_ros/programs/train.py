@@ -20,9 +20,10 @@ from tpgmm_core.choice.calibration import Calibration
 from tpgmm_core.choice.novelty import range_of
 from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.report import format_table
-from tpgmm_core.common.text import one_line
+from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.learning.situations import demonstrated_situations
+from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.retrieval.calibrated import scale_key
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_core.retrieval.novelty import NoveltyScale
@@ -228,14 +229,30 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
         "training time": f"{training.time_s:.2f} s",
     }
     print(format_table(("what", "value"), rows.items()))
+    if isinstance(model, TimeStepTPGMM) and model.modes_.any():
+        report["modes"] = model.modes_.tolist()
+        print(_ways(model, training.recordings))
     if not task.space.joints():
         situations = demonstrated_situations(align(training.recordings)[0], task.space.manifold())
         report["situations"] = asdict(situations)
         print(f"situations: {situations}")
 
 
+def _ways(model: TimeStepTPGMM, recordings: list[Recording]) -> str:
+    """Which demonstrations do the same thing in which way."""
+    names = [recording.path.name for recording in recordings]
+    groups = [
+        listed([n for n, way in zip(names, model.modes_, strict=True) if way == k]) for k in np.unique(model.modes_)
+    ]
+    lines = [f"  way {k}: {group}" for k, group in enumerate(groups, 1)]
+    chosen = (
+        f"way {model.mode} alone is learned" if model.mode else "the situation chooses; 'mode: K' takes way K alone"
+    )
+    return "\n".join([f"demonstrations go {len(lines)} ways, which are kept apart ({chosen}):", *lines])
+
+
 def _validate(task: Task, recipe: Recipe, recordings: list[Recording], trained: TPGMM) -> dict[str, Any]:
-    anchor, space = list(task.topics or task.frames)[-1], task.space.manifold()
+    anchor, space = list(task.sources or task.frames)[-1], task.space.manifold()
     folds: list[Fold] = []
     with _bar(total=len(recordings), desc="leave one out", unit="demonstration") as bar:
         learner = Learner.of(space, recipe.arguments)
