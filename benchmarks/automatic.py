@@ -79,7 +79,7 @@ def ways(
     plain = [without_frames(shown) for shown in training]
     yield "no frames", reproduce(recipe.learn(plain, space), without_frames(situation)), {}
     yield "mean demonstration", _mean(training, situation), {}
-    path = replay_nearest(others, left_out, list(task.topics or task.frames)[-1])
+    path = replay_nearest(others, left_out, list(task.sources or task.frames)[-1])
     yield "nearest, replayed", path[:, : situation.data.shape[1] - 1], {}
 
 

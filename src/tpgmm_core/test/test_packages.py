@@ -29,6 +29,7 @@ PACKAGES = (
     "learning.incremental",
     "retrieval",
     "choice",
+    "recognition",
     "robot",
     "observation",
     "kinematics",

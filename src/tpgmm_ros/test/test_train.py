@@ -15,6 +15,7 @@ import pytest
 
 from synthetic_bags import REACH_TASK, reach, write_bag
 from tpgmm_core import TPGMM, Frame
+from tpgmm_core.choice.baselines import BASELINES
 from tpgmm_core.choice.reproducing import reproduce
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.methods import METHODS, method_of
@@ -182,6 +183,10 @@ def test_leave_one_out_reports_every_demonstration(
     model, nearest = result["mean"], result["mean_nearest"]
     assert model["position_end_m"] < 0.02 and model["orientation_end_deg"] < 2.0
     assert model["position_rmse_m"] < 0.5 * nearest["position_rmse_m"]
+    assert set(result["mean_baselines"]) == set(BASELINES)
+    for name in BASELINES:
+        assert 2.0 * model["position_end_m"] < result["mean_baselines"][name]["position_end_m"]
+        assert all(name in fold["baselines"] for fold in result["folds"])
     out = capsys.readouterr().out
     assert all(f"demo_{i}" in out for i in range(COUNT)) and "\nmean " in out
     assert "coverage: share of the poses left out" in out and "novelty: in what was left out" in out

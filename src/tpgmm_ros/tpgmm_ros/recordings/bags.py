@@ -10,10 +10,14 @@ from numpy.typing import NDArray
 
 from tpgmm_core import Demonstration
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.observation.streams import SECOND
+from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
 from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds, Stream
+from tpgmm_ros.recordings.joint_movement import read_link_stream
 from tpgmm_ros.recordings.joint_streams import read_joint_stream
 from tpgmm_ros.recordings.pose_arrays import read_pose_array
-from tpgmm_ros.recordings.pose_streams import read_pose_streams
+from tpgmm_ros.recordings.pose_streams import read_pose_streams, without_leaps
 from tpgmm_ros.recordings.recording import Recording, align
 from tpgmm_ros.task.task_file import PoseArraySpec, Task
 
@@ -30,6 +34,9 @@ __all__ = [
 
 MIN_SAMPLES = 10
 """Fewer samples of a movement are no demonstration of one."""
+
+MOVEMENT = "the movement"
+"""Name of the movement among the streams; no frame's name has a space."""
 
 START_TOLERANCE_S = 0.5
 """Topics start in any order when a recorder is switched on: a frame seen so soon was there all along."""
@@ -82,14 +89,14 @@ def _is_bag(path: Path) -> bool:
 
 
 def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
-    """Read one bag, as `Task.recordings` says it was recorded: PoseStamped on topics, or one PoseArray.
+    """Read one bag, as the task says it was recorded: streams of poses, or one PoseArray.
 
-    Of PoseStamped, times are the header stamps when those of all topics are sane (not zero, never backwards, of
-    one clock), else the times of the recorder for all topics; a note says when. Messages that repeat a stamp are
-    dropped, and counted in a note. A frame holds its latest pose, however long ago that was seen. Before its first
-    observation a frame is not visible, unless that observation comes within 0.5 s of the first sample: then
-    the frame counts as seen from the start. Joints are interpolated between their messages. Of a PoseArray, times are
-    the numbers of the poses times `period`, and frames stand still.
+    Poses that are none, or that leap, are left out and counted in a note. Of streams, times are the header stamps when
+    those of all topics are sane (not zero, never backwards, of one clock), else the times of the recorder for all
+    topics; a note says when. Messages that repeat a stamp are dropped, and counted in a note. A frame holds its latest
+    pose, however long ago that was seen. Before its first observation a frame is not visible, unless that observation
+    comes within 0.5 s of the first sample: then the frame counts as seen from the start. Joints are interpolated
+    between their messages. Of a PoseArray, times are the numbers of the poses times `period`, and frames stand still.
 
     Parameters
     ----------
@@ -136,15 +143,16 @@ def _thinned(recording: Recording, every: int) -> Recording:
 
 
 def _from_pose_array(path: Path, task: Task, spec: PoseArraySpec) -> Recording:
-    movement, places = read_pose_array(path, spec, list(task.topics), task.base_frame)
+    stream, places = read_pose_array(path, spec, list(task.sources), task.base_frame)
+    movement, numbers = stream.values, stream.stamps // round(spec.period * SECOND)
     places |= {name: np.array(frame.pose) for name, frame in task.frames.items() if frame.pose is not None}
     T = len(movement)
-    notes = []
+    notes = list(stream.notes)
     if T > 1 and (movement[:, 3:] == quaternion.IDENTITY).all():
         notes.append("every orientation is 0 0 0 1: none was recorded; what a model says of it means nothing")
     return Recording(
         path,
-        spec.period * np.arange(T, dtype=float),
+        spec.period * (numbers - numbers[0]).astype(float),
         movement,
         {name: np.tile(places[name], (T, 1)) for name in task.frames},
         {name: np.ones(T, bool) for name in task.frames},
@@ -154,32 +162,39 @@ def _from_pose_array(path: Path, task: Task, spec: PoseArraySpec) -> Recording:
 
 
 def _from_streams(path: Path, task: Task) -> Recording:
-    streams = read_pose_streams(path, [task.movement, *task.topics.values()], task.base_frame)
+    streams, fixed = read_pose_streams(path, _sources(task), task.base_frame)
+    if isinstance(task.recorded_movement, JointStateSource):
+        streams[MOVEMENT] = read_link_stream(path, task.recorded_movement, task.base_frame)
     names = task.space.joints()
     joints = read_joint_stream(path, task.space.joint_states, names) if names else None
     stamped: list[Stream] = [*streams.values(), *([] if joints is None else [joints])]
-    problem = _problem_of_stamps(streams[task.movement], stamped)
+    problem = _problem_of_stamps(streams[MOVEMENT], stamped)
     notes = [f"{problem}: times of the recorder used"] if problem else []
     series: dict[str, tuple[Nanoseconds, Array]] = {}
-    for topic, stream in streams.items():
+    limits = TrackingConfig(**task.tracking).motion
+    for name, stream in streams.items():
+        notes += stream.notes
         ns = stream.recorded if problem else stream.stamps
         fresh = np.diff(ns, prepend=ns[0] - 1) > 0
         if not fresh.all():
             notes.append(f"{stream.topic}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
-        series[topic] = ns[fresh], stream.values[fresh]
+        kept, poses, leaps = without_leaps(path, stream.topic, ns[fresh], stream.values[fresh], limits)
+        series[name] = kept, poses
+        notes += leaps
 
-    ns, movement = series[task.movement]
+    ns, movement = series[MOVEMENT]
     frames: dict[str, Array] = {}
     visible: dict[str, NDArray[np.bool_]] = {}
     for name, spec in task.frames.items():
-        if spec.topic is None:
-            frames[name], visible[name] = np.tile(np.array(spec.pose), (len(ns), 1)), np.ones(len(ns), bool)
+        if name not in series:
+            pose = fixed[name] if spec.pose is None else np.array(spec.pose)
+            frames[name], visible[name] = np.tile(pose, (len(ns), 1)), np.ones(len(ns), bool)
             continue
-        frames[name], visible[name] = _hold(*series[spec.topic], ns)
+        frames[name], visible[name] = _hold(*series[name], ns)
         if not visible[name].any():
             raise BagError(
                 path,
-                f"{streams[spec.topic].topic} was first seen after the movement had ended; publish the "
+                f"{streams[name].topic} was first seen after the movement had ended; publish the "
                 f"frame {name!r} before the demonstration starts",
             )
         unseen = np.count_nonzero(~visible[name])
@@ -187,6 +202,12 @@ def _from_streams(path: Path, task: Task) -> Recording:
             notes.append(f"{name}: not seen in the first {unseen} of {len(ns)} samples")
     configurations = None if joints is None else _configurations(path, joints, ns, bool(problem))
     return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes), configurations, task.derived)
+
+
+def _sources(task: Task) -> dict[str, Source]:
+    """Where the movement and the frames are in a recording, but for a movement of joints."""
+    movement = task.recorded_movement or PoseStampedSource(task.movement)
+    return ({} if isinstance(movement, JointStateSource) else {MOVEMENT: movement}) | task.sources
 
 
 def _configurations(path: Path, joints: Stream, at: Nanoseconds, by_recorder: bool) -> Array:
