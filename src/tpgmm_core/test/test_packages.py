@@ -30,6 +30,7 @@ PACKAGES = (
     "retrieval",
     "choice",
     "recognition",
+    "doubt",
     "robot",
     "observation",
     "kinematics",

@@ -31,7 +31,8 @@ from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_ros.models.validation import Fold, PathErrors, cross_validate, mean_baselines, mean_errors
 from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.programs.train_auto import choose_for, words
-from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings
+from tpgmm_ros.recordings.bags import Recording, align, find_bags, join_parts, read_recordings
+from tpgmm_ros.recordings.judging import doubts_about
 from tpgmm_ros.runtime.entry import INTERRUPTED
 from tpgmm_ros.task.task_file import Task
 
@@ -115,7 +116,8 @@ def _run(options: argparse.Namespace, report: dict[str, Any]) -> None:
 
 
 def _read(options: argparse.Namespace, task: Task, report: dict[str, Any]) -> list[Recording]:
-    bags = find_bags(options.bags)
+    found = find_bags(options.bags)
+    bags = found if options.separate else join_parts(found, task.movement)
     with _bar(total=len(bags), desc="reading bags", unit="bag") as bar:
         good, bad = read_recordings(bags, task, options.every, progress=lambda _: bar.update())
     report["bags"] = [
@@ -137,9 +139,37 @@ def _read(options: argparse.Namespace, task: Task, report: dict[str, Any]) -> li
             f"{len(bad)} of {len(bags)} bags are bad, nothing was trained; repair or leave out the bags "
             "named above, or train on the others with --skip-bad"
         )
+    if good:
+        good = _without_doubt(good, task, options, report)
     if not good:
         raise TrainingError(f"none of the {len(bags)} bags could be used")
     return good
+
+
+def _without_doubt(
+    recordings: list[Recording], task: Task, options: argparse.Namespace, report: dict[str, Any]
+) -> list[Recording]:
+    """Say what makes no sense; those recordings with which nothing can be learned are refused, or left out."""
+    doubts = doubts_about(recordings, task)
+    refusing = [doubt for doubt in doubts if doubt.refuses]
+    named = {name for doubt in refusing for name in doubt.about}
+    left = [recording for recording in recordings if str(recording.path) not in named]
+    if options.skip_bad and named and all(doubt.about for doubt in refusing):
+        for doubt in refusing:
+            print(f"left out: {doubt}", file=sys.stderr)
+        report["bad_bags"] += [{"bag": name, "error": d.text} for d in refusing for name in d.about]
+        return _without_doubt(left, task, options, report) if left else []
+    report["doubts"] = [asdict(doubt) for doubt in doubts]
+    for doubt in doubts:
+        print(f"doubt: {doubt}", file=sys.stderr)
+    if refusing:
+        raise TrainingError(
+            f"{len(refusing)} of the doubts above forbid to learn from these bags together, nothing was trained; put "
+            "them right, or leave out the bags that are named" + (", or use --skip-bad" if named else "")
+        )
+    if doubts and options.strict:
+        raise TrainingError(f"{len(doubts)} doubts, and --strict refuses all; nothing was trained")
+    return recordings
 
 
 def _recipe(task: Task, options: argparse.Namespace) -> Recipe:
@@ -363,7 +393,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="BAG",
         nargs="+",
         type=Path,
-        help="rosbag2 (MCAP, sqlite3) or ROS 1 bag, or a directory with several bags",
+        help="rosbag2 (MCAP, sqlite3) or ROS 1 bag, or one of its files, or a directory with several of them",
     )
     parser.add_argument("--task", required=True, type=Path, help="task file: topics, frames and settings of the model")
     parser.add_argument("--output", type=Path, metavar="FILE", help="where the model is saved, such as task.tpgmm")
@@ -407,6 +437,14 @@ def _parser() -> argparse.ArgumentParser:
         "--workers", type=_positive, metavar="N", help="for --auto: processes (default: one for each core)"
     )
     parser.add_argument("--report", type=Path, metavar="DIR", help="write report.json into this directory")
+    parser.add_argument(
+        "--separate",
+        action="store_true",
+        help="bags that go on where another one ends are demonstrations of their own, not parts of one recording",
+    )
+    parser.add_argument(
+        "--strict", action="store_true", help="refuse recordings about which there is any doubt, where it is only said"
+    )
     parser.add_argument("--skip-bad", action="store_true", help="train on the good bags when some are bad")
     parser.add_argument("-v", "--verbose", action="store_true", help="say what each bag holds")
     return parser

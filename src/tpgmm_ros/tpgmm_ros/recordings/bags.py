@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags to demonstrations: one clock, every frame at every sample of the movement, one common duration."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,16 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core import Demonstration
+from tpgmm_core.common.text import listed
+from tpgmm_core.doubt.clocks import ClockError, TopicTimes, common_clock, gaps
+from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_core.observation.tracking import TrackingConfig
 from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
 from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds, Stream
+from tpgmm_ros.recordings.finding import find_bags, join_parts
 from tpgmm_ros.recordings.joint_movement import read_link_stream
 from tpgmm_ros.recordings.joint_streams import read_joint_stream
 from tpgmm_ros.recordings.pose_arrays import read_pose_array
 from tpgmm_ros.recordings.pose_streams import read_pose_streams, without_leaps
 from tpgmm_ros.recordings.recording import Recording, align
+from tpgmm_ros.recordings.storage.bag_reader import parts_of
 from tpgmm_ros.task.task_file import PoseArraySpec, Task
 
 __all__ = [
@@ -26,6 +31,7 @@ __all__ = [
     "Recording",
     "align",
     "find_bags",
+    "join_parts",
     "read_demonstration",
     "read_demonstrations",
     "read_recording",
@@ -36,56 +42,19 @@ MIN_SAMPLES = 10
 """Fewer samples of a movement are no demonstration of one."""
 
 MOVEMENT = "the movement"
-"""Name of the movement among the streams; no frame's name has a space."""
+JOINTS = "the joints"
+"""Names of the movement and of its joints among the streams; no frame's name has a space."""
 
 START_TOLERANCE_S = 0.5
 """Topics start in any order when a recorder is switched on: a frame seen so soon was there all along."""
 
-_CLOCK_AHEAD_S = 1.0
-_CLOCK_BEHIND_S = 3600.0
-"""A stamp may be old (a latched pose), but not from the future or from another clock (simulated time)."""
+GAP_S = 0.5
+FRAME_GAP_S = 1.0
+GAP_PERIODS = 10.0
+"""A pause of a topic is said where it is longer than this time, and than so many of its periods."""
 
-_STORAGE_SUFFIXES = (".mcap", ".db3")
-
-
-def find_bags(paths: Iterable[str | Path]) -> list[Path]:
-    """Bags among some paths.
-
-    Parameters
-    ----------
-    paths
-        each a bag, or a directory with bags directly inside
-
-    Returns
-    -------
-    list[Path]
-        in the order given, those of a directory in order of name
-
-    Raises
-    ------
-    BagError
-        a path does not exist, or is neither.
-    """
-    bags: list[Path] = []
-    for path in map(Path, paths):
-        if not path.exists():
-            raise BagError(path, "does not exist; expected a bag, or a directory of bags")
-        found = [path] if _is_bag(path) else sorted(filter(_is_bag, path.iterdir())) if path.is_dir() else []
-        if not found:
-            raise BagError(
-                path,
-                "is not a bag and contains none; expected a rosbag2 directory (metadata.yaml and .mcap "
-                "or .db3), a .bag, .mcap or .db3 file, or a directory of such bags",
-            )
-        bags += (bag for bag in found if bag not in bags)
-    return bags
-
-
-def _is_bag(path: Path) -> bool:
-    if path.is_dir():
-        # Without its metadata.yaml it is a bag all the same: a damaged one, which the reader will name.
-        return (path / "metadata.yaml").exists() or any(child.suffix in _STORAGE_SUFFIXES for child in path.iterdir())
-    return path.suffix in (".bag", *_STORAGE_SUFFIXES)
+MOVED = 0.005
+"""A frame whose numbers change by less has not moved, m."""
 
 
 def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
@@ -117,7 +86,7 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
     BagError
         anything that is wrong with the bag.
     """
-    path = Path(path)
+    path = path if isinstance(path, Path) else Path(path)
     recording = _from_streams(path, task) if task.recordings is None else _from_pose_array(path, task, task.recordings)
     if len(recording.times) < MIN_SAMPLES:
         raise BagError(
@@ -125,6 +94,10 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
             f"the movement has {len(recording.times)} samples, expected at least {MIN_SAMPLES}; "
             "record the whole movement",
         )
+    others = parts_of(path)[1:]
+    if others:
+        note = f"goes on in {listed([part.name for part in others])}: parts of one recording, read as one"
+        recording = replace(recording, notes=(note, *recording.notes))
     return recording if every == 1 else _thinned(recording, every)
 
 
@@ -167,20 +140,25 @@ def _from_streams(path: Path, task: Task) -> Recording:
         streams[MOVEMENT] = read_link_stream(path, task.recorded_movement, task.base_frame)
     names = task.space.joints()
     joints = read_joint_stream(path, task.space.joint_states, names) if names else None
-    stamped: list[Stream] = [*streams.values(), *([] if joints is None else [joints])]
-    problem = _problem_of_stamps(streams[MOVEMENT], stamped)
-    notes = [f"{problem}: times of the recorder used"] if problem else []
+    times = _times(streams | ({} if joints is None else {JOINTS: joints}))
+    try:
+        clock = common_clock(times[MOVEMENT], [item for name, item in times.items() if name != MOVEMENT])
+    except ClockError as error:
+        raise BagError(path, str(error)) from None
+    notes, doubts = list(clock.notes), [*clock.doubts]
     series: dict[str, tuple[Nanoseconds, Array]] = {}
     limits = TrackingConfig(**task.tracking).motion
     for name, stream in streams.items():
+        label = times[name].name
         notes += stream.notes
-        ns = stream.recorded if problem else stream.stamps
+        ns, values = clock.times[label], stream.values[clock.kept[label]]
         fresh = np.diff(ns, prepend=ns[0] - 1) > 0
         if not fresh.all():
-            notes.append(f"{stream.topic}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
-        kept, poses, leaps = without_leaps(path, stream.topic, ns[fresh], stream.values[fresh], limits)
+            notes.append(f"{label}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
+        kept, poses, leaps = without_leaps(path, label, ns[fresh], values[fresh], limits)
         series[name] = kept, poses
         notes += leaps
+        doubts += _doubts_of_rate(label, series[name], name == MOVEMENT)
 
     ns, movement = series[MOVEMENT]
     frames: dict[str, Array] = {}
@@ -200,8 +178,12 @@ def _from_streams(path: Path, task: Task) -> Recording:
         unseen = np.count_nonzero(~visible[name])
         if unseen:
             notes.append(f"{name}: not seen in the first {unseen} of {len(ns)} samples")
-    configurations = None if joints is None else _configurations(path, joints, ns, bool(problem))
-    return Recording(path, (ns - ns[0]) * 1e-9, movement, frames, visible, tuple(notes), configurations, task.derived)
+    configurations = None
+    if joints is not None:
+        label = times[JOINTS].name
+        configurations = _configurations(path, joints, joints.values[clock.kept[label]], clock.times[label], ns)
+    seconds, derived = (ns - ns[0]) * 1e-9, task.derived
+    return Recording(path, seconds, movement, frames, visible, tuple(notes), configurations, derived, tuple(doubts))
 
 
 def _sources(task: Task) -> dict[str, Source]:
@@ -210,28 +192,37 @@ def _sources(task: Task) -> dict[str, Source]:
     return ({} if isinstance(movement, JointStateSource) else {MOVEMENT: movement}) | task.sources
 
 
-def _configurations(path: Path, joints: Stream, at: Nanoseconds, by_recorder: bool) -> Array:
-    """Positions (T, n) of joints at these times (T,), ns."""
-    seen = joints.recorded if by_recorder else joints.stamps
+def _times(streams: Mapping[str, Stream]) -> dict[str, TopicTimes]:
+    """Times of streams by name. Several streams may be of one topic: their labels say which is which."""
+    topics = [stream.topic for stream in streams.values()]
+    return {
+        name: TopicTimes(
+            stream.topic if topics.count(stream.topic) == 1 else f"{stream.topic} ({name})",
+            stream.stamps,
+            stream.recorded,
+        )
+        for name, stream in streams.items()
+    }
+
+
+def _doubts_of_rate(topic: str, series: tuple[Nanoseconds, Array], moves: bool) -> list[Doubt]:
+    """Pauses of a topic: of the movement, and of frames that are elsewhere after the pause."""
+    ns, values = series
+    found = []
+    for begin, length in gaps(ns, GAP_S if moves else FRAME_GAP_S, GAP_PERIODS):
+        k = int(np.searchsorted(ns, ns[0] + round(1e9 * begin)))
+        if moves or not np.allclose(values[k], values[k + 1], atol=MOVED):
+            where = f"{topic} pauses for {length:.2f} s, {begin:.2f} s after its first message"
+            found.append(Doubt("gap", (), f"{where}; what happened there is not known"))
+    return found[:3]
+
+
+def _configurations(path: Path, joints: Stream, values: Array, seen: Nanoseconds, at: Nanoseconds) -> Array:
+    """Positions (S, n) of joints at these times (S,), ns, from those (T, n) seen at times (T,)."""
     missed = 1e-9 * max(seen[0] - at[0], at[-1] - seen[-1])
     if missed > START_TOLERANCE_S:
         raise BagError(path, f"{joints.topic} does not cover the movement, by {missed:.1f} s; record both all the time")
-    return joints.at(seen, at)
-
-
-def _problem_of_stamps(movement: Stream, streams: Iterable[Stream]) -> str | None:
-    """What forbids to use the header stamps of a bag, or None."""
-    if movement.stamps[0] == movement.stamps[-1]:
-        return f"{movement.topic} has stamps that never change"
-    for stream in streams:
-        if (stream.stamps <= 0).any():
-            return f"{stream.topic} has stamps of zero"
-        if (np.diff(stream.stamps) < 0).any():
-            return f"{stream.topic} has stamps that run backwards"
-        ahead = (np.median(stream.stamps - stream.recorded) - np.median(movement.stamps - movement.recorded)) * 1e-9
-        if not -_CLOCK_BEHIND_S < ahead < _CLOCK_AHEAD_S:
-            return f"{stream.topic} is stamped {ahead:+.1f} s away from {movement.topic}"
-    return None
+    return np.column_stack([np.interp(at, seen, column) for column in values.T])
 
 
 def _hold(seen: Nanoseconds, poses: Array, at: Nanoseconds) -> tuple[Array, NDArray[np.bool_]]:
@@ -266,7 +257,8 @@ def read_recordings(
     """
     good: list[Recording] = []
     bad: list[BagError] = []
-    for path in map(Path, paths):
+    for given in paths:
+        path = given if isinstance(given, Path) else Path(given)  # a BagPath stays one
         try:
             good.append(read_recording(path, task, every))
         except BagError as error:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core import Demonstration, Frame
+from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_ros.recordings.bag_messages import Array
 
@@ -37,6 +38,8 @@ class Recording:
         (T, n) positions of the task's joints, rad and m; None for tasks that name none
     derived
         the task's frames that are made of those above, and of the first pose of the movement
+    doubts
+        what makes no sense in this bag
     """
 
     path: Path
@@ -47,6 +50,7 @@ class Recording:
     notes: tuple[str, ...] = ()
     configurations: Array | None = None
     derived: DerivedFrames = field(default_factory=DerivedFrames)
+    doubts: tuple[Doubt, ...] = ()
 
     @property
     def duration(self) -> float:

@@ -17,7 +17,6 @@ from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
 from tpgmm_core.learning.estimation.iteration import Progress, iterate
 from tpgmm_core.model.samples import Samples
 
-
 PARTS_OF_A_THREAD = 4
 """A thread that has fewer parts costs more than it saves."""
 

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Doubts about values, and about demonstrations beside the others: found where they are, and nowhere else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tpgmm_core.doubt.agreement import are_closed
+from tpgmm_core.doubt.doubts import Doubt, Shown
+from tpgmm_core.doubt.judging import judged
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.pose import compose
+
+
+def smooth(share: np.ndarray) -> np.ndarray:
+    return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+
+
+def yaw(angle: object) -> np.ndarray:
+    return quaternion.exp(np.asarray(angle)[..., None] * np.array([0.0, 0.0, 1.0]))
+
+
+def shown(seed: int, samples: int = 80, duration: float = 4.0, turn: float = 0.0, noise: float = 5e-4) -> Shown:
+    """A hand goes to an object that stands elsewhere each time, and turns by some angle on the way."""
+    random = np.random.default_rng(seed)
+    times = np.linspace(0.0, duration * random.uniform(0.8, 1.2), samples)
+    share = smooth(times / times[-1])
+    place = np.array([0.6, 0.0, 0.1, *yaw(random.uniform(-0.8, 0.8))])
+    place[:2] += random.uniform(-0.2, 0.2, 2)
+    begin, end = np.array([0.4, 0.3, 0.5]), place[:3] + [0.0, 0.0, 0.1]
+    positions = begin + share[:, None] * (end - begin) + noise * random.normal(size=(samples, 3))
+    turned = quaternion.multiply(place[3:], yaw(turn * share))
+    frames = {"object": np.tile(place, (samples, 1))}
+    return Shown(f"demo_{seed}", times, np.hstack([positions, turned]), frames, {"object": np.ones(samples, bool)})
+
+
+def scaled(one: Shown, hand: float, place: float) -> Shown:
+    movement, frames = one.movement.copy(), {name: poses.copy() for name, poses in one.frames.items()}
+    movement[:, :3] *= hand
+    for poses in frames.values():
+        poses[:, :3] *= place
+    return replace(one, movement=movement, frames=frames)
+
+
+def group(count: int = 6, **settings: float) -> list[Shown]:
+    return [shown(seed, **settings) for seed in range(count)]  # type: ignore[arg-type]
+
+
+def kinds(doubts: list[Doubt]) -> set[tuple[str, tuple[str, ...], bool]]:
+    return {(doubt.kind, doubt.about, doubt.refuses) for doubt in doubts}
+
+
+@pytest.mark.parametrize("samples", [12, 80, 4000])
+@pytest.mark.parametrize("turn", [0.0, 3.5, 6.1])
+def test_good_demonstrations_raise_no_doubt(samples: int, turn: float) -> None:
+    assert not judged(group(samples=samples, turn=turn))
+    assert not judged(group(1)) and not judged(group(2))
+
+
+def test_demonstrations_far_from_the_origin_raise_no_doubt() -> None:
+    far = np.array([448262.0, 4427757.0, 650.0, *quaternion.IDENTITY])
+    moved = [
+        replace(one, movement=compose(far, one.movement), frames={n: compose(far, p) for n, p in one.frames.items()})
+        for one in group()
+    ]
+    assert not judged(moved)
+
+
+def test_millimetres_everywhere_are_said() -> None:
+    for factor in (1000.0, 100.0):
+        (doubt,) = judged([scaled(one, factor, factor) for one in group()])
+        assert (doubt.kind, doubt.about, doubt.refuses) == ("units", (), False) and "millimetres" in doubt.text
+
+
+@pytest.mark.parametrize(("hand", "place"), [(1000.0, 1.0), (1.0, 1000.0), (100.0, 1.0)])
+def test_a_topic_in_another_unit_is_refused(hand: float, place: float) -> None:
+    assert kinds(judged([scaled(one, hand, place) for one in group()])) == {("units", (), True)}
+    mixed = [scaled(one, hand, place) if i == 2 else one for i, one in enumerate(group())]
+    found = judged(mixed)
+    assert all(doubt.refuses and doubt.about == ("demo_2",) for doubt in found) and found
+
+
+@pytest.mark.parametrize("count", [2, 5])
+@pytest.mark.parametrize("factor", [1000.0, 100.0])
+def test_a_recording_in_another_unit_is_named(count: int, factor: float) -> None:
+    mixed = [scaled(one, factor, factor) if i == 1 else one for i, one in enumerate(group(count))]
+    assert kinds(judged(mixed)) == {("units", ("demo_1",), True)}
+
+
+def test_a_frame_that_moves_and_comes_late_is_no_matter_of_units() -> None:
+    several = group()
+    visible = several[0].visible["object"].copy()
+    visible[:30] = False
+    frames = {"object": np.where(visible[:, None], several[0].frames["object"], 1e9)}
+    several[0] = replace(several[0], frames=frames, visible={"object": visible})
+    assert not [doubt for doubt in judged(several) if doubt.kind == "units"]
+
+
+def test_leaps_are_named_with_when_and_how_far() -> None:
+    several = group(noise=2e-3)
+    movement = several[3].movement.copy()
+    movement[40:45, :3] += [0.0, 0.3, 0.0]
+    several[3] = replace(several[3], movement=movement)
+    doubt = next(doubt for doubt in judged(several) if doubt.kind == "speed")
+    assert (
+        doubt.about == ("demo_3",) and f"{several[3].times[39]:.2f} s" in doubt.text and "moves by 0.29" in doubt.text
+    )
+
+
+def test_turns_that_flip_are_named() -> None:
+    several = group()
+    movement = several[1].movement.copy()
+    movement[::5, 3:] = quaternion.multiply(movement[::5, 3:], yaw(np.pi))
+    several[1] = replace(several[1], movement=movement)
+    assert ("speed", ("demo_1",), False) in kinds(judged(several))
+
+
+def test_a_hand_that_stands_still_is_named() -> None:
+    several = group()
+    several[0] = replace(several[0], movement=np.tile(several[0].movement[0], (80, 1)))
+    assert ("still", ("demo_0",), False) in kinds(judged(several))
+
+
+@pytest.mark.parametrize("factor", [0.2, 4.0])
+def test_durations_that_differ_by_factors_are_named(factor: float) -> None:
+    several = group()
+    several[4] = replace(several[4], times=several[4].times * factor)
+    assert kinds(judged(several)) == {("duration", ("demo_4",), False)}
+
+
+def test_half_a_movement_is_named() -> None:
+    several = group()
+    half = slice(0, 30)
+    one = several[2]
+    frames = {"object": one.frames["object"][half]}
+    several[2] = Shown(one.name, one.times[half], one.movement[half], frames, {"object": np.ones(30, bool)})
+    assert ("misfit", ("demo_2",), False) in kinds(judged(several))
+
+
+def test_a_copy_is_named_with_its_original() -> None:
+    several = [*group(), replace(shown(2), name="again")]
+    assert kinds(judged(several)) == {("copy", ("demo_2", "again"), False)}
+
+
+@pytest.mark.parametrize("count", [3, 4, 6, 70])
+@pytest.mark.parametrize("turn", [170.0, 200.0])
+def test_one_that_turns_the_other_way_round_is_named(count: int, turn: float) -> None:
+    """It ends as the others do: by 170 degrees one way, 190 the other way."""
+    several = group(count, turn=np.radians(turn))
+    several[1] = shown(1, turn=np.radians(turn - 360.0))
+    (doubt,) = judged(several)
+    assert doubt.kind == "misfit" and doubt.about == ("demo_1",)
+    assert f"it turns by {360 - turn:.0f} deg the other way round, the others by {turn:.0f} deg" in doubt.text
+    assert " deg (at " in doubt.text and " s it is up to " in doubt.text
+
+
+def test_one_that_goes_elsewhere_is_named_with_when() -> None:
+    several = group()
+    movement = several[5].movement.copy()
+    share = several[5].times / several[5].times[-1]
+    movement[:, 2] += 0.35 * np.sin(np.pi * np.clip((share - 0.4) / 0.4, 0.0, 1.0)) ** 2
+    several[5] = replace(several[5], movement=movement)
+    (doubt,) = judged(several)
+    assert doubt.kind == "misfit" and doubt.about == ("demo_5",) and "up to 0.3" in doubt.text
+    begin = float(doubt.text.split("from ")[1].split(" to ")[0])
+    assert 0.4 < begin / several[5].duration < 0.7
+
+
+def test_a_closed_path_is_told_from_one_that_only_comes_near() -> None:
+    angle = 2.0 * np.pi * smooth(np.linspace(0.0, 1.0, 100))
+    circle = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle]) * 0.1
+    loop = replace(shown(0, samples=100), movement=np.hstack([circle, np.tile(quaternion.IDENTITY, (100, 1))]))
+    half = replace(loop, movement=loop.movement[:50], times=loop.times[:50])
+    assert are_closed([loop]) and not are_closed([half]) and not are_closed(group()) and not are_closed([])
+    assert not are_closed([loop, half, half])

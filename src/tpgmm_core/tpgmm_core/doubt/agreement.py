@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Demonstrations that are not like the others: in duration, in length, in what they show; and copies.
+
+What a demonstration shows is compared as frames see it. Some frame should see it where it saw the others: the distance
+of a demonstration from the others, at each share of the time, is the median of those from each of them, in the frame in
+which this is least. A demonstration that is far from the others by this measure, for a while, and far more than they
+are from one another, shows something else. Nothing is fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.doubt.doubts import Doubt, Shown
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.pose import compose, inverse
+
+FACTOR = 3.0
+"""Durations and lengths that differ from the median by more are said."""
+SHORTEST_M = 0.02
+SHARES = 50
+AHEAD = 5
+"""Shares by which demonstrations may be ahead of one another."""
+MOST = 30
+"""Demonstrations that each one is held against."""
+LASTS = 0.1
+"""Share of the time for which a demonstration has to be elsewhere."""
+FURTHER = 3.0
+"""How many times as far as the others from one another."""
+APART_M, APART_SHARE, APART_RAD = 0.03, 0.15, 0.8
+"""What is less, also in shares of the movement's extent, is how movements differ."""
+CLOSED = 0.1
+"""A path is closed where its ends are nearer to each other than this share of its extent."""
+
+
+def doubts_of_durations(shown: Sequence[Shown]) -> list[Doubt]:
+    """Durations and lengths of paths that differ from the median by factors; from three recordings on."""
+    if len(shown) < 3:
+        return []
+    found = []
+    for kind, values, unit, least in (
+        ("duration", np.array([one.duration for one in shown]), "s", 0.0),
+        ("length", np.array([one.length for one in shown]), "m", SHORTEST_M),
+    ):
+        usual = float(np.median(values))
+        for one, value in zip(shown, values.tolist(), strict=True):
+            if max(value, usual) > least and not usual / FACTOR <= value <= usual * FACTOR:
+                what = "takes" if kind == "duration" else "its path is"
+                text = (
+                    f"{what} {value:.3g} {unit}, the others {usual:.3g} {unit} (median): is it whole, and one "
+                    "movement? Trim it, or leave it out"
+                )
+                found.append(Doubt(kind, (one.name,), text))
+    return found
+
+
+def doubts_of_copies(shown: Sequence[Shown]) -> list[Doubt]:
+    """Recordings that hold the same movement, number by number: one counts twice."""
+    first: dict[bytes, str] = {}
+    found = []
+    for one in shown:
+        key = one.movement.tobytes()
+        if key in first:
+            found.append(
+                Doubt("copy", (first[key], one.name), "are the same movement, number by number; leave out one of them")
+            )
+        first.setdefault(key, one.name)
+    return found
+
+
+def doubts_of_misfits(shown: Sequence[Shown]) -> list[Doubt]:
+    """Demonstrations that no frame sees where it sees the others: named, with when and how far; from three on.
+
+    Parameters
+    ----------
+    shown
+        demonstrations of one task
+
+    Returns
+    -------
+    list[Doubt]
+        one for each demonstration that does not fit
+    """
+    if len(shown) < 3:
+        return []
+    views = _views(shown)
+    positions = _distances(views, lambda one, other: np.linalg.norm(one[..., :3] - other[..., :3], axis=-1))
+    turns = _distances(views, lambda one, other: quaternion.angle_between(one[..., 3:], other[..., 3:]))
+    extent = float(np.median([one.extent for one in shown]))
+    found = []
+    for i, one in enumerate(shown):
+        parts = []
+        for distances, least, scale, unit in (
+            (positions, max(APART_M, APART_SHARE * extent), 1.0, "m"),
+            (turns, APART_RAD, 180.0 / np.pi, "deg"),
+        ):
+            usual = np.median(distances, axis=0)
+            limit = np.maximum(least, FURTHER * np.maximum(usual, np.median(usual)))
+            begin, end = _longest_run(distances[i] > limit)
+            if end - begin >= LASTS * SHARES:
+                most = begin + int(np.argmax(distances[i][begin:end]))
+                seconds = one.duration * np.array([begin, end - 1, most]) / (SHARES - 1)
+                parts.append(
+                    f"from {seconds[0]:.2f} to {seconds[1]:.2f} s it is up to {scale * distances[i][most]:.2g} {unit} "
+                    f"(at {seconds[2]:.2f} s) from where the others are, which differ by {scale * usual[most]:.2g}"
+                )
+        if parts:
+            way = _other_way(i, shown)
+            text = (
+                f"does not fit the others: {'; '.join(parts)}; in every frame{way}. Was something else shown? Leave it "
+                "out, or show more like it"
+            )
+            found.append(Doubt("misfit", (one.name,), text))
+    return found
+
+
+def are_closed(shown: Sequence[Shown]) -> bool:
+    """Whether movements end where they began, and go somewhere else in between."""
+    shares = []
+    for one in shown:
+        moved = float(np.linalg.norm(one.movement[-1, :3] - one.movement[0, :3]))
+        turned = float(quaternion.angle_between(one.movement[-1, 3:], one.movement[0, 3:]))
+        furthest = float(np.linalg.norm(one.movement[:, :3] - one.movement[0, :3], axis=1).max())
+        shares.append(moved < CLOSED * furthest and turned < APART_RAD and furthest > SHORTEST_M)
+    return bool(shares) and sum(shares) > len(shares) / 2
+
+
+def _views(shown: Sequence[Shown]) -> list[Array]:
+    """Poses (M, S, 7) as each frame sees them, as the base does, and as the first pose of the movement does."""
+    samples = [
+        np.abs(np.linspace(one.times[0], one.times[-1], SHARES)[:, None] - one.times).argmin(axis=1) for one in shown
+    ]
+    poses = np.array([one.movement[at] for one, at in zip(shown, samples, strict=True)])
+    views = [poses, compose(inverse(poses[:, :1]), poses)]
+    for frame in dict.fromkeys(frame for one in shown for frame in one.frames):
+        if all(frame in one.frames for one in shown):
+            places = np.array([one.frames[frame][at] for one, at in zip(shown, samples, strict=True)])
+            places[..., 3:] = quaternion.normalize(places[..., 3:])
+            views.append(compose(inverse(places), poses))
+            turned = places.copy()
+            turned[..., 3:] = quaternion.IDENTITY
+            views.append(compose(inverse(turned), poses))
+    return views
+
+
+def _distances(views: Sequence[Array], distance: Callable[[Array, Array], Array]) -> Array:
+    """How far each demonstration is from the others in the frame in which it is nearest, (M, S).
+
+    A pose is held against those at nearly the same share of the time: some are a little ahead of the others.
+    """
+    shares, found = np.arange(SHARES), []
+    for view in views:
+        others = view[: MOST * (len(view) // MOST) or None : max(1, len(view) // MOST)]
+        between = np.full((len(view), len(others), SHARES), np.inf)
+        for shift in range(-AHEAD, AHEAD + 1):
+            moved = others[:, np.clip(shares + shift, 0, SHARES - 1)]
+            between = np.minimum(between, distance(view[:, None], moved[None]))
+        between = np.sort(between, axis=1)
+        itself = int(len(others) == len(view))
+        found.append(between[:, itself + (len(others) - itself - 1) // 2])
+    return np.asarray(np.min(found, axis=0))
+
+
+def _longest_run(is_far: NDArray[np.bool_]) -> tuple[int, int]:
+    """First and last + 1 of the longest run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_far, [False]]).astype(int)))
+    runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+    return max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
+
+
+def _other_way(i: int, shown: Sequence[Shown]) -> str:
+    """Words for a demonstration that turns the other way round."""
+    turns = np.array([_turned(one) for one in shown])
+    others = np.median(np.delete(turns, i, axis=0), axis=0)
+    mine, usual = float(np.linalg.norm(turns[i])), float(np.linalg.norm(others))
+    if min(mine, usual) < 1.0 or turns[i] @ others > -0.5 * mine * usual:
+        return ""
+    return f"; it turns by {np.degrees(mine):.0f} deg the other way round, the others by {np.degrees(usual):.0f} deg"
+
+
+def _turned(one: Shown) -> Array:
+    """The sum of all turns of a movement about the axes of its first pose, (3,) rad: more than half a turn counts."""
+    first = quaternion.conjugate(one.movement[0, 3:])
+    relative = quaternion.multiply(first, one.movement[:, 3:])
+    steps = quaternion.log(quaternion.multiply(quaternion.conjugate(relative[:-1]), relative[1:]))
+    return np.asarray(steps.sum(axis=0))

@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which clock tells when the messages of a recording were true, and what is wrong with its clocks.
+
+A message has two times: its header's stamp, and when the recorder received it. Stamps are better, where all topics are
+stamped by one clock; the recorder's times are of one clock, but late by what the way took. Steps of a clock show only
+in the order of writing: sorted by time, what came before a step back lies among what came after it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core.doubt.doubts import Doubt
+
+type Nanoseconds = NDArray[np.int64]
+
+DISORDER_S = 0.05
+"""Messages that were written in another order than they came by no more than this have only overtaken one another."""
+LEAP_S = 10.0
+LEAP_PERIODS = 200.0
+"""A pause longer than both is a leap of the clock, or a recording that was interrupted."""
+WHOLE = 0.9
+"""The longest part of a recording is all of the movement where it has this share of the messages."""
+LATENCY_S = 0.25
+"""Perception may take so long, or a little more than its own period: stamps tell when a picture was taken."""
+SLOW_LATENCY_S = 1.0
+"""No perception of a moving object takes longer."""
+STEADY_S = 0.05
+STEADY = 0.02
+"""A lag is steady where it varies by less than this time, or this share of itself."""
+ENOUGH = 5
+"""Messages that a rate or a lag needs."""
+EARLY_S = 0.5
+"""A topic whose messages go on later than this stood, until then, where it was last."""
+
+
+class ClockError(ValueError):
+    """Times of a recording that cannot be told."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TopicTimes:
+    """Times of the messages of a topic in the order of writing: header stamps (T,), and the recorder's (T,), ns."""
+
+    name: str
+    stamps: Nanoseconds
+    recorded: Nanoseconds
+
+    def taken(self, which: NDArray[np.intp]) -> TopicTimes:
+        """Some of the messages."""
+        return TopicTimes(self.name, self.stamps[which], self.recorded[which])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommonClock:
+    """When each message was true, on one clock.
+
+    Attributes
+    ----------
+    kept
+        topic → numbers (S,) of the messages that are taken, in the order of their times
+    times
+        topic → times (S,) of these, ns, never decreasing
+    by_recorder
+        whether the times are the recorder's
+    notes
+        what was put right, in words
+    doubts
+        what makes no sense
+    """
+
+    kept: Mapping[str, NDArray[np.intp]]
+    times: Mapping[str, Nanoseconds]
+    by_recorder: bool
+    notes: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = field(default=())
+
+
+def common_clock(movement: TopicTimes, others: Sequence[TopicTimes]) -> CommonClock:
+    """Find the clock of a recording.
+
+    Parameters
+    ----------
+    movement
+        times of what moves; all else is wanted at its times
+    others
+        times of the other topics
+
+    Returns
+    -------
+    CommonClock
+        which messages are taken, at which times
+
+    Raises
+    ------
+    ClockError
+        the clock steps in the middle of the movement, or a topic lags by what is not steady
+    """
+    streams = [movement, *others]
+    kept = {stream.name: _whole_part(stream, stream is movement) for stream in streams}
+    doubts = []
+    left_out = len(movement.recorded) - len(kept[movement.name])
+    if left_out:
+        doubts.append(Doubt("clock", (), _told(movement, kept[movement.name], left_out)))
+        begin, end = movement.recorded[kept[movement.name][[0, -1]]]
+        for stream in others:
+            kept[stream.name] = _within(stream, begin, end)
+    streams = [stream.taken(kept[stream.name]) for stream in streams]
+    problem = _problem_of_stamps(streams)
+    if problem:
+        times = {stream.name: stream.recorded for stream in streams}
+        notes = [f"{problem}: times of the recorder used"]
+    else:
+        times = {stream.name: stream.stamps for stream in streams}
+        notes = []
+        for stream in streams[1:]:
+            lag = _lag(streams[0], stream)
+            if lag is not None:
+                corrected, doubt = _judged(streams[0], stream, lag)
+                doubts.append(doubt)
+                times[stream.name] = stream.stamps + corrected
+    order = {name: np.argsort(series, kind="stable") for name, series in times.items()}
+    return CommonClock(
+        {name: kept[name][order[name]] for name in times},
+        {name: times[name][order[name]] for name in times},
+        problem is not None,
+        tuple(notes),
+        tuple(doubts),
+    )
+
+
+def _breaks(times: Nanoseconds) -> NDArray[np.intp]:
+    """Numbers of the messages before which a clock steps back, begins, or leaps."""
+    seconds = 1e-9 * np.diff(times)
+    period = float(np.median(seconds[seconds > 0.0])) if (seconds > 0.0).any() else 0.0
+    begins = (times[:-1] <= 0) & (seconds > max(10.0 * period, 0.5))
+    leaps = seconds > max(LEAP_S, LEAP_PERIODS * period)
+    return np.flatnonzero((seconds < -DISORDER_S) | begins | leaps) + 1
+
+
+def _whole_part(stream: TopicTimes, moves: bool) -> NDArray[np.intp]:
+    """Numbers of the messages in the part of a stream that the clock's steps leave whole."""
+    everything = np.arange(len(stream.recorded))
+    at = _breaks(stream.recorded)
+    if not len(at) or not moves:
+        return everything
+    if _is_sane(stream.stamps) and not len(_breaks(stream.stamps)):
+        return everything  # only the recorder's clock steps, which nobody needs then
+    parts = np.split(everything, at)
+    longest = max(parts, key=len)
+    if len(longest) < WHOLE * len(everything):
+        k = int(at[0])
+        raise ClockError(
+            f"the clock steps by {1e-9 * (stream.recorded[k] - stream.recorded[k - 1]):+.2f} s before message {k} of "
+            f"{stream.name}, {1e-9 * (stream.recorded[k - 1] - stream.recorded[0]):.2f} s after the first, and nothing "
+            "tells how the parts belong together; keep the clocks synchronised while recording, and record it again"
+        )
+    return longest
+
+
+def _told(movement: TopicTimes, kept: NDArray[np.intp], left_out: int) -> str:
+    count, first = len(movement.recorded), int(kept[0])
+    where = f"the first {left_out}" if first == left_out else f"{left_out}"
+    if first and (movement.recorded[:first] <= 0).all():
+        why = "were recorded at time 0, before the clock came (simulated time)"
+    else:
+        k = int(_breaks(movement.recorded)[0])
+        step = 1e-9 * (movement.recorded[k] - movement.recorded[k - 1])
+        why = f"are apart from the others by a step of the clock by {step:+.1f} s"
+    return f"{where} of {count} messages of {movement.name} {why}: left out"
+
+
+def _within(stream: TopicTimes, begin: int, end: int) -> NDArray[np.intp]:
+    """Messages of another topic that go with a part of the movement; the last one before it stands for what it was."""
+    if not len(_breaks(stream.recorded)) and (stream.recorded > 0).all():
+        return np.arange(len(stream.recorded))
+    margin = int(1e9 * DISORDER_S)
+    inside = (stream.recorded >= begin - margin) & (stream.recorded <= end + margin)
+    if not inside.any():
+        return np.arange(len(stream.recorded))
+    first = int(np.flatnonzero(inside)[0])
+    if first and stream.recorded[first] > begin + int(1e9 * EARLY_S):
+        inside[first - 1] = True
+    return np.flatnonzero(inside)
+
+
+def _is_sane(stamps: Nanoseconds) -> bool:
+    return bool((stamps > 0).all() and (np.diff(stamps) >= 0).all() and stamps[0] != stamps[-1])
+
+
+def _problem_of_stamps(streams: Sequence[TopicTimes]) -> str | None:
+    """What forbids to use the header stamps of a recording, or None."""
+    movement = streams[0]
+    if movement.stamps[0] == movement.stamps[-1]:
+        return f"{movement.name} has stamps that never change"
+    for stream in streams:
+        if (stream.stamps <= 0).any():
+            return f"{stream.name} has stamps of zero"
+        if (np.diff(stream.stamps) < 0).any():
+            return f"{stream.name} has stamps that run backwards"
+    if len(_breaks(movement.stamps)) and not len(_breaks(movement.recorded)):
+        return f"{movement.name} has stamps that leap"
+    for stream in streams[1:]:
+        if not _has_lag(stream):
+            ahead = 1e-9 * (np.median(stream.stamps - stream.recorded) - np.median(movement.stamps - movement.recorded))
+            if not -3600.0 < ahead < SLOW_LATENCY_S:
+                return f"{stream.name} is stamped {ahead:+.1f} s away from {movement.name}"
+    return None
+
+
+def _has_lag(stream: TopicTimes) -> bool:
+    """Whether a topic came all the time: one that was sent once may be as old as it is."""
+    return len(np.unique(stream.stamps)) >= max(ENOUGH, len(stream.stamps) // 2)
+
+
+def _lag(movement: TopicTimes, stream: TopicTimes) -> NDArray[np.float64] | None:
+    """How much later a topic's messages are than their stamps say, compared with the movement's, (T,) s."""
+    if not _has_lag(stream):
+        return None
+    order = np.argsort(movement.recorded, kind="stable")
+    known = movement.recorded[order]
+    reference = np.interp(stream.recorded, known, (movement.recorded - movement.stamps)[order])
+    lag = 1e-9 * (stream.recorded - stream.stamps - reference)
+    period = 1e-9 * float(np.median(np.diff(stream.stamps)))
+    low, high = np.quantile(lag, (0.05, 0.95))
+    return None if abs(np.median(lag)) <= max(LATENCY_S, 1.2 * period) and high - low < SLOW_LATENCY_S else lag
+
+
+def _judged(movement: TopicTimes, stream: TopicTimes, lag: NDArray[np.float64]) -> tuple[int, Doubt]:
+    """What is to be added to the stamps, ns, and what is said."""
+    middle, low, high = float(np.median(lag)), *np.quantile(lag, (0.05, 0.95))
+    said = (
+        f"{stream.name} is stamped {-middle:+.2f} s away from {movement.name}, held against the times of the recorder"
+    )
+    if high - low <= max(STEADY_S, STEADY * abs(middle)):
+        text = f"{said}, steadily: its clock is another one, and was set right; synchronise the clocks (NTP, chrony)"
+        return round(1e9 * middle), Doubt("lag", (), text)
+    if -LATENCY_S <= low and high <= SLOW_LATENCY_S:
+        return 0, Doubt("lag", (), f"{said}, not steadily ({low:.2f} to {high:.2f} s): it is taken for slow perception")
+    raise ClockError(
+        f"{said}, not steadily (from {-high:+.2f} to {-low:+.2f} s): its clock steps or drifts, and nothing tells when "
+        "its messages were true; synchronise the clocks (NTP, chrony), and record it again"
+    )
+
+
+def gaps(times: Nanoseconds, longest_s: float, periods: float) -> list[tuple[float, float]]:
+    """Pauses of a topic: when they begin, s after its first message, and how long they are, s.
+
+    Parameters
+    ----------
+    times
+        (T,) of a topic's messages, ns, never decreasing
+    longest_s, periods
+        a pause is longer than both: this time, and so many of the topic's periods
+
+    Returns
+    -------
+    list[tuple[float, float]]
+        the longest first
+    """
+    if len(times) < ENOUGH:
+        return []
+    seconds = 1e-9 * np.diff(times)
+    limit = max(longest_s, periods * float(np.median(seconds)))
+    found = [(1e-9 * float(times[k] - times[0]), float(seconds[k])) for k in np.flatnonzero(seconds > limit)]
+    return sorted(found, key=lambda gap: -gap[1])

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All doubts about recordings that are to be learned from together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from tpgmm_core.doubt.agreement import doubts_of_copies, doubts_of_durations, doubts_of_misfits
+from tpgmm_core.doubt.doubts import Doubt, Shown
+from tpgmm_core.doubt.values import doubts_of_speed, doubts_of_stillness, doubts_of_units
+
+
+def judged(shown: Sequence[Shown]) -> list[Doubt]:
+    """What makes no sense in recordings of one task.
+
+    Parameters
+    ----------
+    shown
+        one or more
+
+    Returns
+    -------
+    list[Doubt]
+        those that refuse first; how demonstrations agree is not judged where their units are mixed
+    """
+    units = doubts_of_units(shown)
+    if any(doubt.refuses for doubt in units):
+        return units
+    single = [doubt for one in shown for doubt in (*doubts_of_speed(one), *doubts_of_stillness(one))]
+    return [
+        *units,
+        *single,
+        *doubts_of_copies(shown),
+        *doubts_of_durations(shown),
+        *doubts_of_misfits(shown),
+    ]

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Values that no arm and no object has: units that are mixed or no metres, leaps, hands that never move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.doubt.doubts import Doubt, Shown
+from tpgmm_core.geometry import quaternion
+
+LARGEST_M = 20.0
+"""No arm moves further: positions that span more are in another unit."""
+MIXED = 30.0
+"""What differs by more than this factor is in another unit: millimetres by 1000, centimetres by 100, inches by 39."""
+FAR_M = 50.0
+FASTEST = 5.0
+"""m/s: faster than arms that are led by hand, or that handle things."""
+FASTEST_TURN = 20.0
+"""rad/s."""
+LEAP_M, LEAP_RAD = 0.05, 0.5
+LEAP = 6.0
+"""A step that is so many times as long as the longest of 98 % of all steps is a leap."""
+WINDOW_S = 0.02
+"""Speeds are means over this time, since those of two samples are mostly noise at high rates."""
+
+
+def doubts_of_units(shown: Sequence[Shown]) -> list[Doubt]:
+    """Units by magnitude: mixed ones are refused, the same everywhere but no metres are said.
+
+    Parameters
+    ----------
+    shown
+        one or more
+
+    Returns
+    -------
+    list[Doubt]
+        what makes no sense
+    """
+    found = _mixed_recordings(shown)
+    frames = dict.fromkeys(frame for one in shown for frame in one.frames)
+    for frame in frames:
+        with_it = [one for one in shown if frame in one.frames and len(one.seen(frame))]
+        odd = [one for one in with_it if _is_in_another_unit(one, frame)]
+        if odd:
+            about = () if len(odd) == len(shown) else tuple(one.name for one in odd)
+            hand, place = odd[0].movement[:, :3], odd[0].seen(frame)[:, :3]
+            text = (
+                f"the frame {frame} and the movement are in different units, or in different places: the hand goes "
+                f"{odd[0].extent:.3g} far, with coordinates up to {np.abs(hand).max():.3g}, and those of the frame are "
+                f"up to {np.abs(place).max():.3g}; publish both in m"
+            )
+            found.append(Doubt("units", about, text, refuses=True))
+    large = [one for one in shown if one.extent > LARGEST_M]
+    if large and not found:
+        about = () if len(large) == len(shown) else tuple(one.name for one in large)
+        text = (
+            f"positions span {np.median([one.extent for one in large]):.4g}, which is far for an arm in m: they look "
+            "like millimetres. The model will be in that unit, and settings in m, such as reg_covar, mean something "
+            "else; publish poses in m (REP 103)"
+        )
+        found.append(Doubt("units", about, text))
+    return found
+
+
+def _mixed_recordings(shown: Sequence[Shown]) -> list[Doubt]:
+    extents = np.array([one.extent for one in shown])
+    moving = np.flatnonzero(extents > 1e-6)
+    if len(moving) < 2:
+        return []
+    usual = float(np.exp(np.median(np.log(extents[moving]))))
+    if len(moving) == 2:
+        usual = float(extents[moving].min())
+    odd = [i for i in moving if not 1.0 / MIXED < extents[i] / usual < MIXED]
+    if not odd:
+        return []
+    names = tuple(shown[i].name for i in odd)
+    text = (
+        f"the hand goes {extents[odd[0]]:.4g} far, and {usual:.3g} in the other recordings: these are different units, "
+        "or it hardly moves in one of them; leave it out, or record all in m"
+    )
+    return [Doubt("units", names, text, refuses=True)]
+
+
+def _is_in_another_unit(one: Shown, frame: str) -> bool:
+    place, extent = one.seen(frame)[:, :3], one.extent
+    if extent > LARGEST_M:  # millimetres, by the look of it: then what is in metres is near the origin
+        return bool(np.abs(place).max() < LARGEST_M < np.linalg.norm(one.movement[:, :3], axis=1).min())
+    hand = one.movement[np.linspace(0, len(one.movement) - 1, 20).round().astype(int), :3]
+    nearest = np.linalg.norm(hand[:, None] - place[None, :: max(1, len(place) // 20)], axis=2).min()
+    return bool(nearest > max(FAR_M, MIXED * extent))
+
+
+def doubts_of_speed(one: Shown) -> list[Doubt]:
+    """Leaps of the movement, and speeds that no arm has.
+
+    Parameters
+    ----------
+    one
+        a recording
+
+    Returns
+    -------
+    list[Doubt]
+        the first leap of the position, and of the orientation
+    """
+    if one.extent > LARGEST_M or len(one.times) < 3:
+        return []
+    step = max(1, round(WINDOW_S / float(np.median(np.diff(one.times)))))
+    step = min(step, len(one.times) - 1)
+    seconds = one.times[step:] - one.times[:-step]
+    ways = np.linalg.norm(one.movement[step:, :3] - one.movement[:-step, :3], axis=1)
+    turns = quaternion.angle_between(one.movement[:-step, 3:], one.movement[step:, 3:])
+    found = []
+    for amounts, least, fastest, what, unit, scale in (
+        (ways, LEAP_M, FASTEST, "the hand moves", "m", 1.0),
+        (turns, LEAP_RAD, FASTEST_TURN, "the hand turns", "deg", 180.0 / np.pi),
+    ):
+        leaps = (amounts > least) & ((amounts / seconds > fastest) | (amounts > LEAP * _usual(amounts)))
+        if leaps.any():
+            k = int(np.argmax(leaps))
+            text = (
+                f"{what} by {scale * amounts[k]:.3g} {unit} within {1e3 * seconds[k]:.0f} ms at "
+                f"{one.times[k] - one.times[0]:.2f} s, and so in {np.count_nonzero(leaps)} of {len(leaps)} steps: no "
+                "arm does; what publishes it leaps, or messages are in the wrong order"
+            )
+            found.append(Doubt("speed", (one.name,), text))
+    return found
+
+
+def _usual(amounts: Array) -> float:
+    return float(np.quantile(amounts, 0.98))
+
+
+def doubts_of_stillness(one: Shown) -> list[Doubt]:
+    """A movement all of whose poses are the same, bit by bit: the publisher repeats its last one."""
+    if (one.movement == one.movement[0]).all():
+        text = "the hand has the same pose in every message: what publishes it had stopped; record it again"
+        return [Doubt("still", (one.name,), text)]
+    return []

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Doubts about the recordings of a task, those that each bag has and those that show only beside the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from tpgmm_core.doubt.doubts import Doubt, Shown
+from tpgmm_core.doubt.judging import judged
+from tpgmm_ros.recordings.recording import Recording
+from tpgmm_ros.task.task_file import Task
+
+
+def doubts_about(recordings: Sequence[Recording], task: Task) -> list[Doubt]:
+    """What makes no sense in recordings of a task.
+
+    Parameters
+    ----------
+    recordings
+        one or more
+    task
+        that they are of
+
+    Returns
+    -------
+    list[Doubt]
+        each with the paths of the bags that it is about
+    """
+    own = [replace(doubt, about=(str(one.path),)) for one in recordings for doubt in one.doubts]
+    fixed = {name for name, frame in task.frames.items() if frame.pose is not None}
+    return _together([*own, *judged([_shown(recording, fixed) for recording in recordings])])
+
+
+def _together(doubts: Sequence[Doubt]) -> list[Doubt]:
+    """Doubts of the same words as one, about all that they are about; those that refuse first."""
+    found: dict[tuple[str, str, bool], list[str]] = {}
+    for doubt in doubts:
+        found.setdefault((doubt.kind, doubt.text, doubt.refuses), []).extend(doubt.about)
+    merged = [Doubt(kind, tuple(about), text, refuses) for (kind, text, refuses), about in found.items()]
+    return sorted(merged, key=lambda doubt: not doubt.refuses)
+
+
+def _shown(recording: Recording, fixed: set[str]) -> Shown:
+    frames = {name: poses for name, poses in recording.frames.items() if name not in fixed}
+    visible = {name: recording.visible[name] for name in frames}
+    return Shown(str(recording.path), recording.times, recording.movement, frames, visible)
