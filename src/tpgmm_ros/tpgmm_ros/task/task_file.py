@@ -325,6 +325,7 @@ def _model(section: Section, space: StateSpace) -> dict[str, Any]:
         "n_init": an_integer(1),
         "covariance": a_choice(*STRUCTURES),
         "n_factors": an_integer(1),
+        "n_threads": an_integer(1),
         "max_duration": an_integer(1),
         "prior_strength": a_number(0.0),
         "n_steps": an_integer(3),
