@@ -22,7 +22,7 @@ from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.model.frame_buffer import manifold_origin
 from tpgmm_core.retrieval.covariance_fade import CovarianceFade
-from tpgmm_core.retrieval.spring import critically_damped
+from tpgmm_core.retrieval.spring import critically_damped, left_of_two
 
 #: The velocity of a reference is taken from two moments this far apart, s. Short, so that a controller which takes it
 #: from a horizon of such steps sees the velocity that is kept continuous here.
@@ -56,6 +56,7 @@ class Continuity:
         self.forget()
         origin = manifold_origin(manifold)
         manifold.exp(origin, manifold.log(origin, origin))  # compiled, or loaded from the cache
+        self._after(MOMENT)
 
     def forget(self) -> None:
         """Make the reference equal to the course from now on."""
@@ -171,6 +172,9 @@ class Continuity:
         """Sum of offset and swing, (n,), after a time."""
         if seconds == 0.0:
             return self._offset + self._swing
-        offset, _ = critically_damped(self._offset, self._rate, 1.0 / self.time_constant, seconds)
-        swing, _ = critically_damped(self._swing, self._swing_rate, 1.0 / self._swing_time, seconds)
-        return offset + swing
+        left = np.empty_like(self._offset)
+        left_of_two(
+            self._offset, self._rate, 1.0 / self.time_constant, self._swing, self._swing_rate, 1.0 / self._swing_time,
+            seconds, left,
+        )  # fmt: skip
+        return left

@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import compiled
 
 
 def critically_damped(error: Array, velocity: Array, rate: float, time: float) -> tuple[Array, Array]:
@@ -32,6 +33,30 @@ def critically_damped(error: Array, velocity: Array, rate: float, time: float) -
     slope = velocity + rate * error
     left = math.exp(-rate * time)
     return left * (error + time * slope), left * (velocity - rate * time * slope)
+
+
+@compiled
+def left_of_two(
+    first: Array, first_velocity: Array, first_rate: float, second: Array, second_velocity: Array, second_rate: float,
+    time: float, out: Array,
+) -> None:  # fmt: skip
+    """Sum of the errors of two springs after a time: see `critically_damped`.
+
+    Parameters
+    ----------
+    first, first_velocity, first_rate
+        of one, now, (n,) and 1/s
+    second, second_velocity, second_rate
+        of the other
+    time
+        s
+    out
+        (n,), written
+    """
+    left, other = math.exp(-first_rate * time), math.exp(-second_rate * time)
+    for i in range(len(out)):
+        out[i] = left * (first[i] + time * (first_velocity[i] + first_rate * first[i]))
+        out[i] += other * (second[i] + time * (second_velocity[i] + second_rate * second[i]))
 
 
 class Smoothed:
