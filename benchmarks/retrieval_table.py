@@ -128,9 +128,9 @@ def measure(data: DataSet) -> Iterator[dict[str, Any]]:
         for candidate, chosen, model in learned(settings, DEFAULT, plain, data.space):
             path = reproduce(model, without_frames(situation))
             yield {**row, "method": WITHOUT_FRAMES, "candidate": candidate, "chosen": chosen, **errors(path, left_out)}
-        learner = Learner.of(Manifold.parse(data.space), data.task.model)
+        settings_of_task = Learner.of(Manifold.parse(data.space), data.task.model)
         for name, learn in BASELINES.items():
-            path = learn(training, learner)(situation)
+            path = learn(training, settings_of_task)(situation)
             yield {**row, "method": name, "candidate": "", "chosen": True, **errors(path, left_out)}
         replay = replay_nearest(others, left_out, data.anchor)
         yield {**row, "method": REPLAY, "candidate": "", "chosen": True, **errors(replay, left_out)}

@@ -160,7 +160,7 @@ class Tree:
                 capture_output=True, text=True,
             )  # fmt: skip
         except subprocess.TimeoutExpired as error:
-            return 1, f"not done in {TIMEOUT:g} s\n{error.stdout}"
+            return 1, f"not done in {TIMEOUT:g} s\n{error.stdout!r}"
         return run.returncode, run.stdout + run.stderr
 
     def _compiled_from(self, path: Path) -> list[Path]:

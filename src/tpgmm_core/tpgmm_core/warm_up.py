@@ -26,6 +26,7 @@ from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.observation.pose_filter import PoseFilter
+from tpgmm_core.recognition.skill import Skill, SkillFilter
 from tpgmm_core.retrieval.dynamical_system import StableDynamics
 from tpgmm_core.retrieval.regression import RegressThenProduct
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
@@ -56,7 +57,8 @@ def learning(tell: Tell) -> None:
     Gaussian.product([mixture.component(0), mixture.component(1)])
     Adapter(model).condition([0.5])
     mixture.condition([0], [0.5])
-    RegressThenProduct(model)
+    model.metadata_ = {"duration_s": 1.0}
+    SkillFilter(Skill("skill", RegressThenProduct(model)), 5, 1.0)
     PoseFilter.compile_kernels()
     pose = samples()[:, 1:]
     POSE.exp(pose[0], POSE.log(pose[0], pose[1]))

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from tpgmm_core.common.types import Array
@@ -130,7 +131,9 @@ def _log_densities(filters: Sequence[SkillFilter], recording: Demonstration, con
     return found
 
 
-def _traced(state: int, came: Array, is_begun: Array, names: Sequence[str], n_states: int) -> list[Segment]:
+def _traced(
+    state: int, came: NDArray[np.int64], is_begun: NDArray[np.bool_], names: Sequence[str], n_states: int
+) -> list[Segment]:
     """Segments of the best way to the last state, from its end back."""
     segments: list[Segment] = []
     end = len(came)

@@ -78,7 +78,7 @@ class RecognitionNode(Node):
             if pose is None:
                 raise ValueError(f"the pose of the hand is refused: {reason}")
             known = known_frames(conversions.task_parameters(self._task_parameters))
-            frames, weights = ({name: pair[i] for name, pair in known.items()} for i in (0, 1))
+            frames, weights = {name: f for name, (f, _) in known.items()}, {name: w for name, (_, w) in known.items()}
             found = self.recognizer.step(stamp_ns, pose, frames, weights)
             self._publish(self.recognizer, found, stamp_ns)
         except ValueError as error:  # a MessageError is one
