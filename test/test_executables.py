@@ -32,6 +32,7 @@ NODES: dict[str, dict[str, object]] = {
 PROGRAMS = {
     "compose": ["frame_tracker", *ros_arguments(task_file=TASK_FILE)],
     "check_robot": [str(ROBOT_FILE)],
+    "inspect": [str(TASK_FILE.parents[1] / "bags" / "pick_place")],
     "train": ["--task", str(TASK_FILE), "--output", "m.tpgmm", str(TASK_FILE.parents[1] / "bags" / "pick_place")],
     "teach": ["--task", str(TASK_FILE), "--output", "bag"],
     "demo": ["--lockstep", "--bags", str(TASK_FILE.parents[1] / "bags" / "pick_place")],

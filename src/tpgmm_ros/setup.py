@@ -35,6 +35,7 @@ setup(
             "endpoint_poses = tpgmm_ros.executables:endpoint_poses",
             "compose = tpgmm_ros.executables:compose",
             "check_robot = tpgmm_ros.executables:check_robot",
+            "inspect = tpgmm_ros.executables:inspect",
             "teach = tpgmm_ros.executables:teach",
             "train = tpgmm_ros.executables:train",
             "demo = tpgmm_ros.executables:demo",
