@@ -141,7 +141,7 @@ def program_of(words: list[str]) -> tuple[str, list[str]] | None:
         return found[1], rest
     if words[:3] == ["ros2", "run", "tpgmm_ros"] and words[3:] and words[3].isidentifier():
         return words[3], words[4:]
-    if first in ("train", "teach", "demo", "check_robot", "figure5", "scripted_lessons"):
+    if first in ("train", "inspect", "teach", "demo", "check_robot", "figure5", "scripted_lessons"):
         return first, rest
     if Path(first).name in ("python", "python3") and rest:
         if rest[0] == "-m" and rest[1].startswith(("tpgmm", "benchmarks", "faults")):

@@ -24,7 +24,7 @@ cases = json.loads(sys.stdin.read())
 from tpgmm_ros import executables
 for name in {name for name, _ in cases}:
     package, folder = ("tpgmm_demos", "") if name in ("demo", "figure5") else ("tpgmm_ros", "nodes.")
-    folder = "programs." if name in ("check_robot", "teach", "train") else folder
+    folder = "programs." if name in ("check_robot", "inspect", "teach", "train") else folder
     importlib.import_module(f"{package}.{folder}{name}")
 answers = []
 for name, case in cases:
@@ -87,6 +87,10 @@ FILES: dict[str, dict[str, Arguments]] = {
     "baxter_simulator": {"robot_file": node("robot_file")},
     "endpoint_poses": {"robot_file": node("robot_file")},
     "check_robot": {"robot": program("FILE")},
+    "inspect": {
+        "task": program("--task", "FILE", str(BAGS)),
+        "bag": program("FILE"),
+    },
     "train": {
         "task": program("--task", "FILE", "--output", "model.tpgmm", str(BAGS)),
         "bag": program("--task", str(TASK_FILE), "--output", "model.tpgmm", "FILE"),
@@ -108,7 +112,7 @@ FILES: dict[str, dict[str, Arguments]] = {
 #: What is asked without a file that could be missing: nodes need a task or a robot file, programs a positional argument
 #: or an option; demo and figure5 work without any.
 WITHOUT_ARGUMENTS = {
-    **dict.fromkeys(("check_robot", "train", "teach"), 2),
+    **dict.fromkeys(("check_robot", "inspect", "train", "teach"), 2),
     **dict.fromkeys(("frame_tracker", "joint_reference", "baxter_simulator", "endpoint_poses"), 1),
 }
 

@@ -36,6 +36,7 @@ setup(
             "recognition = tpgmm_ros.executables:recognition",
             "compose = tpgmm_ros.executables:compose",
             "check_robot = tpgmm_ros.executables:check_robot",
+            "inspect = tpgmm_ros.executables:inspect",
             "teach = tpgmm_ros.executables:teach",
             "train = tpgmm_ros.executables:train",
             "recognize = tpgmm_ros.executables:recognize",

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tpgmm_core.doubt.agreement import are_closed
 from tpgmm_core.doubt.doubts import Doubt, Shown
 from tpgmm_core.doubt.judging import judged
 from tpgmm_core.geometry import quaternion
@@ -165,12 +164,3 @@ def test_one_that_goes_elsewhere_is_named_with_when() -> None:
     assert doubt.kind == "misfit" and doubt.about == ("demo_5",) and "up to 0.3" in doubt.text
     begin = float(doubt.text.split("from ")[1].split(" to ")[0])
     assert 0.4 < begin / several[5].duration < 0.7
-
-
-def test_a_closed_path_is_told_from_one_that_only_comes_near() -> None:
-    angle = 2.0 * np.pi * smooth(np.linspace(0.0, 1.0, 100))
-    circle = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle]) * 0.1
-    loop = replace(shown(0, samples=100), movement=np.hstack([circle, np.tile(quaternion.IDENTITY, (100, 1))]))
-    half = replace(loop, movement=loop.movement[:50], times=loop.times[:50])
-    assert are_closed([loop]) and not are_closed([half]) and not are_closed(group()) and not are_closed([])
-    assert not are_closed([loop, half, half])

@@ -17,6 +17,7 @@ from tpgmm_core.geometry import quaternion
 from tpgmm_core.learning.endpoints import END, EndpointTPGMM
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.dynamical_system import Convergence, StableDynamics, with_velocity
+from tpgmm_core.retrieval.recipe import Recipe
 from worlds import DURATION, moved, planar_demonstrations, planar_frame, planar_situation, random_world
 
 SPACES = {"plane": "R2", "poses": "R3 x S3"}
@@ -406,3 +407,14 @@ def test_bad_input_is_refused_with_the_reason() -> None:
         system.step(0, {"table": planar_frame(0.0, 0.0, 0.0).with_time()})
     with pytest.raises(ValueError, match="shape \\(2,\\) and is finite"):
         system.step(0, planar_situation(), [0.0, np.inf])
+
+
+def test_a_closed_path_is_refused_with_the_reason() -> None:
+    """A system without time would have arrived before it starts: it never goes round."""
+    times = np.linspace(0.0, 5.0, 100)
+    angle = 2.0 * np.pi * (1.0 - np.cos(np.pi * times / 5.0)) / 2.0
+    circle = np.column_stack([times, np.cos(angle), np.sin(angle)])
+    frames = {"base": Frame(np.eye(3), np.zeros(3))}
+    recipe = Recipe.of({"n_components": 4}, "dynamical_system")
+    with pytest.raises(ValueError, match="demonstration 1: ends .* from where it began.*such as dmp"):
+        recipe.learn([Demonstration(times[:60], circle[:60], frames), Demonstration(times, circle, frames)], "R1 x R2")

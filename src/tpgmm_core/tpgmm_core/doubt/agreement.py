@@ -33,8 +33,6 @@ FURTHER = 3.0
 """How many times as far as the others from one another."""
 APART_M, APART_SHARE, APART_RAD = 0.03, 0.15, 0.8
 """What is less, also in shares of the movement's extent, is how movements differ."""
-CLOSED = 0.1
-"""A path is closed where its ends are nearer to each other than this share of its extent."""
 
 
 def doubts_of_durations(shown: Sequence[Shown]) -> list[Doubt]:
@@ -116,17 +114,6 @@ def doubts_of_misfits(shown: Sequence[Shown]) -> list[Doubt]:
             )
             found.append(Doubt("misfit", (one.name,), text))
     return found
-
-
-def are_closed(shown: Sequence[Shown]) -> bool:
-    """Whether movements end where they began, and go somewhere else in between."""
-    shares = []
-    for one in shown:
-        moved = float(np.linalg.norm(one.movement[-1, :3] - one.movement[0, :3]))
-        turned = float(quaternion.angle_between(one.movement[-1, 3:], one.movement[0, 3:]))
-        furthest = float(np.linalg.norm(one.movement[:, :3] - one.movement[0, :3], axis=1).max())
-        shares.append(moved < CLOSED * furthest and turned < APART_RAD and furthest > SHORTEST_M)
-    return bool(shares) and sum(shares) > len(shares) / 2
 
 
 def _views(shown: Sequence[Shown]) -> list[Array]:

@@ -9,8 +9,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.common.text import listed
+from tpgmm_core.common.text import one_line
 from tpgmm_core.common.types import Array
+
+MOST_NAMES = 4
+"""Recordings that a doubt names in its text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +39,10 @@ class Doubt:
     refuses: bool = False
 
     def __str__(self) -> str:
-        return f"{listed(self.about, 4)}: {self.text}" if self.about else self.text
+        names = [one_line(name) for name in self.about[:MOST_NAMES]]
+        if len(self.about) > MOST_NAMES:
+            names.append(f"and {len(self.about) - MOST_NAMES} more")
+        return f"{', '.join(names)}: {self.text}" if names else self.text
 
 
 @dataclass(frozen=True, slots=True, eq=False)

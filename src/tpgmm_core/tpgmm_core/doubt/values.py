@@ -74,7 +74,7 @@ def _mixed_recordings(shown: Sequence[Shown]) -> list[Doubt]:
     usual = float(np.exp(np.median(np.log(extents[moving]))))
     if len(moving) == 2:
         usual = float(extents[moving].min())
-    odd = [i for i in moving if not 1.0 / MIXED < extents[i] / usual < MIXED]
+    odd = [i for i in moving.tolist() if not 1.0 / MIXED < extents[i] / usual < MIXED]
     if not odd:
         return []
     names = tuple(shown[i].name for i in odd)

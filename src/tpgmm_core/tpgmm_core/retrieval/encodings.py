@@ -174,6 +174,10 @@ class DmpEncoding(Encoding):
         return ("decay", *names[1:])
 
 
+_CLOSED = 0.1
+"""A path is closed where it ends nearer to its beginning than this share of how far it goes away."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VelocityEncoding(Encoding):
     """[data, velocity] without time, by `with_velocity`."""
@@ -184,7 +188,25 @@ class VelocityEncoding(Encoding):
     window: float = setting(9, 3, 999, _WINDOW)
 
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
-        """Data and velocity without time: see `with_velocity`."""
+        """Data and velocity without time: see `with_velocity`.
+
+        Returns
+        -------
+        Demonstration
+            over [data, velocity]
+
+        Raises
+        ------
+        ValueError
+            for a path that is closed, and what `with_velocity` refuses
+        """
+        data, points = _data(manifold), demonstration.data[:, 1:]
+        away = np.linalg.norm(data.log(points[0], points), axis=-1)
+        if away[-1] < _CLOSED * away.max():
+            raise ValueError(
+                f"ends {away[-1]:.3g} from where it began, and goes {away.max():.3g} away in between: a system without "
+                "time has arrived before it starts; take a method that follows time, such as dmp or trajectory"
+            )
         return with_velocity(demonstration, manifold, int(self.window))
 
     def manifold(self, manifold: Manifold) -> Manifold:

@@ -79,6 +79,11 @@ def parts_of(path: Path) -> list[Path]:
 def files_of(path: Path) -> tuple[list[Path], dict[str, int]]:
     """Files of one bag in the order of recording, and how many messages of each topic its metadata announce.
 
+    Returns
+    -------
+    tuple[list[Path], dict[str, int]]
+        files, and topic → number of messages
+
     Raises
     ------
     BagError
@@ -166,6 +171,11 @@ class BagReader:
 
     def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, Any]]:
         """Messages of some topics in the order of writing, with the times of the recorder, ns.
+
+        Returns
+        -------
+        Iterator[tuple[BagTopic, int, Any]]
+            topic, time, message
 
         Raises
         ------

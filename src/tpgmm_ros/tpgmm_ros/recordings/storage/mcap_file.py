@@ -195,7 +195,18 @@ class McapFile:
             self._channels[key] = FileTopic(key, topic, kind, encoding, schema.definition, schema.format, 0)
 
     def messages(self, keys: Collection[int]) -> Iterator[RawMessage]:
-        """See `StorageFile`."""
+        """See `StorageFile`.
+
+        Returns
+        -------
+        Iterator[RawMessage]
+            in the order of writing
+
+        Raises
+        ------
+        BagError
+            the file is damaged inside.
+        """
         wanted = frozenset(keys)
         try:
             if self._chunks:

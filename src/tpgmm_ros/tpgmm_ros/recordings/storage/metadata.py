@@ -37,6 +37,11 @@ class Metadata:
     def of(cls, folder: Path) -> Metadata:
         """Read the metadata.yaml of a folder; what does not concern files and counts may be wrong or missing.
 
+        Returns
+        -------
+        Metadata
+            what it says
+
         Raises
         ------
         BagError

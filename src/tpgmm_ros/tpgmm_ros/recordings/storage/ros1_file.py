@@ -58,7 +58,18 @@ class Ros1File:
         self.last_ns = self._reader.end_time - 1 if has_messages else 0
 
     def messages(self, keys: Collection[int]) -> Iterator[RawMessage]:
-        """See `StorageFile`."""
+        """See `StorageFile`.
+
+        Returns
+        -------
+        Iterator[RawMessage]
+            in the order of writing
+
+        Raises
+        ------
+        BagError
+            the file is damaged inside.
+        """
         # The reader gives them in the order of its index, by time; where each lies in the file is the order of writing.
         places = heapq.merge(*(self._reader.indexes[key] for key in keys))
         try:

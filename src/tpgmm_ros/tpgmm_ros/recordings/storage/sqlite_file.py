@@ -76,7 +76,18 @@ class SqliteFile:
             self.topics.append(FileTopic(key, name, kind, encoding, definition, found, counts.get(key, 0)))
 
     def messages(self, keys: Collection[int]) -> Iterator[RawMessage]:
-        """See `StorageFile`."""
+        """See `StorageFile`.
+
+        Returns
+        -------
+        Iterator[RawMessage]
+            in the order of writing
+
+        Raises
+        ------
+        BagError
+            the file is damaged inside.
+        """
         wanted = ", ".join(str(int(key)) for key in keys)
         try:
             yield from self._database.execute(
