@@ -8,6 +8,7 @@ per second, as a share of those of a large matrix product, which is as fast as a
 from __future__ import annotations
 
 import os
+from functools import partial
 
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy is imported
 
@@ -59,7 +60,7 @@ def measure(work: Workload) -> list[Row]:
     likelihood, first = plain().log_likelihoods[-1], ours(1)
     rows: list[Row] = []
     for n_threads, least in LEAST.items():
-        plain_s, ours_s = alternating(plain, lambda n=n_threads: ours(n), rounds=2)
+        plain_s, ours_s = alternating(plain, partial(ours, n_threads), rounds=2)
         model = ours(n_threads)
         ratio = float(np.median(plain_s) / np.median(ours_s))
         difference = abs(likelihood - model.log_likelihood_)
