@@ -22,6 +22,7 @@ NODES = [
     "joint_reference",
     "baxter_simulator",
     "endpoint_poses",
+    "recognition",
 ]
 
 

@@ -63,7 +63,22 @@ class Places:
 
     @staticmethod
     def points(frames: Mapping[str, Frame], names: Sequence[str], manifold: Manifold) -> Array:
-        """Origins (P - 1, D) of all frames but the first, as seen from that."""
+        """Origins of all frames but the first, as seen from that.
+
+        Parameters
+        ----------
+        frames
+            by name, over [time, data]
+        names
+            P of them, in the order that is wanted
+        manifold
+            of the data, without time
+
+        Returns
+        -------
+        Array
+            shape (P - 1, D); not a number where one of the two frames is missing
+        """
         origin = manifold_origin(manifold)
         points = np.full((len(names) - 1, manifold.dim), np.nan)
         for j, name in enumerate(names[1:]):
@@ -108,7 +123,22 @@ class ShownSteps:
         seen: NDArray[np.bool_],
         modes: NDArray[np.int64],
     ) -> ShownSteps:
-        """Of demonstrations over [time, data]; manifold of the data, without time; the others as above."""
+        """Put together what a model was shown.
+
+        Parameters
+        ----------
+        demonstrations
+            over [time, data]
+        manifold
+            of the data, without time
+        deviations, seen, modes
+            see the class
+
+        Returns
+        -------
+        ShownSteps
+            with where the frames of each demonstration were
+        """
         names, (m, T) = tuple(demonstrations[0].frames), seen.shape[1:]
         points = np.stack([_points(shown, names, manifold, T) for shown in demonstrations])  # (m, T, P - 1, D)
         bases = np.zeros((len(names) - 1, manifold.dim))

@@ -38,7 +38,7 @@ type Labels = NDArray[np.int64]
 def find_modes(
     centres: Sequence[Array], within: Sequence[Array], demonstrations: Sequence[Demonstration], space: Manifold
 ) -> Labels:
-    """The way (m,) that each demonstration goes, from 0, the one of most demonstrations.
+    """Which way each demonstration goes.
 
     Parameters
     ----------
@@ -48,6 +48,11 @@ def find_modes(
         over [time, data]
     space
         of the data, without time
+
+    Returns
+    -------
+    Labels
+        shape (m,), numbers of the ways from 0, the one of most demonstrations
     """
     m = len(demonstrations)
     labels = np.zeros(m, dtype=np.int64)

@@ -179,7 +179,20 @@ def first_frames(demonstration: Demonstration) -> dict[str, Frame]:
 
 
 def seen_from(reference: Frame, frame: Frame, origin: Array) -> Array:
-    """The origin (D,) of a frame, as seen from the reference; both frames over [time, data]."""
+    """The origin of a frame, as seen from another one.
+
+    Parameters
+    ----------
+    reference, frame
+        over [time, data]
+    origin
+        of the data's manifold, (D,)
+
+    Returns
+    -------
+    Array
+        shape (D,)
+    """
     image = np.concatenate([[0.0], _image(frame, origin)])
     return np.asarray(reference.project(image[None])[0, 1:])
 

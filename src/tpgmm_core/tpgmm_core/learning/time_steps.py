@@ -118,7 +118,23 @@ class TimeStepTPGMM(TPGMM):
         self.modes, self.mode = modes, mode
 
     def fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
-        """Learn from demonstrations: see `TPGMM.fit`. Raises ValueError also for a `mode` that they do not have."""
+        """Learn from demonstrations: see `TPGMM.fit`.
+
+        Parameters
+        ----------
+        demonstrations, progress
+            as for `TPGMM.fit`
+
+        Returns
+        -------
+        Self
+            itself
+
+        Raises
+        ------
+        ValueError
+            like `TPGMM.fit`, and for a `mode` that the demonstrations do not have
+        """
         super().fit(demonstrations, progress)
         space = self.manifold_.subset(range(1, self.manifold_.dim))
         ways = np.zeros(len(demonstrations), dtype=np.int64)
@@ -315,7 +331,26 @@ class ShownToFrame:
 
     @classmethod
     def of(cls, manifold: Manifold, x: Array, seen: Array, samples: Samples, n_steps: int) -> ShownToFrame:
-        """Of one frame's view x (N, D) over [time, point], where seen (N,), at n_steps."""
+        """Resample what one frame was shown.
+
+        Parameters
+        ----------
+        manifold
+            of [time, point]
+        x
+            the frame's view, (N, D)
+        seen
+            (N,), where it was visible
+        samples
+            that x and seen are of, with their demonstrations
+        n_steps
+            T, the time steps of each demonstration
+
+        Returns
+        -------
+        ShownToFrame
+            points at the time steps
+        """
         space = manifold.subset(range(1, manifold.dim))
         shares = np.linspace(0.0, 1.0, n_steps)
         points, visible, spans = [], [], []
@@ -332,9 +367,14 @@ class ShownToFrame:
         return cls(space, begin + shares * (end - begin), np.stack(points), np.stack(visible), x[seen, 1:])
 
     def held(self) -> Array:
-        """Points (m', T, D) of the demonstrations that the frame saw, which stay where it last saw or first sees them.
+        """Points of the demonstrations that the frame saw, which stay where it last saw or first sees them.
 
         So a demonstration of which a part was hidden is a whole path too.
+
+        Returns
+        -------
+        Array
+            shape (m', T, D)
         """
         steps = np.arange(self.points.shape[1])
         held = []

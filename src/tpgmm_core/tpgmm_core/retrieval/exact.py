@@ -68,7 +68,17 @@ class Constraint:
 
 
 def parsed(text: Any) -> tuple[Constraint, ...]:
-    """Constraints of a text such as "target at 1, object at 0.45".
+    """Read constraints.
+
+    Parameters
+    ----------
+    text
+        such as "target at 1, object at 0.45"
+
+    Returns
+    -------
+    tuple[Constraint, ...]
+        in the order of the text
 
     Raises
     ------
@@ -88,7 +98,23 @@ def parsed(text: Any) -> tuple[Constraint, ...]:
 
 
 def constraints_of(model: TPGMM) -> tuple[Constraint, ...]:
-    """What the metadata of a model ask for. Raises ValueError for what they cannot have."""
+    """What the metadata of a model ask for.
+
+    Parameters
+    ----------
+    model
+        with metadata
+
+    Returns
+    -------
+    tuple[Constraint, ...]
+        none where they ask for none
+
+    Raises
+    ------
+    ValueError
+        for a text that holds no constraints, and for frames that the model does not have
+    """
     text = model.metadata_.get(KEY)
     found = () if text is None else parsed(text)
     unknown = [constraint.frame for constraint in found if constraint.frame not in model.frame_names_]
