@@ -32,7 +32,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 help: ## list all targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
 
-setup: $(DONE)/packages $(DONE)/kernels ## install what running needs: virtual environment, ROS wheels, interface package, compiled kernels
+setup: $(DONE)/packages $(DONE)/kernels ## install what running needs: virtual environment, ROS wheels, interface packages, compiled kernels
 
 dev: setup $(DONE)/requirements-dev ## install what running and developing need: also ruff, mypy, pytest, colcon
 
@@ -177,9 +177,18 @@ $(DONE)/interfaces: $(DONE)/requirements $(shell find src/tpgmm_msgs -type f)
 	@$(call progress,interfaces-install) cmake --install $(VENV)/build/tpgmm_msgs
 	@touch $@
 
+# Not built where they are installed already
+$(DONE)/standard-interfaces: export PATH := $(CURDIR)/$(BIN):$(PATH)
+$(DONE)/standard-interfaces: export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
+$(DONE)/standard-interfaces: export CMAKE_PREFIX_PATH := $(CURDIR)/$(VENV)
+$(DONE)/standard-interfaces: $(DONE)/requirements tools/build_interfaces.py tools/standard_interfaces.yaml
+	$(call say,interfaces of ROS that the wheels lack: tf2_msgs and vision_msgs (some 90 seconds))
+	@$(call progress,standard-interfaces) $(PYTHON) tools/build_interfaces.py tools/standard_interfaces.yaml $(CURDIR)/$(VENV)
+	@touch $@
+
 PACKAGE_FILES := $(foreach package,tpgmm_core tpgmm_ros tpgmm_demos,$(addprefix src/$(package)/,setup.py setup.cfg package.xml))
 INSTALLED_DATA := $(wildcard src/tpgmm_ros/launch/*.launch.py config/*.yaml)
-$(DONE)/packages: tools/link_packages.py $(DONE)/interfaces $(PACKAGE_FILES) $(INSTALLED_DATA)
+$(DONE)/packages: tools/link_packages.py $(DONE)/interfaces $(DONE)/standard-interfaces $(PACKAGE_FILES) $(INSTALLED_DATA)
 	$(call say,Python packages (some seconds))
 	@$(PYTHON) tools/link_packages.py src/tpgmm_core src/tpgmm_ros src/tpgmm_demos
 	@touch $@

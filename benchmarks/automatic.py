@@ -24,6 +24,7 @@ from benchmarks.retrieval_table import errors  # noqa: E402
 from tpgmm_core import Demonstration  # noqa: E402
 from tpgmm_core.choice.automatic import choose, positions_alone  # noqa: E402
 from tpgmm_core.choice.reproducing import reproduce, without_frames  # noqa: E402
+from tpgmm_core.choice.trial import Trial  # noqa: E402
 from tpgmm_core.common.atomic_file import write_atomically  # noqa: E402
 from tpgmm_core.common.report import format_table  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
@@ -39,6 +40,8 @@ SETS = (
     ("config/pick_place.yaml", "bags/pick_place"),
 )
 AUTO = "--auto"
+PLAIN = ("promp", "gaussian_process", "time_steps", "dmp")
+"""Methods beside it, with the frames and settings of the task file."""
 
 
 def ways(
@@ -67,10 +70,16 @@ def ways(
     )
     recipe = Recipe.of(task.model)
     yield "task file", reproduce(recipe.learn(training, space), situation), {}
+    for method in PLAIN:
+        plain_recipe = Trial.of(method, tuple(training[0].frames), task.model).recipe
+        try:
+            yield f"{method}, as it comes", reproduce(plain_recipe.learn(training, space), situation), {}
+        except ValueError:  # frames that contradict each other: the hand stays, as `train --auto` counts it
+            yield f"{method}, as it comes", np.tile(situation.data[:1, 1:], (len(situation.times), 1)), {}
     plain = [without_frames(shown) for shown in training]
     yield "no frames", reproduce(recipe.learn(plain, space), without_frames(situation)), {}
     yield "mean demonstration", _mean(training, situation), {}
-    path = replay_nearest(others, left_out, list(task.topics or task.frames)[-1])
+    path = replay_nearest(others, left_out, list(task.sources or task.frames)[-1])
     yield "nearest, replayed", path[:, : situation.data.shape[1] - 1], {}
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every retrieval method on recordings of real robots, by leave-one-out; beside it, no frames, and a replay.
+"""Every retrieval method on recordings of real robots, by leave-one-out; beside it, no frames, a replay, and baselines.
 
 Each demonstration in turn is reproduced in its situation by models of the others. Covariance structure and number of
 components are chosen anew each time, by leave-one-out among those others (held-out log-likelihood), for all methods
@@ -24,6 +24,7 @@ import numpy as np  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
 from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
+from tpgmm_core.choice.baselines import BASELINES, Learner  # noqa: E402
 from tpgmm_core.choice.reproducing import reproduce, without_frames  # noqa: E402
 from tpgmm_core.common.report import format_table  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
@@ -127,6 +128,10 @@ def measure(data: DataSet) -> Iterator[dict[str, Any]]:
         for candidate, chosen, model in learned(settings, DEFAULT, plain, data.space):
             path = reproduce(model, without_frames(situation))
             yield {**row, "method": WITHOUT_FRAMES, "candidate": candidate, "chosen": chosen, **errors(path, left_out)}
+        learner = Learner.of(Manifold.parse(data.space), data.task.model)
+        for name, learn in BASELINES.items():
+            path = learn(training, learner)(situation)
+            yield {**row, "method": name, "candidate": "", "chosen": True, **errors(path, left_out)}
         replay = replay_nearest(others, left_out, data.anchor)
         yield {**row, "method": REPLAY, "candidate": "", "chosen": True, **errors(replay, left_out)}
 

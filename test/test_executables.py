@@ -25,6 +25,7 @@ NODES: dict[str, dict[str, object]] = {
     "baxter_simulator": {"robot_file": ROBOT_FILE},
     "endpoint_poses": {"robot_file": ROBOT_FILE},
     "joint_reference": {"robot_file": ROBOT_FILE},
+    "recognition": {"task_file": TASK_FILE},
     "reproduction": {"task_file": TASK_FILE, "autostart": True},
     "impedance_controller": {"robot_file": ROBOT_FILE, "autostart": True},
 }
@@ -34,6 +35,7 @@ PROGRAMS = {
     "check_robot": [str(ROBOT_FILE)],
     "inspect": [str(TASK_FILE.parents[1] / "bags" / "pick_place")],
     "train": ["--task", str(TASK_FILE), "--output", "m.tpgmm", str(TASK_FILE.parents[1] / "bags" / "pick_place")],
+    "recognize": ["--task", str(TASK_FILE), "--skill", "a=a.tpgmm", str(TASK_FILE.parents[1] / "bags" / "pick_place")],
     "teach": ["--task", str(TASK_FILE), "--output", "bag"],
     "demo": ["--lockstep", "--bags", str(TASK_FILE.parents[1] / "bags" / "pick_place")],
     "figure5": [],

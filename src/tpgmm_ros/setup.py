@@ -33,11 +33,13 @@ setup(
             "joint_reference = tpgmm_ros.executables:joint_reference",
             "baxter_simulator = tpgmm_ros.executables:baxter_simulator",
             "endpoint_poses = tpgmm_ros.executables:endpoint_poses",
+            "recognition = tpgmm_ros.executables:recognition",
             "compose = tpgmm_ros.executables:compose",
             "check_robot = tpgmm_ros.executables:check_robot",
             "inspect = tpgmm_ros.executables:inspect",
             "teach = tpgmm_ros.executables:teach",
             "train = tpgmm_ros.executables:train",
+            "recognize = tpgmm_ros.executables:recognize",
             "demo = tpgmm_ros.executables:demo",
             "figure5 = tpgmm_ros.executables:figure5",
         ]

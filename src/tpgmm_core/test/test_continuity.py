@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from reaching import frames_at, place, reaching_model
-from tpgmm_core.retrieval.continuity import Continued
+from tpgmm_core.retrieval.continued import Continued
 from tpgmm_core.retrieval.reproduction import Reproduction
 
 MS = 1_000_000

@@ -30,6 +30,7 @@ PACKAGES = (
     "retrieval",
     "choice",
     "doubt",
+    "recognition",
     "robot",
     "observation",
     "kinematics",

@@ -14,8 +14,9 @@ from scipy.stats import multivariate_normal
 
 import numpy_tpgmm
 from tpgmm_core import TPGMM, Demonstration, Frame, Manifold
+from tpgmm_core.learning.estimation.compiled_em import PARTS_OF_A_THREAD
 from tpgmm_core.learning.estimation.kernels_expectation import PART
-from workloads import W1, demonstrations, pose_demonstrations, projected
+from workloads import W1, W2, demonstrations, pose_demonstrations, projected
 
 DATA02 = Path(__file__).parents[4] / "shared" / "data" / "pbdlib" / "Data02.mat"
 
@@ -268,15 +269,15 @@ def test_demonstrations_must_agree_in_frames_and_dimensions() -> None:
 @pytest.mark.parametrize("poses", [False, True])
 def test_the_number_of_threads_changes_no_bit(poses: bool, regularization: str) -> None:
     rng = np.random.default_rng(5)
-    demos = pose_demonstrations(6, 430) if poses else demonstrations(W1)
+    demos = pose_demonstrations(20, 650) if poses else demonstrations(W2)
     X = projected(demos)
     N = len(next(iter(X.values())))
-    assert N > PART, "several parts, so that several threads have something to do"
+    assert N > 2 * PARTS_OF_A_THREAD * PART, "enough for several threads"
     seen = {name: rng.random(N) > 0.1 for name in X}
     settings = {"manifold": "R1 x R3 x S3"} if poses else {}
 
     def learned(n_threads: int) -> TPGMM:
-        model = TPGMM(4, n_threads=n_threads, regularization=regularization, max_iter=15, **settings)
+        model = TPGMM(4, n_threads=n_threads, regularization=regularization, max_iter=6, **settings)
         return model.fit_projected(X, seen)
 
     one = learned(1)

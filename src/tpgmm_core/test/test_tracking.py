@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tpgmm_core.observation.tracking import FrameStatus, FrameTracker, TrackingConfig, check_pose
+from tpgmm_core.observation.poses import check_pose
+from tpgmm_core.observation.tracking import FrameStatus, FrameTracker, TrackingConfig
 
 POSE = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0]
 CONFIG = TrackingConfig(visible_timeout=0.2, hold_time=1.0, fade_time=0.5)

@@ -287,23 +287,54 @@ def test_a_short_payload_is_refused(size: int, tmp_path: Path) -> None:
     refused(tmp_path / "demo", "cannot be read")
 
 
+NO_POSES = [
+    (1, np.nan, "not finite"),
+    (2, np.inf, "not finite"),
+    (5, np.nan, "not finite"),
+    (0, 1e12, "implausibly large"),
+    (slice(3, 7), 0.0, "zero quaternion"),
+]
+
+
 @pytest.mark.parametrize("topic", ["/endpoint/pose", "/object/pose"])
-@pytest.mark.parametrize(
-    ("column", "value", "complaint"),
-    [
-        (1, np.nan, "not finite in 1 of 100.*number 7"),
-        (2, np.inf, "not finite"),
-        (5, np.nan, "not finite"),
-        (slice(3, 7), 0.0, "norm is not 1 in 1 of 100.*number 7"),
-        (slice(3, 7), 0.7, "norm is not 1"),
-    ],
-)
-def test_poses_that_are_none_are_refused(
-    topic: str, column: int | slice, value: float, complaint: str, tmp_path: Path
+@pytest.mark.parametrize(("column", "value", "kind"), NO_POSES)
+def test_a_pose_that_is_none_is_left_out_and_said(
+    topic: str, column: int | slice, value: float, kind: str, tmp_path: Path
 ) -> None:
     topics = reach(0)
-    topics[topic].poses[7, column] = value
-    refused(write_bag(tmp_path / "demo", topics), f"{topic} has .*{complaint}")
+    whole = read_recording(write_bag(tmp_path / "whole", topics), TASK)
+    topics[topic].poses[[7, 50], column] = value
+    recording = read_recording(write_bag(tmp_path / "demo", topics), TASK)
+    kept = np.delete(np.arange(100), [7, 50]) if topic == "/endpoint/pose" else np.arange(100)
+    np.testing.assert_array_equal(recording.movement, whole.movement[kept])
+    np.testing.assert_array_equal(recording.frames["object"], whole.frames["object"][kept])
+    assert len(recording.notes) == 1
+    assert f"{topic}: 2 of 100 poses left out, the first is number 7: {kind}" in recording.notes[0]
+
+
+@pytest.mark.parametrize("topic", ["/endpoint/pose", "/object/pose"])
+@pytest.mark.parametrize(("column", "value", "kind"), NO_POSES)
+def test_a_topic_whose_poses_are_mostly_none_is_refused(
+    topic: str, column: int | slice, value: float, kind: str, tmp_path: Path
+) -> None:
+    topics = reach(0)
+    topics[topic].poses[20:80, column] = value
+    refused(write_bag(tmp_path / "demo", topics), f"{topic} has 60 of 100 poses that cannot be used.* 20: {kind}")
+
+
+def test_quaternions_of_any_length_are_scaled_and_said(tmp_path: Path) -> None:
+    topics = reach(0)
+    whole = read_recording(write_bag(tmp_path / "whole", topics), TASK)
+    topics["/object/pose"].poses[:, 3:] *= 1.3
+    recording = read_recording(write_bag(tmp_path / "demo", topics), TASK)
+    np.testing.assert_allclose(recording.frames["object"], whole.frames["object"], atol=1e-12)
+    assert recording.notes == ("/object/pose: 100 of 100 quaternions have other lengths than 1 and were scaled",)
+
+
+def test_a_leading_slash_of_the_frame_id_makes_no_difference(tmp_path: Path) -> None:
+    topics = reach(0)
+    topics["/object/pose"].frame_id = "/base"
+    assert not read_recording(write_bag(tmp_path / "demo", topics), TASK).notes
 
 
 @pytest.mark.parametrize("frame_id", ["camera", ""])

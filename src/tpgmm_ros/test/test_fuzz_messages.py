@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from sensor_msgs.msg import JointState
 
 from tpgmm_core.geometry.coordinates import MAX_TEXT
-from tpgmm_core.observation.tracking import check_pose
+from tpgmm_core.observation.poses import check_pose
 from tpgmm_msgs.msg import Gaussian as GaussianMessage
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskFrame, TaskParameters

@@ -92,13 +92,22 @@ def test_what_is_no_movement_is_refused(tmp_path: Path) -> None:
     refused(written(tmp_path / "empty", np.empty((0, 7))), "is empty")
     refused(written(tmp_path / "short", movement()[:5]), "5 samples, expected at least 10")
     spoilt = movement()
-    spoilt[7, 1] = np.nan
-    refused(written(tmp_path / "nan", spoilt), "not finite in 1 of 100 poses, the first is number 7")
-    spoilt = movement()
-    spoilt[3, 3:] = 0.0
-    refused(written(tmp_path / "zero", spoilt), "norm is not 1 in 1 of 100")
+    spoilt[7:67, 1] = np.nan
+    refused(
+        written(tmp_path / "nan", spoilt), "has 60 of 100 poses that cannot be used, the first is number 7: not fini"
+    )
     foreign = write_pose_arrays(tmp_path / "demo.bag", [movement()], frame_id="world")
     refused(foreign, "world, expected the base frame .?base")
+
+
+def test_a_pose_that_is_none_is_left_out_and_the_times_of_the_others_stay(tmp_path: Path) -> None:
+    spoilt = movement()
+    spoilt[3, 3:] = 0.0
+    recording = read_recording(written(tmp_path, spoilt), TASK)
+    kept = np.delete(np.arange(100), 3)
+    np.testing.assert_allclose(recording.times, 0.05 * kept, atol=1e-12)
+    np.testing.assert_allclose(recording.movement, movement()[kept], atol=1e-12)
+    assert "1 of 100 poses left out, the first is number 3: zero quaternion" in recording.notes[0]
 
 
 def test_topics_of_another_name_or_type_are_refused(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from tpgmm_core.common.old_names import RENAMED
 from tpgmm_core.common.safe_yaml import MAX_BYTES
 from tpgmm_core.model.derived_frames import HAND, FrameSource
 from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_ros.messages.sources import PoseStampedSource
 from tpgmm_ros.task.task_file import Task, TaskError, TaskFrameSpec
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
@@ -39,7 +40,7 @@ def without(key: str) -> str:
 def test_a_task_file_is_read() -> None:
     task = Task.from_text(yaml.safe_dump(GOOD))
     assert task.movement == "endpoint/left/pose" and task.endpoint == "left"
-    assert task.frames["object"] == TaskFrameSpec("object", topic="object/pose")
+    assert task.frames["object"] == TaskFrameSpec("object", PoseStampedSource("object/pose"))
     assert task.frames["robot"] == TaskFrameSpec("robot", pose=(0, 0, 0, 0, 0, 0, 1))
     assert task.topics == {"object": "object/pose"}
     assert task.tracking == {"visible_timeout": 0.25}

@@ -15,6 +15,7 @@ import pytest
 
 from synthetic_bags import REACH_TASK, reach, write_bag
 from tpgmm_core import TPGMM, Frame
+from tpgmm_core.choice.baselines import BASELINES
 from tpgmm_core.choice.reproducing import reproduce
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.methods import METHODS, method_of
@@ -138,6 +139,30 @@ def test_every_retrieval_method_is_trained_and_reproduces_what_was_left_out(
     assert path_errors(path, recording.movement).position_end_m < 0.05
 
 
+def test_ways_are_told_and_a_task_file_takes_one_of_them_and_ends_exactly(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Four demonstrations swing out to one side on their way, three to the other."""
+    for i in range(7):
+        topics = reach(i, samples=60)
+        side = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0) * (0.2 if i < 4 else -0.2)
+        topics["/endpoint/pose"].poses[:, :3] += np.sin(np.pi * np.linspace(0.0, 1.0, 60))[:, None] ** 2 * side
+        write_bag(tmp_path / f"demo_{i}", topics)
+    for model in ("retrieval: time_steps", "retrieval: time_steps, mode: 2, exact: object at 1"):
+        (tmp_path / "task.yaml").write_text(re.sub("model: {.*}", f"model: {{{model}}}", REACH_TASK))
+        assert train(tmp_path, "--output", tmp_path / "model", "--report", tmp_path, tmp_path) == 0
+        assert json.loads((tmp_path / "report.json").read_text())["modes"] == [0, 0, 0, 0, 1, 1, 1]
+        told = capsys.readouterr().out
+        assert "go 2 ways" in told and "way 1: demo_0, demo_1, demo_2, demo_3" in told
+    assert "way 2 alone is learned" in told
+    task = Task.load(tmp_path / "task.yaml")
+    recording = read_recording(tmp_path / "demo_5", task)
+    learned = load_task_model(tmp_path / "model", task)
+    path = reproduce(learned, recording.to_demonstration(5.0))
+    assert np.linalg.norm(path[:, :3] - recording.movement[:, :3], axis=1).max() < 0.05
+    assert learned.metadata_["exact"] == "object at 1"
+
+
 def test_the_way_of_the_task_file_is_taken_unless_another_is_asked_for(bags: Path, tmp_path: Path) -> None:
     task = tmp_path / "task.yaml"
     task.write_text(REACH_TASK.replace("model: {", "model: {retrieval: dmp, stiffness: 300, "))
@@ -158,6 +183,10 @@ def test_leave_one_out_reports_every_demonstration(
     model, nearest = result["mean"], result["mean_nearest"]
     assert model["position_end_m"] < 0.02 and model["orientation_end_deg"] < 2.0
     assert model["position_rmse_m"] < 0.5 * nearest["position_rmse_m"]
+    assert set(result["mean_baselines"]) == set(BASELINES)
+    for name in BASELINES:
+        assert 2.0 * model["position_end_m"] < result["mean_baselines"][name]["position_end_m"]
+        assert all(name in fold["baselines"] for fold in result["folds"])
     out = capsys.readouterr().out
     assert all(f"demo_{i}" in out for i in range(COUNT)) and "\nmean " in out
     assert "coverage: share of the poses left out" in out and "novelty: in what was left out" in out

@@ -63,8 +63,9 @@ def reproduce_gaussians(
     chosen = method_of(model) if method is None else method_named(method)
     chosen.check(model)
     seen = as_seen_by(model, situation)
-    if chosen.time_parametrized is not None:
-        return _as_function_of_time(chosen.time_parametrized(model), seen)
+    course = chosen.course(model)
+    if course is not None:
+        return _as_function_of_time(course, seen)
     return _step_by_step(make_retrieval(model, chosen.name, horizon_steps=0, calibrated=False), seen, settle)
 
 
@@ -91,7 +92,7 @@ def as_seen_by(model: TPGMM, situation: Demonstration) -> Demonstration:
 def _as_function_of_time(course: TimeParametrized, situation: Demonstration) -> tuple[Array, Array]:
     n, T = course.manifold.tangent_dim, len(situation.times)
     poses, covariances = np.tile(situation.data[0, 1:], (T, 1)), np.full((T, n, n), np.nan)
-    for first, end, frames in _spans(situation):
+    for first, end, frames in spans(situation):
         if frames:
             course.situate(frames, poses[0])
             poses[first:end], covariances[first:end], _ = course.at(situation.times[first:end])
@@ -102,7 +103,7 @@ def _step_by_step(movement: Retrieval, situation: Demonstration, settle: float) 
     times, n = situation.times, movement.manifold.tangent_dim
     poses, covariances = np.tile(situation.data[0, 1:], (len(times), 1)), np.full((len(times), n, n), np.nan)
     pose, known = poses[0], None
-    for first, end, frames in _spans(situation):
+    for first, end, frames in spans(situation):
         for i in range(first, end) if frames else ():
             if known is None:
                 movement.start(round(1e9 * times[i]), pose)
@@ -122,8 +123,19 @@ def _step_by_step(movement: Retrieval, situation: Demonstration, settle: float) 
     return np.vstack([poses, *more]), np.concatenate([covariances, np.array(wider).reshape(-1, n, n)])
 
 
-def _spans(situation: Demonstration) -> Iterator[tuple[int, int, dict[str, Frame]]]:
-    """Runs of samples through which nothing changes: their first one, the one after the last, the visible frames."""
+def spans(situation: Demonstration) -> Iterator[tuple[int, int, dict[str, Frame]]]:
+    """Runs of samples through which nothing changes.
+
+    Parameters
+    ----------
+    situation
+        frames may move, come and go
+
+    Yields
+    ------
+    tuple[int, int, dict[str, Frame]]
+        the first sample, the one after the last, and the visible frames
+    """
     visible = {name: situation.is_visible(name) for name in situation.frames}
     T = len(situation.times)
     changes = np.zeros(T, dtype=bool)

@@ -24,6 +24,7 @@ from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.derived_frames import with_frames
+from tpgmm_core.retrieval.exact import KEY as EXACT_KEY
 from tpgmm_core.retrieval.methods import KEY, method_named
 from tpgmm_core.retrieval.recipe import Recipe
 
@@ -73,7 +74,7 @@ class Trial:
         """
         chosen = method_named(method)
         known = {item.name for item in fields(chosen.encoding)} | inspect.signature(chosen.estimator).parameters.keys()
-        used = known - {KEY} - chosen.estimator.unused
+        used = (known | {EXACT_KEY}) - {KEY} - chosen.estimator.unused
         return cls(chosen.name, tuple(frames), {name: settings[name] for name in settings if name in used})
 
     def changed(self, **settings: Any) -> Trial:

@@ -35,10 +35,11 @@ NOISES = np.geomspace(1e-6, 1.0, 13)
 class GaussianProcessTPGMM(TimeStepTPGMM):
     """Gaussian processes over time in all frames and coordinates, as a Gaussian for each time step and frame.
 
-    Parameters and attributes are those of `TimeStepTPGMM`, of which `locality` has no meaning here.
+    Parameters and attributes are those of `TimeStepTPGMM`, of which `locality`, `modes` and `mode` have no
+    meaning here.
     """
 
-    unused = TimeStepTPGMM.unused | {"locality"}
+    unused = TimeStepTPGMM.unused | {"locality", "modes", "mode"}
 
     def _gaussians(self, shown: ShownToFrame) -> tuple[Array, Array]:
         space, points = shown.space, shown.held()

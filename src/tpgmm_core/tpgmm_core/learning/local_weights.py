@@ -88,6 +88,8 @@ class ShownSteps:
         frame → (m, T, n), tangent vectors from the means of the steps
     seen
         (P, m, T), whether the frame saw the demonstration
+    modes
+        (m,), the way of each demonstration: see `tpgmm_core.learning.modes`
     """
 
     places: Places
@@ -95,6 +97,7 @@ class ShownSteps:
     shown: Array
     deviations: Mapping[str, Array]
     seen: NDArray[np.bool_]
+    modes: NDArray[np.int64]
 
     @classmethod
     def of(
@@ -103,12 +106,15 @@ class ShownSteps:
         manifold: Manifold,
         deviations: Mapping[str, Array],
         seen: NDArray[np.bool_],
+        modes: NDArray[np.int64],
     ) -> ShownSteps:
         """Of demonstrations over [time, data]; manifold of the data, without time; the others as above."""
         names, (m, T) = tuple(demonstrations[0].frames), seen.shape[1:]
         points = np.stack([_points(shown, names, manifold, T) for shown in demonstrations])  # (m, T, P - 1, D)
-        bases = np.stack([manifold.mean(points[:, :, j].reshape(m * T, -1)) for j in range(len(names) - 1)] or [[]])
-        places = Places(manifold, names, bases.reshape(len(names) - 1, manifold.dim))
+        bases = np.zeros((len(names) - 1, manifold.dim))
+        for j in range(len(bases)):
+            bases[j] = manifold.mean(points[:, :, j].reshape(m * T, -1))
+        places = Places(manifold, names, bases)
         shown = np.concatenate(
             [manifold.log(base, points[:, :, j]) for j, base in enumerate(places.bases)] or [np.zeros((m, T, 0))],
             axis=-1,
@@ -117,7 +123,7 @@ class ShownSteps:
         floor[manifold.flat_tangent] = STILL[0]
         spread = np.sqrt(np.mean(shown.var(axis=0, ddof=1 if m > 1 else 0), axis=0))
         scales = np.maximum(spread, np.tile(floor, len(names) - 1))
-        return cls(places, scales, shown, deviations, seen)
+        return cls(places, scales, shown, deviations, seen, modes)
 
     def arrays(self) -> dict[str, Array]:
         """All numbers, as a model file holds them."""
@@ -126,6 +132,7 @@ class ShownSteps:
             "places_scales": self.scales,
             "places": self.shown,
             "seen": self.seen.astype(float),
+            "modes": self.modes.astype(float),
         }
         return numbers | {f"deviations_{j}": array for j, array in enumerate(self.deviations.values())}
 
@@ -162,6 +169,7 @@ class ShownSteps:
             "places_scales": (C,),
             "places": (m, n_steps, C),
             "seen": (P, m, n_steps),
+            "modes": (m,),
             **{f"deviations_{j}": (m, n_steps, s.tangent_dim) for j, s in enumerate(spaces.values())},
         }
         for key, shape in expected.items():
@@ -169,8 +177,11 @@ class ShownSteps:
                 raise ValueError(f"{key} of {m} demonstrations has the shape {arrays[key].shape}, expected {shape}")
         if arrays["places_scales"].min(initial=1.0) <= 0.0:
             raise ValueError("the scales of places are above 0")
+        modes = arrays["modes"].astype(np.int64)
+        if set(modes.tolist()) != set(range(int(np.clip(modes.max(), 0, m)) + 1)):
+            raise ValueError("the ways of demonstrations are counted from 0")
         places = Places(space, tuple(spaces), arrays["places_bases"])
-        return cls(places, arrays["places_scales"], arrays["places"], deviations, arrays["seen"] > 0.5)
+        return cls(places, arrays["places_scales"], arrays["places"], deviations, arrays["seen"] > 0.5, modes)
 
 
 def _points(shown: Demonstration, names: Sequence[str], manifold: Manifold, n_steps: int) -> Array:

@@ -61,11 +61,13 @@ class ProMPTPGMM(TimeStepTPGMM):
         prior_strength: float = PRIOR_STRENGTH,
         n_steps: int = 100,
         locality: float = 0.0,
+        modes: int = 0,
+        mode: int = 0,
         n_basis: int = 20,
     ) -> None:
         super().__init__(
             n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
-            covariance, n_factors, covariance_options, prior_strength, n_steps, locality,
+            covariance, n_factors, covariance_options, prior_strength, n_steps, locality, modes, mode,
         )  # fmt: skip
         self.n_basis = n_basis
 

@@ -30,6 +30,7 @@ from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.compiled_em import Estimate, MixtureParameters, Workspace
 from tpgmm_core.learning.estimation.iteration import Progress
 from tpgmm_core.learning.local_weights import ShownSteps
+from tpgmm_core.learning.modes import find_modes
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.samples import Samples
@@ -61,14 +62,24 @@ class TimeStepTPGMM(TPGMM):
     locality
         how much more demonstrations say whose situations are near (`tpgmm_core.learning.local_weights`); 0: all count
         alike. The mixture of the steps, and so `adapt` and `score`, do not know of it; retrieval does
+    modes
+        0: demonstrations that do the same thing in several ways are found and kept apart (`tpgmm_core.learning.modes`);
+        1: they all count as one way
+    mode
+        0: retrieval goes the way of the demonstrations whose situations are near; k: always the k-th way, of which 1 is
+        that of most demonstrations
 
     Attributes
     ----------
     shown_
-        `ShownSteps`: the demonstrations themselves, where `locality` is above 0; else None
+        `ShownSteps`: the demonstrations themselves, where `locality` is above 0 or there are several ways; else None
+    modes_
+        (m,), the way of each demonstration that was learned from, from 0. The mixture of the steps is the way of most
+        demonstrations, or that of `mode`
     """
 
     shown_: ShownSteps | None
+    modes_: NDArray[np.int64]
 
     unused: ClassVar[frozenset[str]] = frozenset(
         (
@@ -95,6 +106,8 @@ class TimeStepTPGMM(TPGMM):
         prior_strength: float = PRIOR_STRENGTH,
         n_steps: int = 100,
         locality: float = 0.0,
+        modes: int = 0,
+        mode: int = 0,
     ) -> None:
         super().__init__(
             n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
@@ -102,20 +115,51 @@ class TimeStepTPGMM(TPGMM):
         )  # fmt: skip
         self.n_steps = n_steps
         self.locality = locality
+        self.modes, self.mode = modes, mode
 
     def fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
-        """Learn from demonstrations: see `TPGMM.fit`."""
+        """Learn from demonstrations: see `TPGMM.fit`. Raises ValueError also for a `mode` that they do not have."""
         super().fit(demonstrations, progress)
-        if self._is_local:
+        space = self.manifold_.subset(range(1, self.manifold_.dim))
+        ways = np.zeros(len(demonstrations), dtype=np.int64)
+        if self.modes == 0 and "modes" not in self.unused:
+            centres, _, within = zip(*(self.steps(name) for name in self.frame_names_), strict=True)
+            ways = find_modes(centres, within, demonstrations, space)
+        n_modes = int(ways.max()) + 1
+        if self.mode > n_modes:
+            raise ValueError(f"mode is {self.mode}, and the demonstrations go {n_modes} ways: 1 to {n_modes}, 0: any")
+        own = [shown for shown, way in zip(demonstrations, ways, strict=True) if way == max(self.mode - 1, 0)]
+        if n_modes > 1:
+            super().fit(own, progress)
+        self.modes_ = ways
+        if self.mode:
+            demonstrations, ways = own, np.zeros(len(own), dtype=np.int64)
+        if self._is_local or ways.any():
             samples = self._samples(demonstrations)
             deviations, seen = {}, []
             for (name, x), mask in zip(samples.X.items(), samples.seen, strict=True):
                 shown = ShownToFrame.of(samples.manifolds[name], x, mask, samples, self.n_steps)
                 deviations[name], which = self._deviations(shown, self.means_[name][:, 1:])
                 seen.append(which)
-            space = self.manifold_.subset(range(1, self.manifold_.dim))
-            self.shown_ = ShownSteps.of(demonstrations, space, deviations, np.stack(seen))
+            self.shown_ = ShownSteps.of(demonstrations, space, deviations, np.stack(seen), ways)
         return self
+
+    def steps(self, name: str) -> tuple[Array, Array, Array]:
+        """What one frame expects at the time steps, without time.
+
+        Parameters
+        ----------
+        name
+            of the frame
+
+        Returns
+        -------
+        tuple[Array, Array, Array]
+            means (T, D), their velocities (T, n), and covariances (T, n, n)
+        """
+        S = self.covariances_[name]
+        velocities = S[:, 1:, 0] / S[:, 0, 0, None]
+        return self.means_[name][:, 1:], velocities, S[:, 1:, 1:] - velocities[:, :, None] * S[:, None, 0, 1:]
 
     @property
     def _is_local(self) -> bool:
@@ -148,6 +192,7 @@ class TimeStepTPGMM(TPGMM):
         for t, m in enumerate(seen.sum(axis=0).tolist()):
             if m > 1:
                 spread = deviations[seen[:, t], t]
+                spread = spread - spread.mean(axis=0)
                 S = spread.T @ spread / (m - 1)
                 B[t] = isotropic(space, S)
                 R[t] = self._student(space, m) * ((m - 1) * S + c * B[t]) / (m - 1 + c)
@@ -170,7 +215,7 @@ class TimeStepTPGMM(TPGMM):
         if progress is not None:
             progress(1, float(course[0]))
         self._learned(Estimate(parameters, course, course, converged=True), samples.manifold)
-        self.shown_ = None
+        self.shown_, self.modes_ = None, np.zeros(len(samples.lengths), dtype=np.int64)
         return self
 
     def _gaussians(self, shown: ShownToFrame) -> tuple[Array, Array]:
@@ -228,14 +273,20 @@ class TimeStepTPGMM(TPGMM):
         L = self.locality
         if not isinstance(L, int | float | np.number) or not (np.isfinite(L) and L >= 0.0):
             raise ValueError(f"locality is a finite number from 0, got {L!r}")
+        for name, largest in (("modes", 1), ("mode", np.inf)):
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 0 <= value <= largest:
+                raise ValueError(f"{name} is {'0 or 1' if largest == 1 else 'an integer from 0'}, got {value!r}")
 
     def _more_arrays(self) -> dict[str, Array]:
         return {} if self.shown_ is None else self.shown_.arrays()
 
     def _restore(self, arrays: Mapping[str, Array]) -> None:
         self.shown_ = None
-        if self._is_local:
+        self.modes_ = np.zeros(0, dtype=np.int64)
+        if self._is_local or "places" in arrays:
             self.shown_ = ShownSteps.from_arrays(arrays, self.frame_manifolds_, len(self.priors_))
+            self.modes_ = self.shown_.modes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

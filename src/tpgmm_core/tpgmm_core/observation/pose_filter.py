@@ -86,6 +86,11 @@ class PoseFilter:
         return position, turn
 
     @property
+    def is_noisy(self) -> bool:
+        """Whether any noise is known."""
+        return any(part.variance > 0.0 for part in self._parts)
+
+    @property
     def windows(self) -> tuple[int, int]:
         """Numbers of observations that are averaged in the present position and orientation."""
         position, turn = (part.window for part in self._parts)

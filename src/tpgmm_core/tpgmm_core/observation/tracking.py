@@ -3,7 +3,8 @@
 
 A frame that is not seen for a moment keeps its last pose. Its confidence, which scales its precision in the product
 of Gaussians (Eqs. 5, 6), falls to zero slowly and rises slowly, so that a frame that disappears or comes back never
-makes the movement jump. A noisy pose is averaged while the frame is at rest (`pose_filter`).
+makes the movement jump. A noisy pose is averaged while the frame is at rest (`pose_filter`). What is no pose, lies
+about its time, or leaps is refused (`poses`, `clocks`, `gate`).
 
 Two clocks enter, as arguments: the *stamp* of an observation (ROS time, when the camera saw it) and the *steady* time
 of its arrival. The status follows the steady clock, which no clock step can stall; stamps are checked when they come.
@@ -13,18 +14,20 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.geometry.pose import pose_error
+from tpgmm_core.observation.clocks import LeadMeter
+from tpgmm_core.observation.gate import NOISE_TURN, NOISE_WAY, Leap, LeapGate, MotionLimits
+from tpgmm_core.observation.health import FrameHealth, FrameRecord
 from tpgmm_core.observation.pose_filter import PoseFilter
-
-_SECOND = 1_000_000_000
-#: Largest number of a pose: beyond the size of the Earth, m, and any length of a quaternion.
-MAX_NUMBER = 1e8
+from tpgmm_core.observation.poses import check_pose
+from tpgmm_core.observation.streams import SECOND
 
 
 class FrameStatus(enum.IntEnum):
@@ -41,7 +44,7 @@ class TrackingConfig:
 
     Without an observation for ``visible_timeout`` a frame is HELD: it keeps its confidence for ``hold_time``, loses it
     over ``fade_time``, and then is MISSING. Stamps too far from ROS time are refused: a camera with a wrong clock, a
-    queue that was held up, an old bag.
+    queue that was held up, an old bag. Stamps of a clock that is steadily ahead, by a second at most, are corrected.
     """
 
     visible_timeout: float = setting(
@@ -56,10 +59,24 @@ class TrackingConfig:
     filter_time: float = setting(
         1.0, 0.0, 60.0, "Noisy poses are averaged over this time while the frame is at rest, s; 0: never"
     )
+    max_speed: float = setting(
+        3.0, 0.0, 1000.0, "A frame that leaps faster than this is refused until it persists, m/s; 0: never"
+    )
+    max_turn_rate: float = setting(
+        6.0, 0.0, 1000.0, "A frame that turns faster than this is refused until it persists, rad/s; 0: never"
+    )
+    leap_time: float = setting(
+        0.3, 0.0, 60.0, "A frame that has leapt and persists for this long is followed, s; 0: at once"
+    )
 
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of its range."""
         check_settings(self)
+
+    @property
+    def motion(self) -> MotionLimits:
+        """How fast frames move."""
+        return MotionLimits(self.max_speed, self.max_turn_rate, self.leap_time)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +95,8 @@ class TrackedFrame:
         ROS time of the observation that the pose comes from, ns
     pose
         ``[x, y, z, qx, qy, qz, qw]`` in the base frame, m, filtered; None as long as it was never seen
+    covariance
+        (6, 6) of that observation, as its source says, m² and rad²; None where it says none
     """
 
     name: str
@@ -85,17 +104,21 @@ class TrackedFrame:
     confidence: float
     stamp_ns: int
     pose: NDArray[np.float64] | None
+    covariance: NDArray[np.float64] | None = None
 
 
 @dataclass(slots=True)
 class _Track:
     fixed: bool
     filter: PoseFilter
+    gate: LeapGate
+    clock: LeadMeter = field(default_factory=LeadMeter)
     pose: NDArray[np.float64] | None = None
     stamp_ns: int = 0
     seen_ns: int = 0  # steady
     confidence: float = 0.0
-    refused: dict[str, int] = field(default_factory=dict)
+    covariance: NDArray[np.float64] | None = None
+    record: FrameRecord = field(default_factory=FrameRecord)
 
 
 class FrameTracker:
@@ -123,13 +146,12 @@ class FrameTracker:
         config: TrackingConfig | None = None,
     ) -> None:
         self.config = config or TrackingConfig()
-        memory = self.config.filter_time
-        self._tracks = {name: _Track(fixed=False, filter=PoseFilter(memory)) for name in frames}
+        memory, motion = self.config.filter_time, self.config.motion
+        self._tracks = {name: _Track(fixed=False, filter=PoseFilter(memory), gate=LeapGate(motion)) for name in frames}
         for name, pose in (fixed or {}).items():
-            checked, reason = check_pose(pose)
-            if checked is None:
-                raise ValueError(f"frame '{name}': {reason}")
-            self._tracks[name] = _Track(fixed=True, filter=PoseFilter(0.0), pose=checked, confidence=1.0)
+            self._tracks[name] = _Track(fixed=True, filter=PoseFilter(0.0), gate=LeapGate(motion))
+            if reason := self.fix(name, pose):
+                raise ValueError(reason)
         if not self._tracks:
             raise ValueError("no frames to track: name at least one")
         if memory > 0.0:
@@ -143,9 +165,44 @@ class FrameTracker:
 
     def refusals(self, name: str) -> dict[str, int]:
         """Number of refused observations of a frame so far, by reason."""
-        return dict(self._tracks[name].refused)
+        return dict(self._tracks[name].record.refused)
 
-    def observe(self, name: str, pose: ArrayLike, stamp_ns: int, now_ns: int, steady_ns: int) -> str | None:
+    def fix(self, name: str, pose: ArrayLike) -> str | None:
+        """Take a frame as fixed from now on, such as one that static transforms lead to.
+
+        Parameters
+        ----------
+        name
+            the frame
+        pose
+            where it is, in the base frame
+
+        Returns
+        -------
+        str | None
+            None if it is taken so, else why not
+
+        Raises
+        ------
+        KeyError
+            for an unknown frame
+        """
+        track = self._tracks[name]
+        checked, reason = check_pose(pose)
+        if checked is None:
+            return self.refuse(name, reason)
+        track.fixed, track.pose, track.confidence, track.stamp_ns = True, checked, 1.0, 0
+        return None
+
+    def observe(
+        self,
+        name: str,
+        pose: Sequence[float] | NDArray[np.float64],
+        stamp_ns: int,
+        now_ns: int,
+        steady_ns: int,
+        covariance: NDArray[np.float64] | None = None,
+    ) -> str | None:
         """Add one observation.
 
         Parameters
@@ -160,6 +217,8 @@ class FrameTracker:
             ROS time at arrival
         steady_ns
             steady time at arrival
+        covariance
+            (6, 6) of the pose, where its source says one; it is kept, and handed on with the frame
 
         Returns
         -------
@@ -175,9 +234,14 @@ class FrameTracker:
         checked, reason = check_pose(pose)
         if checked is None:
             return self.refuse(name, reason)
-        if reason := self._check_stamp(track, stamp_ns, now_ns):
+        stamp_ns, reason = self._judged_stamp(track, stamp_ns, now_ns)
+        if reason:
             return self.refuse(name, reason)
+        if leap := track.gate.judge(checked, stamp_ns):
+            return self.refuse(name, self._words(name, leap, checked))
         track.pose, track.stamp_ns, track.seen_ns = track.filter.observe(checked, stamp_ns), stamp_ns, steady_ns
+        track.covariance = covariance
+        track.record.take(pose, checked, stamp_ns, track.filter)
         return None
 
     def refuse(self, name: str, reason: str) -> str:
@@ -195,36 +259,69 @@ class FrameTracker:
         str
             the reason, with the frame's name
         """
-        kind = reason.split(":", 1)[0]
-        refused = self._tracks[name].refused
-        refused[kind] = refused.get(kind, 0) + 1
+        self._tracks[name].record.refuse(reason)
         return f"frame '{name}': {reason}"
 
-    def _check_stamp(self, track: _Track, stamp_ns: int, now_ns: int) -> str:
+    def _judged_stamp(self, track: _Track, stamp_ns: int, now_ns: int) -> tuple[int, str]:
+        """The stamp by ROS time, and why the observation is refused."""
         if track.fixed:
-            return "fixed frame: its pose is given by the task file, observations are not used"
-        age = (now_ns - stamp_ns) / _SECOND
+            return stamp_ns, "fixed frame: its pose never changes, observations are not used"
+        age = (now_ns - stamp_ns) / SECOND
         if age < -self.config.max_future:
-            return f"stamp in the future: {-age:.3f} s ahead of ROS time, {self.config.max_future} s allowed"
+            corrected = track.clock.corrected(stamp_ns, now_ns)
+            if corrected is None:
+                allowed = f"{self.config.max_future} s allowed"
+                return stamp_ns, f"stamp in the future: {-age:.3f} s ahead of ROS time, {allowed}"
+            stamp_ns = corrected
         if age > self.config.max_age:
-            return f"stamp too old: {age:.3f} s behind ROS time, {self.config.max_age} s allowed"
+            return stamp_ns, f"stamp too old: {age:.3f} s behind ROS time, {self.config.max_age} s allowed"
         if stamp_ns == track.stamp_ns:
-            return "repeated stamp: the same observation came before"
+            return stamp_ns, "repeated stamp: the same observation came before"
         if stamp_ns < track.stamp_ns:
-            return "stamp out of order: older than the observation that is known already"
-        return ""
+            return stamp_ns, "stamp out of order: older than the observation that is known already"
+        return stamp_ns, ""
+
+    def _words(self, name: str, leap: Leap, pose: NDArray[np.float64]) -> str:
+        """Why a pose is refused: kind, ":", details."""
+        limits = self.config.motion
+        found = f"{leap.way:.3f} m and {math.degrees(leap.turn):.0f} deg in {leap.time:.3f} s"
+        allowed = f"{limits.way(leap.time):.3f} m and {math.degrees(limits.turn(leap.time)):.0f} deg are possible"
+        until = f"followed once it persists for {limits.leap_time:g} s"
+        for other, track in self._tracks.items():
+            if other != name and track.pose is not None and _are_near(track.pose, pose):
+                return f"swapped identity: leapt by {found} to where '{other}' is; {allowed}, {until}"
+        kind = "flip: turned on the spot" if leap.is_flip else "leap"
+        return f"{kind}: by {found}; {allowed}, {until}"
+
+    def health(self, steady_ns: int) -> dict[str, FrameHealth]:
+        """How well the frames are observed that are not fixed, by name, at a steady time, ns."""
+        found = {}
+        for name, track in self._tracks.items():
+            if not track.fixed:
+                period, record = track.gate.period, track.record
+                found[name] = FrameHealth(
+                    age=None if track.pose is None else (steady_ns - track.seen_ns) / SECOND,
+                    rate=None if period is None else 1.0 / period,
+                    noise=track.filter.noise,
+                    refused=dict(record.refused),
+                    notes=record.notes(track.clock.lead_ns),
+                    doubts=record.doubts(),
+                )
+        return found
 
     def forget(self) -> None:
         """Forget all observations (time jumped backwards: a looped bag, a restarted simulation)."""
         for track in self._tracks.values():
             if not track.fixed:
                 track.pose, track.stamp_ns, track.seen_ns, track.confidence = None, 0, 0, 0.0
-                track.filter.forget()
+                track.covariance = None
+                for part in (track.filter, track.gate, track.clock, track.record):
+                    part.forget()
         self._updated_ns = None
 
     def update(self, steady_ns: int) -> list[TrackedFrame]:
         """All frames as they are known at a steady time; call it regularly, since confidences change with time."""
-        elapsed = 0.0 if self._updated_ns is None else max(0.0, (steady_ns - self._updated_ns) / _SECOND)
+        elapsed = 0.0 if self._updated_ns is None else max(0.0, (steady_ns - self._updated_ns) / SECOND)
         first = self._updated_ns is None
         self._updated_ns = steady_ns
         return [self._update(name, track, steady_ns, elapsed, first) for name, track in self._tracks.items()]
@@ -233,7 +330,7 @@ class FrameTracker:
         if track.fixed:
             return TrackedFrame(name, FrameStatus.VISIBLE, 1.0, 0, track.pose)
         config = self.config
-        unseen = math.inf if track.pose is None else (steady_ns - track.seen_ns) / _SECOND
+        unseen = math.inf if track.pose is None else (steady_ns - track.seen_ns) / SECOND
         trusted = unseen <= config.visible_timeout + config.hold_time
         # Before the first update no confidence was published, so there is nothing to be continuous with.
         change = 1.0 if first else elapsed / config.fade_time
@@ -247,34 +344,9 @@ class FrameTracker:
             status = FrameStatus.HELD
         else:
             status = FrameStatus.MISSING
-        return TrackedFrame(name, status, track.confidence, track.stamp_ns, track.pose)
+        return TrackedFrame(name, status, track.confidence, track.stamp_ns, track.pose, track.covariance)
 
 
-def check_pose(pose: ArrayLike) -> tuple[NDArray[np.float64] | None, str]:
-    """The pose with its quaternion at unit length, or None and the reason why it is no pose.
-
-    Parameters
-    ----------
-    pose
-        ``[x, y, z, qx, qy, qz, qw]``
-
-    Returns
-    -------
-    tuple[NDArray[np.float64] | None, str]
-        the pose (7,) and an empty text, or None and the reason
-    """
-    checked = np.array(pose, dtype=np.float64)
-    if checked.shape != (7,):
-        return None, f"wrong size: shape {checked.shape}, expected 7 numbers x y z qx qy qz qw"
-    if not np.isfinite(checked).all():
-        return None, f"not finite: {checked.tolist()}"
-    if np.abs(checked).max() > MAX_NUMBER:  # squares of larger numbers are not finite, and no camera sees so far
-        return None, f"implausibly large: {checked.tolist()}, expected numbers up to {MAX_NUMBER:g} (m)"
-    if np.any((checked != 0.0) & (np.abs(checked) < np.finfo(np.float64).tiny)):
-        # rclpy copies the bits of a Python int into a float field, without an error
-        return None, f"not written as floats: {checked.tolist()}; an int in a float field reads so: write 1.0, not 1"
-    length = float(np.linalg.norm(checked[3:]))
-    if length < 1e-3:
-        return None, f"zero quaternion: {checked[3:].tolist()} has length {length:.3g}, expected 1"
-    checked[3:] /= length
-    return checked, ""
+def _are_near(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
+    way, turn = pose_error(a, b)
+    return way <= NOISE_WAY and turn <= NOISE_TURN

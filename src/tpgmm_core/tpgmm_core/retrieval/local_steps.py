@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
@@ -34,7 +35,13 @@ class LocalSteps:
     """
 
     def __init__(
-        self, model: TimeStepTPGMM, points: Array, velocities: Array, within: Array, view: Array, spheres: Array
+        self,
+        model: TimeStepTPGMM,
+        points: Array,
+        velocities: Array,
+        within: Array,
+        view: NDArray[np.intp],
+        spheres: NDArray[np.int64],
     ) -> None:
         assert model.shown_ is not None
         self._shown, self._strength = model.shown_, float(model.prior_strength)
@@ -44,22 +51,40 @@ class LocalSteps:
         self._layout = view, spheres
         P, T, n = velocities.shape
         m = len(self._shown.shown)
-        self._deviations, self._isotropic = np.zeros((P, T, m, n)), np.zeros((P, T, n, n))
+        self.n_modes = int(self._shown.modes.max()) + 1
+        self._set: int | None = None
+        self._deviations = np.zeros((P, T, m, n))
         self._more = np.zeros((P, T, n, n))  # of the covariances: what does not come from how demonstrations differ
+        self._isotropic = np.zeros((self.n_modes, P, T, n, n))
         self._freedom = np.zeros(P)
         self._sizes = np.zeros(P, dtype=np.int64)
         for j, (name, deviations) in enumerate(self._shown.deviations.items()):
             manifold = model.frame_manifolds_[name]
             space, size = manifold.subset(range(1, manifold.dim)), deviations.shape[2]
-            B, R = model.predictive(space, deviations, self._shown.seen[j])
             self._deviations[j, :, :, :size] = np.swapaxes(deviations, 0, 1)
-            self._isotropic[j, :, :size, :size] = B
-            self._more[j, :, :size, :size] = within[j, :, :size, :size] - R
+            for k in range(self.n_modes):
+                seen = self._shown.seen[j] & (self._shown.modes == k)[:, None]
+                B, R = model.predictive(space, deviations, seen)
+                self._isotropic[k, j, :, :size, :size] = B
+                if k == 0:
+                    self._more[j, :, :size, :size] = within[j, :, :size, :size] - R
             self._freedom[j], self._sizes[j] = model.block_size(space), size
         self._seen = np.ascontiguousarray(np.moveaxis(self._shown.seen, 2, 1))  # (P, T, m)
         self._grid = np.ascontiguousarray(next(iter(model.means_.values()))[:, 0])
         self._squares = np.zeros((T, m))
         self._is_fresh = np.zeros(T, dtype=np.bool_)
+        self._begin(0)
+
+    def _begin(self, mode: int) -> None:
+        self.mode = mode
+        self._counted = self._seen & (self._shown.modes == mode)
+        self._is_fresh[:] = False
+
+    def choose(self, mode: int | None) -> None:
+        """Go a way, from 0; None: that of near situations, which is chosen where a movement begins."""
+        self._set = mode
+        if mode is not None and mode != self.mode:
+            self._begin(mode)
 
     def situate(self, frames: Mapping[str, Frame]) -> None:
         """Take the places of frames over [time, data]."""
@@ -73,15 +98,21 @@ class LocalSteps:
 
     def at(self, times: Array) -> None:
         """Make the steps that these times lie between those of the situation."""
+        if self.n_modes > 1 and self._set is None and times[0] <= self._grid[1]:
+            near = np.exp(-0.5 * (self._squares[0] - self._squares[0].min()))
+            mode = int(np.argmax(np.bincount(self._shown.modes, near)))
+            if mode != self.mode:
+                self._begin(mode)
         localise(
-            self._grid, times, self._squares, self._locality, self._strength, self._deviations, self._seen,
-            self._isotropic, self._more, self._freedom, self._sizes, *self._layout, *self._alike, *self._out,
+            self._grid, times, self._squares, self._locality, self._strength, self._deviations, self._counted,
+            self._isotropic[self.mode], self._more, self._freedom, self._sizes, *self._layout, *self._alike, *self._out,
             self._is_fresh,
         )  # fmt: skip
 
     def weights(self, step: int) -> Array:
-        """How much each demonstration counts at a step, (m,)."""
-        return _weights(self._squares[step], self._locality)
+        """How much each demonstration counts at a step, of those whose way is gone, (m,)."""
+        w = _weights(self._squares[step], self._locality) * (self._shown.modes == self.mode)
+        return np.asarray(w / w.sum())
 
 
 @compiled

@@ -28,6 +28,8 @@ from tpgmm_core.retrieval.encodings import (
     VelocityEncoding,
     encoding_of,
 )
+from tpgmm_core.retrieval.exact import KEY as EXACT_KEY
+from tpgmm_core.retrieval.exact import Constrained, constraints_of
 from tpgmm_core.retrieval.interface import Retrieval, TimeParametrized
 from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
@@ -95,6 +97,36 @@ class RetrievalMethod:
                 f"{self.name} retrieves from a {self.estimator.__name__}, and this model is a {type(model).__name__}: "
                 f"train one with 'retrieval: {self.name}'"
             )
+
+    def course(self, model: TPGMM) -> TimeParametrized | None:
+        """The movement as a function of time, which meets the constraints that the model's metadata ask for.
+
+        Parameters
+        ----------
+        model
+            one that `check` accepts
+
+        Returns
+        -------
+        TimeParametrized | None
+            None for methods with a state of their own
+
+        Raises
+        ------
+        ValueError
+            for constraints that the model, or a method with a state of its own, cannot meet
+        """
+        constraints = constraints_of(model)
+        if self.time_parametrized is None:
+            if constraints:
+                functions_of_time = [other.name for other in METHODS.values() if other.time_parametrized]
+                raise ValueError(
+                    f"{self.name} cannot meet constraints exactly ({EXACT_KEY}: {shown(model.metadata_[EXACT_KEY])}): "
+                    f"choose a function of time, {', '.join(functions_of_time)}, or leave them out"
+                )
+            return None
+        course = self.time_parametrized(model)
+        return Constrained(course, constraints) if constraints else course
 
 
 def _dmp(model: TPGMM, **settings: Any) -> Retrieval:
@@ -231,8 +263,9 @@ def make_retrieval(
         "blend_time": blend_time,
     }
     retrieval: Retrieval
-    if chosen.time_parametrized is not None:
-        retrieval = Reproduction(chosen.time_parametrized(model), phase=PHASES[phase](), **settings)
+    course = chosen.course(model)
+    if course is not None:
+        retrieval = Reproduction(course, phase=PHASES[phase](), **settings)
     else:
         assert chosen.movement is not None
         if phase != "clock":

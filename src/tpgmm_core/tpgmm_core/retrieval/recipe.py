@@ -17,6 +17,8 @@ from tpgmm_core.learning.estimation.iteration import Progress
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.encodings import Encoding
+from tpgmm_core.retrieval.exact import KEY as EXACT_KEY
+from tpgmm_core.retrieval.exact import parsed
 from tpgmm_core.retrieval.methods import DEFAULT, KEY, RetrievalMethod, method_named
 
 PRIOR_STRENGTH = 3.0
@@ -36,15 +38,18 @@ class Recipe:
         of the demonstrations
     arguments
         of the method's estimator, without the manifold
+    exact
+        what the movement meets exactly, as a text (`tpgmm_core.retrieval.exact.parsed`)
     """
 
     method: RetrievalMethod
     encoding: Encoding
     arguments: Mapping[str, Any] = field(default_factory=dict)
+    exact: str | None = None
 
     @classmethod
     def of(cls, settings: Mapping[str, Any], method: str | None = None) -> Self:
-        """Make a recipe from settings by name: `retrieval`, options of the encoding, arguments of the estimator.
+        """Make a recipe from settings by name: `retrieval`, `exact`, options of the encoding, of the estimator.
 
         Where they name no `prior_strength` and the estimator has none of its own, it is PRIOR_STRENGTH.
 
@@ -66,6 +71,7 @@ class Recipe:
             for a method that is not known, and a setting that neither encoding nor estimator have
         """
         rest = dict(settings)
+        exact = rest.pop(EXACT_KEY, None)
         named = rest.pop(KEY, DEFAULT)
         chosen = method_named(named if method is None else method)
         options = {item.name for item in fields(chosen.encoding)}
@@ -81,7 +87,9 @@ class Recipe:
             rest.setdefault("init", encoding.init)
         if "prior_strength" in arguments and not chosen.estimator().prior_strength:
             rest.setdefault("prior_strength", PRIOR_STRENGTH)
-        return cls(chosen, encoding, rest)
+        if exact is not None:
+            parsed(exact)
+        return cls(chosen, encoding, rest, exact)
 
     @property
     def max_iter(self) -> int:
@@ -135,4 +143,7 @@ class Recipe:
             **self.encoding.metadata(),
             "duration_s": float(np.mean([d.times[-1] - d.times[0] for d in demonstrations])),
         }
+        if self.exact is not None:
+            model.metadata_[EXACT_KEY] = self.exact
+            self.method.course(model)  # raises where it cannot be met
         return model

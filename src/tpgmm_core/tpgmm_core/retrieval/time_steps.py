@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.disagreement import no_product
@@ -51,10 +51,7 @@ class TimeSteps(RegressThenProduct):
         self._within = np.zeros((P, T, n, n))
         for j, name in enumerate(names):
             D, n = sizes[j]
-            S = model.covariances_[name]
-            velocities = S[:, 1:, 0] / S[:, 0, 0, None]
-            self._points[j, :, :D], self._velocities[j, :, :n] = model.means_[name][:, 1:], velocities
-            self._within[j, :, :n, :n] = S[:, 1:, 1:] - velocities[:, :, None] * S[:, None, 0, 1:]
+            self._points[j, :, :D], self._velocities[j, :, :n], self._within[j, :, :n, :n] = model.steps(name)
         self._sizes = sizes
         view, spheres = self._view(model.manifold_.subset(range(1, model.manifold_.dim)))
         self._local = None
@@ -62,10 +59,34 @@ class TimeSteps(RegressThenProduct):
             self._local = LocalSteps(model, self._points, self._velocities, self._within, view, spheres)
         super().__init__(model)
 
-    def _view(self, manifold: Manifold) -> tuple[Array, Array]:
+    def _view(self, manifold: Manifold) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """The layout of what frames see, without time."""
         flat = np.arange(self._within.shape[-1]) if manifold.is_euclidean else manifold.ambient_of_tangent
         return flat, manifold.sphere_starts
+
+    @property
+    def mode(self) -> int:
+        """The way that the movement goes, from 1; it was chosen by the situation, when the movement began, or set."""
+        return 1 if self._local is None else self._local.mode + 1
+
+    def choose(self, mode: int) -> None:
+        """Go a way of the demonstrations from now on, instead of that of near situations.
+
+        Parameters
+        ----------
+        mode
+            from 1, the way of most demonstrations; 0: by the situation again
+
+        Raises
+        ------
+        ValueError
+            for a way that no demonstration went
+        """
+        known = 1 if self._local is None else self._local.n_modes
+        if not 0 <= mode <= known:
+            raise ValueError(f"mode is {mode!r}, and the demonstrations go {known} ways: 1 to {known}, 0: any")
+        if self._local is not None:
+            self._local.choose(None if mode == 0 else mode - 1)
 
     def situate(
         self, frames: Mapping[str, Frame], state: ArrayLike | None = None, weights: Mapping[str, float] | None = None

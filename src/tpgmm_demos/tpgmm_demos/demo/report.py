@@ -174,7 +174,22 @@ def largest_step(torque: Series, origin_ns: int, start: float, end: float) -> fl
 
 
 def longest_silence(torque: Series, origin_ns: int, end: float) -> float:
-    """Longest time without a torque, s, from the start (ns) to some seconds after it."""
+    """Longest time without a torque.
+
+    Parameters
+    ----------
+    torque
+        of the whole movement
+    origin_ns
+        its start, ns
+    end
+        until then, s since the start
+
+    Returns
+    -------
+    float
+        s
+    """
     times = torque.times(origin_ns)
     inside = times[(times > 0.0) & (times < end)]
     return float(np.diff(np.concatenate([[0.0], inside, [end]])).max())

@@ -14,6 +14,22 @@ from std_msgs.msg import Header
 from tpgmm_core import Gaussian
 from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
+from tpgmm_ros.messages.fields import pose_to_array, time_to_ns
+
+__all__ = [
+    "MAX_WRENCH",
+    "MessageError",
+    "floats",
+    "header_at",
+    "pose_from_array",
+    "pose_stamped",
+    "pose_to_array",
+    "pose_with_covariance",
+    "time_from_ns",
+    "time_to_ns",
+    "wrench_from_array",
+    "wrench_to_array",
+]
 
 #: N and N m: the weight of a ton.
 MAX_WRENCH = 1e4
@@ -28,11 +44,6 @@ def floats(values: Array) -> array[float]:
     return array("d", np.asarray(values, dtype=np.float64).tobytes())
 
 
-def time_to_ns(stamp: TimeMessage) -> int:
-    """A stamp in ns. More nanoseconds than a second has are none: the stamp is taken for the end of its second."""
-    return stamp.sec * 1_000_000_000 + min(stamp.nanosec, 999_999_999)
-
-
 def time_from_ns(nanoseconds: int) -> TimeMessage:
     """A time as a message."""
     seconds, rest = divmod(nanoseconds, 1_000_000_000)
@@ -42,12 +53,6 @@ def time_from_ns(nanoseconds: int) -> TimeMessage:
 def header_at(nanoseconds: int, frame_id: str) -> Header:
     """A header with a stamp, ns, and a frame."""
     return Header(stamp=time_from_ns(nanoseconds), frame_id=frame_id)
-
-
-def pose_to_array(pose: Pose) -> Array:
-    """(7,): as it came, not checked."""
-    position, orientation = pose.position, pose.orientation
-    return np.array([position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w])
 
 
 def pose_from_array(pose: Sequence[float] | Array) -> Pose:

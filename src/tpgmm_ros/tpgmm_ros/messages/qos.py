@@ -16,5 +16,13 @@ COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 #: State that a node which starts later must get too (task parameters, controller state).
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
+#: Transforms: many programs publish on the one topic, and all of them count.
+TRANSFORMS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+#: Transforms that never change come once, also to those who listen later.
+TRANSFORMS_STATIC = QoSProfile(
+    depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+
 #: Everything counts and nobody waits for it (diagnostics, the simulation's clock).
 EVENTS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)

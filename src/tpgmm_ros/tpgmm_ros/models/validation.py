@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tpgmm_core import TPGMM, Demonstration
+from tpgmm_core.choice.baselines import BASELINES, Learner
 from tpgmm_core.choice.calibration import knows_time, squared_distances_of
 from tpgmm_core.choice.novelty import novelty_of
 from tpgmm_core.choice.reproducing import reproduce_gaussians
@@ -57,6 +58,9 @@ class Fold:
         errors of the reproduction by a model of the others
     nearest
         errors of replaying the most similar of the others, as seen from the anchor; for comparison
+    baselines
+        errors of `tpgmm_core.choice.baselines`, by name; for comparison. Without those that could not be learned, or
+        have no answer in this situation
     iterations
         number of EM iterations
     squared_distances
@@ -68,13 +72,17 @@ class Fold:
     recording: Recording
     model: PathErrors
     nearest: PathErrors
+    baselines: dict[str, PathErrors]
     iterations: int
     squared_distances: Array
     novelty: tuple[float, float]
 
 
 def cross_validate(
-    recordings: Sequence[Recording], learn: Callable[[list[Demonstration]], TPGMM], anchor: str
+    recordings: Sequence[Recording],
+    learn: Callable[[list[Demonstration]], TPGMM],
+    anchor: str,
+    baselines: Learner | None = None,
 ) -> Iterator[Fold]:
     """Train on all recordings but one, reproduce in the situation of that one; each in turn.
 
@@ -89,6 +97,8 @@ def cross_validate(
         a model of demonstrations
     anchor
         frame from which the nearest demonstration is replayed
+    baselines
+        how these are learned; None: not at all
 
     Yields
     ------
@@ -112,6 +122,7 @@ def cross_validate(
             left_out,
             path_errors(path, left_out.movement),
             path_errors(replay_nearest(others, left_out, anchor), left_out.movement),
+            {} if baselines is None else baseline_errors(demonstrations, situation, left_out, baselines),
             int(model.n_iter_),
             squared_distances_of(path, covariances, left_out.movement, POSE, knows_time(model)),
             novelty_of(model, demonstrations, situation, POSE),
@@ -147,6 +158,36 @@ def replay_nearest(others: Sequence[Recording], situation: Recording, anchor: st
     return compose(compose(here, inverse(there)), moved)
 
 
+def baseline_errors(
+    demonstrations: Sequence[Demonstration], situation: Demonstration, left_out: Recording, learner: Learner
+) -> dict[str, PathErrors]:
+    """Errors of the baselines in the situation of a recording.
+
+    Parameters
+    ----------
+    demonstrations
+        of the others, over [time, pose]
+    situation
+        the recording as one of them
+    left_out
+        the recording
+    learner
+        how the baselines are learned
+
+    Returns
+    -------
+    dict[str, PathErrors]
+        by name; without those that could not be learned, or have no answer
+    """
+    found = {}
+    for name, learn in BASELINES.items():
+        try:
+            found[name] = path_errors(learn(demonstrations, learner)(situation), left_out.movement)
+        except ValueError:  # a singular covariance, or frames that contradict each other so much
+            continue
+    return found
+
+
 def path_errors(path: Array, shown: Array) -> PathErrors:
     """Errors of a path (T, 7) against the one that was shown (T, 7)."""
     distances = np.linalg.norm(path[:, :3] - shown[:, :3], axis=1)
@@ -169,6 +210,12 @@ def mean_errors(errors: Sequence[PathErrors]) -> PathErrors:
         orientation_end_deg=float(np.mean([e.orientation_end_deg for e in errors])),
         position_by_tenth_m=tuple(np.mean([e.position_by_tenth_m for e in errors], axis=0).tolist()),
     )
+
+
+def mean_baselines(folds: Sequence[Fold]) -> dict[str, tuple[PathErrors, int]]:
+    """Mean errors of each baseline that had an answer, and for how many of the folds, by name."""
+    found = {name: [fold.baselines[name] for fold in folds if name in fold.baselines] for name in BASELINES}
+    return {name: (mean_errors(errors), len(errors)) for name, errors in found.items() if errors}
 
 
 def _distance(p: Array, q: Array) -> float:

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""frame_tracker: PoseStamped topics in, task parameters out, frames that are not seen tolerated."""
+"""frame_tracker: poses of frames in, task parameters out, frames that are not seen tolerated."""
 
 from __future__ import annotations
 
 import functools
+import math
 import sys
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -12,13 +13,18 @@ from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 
-from tpgmm_core.common.text import shown
+from tpgmm_core.common.text import listed
+from tpgmm_core.common.types import Array
+from tpgmm_core.observation.health import FrameHealth
+from tpgmm_core.observation.poses import Observation, wrong_frame
 from tpgmm_core.observation.tracking import FrameStatus, FrameTracker, TrackedFrame, TrackingConfig
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.lockstep import LateBarrier, is_nothing_seen
 from tpgmm_ros.messages.qos import LATCHED, STREAM
+from tpgmm_ros.messages.sources import PoseStampedSource
 from tpgmm_ros.messages.values import StampedFrames
+from tpgmm_ros.nodes.frame_sources import FrameSources
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.local_topics import publish_value
 from tpgmm_ros.runtime.monitor import Monitor
@@ -59,7 +65,7 @@ class FrameTrackerNode(Node):
         self.task = Task.load(parameters.file("task_file"))
         given = {} if parameters["filter_time"] < 0.0 else {"filter_time": parameters["filter_time"]}
         self.tracker = FrameTracker(
-            self.task.topics,
+            self.task.sources,
             fixed={name: spec.pose for name, spec in self.task.frames.items() if spec.pose is not None},
             config=TrackingConfig(**(self.task.tracking | given)),
         )
@@ -67,20 +73,30 @@ class FrameTrackerNode(Node):
         self._known: list[TrackedFrame] = []
         self._changes = 0
         self._publisher = self.create_publisher(TaskParameters, "task_parameters", LATCHED)
-        take = self._observe
+        self._sources: FrameSources | None = None
         if parameters["lockstep"]:
-            take = self._collect
-            self._barrier = LateBarrier[PoseStamped](self.task.topics, self._answer, self._send)
-            self.create_subscription(PoseStamped, self.task.movement, self._tick, STREAM)
+            self._subscribe_in_lockstep()
         else:
+            self._sources = FrameSources(
+                self, self.task.sources, self.task.base_frame, self._observe, self._refuse, self._fix
+            )
             self.create_timer(1.0 / parameters["rate"], self._publish_regularly, clock=self._loop_clock)
-        for name, topic in self.task.topics.items():
-            self.create_subscription(PoseStamped, topic, functools.partial(take, name), STREAM)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
         self._jump = self.get_clock().create_jump_callback(backwards, post_callback=lambda _: self._forget())
         self.monitor = Monitor(self, self._status)
 
     # -- in lockstep --------------------------------------------------------------------------------------------------
+
+    def _subscribe_in_lockstep(self) -> None:
+        if others := self.task.sources.keys() - self.task.topics.keys():
+            raise ValueError(
+                "in lockstep frames are observed as PoseStamped, which can say that nothing was seen; other sources in "
+                f"the task file have {listed(sorted(others))}"
+            )
+        self._barrier = LateBarrier[PoseStamped](self.task.topics, self._answer, self._send)
+        self.create_subscription(PoseStamped, self.task.movement, self._tick, STREAM)
+        for name, topic in self.task.topics.items():
+            self.create_subscription(PoseStamped, topic, functools.partial(self._collect, name), STREAM)
 
     def _tick(self, message: PoseStamped) -> None:
         self._barrier.tick(conversions.time_to_ns(message.header.stamp))
@@ -92,15 +108,19 @@ class FrameTrackerNode(Node):
     def _answer(self, stamp_ns: int, seen: dict[str, PoseStamped | None]) -> None:
         for name in self.task.topics:
             if (message := seen[name]) is not None:
-                self._take(name, message, stamp_ns, stamp_ns)
+                observation = PoseStampedSource.observation(message)
+                if reason := wrong_frame(observation.frame_id, self.task.base_frame):
+                    self._refuse(name, reason)
+                else:
+                    self._take(name, observation, stamp_ns, stamp_ns)
         self._update(stamp_ns)
         self._send(stamp_ns)
 
     # -- otherwise ----------------------------------------------------------------------------------------------------
 
-    def _observe(self, name: str, message: PoseStamped) -> None:
+    def _observe(self, name: str, observation: Observation) -> None:
         steady_ns = self._loop_clock.now().nanoseconds
-        if self._take(name, message, self.get_clock().now().nanoseconds, steady_ns) and self._changes < MAX_CHANGES:
+        if self._take(name, observation, self.get_clock().now().nanoseconds, steady_ns) and self._changes < MAX_CHANGES:
             self._changes += 1
             self._publish()
 
@@ -114,20 +134,20 @@ class FrameTrackerNode(Node):
 
     # -- always -------------------------------------------------------------------------------------------------------
 
-    def _take(self, name: str, message: PoseStamped, now_ns: int, steady_ns: int) -> bool:
+    def _take(self, name: str, observation: Observation, now_ns: int, steady_ns: int) -> bool:
         """Whether the observation was taken."""
-        if message.header.frame_id != self.task.base_frame:
-            found, expected = message.header.frame_id, self.task.base_frame
-            reason = (
-                f"wrong frame_id: {shown(found)}, expected {shown(expected)}; transform poses before they are published"
-            )
-            self._warn(self.tracker.refuse(name, reason))
-            return False
-        pose, stamp_ns = conversions.pose_to_array(message.pose), conversions.time_to_ns(message.header.stamp)
-        refusal = self.tracker.observe(name, pose, stamp_ns, now_ns, steady_ns)
+        stamp_ns, _, pose, covariance = observation
+        refusal = self.tracker.observe(name, pose, stamp_ns, now_ns, steady_ns, covariance)
         if refusal:
             self._warn(refusal)
         return refusal is None
+
+    def _refuse(self, name: str, reason: str) -> None:
+        self._warn(self.tracker.refuse(name, reason))
+
+    def _fix(self, name: str, pose: Array) -> None:
+        if refusal := self.tracker.fix(name, pose):
+            self._warn(refusal)
 
     def _update(self, steady_ns: int) -> None:
         self.monitor.asked += 1
@@ -145,6 +165,8 @@ class FrameTrackerNode(Node):
     def _forget(self) -> None:
         self.get_logger().warning("time jumped backwards: all observations are forgotten")
         self.tracker.forget()
+        if self._sources is not None:
+            self._sources.forget()
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text, throttle_duration_sec=2.0)
@@ -152,12 +174,25 @@ class FrameTrackerNode(Node):
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
         lost = [frame.name for frame in self._known if frame.status is FrameStatus.MISSING]
         values = {f"status_{frame.name}": frame.status.name for frame in self._known}
-        for name in self.tracker.names:
-            for kind, count in self.tracker.refusals(name).items():
-                values[f"refused_{name}: {kind}"] = str(count)
-        if lost:
-            return DiagnosticStatus.WARN, f"missing: {', '.join(lost)}", values
+        said = [f"missing: {', '.join(lost)}"] if lost else []
+        unknown = self._sources.unknown() if self._sources is not None else {}
+        said += [f"frame '{name}': {reason}" for name, reason in unknown.items() if name in lost]
+        for name, health in self.tracker.health(self._loop_clock.now().nanoseconds).items():
+            values |= _values(name, health)
+            said += [f"frame '{name}': {doubt}" for doubt in health.doubts]
+        if said:
+            return DiagnosticStatus.WARN, "; ".join(said), values
         return DiagnosticStatus.OK, "all frames are known", values
+
+
+def _values(name: str, health: FrameHealth) -> dict[str, str]:
+    """One frame in the diagnostics."""
+    values = {} if health.age is None else {f"age_{name}_s": f"{health.age:.3f}"}
+    if health.rate is not None:
+        values[f"rate_{name}_hz"] = f"{health.rate:.1f}"
+    values[f"noise_{name}"] = f"{1e3 * health.noise[0]:.2f} mm, {math.degrees(health.noise[1]):.2f} deg"
+    values |= {f"refused_{name}: {kind}": str(count) for kind, count in health.refused.items()}
+    return values | {f"note_{name}_{i}": note for i, note in enumerate(health.notes, 1)}
 
 
 def main() -> int:

@@ -86,13 +86,14 @@ def hand_task(task: Task, model: TPGMM, endpoints: list[str]) -> HandTask:
     topics = {f"endpoint/{name}/pose": name for name in endpoints}
     places: dict[str, str | np.ndarray] = {}
     for name, frame in task.frames.items():
+        topic = task.topics.get(name)
         if frame.pose is not None:
             places[name] = np.array(frame.pose)
-        elif frame.topic in topics:
-            places[name] = topics[frame.topic]
+        elif topic in topics:
+            places[name] = topics[topic]
         else:
             raise ValueError(
-                f"{task.name}: frame '{name}' is on {shown(frame.topic)}; expected one of {listed(sorted(topics))}"
+                f"{task.name}: frame '{name}' is on {shown(topic)}; expected one of {listed(sorted(topics))}"
             )
     return HandTask(model, task.endpoint, places)
 

@@ -23,8 +23,8 @@ from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.reference import Reference
+from tpgmm_core.observation.poses import check_pose
 from tpgmm_core.observation.streams import Beat, Stamp
-from tpgmm_core.observation.tracking import check_pose
 from tpgmm_core.retrieval.execution import ExecutionConfig
 from tpgmm_core.retrieval.methods import METHODS, method_named
 from tpgmm_core.retrieval.phase import PHASES

@@ -15,18 +15,20 @@ from scipy.stats import spearmanr
 from tqdm import tqdm
 
 from tpgmm_core import TPGMM, Demonstration
+from tpgmm_core.choice.baselines import Learner
 from tpgmm_core.choice.calibration import Calibration
 from tpgmm_core.choice.novelty import range_of
 from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.report import format_table
-from tpgmm_core.common.text import one_line
+from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.learning.situations import demonstrated_situations
+from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.retrieval.calibrated import scale_key
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_core.retrieval.novelty import NoveltyScale
 from tpgmm_core.retrieval.recipe import Recipe
-from tpgmm_ros.models.validation import Fold, PathErrors, cross_validate, mean_errors
+from tpgmm_ros.models.validation import Fold, PathErrors, cross_validate, mean_baselines, mean_errors
 from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.programs.train_auto import choose_for, words
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, join_parts, read_recordings
@@ -257,17 +259,34 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
         "training time": f"{training.time_s:.2f} s",
     }
     print(format_table(("what", "value"), rows.items()))
+    if isinstance(model, TimeStepTPGMM) and model.modes_.any():
+        report["modes"] = model.modes_.tolist()
+        print(_ways(model, training.recordings))
     if not task.space.joints():
         situations = demonstrated_situations(align(training.recordings)[0], task.space.manifold())
         report["situations"] = asdict(situations)
         print(f"situations: {situations}")
 
 
+def _ways(model: TimeStepTPGMM, recordings: list[Recording]) -> str:
+    """Which demonstrations do the same thing in which way."""
+    names = [recording.path.name for recording in recordings]
+    groups = [
+        listed([n for n, way in zip(names, model.modes_, strict=True) if way == k]) for k in np.unique(model.modes_)
+    ]
+    lines = [f"  way {k}: {group}" for k, group in enumerate(groups, 1)]
+    chosen = (
+        f"way {model.mode} alone is learned" if model.mode else "the situation chooses; 'mode: K' takes way K alone"
+    )
+    return "\n".join([f"demonstrations go {len(lines)} ways, which are kept apart ({chosen}):", *lines])
+
+
 def _validate(task: Task, recipe: Recipe, recordings: list[Recording], trained: TPGMM) -> dict[str, Any]:
-    anchor, space = list(task.topics or task.frames)[-1], task.space.manifold()
+    anchor, space = list(task.sources or task.frames)[-1], task.space.manifold()
     folds: list[Fold] = []
     with _bar(total=len(recordings), desc="leave one out", unit="demonstration") as bar:
-        for fold in cross_validate(recordings, lambda demonstrations: recipe.learn(demonstrations, space), anchor):
+        learner = Learner.of(space, recipe.arguments)
+        for fold in cross_validate(recordings, lambda shown: recipe.learn(shown, space), anchor, learner):
             folds.append(fold)
             bar.update()
     mean = mean_errors([fold.model for fold in folds])
@@ -278,6 +297,10 @@ def _validate(task: Task, recipe: Recipe, recordings: list[Recording], trained: 
     rows.append(("mean", *_cells(mean), *_cells(mean_nearest)))
     print(f"\nleave one out: the model, and the nearest demonstration moved with the frame {anchor!r} (n.)")
     print(format_table(("left out", *columns, *(f"n. {column}" for column in columns)), rows))
+    baselines = mean_baselines(folds)
+    others = [(name, *_cells(errors), count) for name, (errors, count) in baselines.items()]
+    print("\nother kinds of models, with as many components; means over those left out that they have an answer for")
+    print(format_table(("", *columns, "left out"), [("this model", *_cells(mean), len(folds)), *others]))
     print("\nmean position error in each tenth of the movement, m")
     print(
         format_table(
@@ -296,12 +319,14 @@ def _validate(task: Task, recipe: Recipe, recordings: list[Recording], trained: 
         "novelty_rank_correlation": novelty,
         "mean": asdict(mean),
         "mean_nearest": asdict(mean_nearest),
+        "mean_baselines": {name: asdict(errors) for name, (errors, _) in baselines.items()},
         "folds": [
             {
                 "bag": str(fold.recording.path),
                 "iterations": fold.iterations,
                 **asdict(fold.model),
                 "nearest": asdict(fold.nearest),
+                "baselines": {name: asdict(errors) for name, errors in fold.baselines.items()},
             }
             for fold in folds
         ],

@@ -5,7 +5,7 @@ rosbag2 (MCAP, sqlite3) and ROS 1 bags: no ROS installation takes part. Whatever
 BagError that says which bag, what was found, what was expected and what to do.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,17 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.common.text import listed, one_line
-from tpgmm_core.geometry import quaternion
 from tpgmm_ros.recordings.storage.bag_error import BagError
 from tpgmm_ros.recordings.storage.bag_reader import BagReader, BagTopic
 
-__all__ = ["BagError", "Messages", "Stream", "checked_poses", "read_messages"]
+__all__ = ["BagError", "Messages", "Stream", "read_messages", "topics_of_type"]
 
 Array = NDArray[np.float64]
 Nanoseconds = NDArray[np.int64]
-
-_QUATERNION_TOLERANCE = 0.1
-"""Norms further from 1 are no rounding: the message holds something else, or was never filled in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +56,15 @@ class Stream:
         (T,) times at which the recorder received the messages, in ns
     values
         (T, n)
+    notes
+        what was left out or put right, in words
     """
 
     topic: str
     stamps: Nanoseconds
     recorded: Nanoseconds
     values: Array
+    notes: tuple[str, ...] = ()
 
 
 def read_messages(path: Path, topics: Iterable[str], message_type: str) -> dict[str, Messages]:
@@ -107,53 +106,28 @@ def read_messages(path: Path, topics: Iterable[str], message_type: str) -> dict[
     }
 
 
-def checked_poses(path: Path, topic: str, poses: Sequence[Any], frame_ids: Iterable[str], base_frame: str) -> Array:
-    """Check poses of a bag.
+def topics_of_type(path: Path, message_type: str) -> set[str]:
+    """Topics of a type in a bag.
 
     Parameters
     ----------
-    path, topic
-        where they are from, for errors
-    poses
-        geometry_msgs/Pose
-    frame_ids
-        frames that they are expressed in
-    base_frame
-        the frame that they must be expressed in
+    path
+        of the bag
+    message_type
+        full name
 
     Returns
     -------
-    Array
-        shape (T, 7): x, y, z in m, qx, qy, qz, qw, unit quaternions of continuous sign
+    set[str]
+        names without slashes around them
 
     Raises
     ------
     BagError
-        the poses are not in `base_frame`, or one is not finite or has no unit quaternion.
+        the bag is damaged.
     """
-    foreign = sorted(set(frame_ids) - {base_frame, f"/{base_frame}"})
-    if foreign:
-        raise BagError(
-            path,
-            f"{topic} has poses in the frame {listed(foreign, 5)}, expected the base frame "
-            f"{base_frame!r}; transform them before recording, or correct base_frame in the task file",
-        )
-    numbers = np.array([_numbers(pose) for pose in poses])
-    finite = np.isfinite(numbers).all(axis=1)
-    norms = np.linalg.norm(numbers[:, 3:], axis=1)
-    for good, what in (
-        (finite, "numbers that are not finite"),
-        (abs(norms - 1.0) <= _QUATERNION_TOLERANCE, "a quaternion whose norm is not 1"),
-    ):
-        if not good.all():
-            first = int(np.argmin(good))
-            raise BagError(
-                path,
-                f"{topic} has {what} in {np.count_nonzero(~good)} of {len(numbers)} poses, the first "
-                f"is number {first}: {numbers[first].tolist()}; correct what publishes it, and record again",
-            )
-    numbers[:, 3:] = quaternion.continuous(quaternion.normalize(numbers[:, 3:]))
-    return numbers
+    with BagReader(path) as reader:
+        return {topic.name.strip("/") for topic in reader.topics if topic.type == message_type}
 
 
 def _topics(path: Path, topics: list[str], there: list[BagTopic], message_type: str) -> dict[str, BagTopic]:
@@ -186,14 +160,9 @@ def _topics(path: Path, topics: list[str], there: list[BagTopic], message_type: 
                 raise BagError(
                     path,
                     f"{one_line(topic.name, 60)} is of type {one_line(topic.type, 60)}, expected "
-                    f"{message_type}; {others}. Correct the topic in the task file",
+                    f"{message_type}; {others}. Correct the topic in the task file, or name the type there",
                 )
             chosen[name] = topic
         if not chosen[name].count:
             raise BagError(path, f"{name} is there, but without a message; nothing published it while recording")
     return chosen
-
-
-def _numbers(pose: Any) -> tuple[float, ...]:
-    p, q = pose.position, pose.orientation
-    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags to demonstrations: one clock, every frame at every sample of the movement, one common duration."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,14 +10,20 @@ from numpy.typing import NDArray
 
 from tpgmm_core import Demonstration
 from tpgmm_core.common.text import listed
-from tpgmm_core.doubt.clocks import ClockError, TopicTimes, common_clock, gaps
+from tpgmm_core.doubt.clocks import ClockError, CommonClock, TopicTimes, common_clock, gaps
 from tpgmm_core.doubt.doubts import Doubt
+from tpgmm_core.doubt.values import LARGEST_M
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.observation.gate import MotionLimits
+from tpgmm_core.observation.streams import SECOND
+from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
 from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds, Stream
 from tpgmm_ros.recordings.finding import find_bags, join_parts
+from tpgmm_ros.recordings.joint_movement import read_link_stream
 from tpgmm_ros.recordings.joint_streams import read_joint_stream
 from tpgmm_ros.recordings.pose_arrays import read_pose_array
-from tpgmm_ros.recordings.pose_streams import read_pose_streams
+from tpgmm_ros.recordings.pose_streams import read_pose_streams, without_leaps
 from tpgmm_ros.recordings.recording import Recording, align
 from tpgmm_ros.recordings.storage.bag_reader import parts_of
 from tpgmm_ros.task.task_file import PoseArraySpec, Task
@@ -37,6 +43,10 @@ __all__ = [
 MIN_SAMPLES = 10
 """Fewer samples of a movement are no demonstration of one."""
 
+MOVEMENT = "the movement"
+JOINTS = "the joints"
+"""Names of the movement and of the joints among the streams; no frame's name has a space."""
+
 START_TOLERANCE_S = 0.5
 """Topics start in any order when a recorder is switched on: a frame seen so soon was there all along."""
 
@@ -50,14 +60,15 @@ MOVED = 0.005
 
 
 def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
-    """Read one bag, as `Task.recordings` says it was recorded: PoseStamped on topics, or one PoseArray.
+    """Read one bag, as the task says it was recorded: streams of poses, or one PoseArray.
 
-    Of PoseStamped, times are the header stamps when those of all topics are sane (not zero, never backwards, of
-    one clock), else the times of the recorder for all topics; a note says when. Messages that repeat a stamp are
+    Poses that are none, or that leap, are left out and counted in a note. Of streams, times are the header stamps when
+    those of all topics are sane (not zero, never backwards), else the times of the recorder for all topics; a note
+    says when, and doubts say what was put right (see `tpgmm_core.doubt.clocks`). Messages that repeat a stamp are
     dropped, and counted in a note. A frame holds its latest pose, however long ago that was seen. Before its first
-    observation a frame is not visible, unless that observation comes within 0.5 s of the first sample: then
-    the frame counts as seen from the start. Joints are interpolated between their messages. Of a PoseArray, times are
-    the numbers of the poses times `period`, and frames stand still.
+    observation a frame is not visible, unless that observation comes within 0.5 s of the first sample: then the frame
+    counts as seen from the start. Joints are interpolated between their messages. Of a PoseArray, times are the numbers
+    of the poses times `period`, and frames stand still.
 
     Parameters
     ----------
@@ -108,15 +119,16 @@ def _thinned(recording: Recording, every: int) -> Recording:
 
 
 def _from_pose_array(path: Path, task: Task, spec: PoseArraySpec) -> Recording:
-    movement, places = read_pose_array(path, spec, list(task.topics), task.base_frame)
+    stream, places = read_pose_array(path, spec, list(task.sources), task.base_frame)
+    movement, numbers = stream.values, stream.stamps // round(spec.period * SECOND)
     places |= {name: np.array(frame.pose) for name, frame in task.frames.items() if frame.pose is not None}
     T = len(movement)
-    notes = []
+    notes = list(stream.notes)
     if T > 1 and (movement[:, 3:] == quaternion.IDENTITY).all():
         notes.append("every orientation is 0 0 0 1: none was recorded; what a model says of it means nothing")
     return Recording(
         path,
-        spec.period * np.arange(T, dtype=float),
+        spec.period * (numbers - numbers[0]).astype(float),
         movement,
         {name: np.tile(places[name], (T, 1)) for name in task.frames},
         {name: np.ones(T, bool) for name in task.frames},
@@ -126,36 +138,39 @@ def _from_pose_array(path: Path, task: Task, spec: PoseArraySpec) -> Recording:
 
 
 def _from_streams(path: Path, task: Task) -> Recording:
-    streams = read_pose_streams(path, [task.movement, *task.topics.values()], task.base_frame)
+    streams, fixed = read_pose_streams(path, _sources(task), task.base_frame)
+    if isinstance(task.recorded_movement, JointStateSource):
+        streams[MOVEMENT] = read_link_stream(path, task.recorded_movement, task.base_frame)
     names = task.space.joints()
     joints = read_joint_stream(path, task.space.joint_states, names) if names else None
-    stamped: list[Stream] = [*streams.values(), *([] if joints is None else [joints])]
-    try:
-        clock = common_clock(_times_of(streams[task.movement]), [_times_of(s) for s in stamped if s is not stamped[0]])
-    except ClockError as error:
-        raise BagError(path, str(error)) from None
-    notes, doubts = list(clock.notes), [*clock.doubts]
+    clock = _clock(path, streams if joints is None else {**streams, JOINTS: joints})
+    notes, doubts = list(clock.notes), list(clock.doubts)
     series: dict[str, tuple[Nanoseconds, Array]] = {}
-    for topic, stream in streams.items():
-        ns, values = clock.times[stream.topic], stream.values[clock.kept[stream.topic]]
+    limits = TrackingConfig(**task.tracking).motion
+    for name, stream in streams.items():
+        notes += stream.notes
+        ns, values = clock.times[name], stream.values[clock.kept[name]]
         fresh = np.diff(ns, prepend=ns[0] - 1) > 0
         if not fresh.all():
             notes.append(f"{stream.topic}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
-        series[topic] = ns[fresh], values[fresh]
-        doubts += _doubts_of_rate(stream.topic, series[topic], topic == task.movement)
+        doubts += _doubts_of_rate(stream.topic, (ns[fresh], values[fresh]), name == MOVEMENT)
+        kept, poses, leaps = without_leaps(path, stream.topic, ns[fresh], values[fresh], _in_its_unit(limits, values))
+        series[name] = kept, poses
+        notes += leaps
 
-    ns, movement = series[task.movement]
+    ns, movement = series[MOVEMENT]
     frames: dict[str, Array] = {}
     visible: dict[str, NDArray[np.bool_]] = {}
     for name, spec in task.frames.items():
-        if spec.topic is None:
-            frames[name], visible[name] = np.tile(np.array(spec.pose), (len(ns), 1)), np.ones(len(ns), bool)
+        if name not in series:
+            pose = fixed[name] if spec.pose is None else np.array(spec.pose)
+            frames[name], visible[name] = np.tile(pose, (len(ns), 1)), np.ones(len(ns), bool)
             continue
-        frames[name], visible[name] = _hold(*series[spec.topic], ns)
+        frames[name], visible[name] = _hold(*series[name], ns)
         if not visible[name].any():
             raise BagError(
                 path,
-                f"{streams[spec.topic].topic} was first seen after the movement had ended; publish the "
+                f"{streams[name].topic} was first seen after the movement had ended; publish the "
                 f"frame {name!r} before the demonstration starts",
             )
         unseen = np.count_nonzero(~visible[name])
@@ -163,14 +178,30 @@ def _from_streams(path: Path, task: Task) -> Recording:
             notes.append(f"{name}: not seen in the first {unseen} of {len(ns)} samples")
     configurations = None
     if joints is not None:
-        kept, seen = clock.kept[joints.topic], clock.times[joints.topic]
-        configurations = _configurations(path, joints, joints.values[kept], seen, ns)
+        configurations = _configurations(path, joints, joints.values[clock.kept[JOINTS]], clock.times[JOINTS], ns)
     times, derived = (ns - ns[0]) * 1e-9, task.derived
     return Recording(path, times, movement, frames, visible, tuple(notes), configurations, derived, tuple(doubts))
 
 
-def _times_of(stream: Stream) -> TopicTimes:
-    return TopicTimes(stream.topic, stream.stamps, stream.recorded)
+def _sources(task: Task) -> dict[str, Source]:
+    """Where the movement and the frames are in a recording, but for a movement of joints."""
+    movement = task.recorded_movement or PoseStampedSource(task.movement)
+    return ({} if isinstance(movement, JointStateSource) else {MOVEMENT: movement}) | task.sources
+
+
+def _clock(path: Path, streams: Mapping[str, Stream]) -> CommonClock:
+    """When all that is in these streams was true."""
+    times = {name: TopicTimes(name, s.topic, s.stamps, s.recorded) for name, s in streams.items()}
+    try:
+        return common_clock(times.pop(MOVEMENT), list(times.values()))
+    except ClockError as error:
+        raise BagError(path, str(error)) from None
+
+
+def _in_its_unit(limits: MotionLimits, poses: Array) -> MotionLimits:
+    """Limits for poses (T, 7) that look like millimetres: these are doubted as such, and do not leap."""
+    low, high = np.quantile(poses[:, :3], (0.05, 0.95), axis=0)
+    return limits if np.linalg.norm(high - low) <= LARGEST_M else replace(limits, speed=1000.0 * limits.speed)
 
 
 def _doubts_of_rate(topic: str, series: tuple[Nanoseconds, Array], moves: bool) -> list[Doubt]:

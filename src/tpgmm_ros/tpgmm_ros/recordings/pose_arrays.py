@@ -15,7 +15,11 @@ import numpy as np
 from tpgmm_core.common.safe_yaml import YamlError
 from tpgmm_core.common.yaml_sections import Section
 from tpgmm_core.common.yaml_values import a_quaternion, numbers
-from tpgmm_ros.recordings.bag_messages import Array, BagError, checked_poses, read_messages
+from tpgmm_core.observation.poses import Observation
+from tpgmm_core.observation.streams import SECOND
+from tpgmm_ros.messages.fields import pose_numbers
+from tpgmm_ros.recordings.bag_messages import Array, BagError, Stream, read_messages
+from tpgmm_ros.recordings.pose_streams import usable_poses
 from tpgmm_ros.task.task_file import PoseArraySpec
 
 POSE_ARRAY = "geometry_msgs/msg/PoseArray"
@@ -23,7 +27,7 @@ POSE_ARRAY = "geometry_msgs/msg/PoseArray"
 
 def read_pose_array(
     path: Path, spec: PoseArraySpec, frames: Iterable[str], base_frame: str
-) -> tuple[Array, dict[str, Array]]:
+) -> tuple[Stream, dict[str, Array]]:
     """Read a movement and its frames from a bag of PoseArray messages.
 
     Parameters
@@ -39,14 +43,15 @@ def read_pose_array(
 
     Returns
     -------
-    tuple[Array, dict[str, Array]]
-        poses (T, 7) of the movement, and those (7,) of the frames that the file holds for this bag
+    tuple[Stream, dict[str, Array]]
+        poses (T, 7) of the movement, at multiples of the period, and those (7,) of the frames that the file holds for
+        this bag
 
     Raises
     ------
     BagError
-        the bag cannot be read, does not hold one PoseArray with good poses in `base_frame`, or the file of
-        frames does not tell each frame of this bag.
+        the bag cannot be read, does not hold one PoseArray with poses in `base_frame`, most of them good, or the file
+        of frames does not tell each frame of this bag.
     """
     found = read_messages(path, [spec.pose_array], POSE_ARRAY)[spec.pose_array]
     if len(found.messages) != 1:
@@ -58,8 +63,11 @@ def read_pose_array(
     message = found.messages[0]
     if not message.poses:
         raise BagError(path, f"the PoseArray on {found.topic} is empty; record the whole movement")
-    movement = checked_poses(path, found.topic, message.poses, [message.header.frame_id], base_frame)
-    return movement, _places(path, spec.frames, frames)
+    period_ns, frame_id = round(spec.period * SECOND), message.header.frame_id
+    seen = [Observation(k * period_ns, frame_id, pose_numbers(pose)) for k, pose in enumerate(message.poses)]
+    movement, good, notes = usable_poses(path, found.topic, seen, base_frame)
+    stamps = period_ns * np.flatnonzero(good)
+    return Stream(found.topic, stamps, stamps, movement, notes), _places(path, spec.frames, frames)
 
 
 def _places(path: Path, file_name: str, frames: Iterable[str]) -> dict[str, Array]:

@@ -1,51 +1,241 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of PoseStamped out of one bag."""
+"""Poses out of one bag, from the sources that a task names; what is no pose is left out, counted and said."""
 
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from tpgmm_ros.recordings.bag_messages import Stream, checked_poses, read_messages
+from tpgmm_core.common.text import listed, shown
+from tpgmm_core.geometry.pose import compose
+from tpgmm_core.observation.gate import MotionLimits, likeliest_course
+from tpgmm_core.observation.poses import ROUNDING, Observation, check_poses, doubtful_units, wrong_frame
+from tpgmm_core.observation.transforms import NO_TRANSFORM, TransformError
+from tpgmm_ros.messages.sources import Source, TopicSource, TransformSource
+from tpgmm_ros.recordings.bag_messages import (
+    Array,
+    BagError,
+    Messages,
+    Nanoseconds,
+    Stream,
+    read_messages,
+)
+from tpgmm_ros.recordings.transforms import RecordedTransforms
 
-POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+MOST_BAD = 0.5
+"""Where a larger share of the poses cannot be used, the source is at fault, not a pose."""
 
 
-def read_pose_streams(path: Path, topics: Iterable[str], base_frame: str) -> dict[str, Stream]:
-    """Read PoseStamped topics of one bag.
+class PoseStreams(NamedTuple):
+    """What a bag says of the things that a task names.
+
+    Parameters
+    ----------
+    moving
+        poses by name
+    fixed
+        poses (7,) of those that only static transforms lead to
+    """
+
+    moving: dict[str, Stream]
+    fixed: dict[str, Array]
+
+
+def read_pose_streams(path: Path, sources: Mapping[str, Source], base_frame: str) -> PoseStreams:
+    """Read the poses that a bag holds of several things.
 
     Topics are relative names. A bag recorded inside a namespace is understood when the namespace is the only
-    one in which all of the topics exist.
+    one in which all of the topics exist. Poses in other frames are transformed by what the bag holds on /tf and
+    /tf_static.
 
     Parameters
     ----------
     path
         of the bag
-    topics
-        to be read
+    sources
+        name → where its poses are
     base_frame
-        the frame that all poses must be expressed in
+        the frame that all poses are returned in
 
     Returns
     -------
-    dict[str, Stream]
-        poses (T, 7) by topic, as given: x, y, z in m, qx, qy, qz, qw, unit quaternions of continuous sign
+    PoseStreams
+        poses (T, 7) by name: x, y, z in m, qx, qy, qz, qw, unit quaternions of continuous sign
 
     Raises
     ------
     BagError
-        the bag is damaged or incomplete, a topic is absent, empty or of another type, or a pose is
-        not in `base_frame`, not finite, or has no unit quaternion.
+        the bag is damaged or incomplete, a topic is absent, empty or of another type, or most of its poses cannot be
+        used.
     """
-    streams = {}
-    for topic, several in read_messages(path, topics, POSE_STAMPED).items():
-        headers = [message.header for message in several.messages]
-        streams[topic] = Stream(
-            several.topic,
-            stamps=np.array([h.stamp.sec * 1_000_000_000 + h.stamp.nanosec for h in headers], np.int64),
-            recorded=several.recorded,
-            values=checked_poses(
-                path, several.topic, [m.pose for m in several.messages], [h.frame_id for h in headers], base_frame
-            ),
+    transforms = RecordedTransforms(path)
+    moving: dict[str, Stream] = {}
+    fixed: dict[str, Array] = {}
+    topics: dict[str, dict[str, None]] = {}
+    for source in sources.values():
+        if not isinstance(source, TransformSource):
+            topics.setdefault(source.message_type, {})[source.topic] = None
+    messages = {kind: read_messages(path, names, kind) for kind, names in topics.items()}
+    for name, source in sources.items():
+        if isinstance(source, TransformSource):
+            found = transforms.stream(source)
+            if isinstance(found, Stream):
+                moving[name] = found
+            else:
+                fixed[name] = found
+        else:
+            several = messages[source.message_type][source.topic]
+            moving[name] = _stream(path, source, several, base_frame, transforms)
+    return PoseStreams(moving, fixed)
+
+
+def _stream(
+    path: Path, source: TopicSource, several: Messages, base_frame: str, transforms: RecordedTransforms
+) -> Stream:
+    read = [(at, source.read(message)) for at, message in zip(several.recorded.tolist(), several.messages, strict=True)]
+    seen = [(at, observation) for at, observation in read if observation is not None]
+    if not seen:
+        raise BagError(
+            path,
+            f"{several.topic} never holds {source.selection}, in {len(read)} messages; correct the entry of the "
+            "task file",
         )
-    return streams
+    observations = [observation for _, observation in seen]
+    poses, good, notes = usable_poses(path, several.topic, observations, base_frame, transforms)
+    return Stream(
+        several.topic,
+        stamps=np.array([observation.stamp_ns for observation in observations], np.int64)[good],
+        recorded=np.array([at for at, _ in seen], np.int64)[good],
+        values=poses,
+        notes=notes,
+    )
+
+
+def usable_poses(
+    path: Path,
+    topic: str,
+    observations: Sequence[Observation],
+    base_frame: str,
+    transforms: RecordedTransforms | None = None,
+) -> tuple[Array, np.ndarray, tuple[str, ...]]:
+    """Those of some observations that are poses in the base frame.
+
+    Parameters
+    ----------
+    path, topic
+        where they are from, for errors
+    observations
+        T of them
+    base_frame
+        the frame that they are to be in
+    transforms
+        what leads there from other frames; None: nothing
+
+    Returns
+    -------
+    tuple[Array, np.ndarray, tuple[str, ...]]
+        poses (n, 7) with unit quaternions of continuous sign; which (T,) these are; notes
+
+    Raises
+    ------
+    BagError
+        most of them cannot be used, with the reason of the most frequent fault.
+    """
+    numbers = np.array([observation.pose for observation in observations], dtype=np.float64).reshape(-1, 7)
+    frame_ids = np.array([observation.frame_id for observation in observations], dtype=object)
+    poses, good, reasons = check_poses(numbers)
+    notes = []
+    for frame_id in sorted(set(frame_ids.tolist())):
+        if not (reason := wrong_frame(frame_id, base_frame)):
+            continue
+        there = good & (frame_ids == frame_id)
+        moved = 0
+        for k in np.flatnonzero(there).tolist():
+            try:
+                if transforms is None or not frame_id:
+                    raise TransformError(reason)
+                place = transforms.tree.pose(frame_id, base_frame, observations[k].stamp_ns)
+            except TransformError as error:
+                good[k] = False
+                kind = reason if str(error).startswith(NO_TRANSFORM) else str(error)
+                count, first = reasons.get(kind.split(":", 1)[0], (0, f"number {k}: {kind}"))
+                reasons[kind.split(":", 1)[0]] = count + 1, first
+                continue
+            poses[k] = compose(place, poses[k])
+            moved += 1
+        if moved:
+            notes.append(f"{topic}: {moved} poses in {shown(frame_id)} transformed to {shown(base_frame)} by /tf")
+    bad = len(good) - int(np.count_nonzero(good))
+    if bad > MOST_BAD * len(good):
+        raise BagError(path, _mostly_bad(topic, len(good), reasons, sorted(set(frame_ids.tolist())), base_frame))
+    notes += [
+        f"{topic}: {count} of {len(good)} poses left out, the first is {first}" for count, first in reasons.values()
+    ]
+    odd = int(np.count_nonzero(abs(np.linalg.norm(numbers[good, 3:], axis=1) - 1.0) > ROUNDING))
+    if odd:
+        notes.append(f"{topic}: {odd} of {len(good)} quaternions have other lengths than 1 and were scaled")
+    if doubt := doubtful_units(poses[good, :3]):
+        notes.append(f"{topic} {doubt}")
+    return poses[good], good, tuple(notes)
+
+
+def _mostly_bad(
+    topic: str, total: int, reasons: dict[str, tuple[int, str]], frame_ids: list[str], base_frame: str
+) -> str:
+    kind, (count, first) = max(reasons.items(), key=lambda item: item[1][0])
+    if kind == "wrong frame_id":
+        foreign = [frame_id for frame_id in frame_ids if wrong_frame(frame_id, base_frame)]
+        return (
+            f"{topic} has poses in the frame {listed(foreign, 5)}, expected the base frame {base_frame!r}; transform "
+            "them before recording, record /tf and /tf_static with them, or correct base_frame in the task file"
+        )
+    bad = f"{topic} has {count} of {total} poses that cannot be used, the first is {first}"
+    return f"{bad}. Correct what publishes it, and record again"
+
+
+def without_leaps(
+    path: Path, topic: str, times: Nanoseconds, poses: Array, limits: MotionLimits
+) -> tuple[Nanoseconds, Array, list[str]]:
+    """Leave out what one thing cannot have gone through.
+
+    Parameters
+    ----------
+    path, topic
+        where the poses are from, for errors
+    times
+        (T,), ns, increasing
+    poses
+        (T, 7)
+    limits
+        how fast it can move
+
+    Returns
+    -------
+    tuple[Nanoseconds, Array, list[str]]
+        the times and poses that are kept, and notes
+
+    Raises
+    ------
+    BagError
+        hardly any piece of them follows from another one.
+    """
+    course = likeliest_course(poses, times, limits)
+    left, notes = len(poses) - int(np.count_nonzero(course.kept)), []
+    if left:
+        first = (times[int(np.argmin(course.kept))] - times[0]) * 1e-9
+        what = (
+            f"leap by up to {course.way:.3f} m and {np.degrees(course.turn):.0f} deg, faster than {limits.speed:g} m/s "
+            f"and {limits.turn_rate:g} rad/s, first {first:.2f} s after the start"
+        )
+        if left > MOST_BAD * len(poses):
+            raise BagError(
+                path,
+                f"{topic}: {left} of {len(poses)} poses {what}; what sees it mixes things up. Record it again, or "
+                "allow more by max_speed and max_turn_rate in the part tracking of the task file",
+            )
+        notes.append(f"{topic}: {left} of {len(poses)} poses {what}: left out")
+    if course.followed:
+        at = ", ".join(f"{time:.2f}" for time in course.followed[:5])
+        notes.append(f"{topic} leaps and stays there, {len(course.followed)} times, at {at} s: followed")
+    return times[course.kept], poses[course.kept], notes

@@ -6,7 +6,7 @@
     movement: endpoint/left/pose             # PoseStamped topic of what is demonstrated and reproduced
     endpoint: left                           # the end point of the robot that follows it
     frames:
-      object: {topic: object/pose}           # observed
+      object: {topic: object/pose}           # observed: PoseStamped; for other sources see `source_entries`
       robot: {pose: [0, 0, 0, 0, 0, 0, 1]}   # fixed: x y z (m), qx qy qz qw, in base_frame
       place: {frame: object, turned: false}  # derived: where `object` is, with the axes of base_frame
       begin: {hand: start, turned: false}    # derived: where the hand is when the movement begins
@@ -17,7 +17,7 @@
 Reading a task file executes nothing and needs no ROS.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ from tpgmm_core.common.yaml_values import (
     a_name,
     a_number,
     a_quaternion,
+    a_text,
     a_topic,
     an_integer,
     is_name,
@@ -42,7 +43,9 @@ from tpgmm_core.model.derived_frames import HAND, DerivedFrames, FrameSource
 from tpgmm_core.observation.tracking import TrackingConfig
 from tpgmm_core.retrieval.encodings import ENCODINGS
 from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
 from tpgmm_ros.task.kinematic_section import KinematicSpec
+from tpgmm_ros.task.source_entries import KEYS, a_frame_id, read_movement, read_source
 from tpgmm_ros.task.state_space import PoseSpace, StateSpace
 
 
@@ -52,20 +55,20 @@ class TaskError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class TaskFrameSpec:
-    """One task frame: observed on a topic, or fixed in the base frame. Exactly one of the two is set.
+    """One task frame: observed, or fixed in the base frame. Exactly one of the two is set.
 
     Attributes
     ----------
     name
         name of the frame, as in the model
-    topic
-        relative topic of its PoseStamped, or None
+    source
+        what it is observed by, or None
     pose
         fixed pose (x, y, z in m, qx, qy, qz, qw, unit quaternion) in the base frame, or None
     """
 
     name: str
-    topic: str | None = None
+    source: Source | None = None
     pose: tuple[float, ...] | None = None
 
 
@@ -99,7 +102,7 @@ class Task:
     base_frame
         frame_id in which all poses are expressed.
     movement
-        relative topic of the PoseStamped that is demonstrated and reproduced.
+        relative topic of the PoseStamped that is demonstrated and reproduced; recordings may have it elsewhere.
     endpoint
         end point of the robot that follows the movement.
     frames
@@ -111,7 +114,9 @@ class Task:
     model
         `retrieval`, options of what it encodes, arguments of its estimator: what `Recipe.of` takes.
     recordings
-        how demonstrations were recorded where that is not as PoseStamped on the topics above.
+        how demonstrations were recorded where each is one PoseArray.
+    recorded_movement
+        where recordings have the movement, if not as PoseStamped on the topic `movement`.
     space
         what states are: poses of the end point, or configurations where the file has the part `kinematic`.
     """
@@ -125,6 +130,7 @@ class Task:
     tracking: dict[str, float] = field(default_factory=dict)
     model: dict[str, Any] = field(default_factory=dict)
     recordings: PoseArraySpec | None = None
+    recorded_movement: Source | JointStateSource | None = None
     derived: DerivedFrames = field(default_factory=DerivedFrames)
 
     @classmethod
@@ -182,8 +188,8 @@ class Task:
         top.refuse_others(
             "name", "base_frame", "movement", "endpoint", "frames", "kinematic", "recordings", "tracking", "model"
         )
-        movement = top.required("movement", a_topic)
-        frames, derived = _frames(top.section("frames"), movement)
+        base_frame, movement = top.required("base_frame", a_frame_id), top.required("movement", a_topic)
+        frames, derived = _frames(top.section("frames"), movement, base_frame)
         space: StateSpace = PoseSpace((*frames, *derived.sources))
         if "kinematic" in top.values:
             if derived.sources:
@@ -191,66 +197,81 @@ class Task:
                     "has derived frames and 'kinematic'; movements of joints have none: leave one of them out"
                 )
             space = KinematicSpec.of(top.section("kinematic"), frames)
-        if {"kinematic", "recordings"} <= top.values.keys():
+        recordings, recorded_movement = _recordings(top.section("recordings", optional=True), base_frame)
+        if "kinematic" in top.values and recordings is not None:
             raise top.error("has 'recordings' and 'kinematic'; a PoseArray holds no joints: leave one of them out")
         return cls(
             name=top.required("name", a_name),
-            base_frame=top.required("base_frame", _frame_id),
+            base_frame=base_frame,
             movement=movement,
             endpoint=top.required("endpoint", a_name),
             frames=frames,
             space=space,
             tracking=_tracking(top.section("tracking", optional=True)),
             model=_model(top.section("model", optional=True), space),
-            recordings=_recordings(top.section("recordings")) if "recordings" in top.values else None,
+            recordings=recordings,
+            recorded_movement=recorded_movement,
             derived=derived,
         )
 
     @property
+    def sources(self) -> dict[str, Source]:
+        """What the observed frames are observed by, by frame name."""
+        return {name: spec.source for name, spec in self.frames.items() if spec.source is not None}
+
+    @property
     def topics(self) -> dict[str, str]:
-        """Topics of the observed frames by frame name."""
-        return {name: spec.topic for name, spec in self.frames.items() if spec.topic is not None}
+        """Topics of the frames that are observed as PoseStamped, by frame name."""
+        return {name: source.topic for name, source in self.sources.items() if isinstance(source, PoseStampedSource)}
 
 
-def _frames(section: Section, movement: str) -> tuple[dict[str, TaskFrameSpec], DerivedFrames]:
+def _frames(section: Section, movement: str, base_frame: str) -> tuple[dict[str, TaskFrameSpec], DerivedFrames]:
     if not section.values:
         raise section.error("is empty: name at least one frame, such as 'object: {topic: object/pose}'")
-    taken = {movement: "the movement"}
+    taken: dict[Source, str] = {PoseStampedSource(movement): "the movement"}
     frames: dict[str, TaskFrameSpec] = {}
     derived: dict[str, FrameSource] = {}
     for name in section.values:
         if not is_name(name):
             raise section.error(f"has the frame name {shown(name)}: use letters, digits and underscores")
         entry = section.section(name)
-        entry.refuse_others("topic", "pose", "frame", "hand", "turned")
-        if len(entry.values.keys() - {"turned"}) != 1:
+        entry.refuse_others(*KEYS, "pose", "frame", "hand", "turned")
+        if len(entry.values.keys() & {"topic", "tf", "pose", "frame", "hand"}) != 1:
             raise entry.error(
-                "needs one of 'topic' (observed), 'pose' (fixed), 'frame' (derived from another frame) and 'hand' "
-                "(derived from where the hand starts), and not several"
+                "needs one of 'topic' or 'tf' (observed), 'pose' (fixed), 'frame' (derived from another frame) and "
+                "'hand' (derived from where the hand starts), and not several"
             )
         if "frame" in entry.values or "hand" in entry.values:
+            _refuse(entry, KEYS, "observed frames")
             derived[name] = _source(entry)
             continue
-        if "turned" in entry.values:
-            raise entry.error("has 'turned', which is for frames with 'frame' or 'hand'")
+        _refuse(entry, ("turned",), "frames with 'frame' or 'hand'")
         if "pose" in entry.values:
+            _refuse(entry, KEYS, "observed frames")
             frames[name] = TaskFrameSpec(name, pose=entry.required("pose", _pose))
             continue
-        topic = entry.required("topic", a_topic)
-        if topic in taken:
+        source = read_source(entry, base_frame)
+        if source in taken:
+            what = shown(entry.values["topic"] if "topic" in entry.values else entry.values["tf"])
             raise entry.error(
-                f"has the topic {shown(topic)}, which is already that of {taken[topic]}: "
-                "each frame has a topic of its own"
+                f"has the {'topic' if 'topic' in entry.values else 'transform'} {what}, which is already that of "
+                f"{taken[source]}: each frame has one of its own"
             )
-        taken[topic] = f"the frame {name!r}"
-        frames[name] = TaskFrameSpec(name, topic=topic)
-    for name, source in derived.items():
-        if source.of not in (*frames, HAND):
+        taken[source] = f"the frame {name!r}"
+        frames[name] = TaskFrameSpec(name, source)
+    for name, made_of in derived.items():
+        if made_of.of not in (*frames, HAND):
             raise section.error(
-                f"has {shown(name)}, which is derived from {shown(source.of)}; expected an observed or fixed frame of "
+                f"has {shown(name)}, which is derived from {shown(made_of.of)}; expected an observed or fixed frame of "
                 f"this file: {listed(frames) or 'there is none'}"
             )
     return frames, DerivedFrames(derived)
+
+
+def _refuse(entry: Section, keys: Iterable[str], what: str) -> None:
+    for key in keys:
+        if key in entry.values:
+            raise entry.error(f"has {key!r}, which is for {what}")
 
 
 def _source(entry: Section) -> FrameSource:
@@ -267,13 +288,19 @@ def _truth(value: Any) -> bool:
     return value
 
 
-def _recordings(section: Section) -> PoseArraySpec:
-    section.refuse_others("pose_array", "period", "frames")
-    return PoseArraySpec(
+def _recordings(section: Section, base_frame: str) -> tuple[PoseArraySpec | None, Source | JointStateSource | None]:
+    if not section.values:
+        return None, None
+    if "movement" in section.values:
+        section.refuse_others("movement")
+        return None, read_movement(section.section("movement"), base_frame)
+    section.refuse_others("pose_array", "period", "frames", "movement")
+    spec = PoseArraySpec(
         pose_array=section.required("pose_array", a_topic),
         period=section.required("period", _period),
         frames=section.required("frames", _file_name),
     )
+    return spec, None
 
 
 def _tracking(section: Section) -> dict[str, float]:
@@ -303,6 +330,9 @@ def _model(section: Section, space: StateSpace) -> dict[str, Any]:
         "n_steps": an_integer(3),
         "n_basis": an_integer(2),
         "locality": a_number(0.0),
+        "modes": an_integer(0),
+        "mode": an_integer(0),
+        "exact": a_text,
         **{item.name: a_number() for encoding in ENCODINGS.values() for item in fields(encoding)},
     }
     section.refuse_others(*filter(space.takes, readers))
@@ -317,12 +347,6 @@ def _model(section: Section, space: StateSpace) -> dict[str, Any]:
 def _retrieval_method(value: Any) -> str:
     """The method's present name; files of earlier versions may have an older one."""
     return str(a_choice(*METHODS)(current_name(value) if isinstance(value, str) else value))
-
-
-def _frame_id(value: Any) -> str:
-    if not isinstance(value, str) or not value or value.startswith("/") or value.split() != [value]:
-        raise ValueError("the frame_id of the poses, without a leading slash")
-    return value
 
 
 def _period(value: Any) -> float:

@@ -17,6 +17,9 @@ from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
 from tpgmm_core.learning.estimation.iteration import Progress, iterate
 from tpgmm_core.model.samples import Samples
 
+PARTS_OF_A_THREAD = 4
+"""A thread that has fewer parts costs more than it saves."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MixtureParameters:
@@ -162,7 +165,7 @@ class Workspace:
         S = -(-N // kernels_expectation.PART)
         self._part_counts, self._part_first = np.zeros((S, P + 1, K)), np.zeros((S, P, K, n))
         self._part_second, self._log_likelihoods = np.zeros((S, P, K, n, n)), np.zeros(S)
-        self._n_threads = min(n_threads, S)
+        self._n_threads = max(1, min(n_threads, S // PARTS_OF_A_THREAD))
         self._threads = ThreadPoolExecutor(self._n_threads - 1) if self._n_threads > 1 else None
         self.prior_count, self.prior_scatters = 0.0, np.zeros((P, K, n, n))
 

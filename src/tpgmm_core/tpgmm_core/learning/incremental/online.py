@@ -170,6 +170,7 @@ class OnlineTPGMM(TPGMM):
     def _anew(self, cells: SufficientStatistics, progress: Progress | None) -> MixtureEstimate:
         """EM on cells from the start that `fit` takes, with each cell in place of its samples."""
         samples, rng = cells.as_samples(), np.random.default_rng(self.random_state)
+        assert isinstance(self.init, str)  # `_is_provisional`
         init = "bins" if self.init == "time" else self.init
         labels = initialization.assignments(samples, init, self.n_components, rng)
         start = self._start(samples, labels)

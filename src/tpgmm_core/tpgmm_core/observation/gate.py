@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses that a frame cannot have come to: leaps, flips of a tag, identities that were swapped.
+
+From one observation to the next a thing moves and turns by no more than a speed allows, and the noise of what sees it.
+Where it is seen all the time, at two places by turns, the time since it was at one of them allows nothing.
+What leaps farther is refused, until it persists: things are moved by hand while nobody looks, and then stay. A
+recording is judged with hindsight: what persists is followed from its first pose, except for flips, turns on the spot
+that no hand makes, of which the longer side is right.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.observation.streams import SECOND, RateMeter
+
+#: What noise may add to the way and the turn between two observations, m and rad.
+NOISE_WAY, NOISE_TURN = 0.03, 0.2
+#: A leap persists only if it was seen so often; a turn on the spot, which tags make and hands do not, more often.
+FEWEST, FEWEST_FLIPS = 3, 10
+#: A turn on the spot has to persist for so many times the time of a leap.
+FLIP_PATIENCE = 3.0
+#: What was followed is given up where the time at one other place exceeds that at its own by so many times the
+#: patience: the first pose that came may have been a flipped one.
+MAJORITY = 3.0
+#: Messages that come in bursts: the time between two counts as their mean period, of so many, up to this, s.
+PERIODS, LONGEST_PERIOD = 8, 0.1
+#: Pieces between leaps of a recording that are tried as what came before another one.
+LOOK_BACK = 64
+
+
+class Leap(NamedTuple):
+    """From where an observation was expected to where it is.
+
+    Parameters
+    ----------
+    way
+        m
+    turn
+        rad
+    time
+        since the last observation that was used, s
+    is_flip
+        whether it turned on the spot
+    """
+
+    way: float
+    turn: float
+    time: float
+    is_flip: bool
+
+
+@dataclass(frozen=True, slots=True)
+class MotionLimits:
+    """How fast frames move.
+
+    Parameters
+    ----------
+    speed
+        m/s; 0: any
+    turn_rate
+        rad/s; 0: any
+    leap_time
+        what leaps and persists for this long is followed, s; 0: all is followed at once
+    """
+
+    speed: float = 3.0
+    turn_rate: float = 6.0
+    leap_time: float = 0.3
+
+    @property
+    def hold_anything(self) -> bool:
+        """Whether there is anything that these refuse."""
+        return self.leap_time > 0.0 and (self.speed > 0.0 or self.turn_rate > 0.0)
+
+    def way[TimeT: (float, Array)](self, time: TimeT) -> TimeT:
+        """The longest way in a time, s → m."""
+        return time * self.speed + NOISE_WAY if self.speed > 0.0 else time + math.inf
+
+    def turn[TimeT: (float, Array)](self, time: TimeT) -> TimeT:
+        """The largest turn in a time, s → rad."""
+        return time * self.turn_rate + NOISE_TURN if self.turn_rate > 0.0 else time + math.inf
+
+
+@dataclass(slots=True)
+class _Seen:
+    pose: list[float]
+    stamp_ns: int
+
+
+@dataclass(slots=True)
+class _Elsewhere(_Seen):
+    """Where it leapt to, if it did."""
+
+    leap: Leap
+    since_ns: int
+    times: int = 1
+
+
+@dataclass(slots=True)
+class _Rival(_Seen):
+    """Where it is seen too, by turns."""
+
+    is_flip: bool
+    excess: float = 0.0
+    """Time there less the time where it is followed, s."""
+
+
+class LeapGate:
+    """Judges the observations of one frame, one after the other; time is their stamps.
+
+    Parameters
+    ----------
+    limits
+        how fast the frame can move
+    """
+
+    def __init__(self, limits: MotionLimits) -> None:
+        self.limits = limits
+        self._rate = RateMeter()
+        self.forget()
+
+    def forget(self) -> None:
+        """Start anew."""
+        self._last: _Seen | None = None
+        self._other: _Elsewhere | None = None
+        self._rival: _Rival | None = None
+        self._rate.forget()
+        self._stamps: deque[int] = deque(maxlen=PERIODS + 1)
+
+    @property
+    def period(self) -> float | None:
+        """Seconds from one observation to the next; None while too few have come."""
+        return self._rate.measured()
+
+    def judge(self, pose: Array, stamp_ns: int) -> Leap | None:
+        """Whether an observation can be followed.
+
+        Parameters
+        ----------
+        pose
+            shape (7,), with a unit quaternion
+        stamp_ns
+            when it was seen, ns
+
+        Returns
+        -------
+        Leap or None
+            None: the frame is followed there. Else how far it would have leapt
+        """
+        self._rate.add(stamp_ns)
+        since = min(LONGEST_PERIOD, (stamp_ns - self._stamps[-1]) / SECOND) if self._stamps else 0.0
+        self._stamps.append(stamp_ns)
+        seen, last, other = pose.tolist(), self._last, self._other
+        if last is not None and self.limits.hold_anything:
+            leap = self._leap(last, seen, stamp_ns)
+            if other is not None and self._goes_on(other, last, seen, stamp_ns):
+                leap = leap or other.leap
+            if leap is not None:
+                outweighs = self._outweighs(leap, seen, stamp_ns, since)
+                if not (self._persists(leap, seen, stamp_ns) or outweighs):
+                    return leap
+                self._rival = None
+        self._last, self._other = _Seen(seen, stamp_ns), None
+        if self._rival is not None:
+            self._rival.excess -= since
+            if self._rival.excess < 0.0:
+                self._rival = None
+        return None
+
+    def _outweighs(self, leap: Leap, seen: list[float], stamp_ns: int, since: float) -> bool:
+        """Whether it is seen there so much more than where it is followed that this is the wrong place."""
+        rival = self._rival
+        if rival is None:
+            self._rival = _Rival(seen, stamp_ns, leap.is_flip, since)
+            return False
+        if self._leap(rival, seen, stamp_ns) is not None:
+            return False
+        self._rival = _Rival(seen, stamp_ns, rival.is_flip, rival.excess + since)
+        patience = FLIP_PATIENCE if rival.is_flip else 1.0
+        return self._rival.excess >= MAJORITY * patience * self.limits.leap_time
+
+    def _goes_on(self, other: _Elsewhere, last: _Seen, seen: list[float], stamp_ns: int) -> bool:
+        """Whether this is nearer to where it leapt than to where it was before."""
+        if self._leap(other, seen, stamp_ns) is not None:
+            return False
+        limits = self.limits
+        there, here = (_apart(was.pose, seen) for was in (other, last))
+        scale = limits.way(LONGEST_PERIOD), limits.turn(LONGEST_PERIOD)
+        return there[0] / scale[0] + there[1] / scale[1] < here[0] / scale[0] + here[1] / scale[1]
+
+    def _persists(self, leap: Leap, seen: list[float], stamp_ns: int) -> bool:
+        other = self._other
+        if other is None or self._leap(other, seen, stamp_ns) is not None:
+            self._other = _Elsewhere(seen, stamp_ns, leap, stamp_ns)
+            return False
+        self._other = other = _Elsewhere(seen, stamp_ns, other.leap, other.since_ns, other.times + 1)
+        patience, fewest = (FLIP_PATIENCE, FEWEST_FLIPS) if other.leap.is_flip else (1.0, FEWEST)
+        return other.times >= fewest and stamp_ns - other.since_ns >= patience * self.limits.leap_time * SECOND
+
+    def _leap(self, last: _Seen, seen: list[float], stamp_ns: int) -> Leap | None:
+        limits = self.limits
+        way, turn = _apart(last.pose, seen)
+        time = max(0.0, (stamp_ns - last.stamp_ns) / SECOND)
+        if way <= limits.way(time) and turn <= limits.turn(time):
+            return None
+        mean = (self._stamps[-1] - self._stamps[0]) / SECOND / max(1, len(self._stamps) - 1)
+        time = max(time, min(LONGEST_PERIOD, mean))
+        if way <= limits.way(time) and turn <= limits.turn(time):
+            return None
+        return Leap(way, turn, time, way <= limits.way(time))
+
+
+def _apart(a: list[float], b: list[float]) -> tuple[float, float]:
+    """Way and turn between two poses, m and rad."""
+    cosine = abs(a[3] * b[3] + a[4] * b[4] + a[5] * b[5] + a[6] * b[6])
+    return math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]), 2.0 * math.acos(min(1.0, cosine))
+
+
+class Course(NamedTuple):
+    """What of a recorded frame one thing can have gone through.
+
+    Parameters
+    ----------
+    kept
+        (T,) poses that are used
+    way, turn
+        of the farthest leap to a pose that is not, m and rad
+    followed
+        times of the leaps that persisted and are followed, s from the first pose
+    """
+
+    kept: NDArray[np.bool_]
+    way: float
+    turn: float
+    followed: tuple[float, ...]
+
+
+def likeliest_course(poses: Array, stamps_ns: NDArray[np.int64], limits: MotionLimits) -> Course:
+    """Most poses that one thing can have gone through.
+
+    The recording is cut where it leaps. Of the pieces, a sequence is taken with most poses in it, in which each piece
+    can be reached from the one before: at the speed of the limits, or since both persist; but not by a flip.
+
+    Parameters
+    ----------
+    poses
+        (T, 7), with unit quaternions
+    stamps_ns
+        (T,), ns, increasing
+    limits
+        how fast the frame can move
+
+    Returns
+    -------
+    Course
+        which poses are kept, and what was found
+    """
+    T = len(poses)
+    everything = Course(np.ones(T, bool), 0.0, 0.0, ())
+    if T < 2 or not limits.hold_anything:
+        return everything
+    seconds = (stamps_ns - stamps_ns[0]) / SECOND
+    reach = _Reach(poses, seconds, limits)
+    possible, _ = reach.between(np.arange(T - 1), np.arange(1, T), np.diff(seconds))
+    if possible.all():
+        return everything
+    cuts = np.flatnonzero(~possible) + 1
+    starts, ends = np.concatenate([[0], cuts]), np.concatenate([cuts, [T]]) - 1
+    counts = ends - starts + 1
+    persists = (seconds[ends] - seconds[starts] >= limits.leap_time) & (counts >= FEWEST)
+    best, before = counts.copy(), np.full(len(counts), -1)
+    for i in range(1, len(counts)):
+        earlier = np.arange(max(0, i - LOOK_BACK), i)
+        unseen = reach.longest_gaps(ends[earlier], int(starts[i]))
+        possible, is_flip = reach.between(ends[earlier], np.full(len(earlier), starts[i]), unseen)
+        possible |= persists[i] & persists[earlier] & ~is_flip
+        if possible.any():
+            # of equal ones the nearest
+            j = int(earlier[possible][::-1][np.argmax(best[earlier[possible]][::-1])])
+            best[i], before[i] = counts[i] + best[j], j
+    chain = [int(np.argmax(best))]
+    while before[chain[-1]] >= 0:
+        chain.append(int(before[chain[-1]]))
+    chain.reverse()
+    kept = np.zeros(T, bool)
+    for i in chain:
+        kept[starts[i] : ends[i] + 1] = True
+    way, turn = reach.farthest(kept)
+    pieces = np.array(chain)
+    last, first = ends[pieces[:-1]], starts[pieces[1:]]
+    possible, _ = reach.between(last, first, seconds[first] - seconds[last])
+    return Course(kept, way, turn, tuple(seconds[first[~possible]].tolist()))
+
+
+class _Reach:
+    """What poses of a recording can be reached from what others."""
+
+    def __init__(self, poses: Array, seconds: Array, limits: MotionLimits) -> None:
+        self._poses, self._seconds, self._limits = poses, seconds, limits
+        before = np.maximum(np.arange(len(seconds)) - PERIODS, 0)
+        mean = (seconds - seconds[before]) / np.maximum(np.arange(len(seconds)) - before, 1)
+        self._shortest = np.minimum(mean, LONGEST_PERIOD)
+
+    def _apart(self, i: NDArray[np.intp], j: NDArray[np.intp]) -> tuple[Array, Array]:
+        way = np.linalg.norm(self._poses[j, :3] - self._poses[i, :3], axis=1)
+        return way, quaternion.angle_between(self._poses[j, 3:], self._poses[i, 3:])
+
+    def longest_gaps(self, i: NDArray[np.intp], j: int) -> Array:
+        """The longest time without any observation between each pose i, ascending, and pose j, s."""
+        gaps = np.diff(self._seconds[i[0] : j + 1])
+        return np.maximum.accumulate(gaps[::-1])[::-1][i - i[0]]
+
+    def between(
+        self, i: NDArray[np.intp], j: NDArray[np.intp], unseen: Array
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Whether each pose j can be reached from pose i, and whether it turned on the spot.
+
+        What is between them counts as something else: the thing may have moved meanwhile, but if it has only turned, it
+        did so within a time in which it was not seen, `unseen`, s.
+        """
+        way, turn = self._apart(i, j)
+        time, limits = np.maximum(self._seconds[j] - self._seconds[i], self._shortest[j]), self._limits
+        on_the_spot = way <= NOISE_WAY
+        turning = np.where(on_the_spot, np.maximum(unseen, self._shortest[j]), time)
+        near, level = way <= limits.way(time), turn <= limits.turn(turning)
+        return near & level, near & ~level
+
+    def farthest(self, kept: NDArray[np.bool_]) -> tuple[float, float]:
+        """How far the poses that are not kept are from the kept one before them, at most; else from the next one."""
+        at = np.flatnonzero(kept)
+        away = np.flatnonzero(~kept)
+        if not len(away):
+            return 0.0, 0.0
+        way, turn = self._apart(at[np.maximum(np.searchsorted(at, away) - 1, 0)], away)
+        return float(way.max()), float(turn.max())

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fields that messages share, read alike from those of rclpy and those that rosbags makes: no ROS is imported."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tpgmm_core.common.types import Array
+
+Numbers = tuple[float, float, float, float, float, float, float]
+
+
+def time_to_ns(stamp: Any) -> int:
+    """A stamp in ns. More nanoseconds than a second has are none: the stamp is taken for the end of its second."""
+    return int(stamp.sec * 1_000_000_000 + min(stamp.nanosec, 999_999_999))
+
+
+def pose_numbers(pose: Any) -> Numbers:
+    """The seven numbers of a Pose, as they came, not checked."""
+    p, q = pose.position, pose.orientation
+    return p.x, p.y, p.z, q.x, q.y, q.z, q.w
+
+
+def transform_numbers(transform: Any) -> Numbers:
+    """The seven numbers of a Transform, as they came, not checked."""
+    p, q = transform.translation, transform.rotation
+    return p.x, p.y, p.z, q.x, q.y, q.z, q.w
+
+
+def pose_to_array(pose: Any) -> Array:
+    """(7,): a Pose as it came, not checked."""
+    return np.array(pose_numbers(pose))
+
+
+def covariance_array(pose: Any) -> Array | None:
+    """(6, 6) of a PoseWithCovariance; None where it is all zero, or no covariance: the publisher knows none."""
+    covariance = np.array(pose.covariance, dtype=np.float64).reshape(6, 6)
+    if not np.isfinite(covariance).all() or not (np.diag(covariance) > 0.0).all():
+        return None
+    return covariance

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sources of a task's frames on topics: messages in, observations in the base frame out.
+
+Poses in other frames are transformed by /tf, to which a node listens only where a frame needs it. Such a pose waits
+until the transforms of its time have come; whether it is too old by then is the tracker's to judge.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from rclpy.node import Node
+
+from tpgmm_core.geometry.pose import compose
+from tpgmm_core.observation.poses import Observation, check_pose, wrong_frame
+from tpgmm_core.observation.transforms import NO_TRANSFORM, TransformError, TransformTree, TransformWatch
+from tpgmm_ros.messages.fields import time_to_ns, transform_numbers
+from tpgmm_ros.messages.qos import STREAM, TRANSFORMS, TRANSFORMS_STATIC
+from tpgmm_ros.messages.sources import TF, TF_MESSAGE, TF_STATIC, Source, TransformSource
+
+#: So many poses of one frame wait for transforms: half a second of a fast camera.
+MOST_WAITING = 32
+
+
+class FrameSources:
+    """Subscribes to what a task's frames are observed by.
+
+    Parameters
+    ----------
+    node
+        that subscribes
+    sources
+        by frame name
+    base_frame
+        of the task
+    observe
+        called with a frame's name and an observation in the base frame
+    refuse
+        called with a frame's name and a reason: kind, ":", details
+    fix
+        called with a frame's name and its pose (7,), where only static transforms lead to it
+
+    Raises
+    ------
+    ModuleNotFoundError
+        the messages of a source are not installed.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        sources: Mapping[str, Source],
+        base_frame: str,
+        observe: Callable[[str, Observation], object],
+        refuse: Callable[[str, str], object],
+        fix: Callable[[str, Any], object],
+    ) -> None:
+        self._node, self._base_frame = node, base_frame
+        self._observe, self._refuse, self._fix = observe, refuse, fix
+        self._tree = TransformTree()
+        self._watches: dict[str, TransformWatch] = {}
+        self._waiting: dict[str, deque[Observation]] = {name: deque() for name in sources}
+        self._listens = False
+        self._missing = ""
+        for name, source in sources.items():
+            if isinstance(source, TransformSource):
+                self._watches[name] = TransformWatch(self._tree, source.frame, source.base)
+            else:
+                take = functools.partial(self._take, name, source.read)
+                node.create_subscription(message_class(source.message_type), source.topic, take, STREAM)
+        if self._watches:
+            self._listen()
+
+    def forget(self) -> None:
+        """Forget what was seen: time jumped backwards."""
+        self._tree.forget()
+        for waiting in self._waiting.values():
+            waiting.clear()
+        for watch in self._watches.values():
+            watch.forget()
+
+    def unknown(self) -> dict[str, str]:
+        """Frames that no transforms lead to, and why."""
+        return {name: watch.reason for name, watch in self._watches.items() if watch.reason}
+
+    def _take(self, name: str, read: Callable[[Any], Observation | None], message: Any) -> None:
+        observation = read(message)
+        if observation is None:
+            return
+        if observation.frame_id == self._base_frame or not wrong_frame(observation.frame_id, self._base_frame):
+            self._observe(name, observation)
+        else:
+            waiting = self._waiting[name]
+            if len(waiting) == MOST_WAITING:
+                self._refuse(name, f"no transform at this time: none for {MOST_WAITING} poses; is /tf published?")
+                waiting.popleft()
+            waiting.append(observation)
+            self._work_off(name)
+
+    def _work_off(self, name: str) -> None:
+        waiting = self._waiting[name]
+        while waiting and self._is_done(name, waiting[0]):
+            waiting.popleft()
+
+    def _is_done(self, name: str, observation: Observation) -> bool:
+        """Whether a pose of another frame is transformed or refused; else its transforms may still come."""
+        pose, fault = check_pose(observation.pose)
+        if pose is None or not observation.frame_id or not self._try_to_listen():
+            self._refuse(name, fault or wrong_frame(observation.frame_id, self._base_frame) + self._missing)
+            return True
+        try:
+            place = self._tree.pose(observation.frame_id, self._base_frame, observation.stamp_ns)
+        except TransformError as error:
+            if not error.may_come:
+                reason = str(error)
+                unknown = reason.startswith(NO_TRANSFORM)
+                self._refuse(name, wrong_frame(observation.frame_id, self._base_frame) if unknown else reason)
+            return not error.may_come
+        self._observe(name, observation._replace(pose=compose(place, pose), frame_id=self._base_frame))
+        return True
+
+    def _try_to_listen(self) -> bool:
+        try:
+            self._listen()
+        except ModuleNotFoundError as error:
+            self._missing = f" ({error})"
+        return self._listens
+
+    def _listen(self) -> None:
+        if not self._listens and not self._missing:
+            kind = message_class(TF_MESSAGE)
+            self._listens = True
+            take_static = functools.partial(self._take_transforms, True)
+            self._node.create_subscription(kind, f"/{TF_STATIC}", take_static, TRANSFORMS_STATIC)
+            self._node.create_subscription(kind, f"/{TF}", functools.partial(self._take_transforms, False), TRANSFORMS)
+
+    def _take_transforms(self, is_static: bool, message: Any) -> None:
+        for item in message.transforms:
+            stamp_ns, numbers = time_to_ns(item.header.stamp), transform_numbers(item.transform)
+            reason = self._tree.add(item.header.frame_id, item.child_frame_id, numbers, stamp_ns, is_static)
+            if reason:
+                self._node.get_logger().warning(f"transform refused: {reason}", throttle_duration_sec=2.0)
+        for name, watch in self._watches.items():
+            news = watch.news()
+            if news is None:
+                continue
+            stamp, pose = news
+            if stamp is None:
+                self._fix(name, pose)
+            else:
+                self._observe(name, Observation(stamp, self._base_frame, pose))
+        for name in self._waiting:
+            self._work_off(name)
+
+
+def message_class(message_type: str) -> Any:
+    """The class of a type of messages.
+
+    Parameters
+    ----------
+    message_type
+        full name, such as geometry_msgs/msg/PoseStamped
+
+    Returns
+    -------
+    type
+        the class
+
+    Raises
+    ------
+    ModuleNotFoundError
+        its package is not installed.
+    """
+    package, _, name = message_type.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError(
+            f"{message_type} is not installed: run 'make setup', or on a full installation 'apt install "
+            f"ros-jazzy-{package.replace('_', '-')}'"
+        ) from None

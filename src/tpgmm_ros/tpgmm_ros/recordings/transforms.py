@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Transforms out of one bag: /tf and /tf_static, and the frames that they lead to."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tpgmm_core.common.text import listed
+from tpgmm_core.observation.transforms import TransformTree, TransformWatch
+from tpgmm_ros.messages.fields import time_to_ns, transform_numbers
+from tpgmm_ros.messages.sources import TF, TF_MESSAGE, TF_STATIC, TransformSource
+from tpgmm_ros.recordings.bag_messages import Array, BagError, Stream, read_messages, topics_of_type
+
+
+class RecordedTransforms:
+    """All transforms of a bag, read when they are asked for.
+
+    Parameters
+    ----------
+    path
+        of the bag
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._tree: TransformTree | None = None
+        self._moving: list[tuple[int, Any]] = []
+        self._refused: dict[str, int] = {}
+
+    @property
+    def tree(self) -> TransformTree:
+        """All of them; raises BagError for a bag that cannot be read."""
+        if self._tree is None:
+            self._tree, self._moving = TransformTree(memory=None), []
+            there = topics_of_type(self._path, TF_MESSAGE)
+            for topic in (TF_STATIC, TF):
+                if not any(f"/{name}".endswith(f"/{topic}") for name in there):
+                    continue
+                found = read_messages(self._path, [topic], TF_MESSAGE)[topic]
+                for recorded, message in zip(found.recorded.tolist(), found.messages, strict=True):
+                    self._add(self._tree, message, topic == TF_STATIC)
+                    if topic == TF:
+                        self._moving.append((recorded, message))
+        return self._tree
+
+    def _add(self, tree: TransformTree, message: Any, is_static: bool) -> None:
+        for item in message.transforms:
+            stamp_ns, numbers = time_to_ns(item.header.stamp), transform_numbers(item.transform)
+            if reason := tree.add(item.header.frame_id, item.child_frame_id, numbers, stamp_ns, is_static):
+                kind = reason.split(":", 1)[0]
+                self._refused[kind] = self._refused.get(kind, 0) + 1
+
+    def stream(self, source: TransformSource) -> Stream | Array:
+        """Where a frame was, at the times at which all transforms to it are known.
+
+        Parameters
+        ----------
+        source
+            the frame, and the base frame
+
+        Returns
+        -------
+        Stream or Array
+            its poses; one pose (7,) where only static transforms lead to it
+
+        Raises
+        ------
+        BagError
+            the bag is damaged, or no transforms lead to the frame.
+        """
+        watch = TransformWatch(self.tree, source.frame, source.base)
+        whole = watch.news()
+        if whole is None:
+            raise BagError(
+                self._path,
+                f"its transforms on /tf and /tf_static do not say where {source.frame} is: {watch.reason}. Record them "
+                "from before the start, or correct the task file",
+            )
+        if whole[0] is None:
+            return whole[1]
+        notes = [f"/tf: {count} transforms left out ({kind})" for kind, count in self._refused.items()]
+        seen = list(self._seen(source))
+        if not seen:
+            raise BagError(self._path, f"/tf never has all transforms to {source.frame} at one time; {watch.reason}")
+        stamps, recorded, poses = zip(*seen, strict=True)
+        topic = f"/tf ({listed([source.frame])})"
+        return Stream(topic, np.array(stamps, np.int64), np.array(recorded, np.int64), np.array(poses), tuple(notes))
+
+    def _seen(self, source: TransformSource) -> Iterator[tuple[int, int, Array]]:
+        """Stamp, time of the recorder and pose, as they became known: as a running program sees them."""
+        tree = self.tree.still()
+        watch = TransformWatch(tree, source.frame, source.base)
+        for recorded, message in self._moving:
+            self._add(tree, message, False)
+            news = watch.news()
+            if news is not None and news[0] is not None:
+                yield news[0], recorded, news[1]

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""frame_tracker with each source of frames that task files name, and with faults of a source, on its topics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped, Vector3
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+
+from ros_graph import ALL_LATCHED, SECOND, Diagnostics, Inbox, ros_arguments
+from ros_testing import RunningProcess, StartProcess, spin_until
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.pose import compose, inverse
+from tpgmm_core.observation.poses import FAR
+from tpgmm_msgs.msg import TaskFrame, TaskParameters
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM, TRANSFORMS_STATIC
+
+tf2_msgs = pytest.importorskip("tf2_msgs.msg", reason="tf2_msgs is not built here: run 'make setup'")
+vision_msgs = pytest.importorskip("vision_msgs.msg", reason="vision_msgs is not built here: run 'make setup'")
+
+TASK = """\
+name: sources
+base_frame: base
+movement: hand/pose
+endpoint: left
+frames:
+  stamped: {topic: stamped}
+  covariance: {topic: covariance, type: geometry_msgs/PoseWithCovarianceStamped}
+  transform: {topic: transform, type: geometry_msgs/TransformStamped, child: cup}
+  odometry: {topic: odometry, type: nav_msgs/Odometry}
+  detection: {topic: seen, type: vision_msgs/Detection3DArray, class: cup}
+  number: {topic: seen, type: vision_msgs/Detection3DArray, id: "7"}
+  chain: {tf: cup}
+  table: {tf: {frame: table, parent: world}}
+  camera: {topic: from_camera}
+  flipping: {topic: flipping}
+"""
+GOOD = np.array([0.6, 0.4, 0.1, *quaternion.exp([0.1, -0.2, 0.6])])
+OTHER = np.array([0.1, -0.4, 0.2, *quaternion.exp([0.0, 0.0, 0.3])])
+CAMERA = np.array([1.0, 0.2, 1.5, *quaternion.exp([0.3, 2.5, 0.4])])
+TABLE = np.array([0.0, 0.0, 0.7, 0.0, 0.0, 0.0, 1.0])
+
+
+def transform(pose: np.ndarray, stamp: int, parent: str, child: str) -> TransformStamped:
+    message = TransformStamped(header=conversions.header_at(stamp, parent), child_frame_id=child)
+    message.transform.translation = Vector3(**dict(zip("xyz", map(float, pose[:3]), strict=True)))
+    message.transform.rotation = conversions.pose_from_array(pose).orientation
+    return message
+
+
+class World:
+    """Publishes all things at 30 Hz, by all sources."""
+
+    def __init__(self, node: Node) -> None:
+        self._node, self._step = node, 0
+        kinds = {
+            "stamped": PoseStamped,
+            "covariance": PoseWithCovarianceStamped,
+            "transform": TransformStamped,
+            "odometry": Odometry,
+            "seen": vision_msgs.Detection3DArray,
+            "from_camera": PoseStamped,
+            "flipping": PoseStamped,
+            "/tf": tf2_msgs.TFMessage,
+        }
+        self._to = {topic: node.create_publisher(kind, topic, STREAM) for topic, kind in kinds.items()}
+        static = node.create_publisher(tf2_msgs.TFMessage, "/tf_static", TRANSFORMS_STATIC)
+        static.publish(
+            tf2_msgs.TFMessage(
+                transforms=[transform(CAMERA, 0, "base", "camera"), transform(TABLE, 0, "/world", "table")]
+            )
+        )
+        self._timer = node.create_timer(1 / 30, self._publish)
+
+    def _publish(self) -> None:
+        stamp, to = self._node.get_clock().now().nanoseconds, self._to
+        self._step += 1
+        header, pose = conversions.header_at(stamp, "base"), conversions.pose_from_array(GOOD)
+        slashed = conversions.header_at(stamp, "/base")
+        to["stamped"].publish(PoseStamped(header=slashed, pose=pose))
+        message = PoseWithCovarianceStamped(header=header)
+        message.pose.pose = pose
+        to["covariance"].publish(message)
+        to["transform"].publish(transform(OTHER, stamp, "base", "plate"))
+        to["transform"].publish(transform(GOOD, stamp, "base", "cup"))
+        odometry = Odometry(header=header, child_frame_id="cup")
+        odometry.pose.pose = pose
+        to["odometry"].publish(odometry)
+        to["seen"].publish(self._seen(stamp))
+        to["/tf"].publish(
+            tf2_msgs.TFMessage(transforms=[transform(compose(inverse(CAMERA), GOOD), stamp, "camera", "cup")])
+        )
+        to["from_camera"].publish(conversions.pose_stamped(compose(inverse(CAMERA), GOOD), stamp, "camera"))
+        turned = np.concatenate([GOOD[:3], quaternion.multiply(GOOD[3:], quaternion.exp([0.0, 0.0, np.pi]))])
+        to["flipping"].publish(
+            conversions.pose_stamped(turned if self._step > 30 and self._step % 4 == 3 else GOOD, stamp, "base")
+        )
+
+    def _seen(self, stamp: int) -> object:
+        array = vision_msgs.Detection3DArray(header=conversions.header_at(stamp, "base"))
+        for kind, number, score, place in (("cup", "1", 0.9, GOOD), ("cup", "2", 0.4, OTHER), ("mug", "7", 0.3, OTHER)):
+            result = vision_msgs.ObjectHypothesisWithPose()
+            result.hypothesis.class_id, result.hypothesis.score = kind, score
+            result.pose.pose = conversions.pose_from_array(place)
+            array.detections.append(vision_msgs.Detection3D(results=[result], id=number))
+        return array
+
+
+@pytest.fixture(scope="module")
+def tracker(start_module_process: StartProcess, tmp_path_factory: pytest.TempPathFactory) -> RunningProcess:
+    path = tmp_path_factory.mktemp("task") / "task.yaml"
+    path.write_text(TASK)
+    return start_module_process("frame_tracker", *ros_arguments(task_file=path))
+
+
+@pytest.fixture(scope="module")
+def world(module_node: Node, tracker: RunningProcess) -> Iterator[World]:
+    yield World(module_node)
+
+
+@pytest.fixture(scope="module")
+def frame(module_node: Node, tracker: RunningProcess, world: World) -> Callable[[str], TaskFrame]:
+    inbox = Inbox(module_node, TaskParameters, "task_parameters", ALL_LATCHED)
+
+    def seen(name: str) -> TaskFrame:
+        def found() -> TaskFrame | None:
+            frames = inbox.last.frames if inbox.last is not None else ()
+            return next((item for item in frames if item.name == name and item.status == TaskFrame.VISIBLE), None)
+
+        spin_until(module_node, found, message=f"the frame {name}", processes=(tracker,))
+        item = found()
+        assert item is not None
+        return item
+
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        *((name, GOOD) for name in ("stamped", "covariance", "transform", "odometry", "detection", "chain", "camera")),
+        ("number", OTHER),
+        ("table", TABLE),
+    ],
+)
+def test_each_source_gives_the_frame(name: str, expected: np.ndarray, frame: Callable[[str], TaskFrame]) -> None:
+    item = frame(name)
+    np.testing.assert_allclose(item.b[:3], expected[:3], atol=1e-9)
+    np.testing.assert_allclose(np.reshape(item.a, (7, 7))[:3, :3], quaternion.rotation_matrix(expected[3:]), atol=1e-9)
+
+
+def test_flips_are_refused_and_counted_with_rate_age_and_noise(
+    module_node: Node, tracker: RunningProcess, frame: Callable[[str], TaskFrame]
+) -> None:
+    diagnostics = Diagnostics(module_node)
+    rotation = quaternion.rotation_matrix(GOOD[3:])
+
+    def values() -> dict[str, str]:
+        return diagnostics.values.get("frame_tracker", {})
+
+    right: list[bool] = []
+
+    def refused_enough() -> bool:
+        right.append(bool(np.allclose(np.reshape(frame("flipping").a, (7, 7))[:3, :3], rotation, atol=1e-9)))
+        return int(values().get("refused_flipping: flip", 0)) >= 5 and len(right) >= 100
+
+    spin_until(module_node, refused_enough, message="refused flips", processes=(tracker,))
+    # while a busy machine pauses, nothing is seen, and a frame may have turned; each fourth pose is a flipped one
+    assert np.mean(right) > 0.9
+    refused = {key.split(":")[0] for key in values() if key.startswith("refused_")}
+    # the first pose of another frame makes the tracker listen to transforms, and is refused
+    assert refused <= {"refused_flipping", "refused_camera"}
+    assert int(values().get("refused_camera: wrong frame_id", 0)) <= 1
+    spin_until(module_node, lambda: "rate_stamped_hz" in values(), message="the rate", processes=(tracker,))
+    assert 0.0 < float(values()["rate_stamped_hz"]) < 100.0
+    assert 0.0 <= float(values()["age_chain_s"])
+    assert values()["noise_stamped"].endswith("deg")
+
+
+def test_a_frame_that_no_transforms_lead_to_is_named_with_what_is_known(
+    ros_node: Node, start_process: StartProcess, tmp_path: Path
+) -> None:
+    (tmp_path / "task.yaml").write_text(TASK.split("frames:")[0] + "frames: {mug: {tf: mug}}\n")
+    process = start_process("frame_tracker", *ros_arguments(task_file=tmp_path / "task.yaml"))
+    diagnostics = Diagnostics(ros_node)
+    publisher = ros_node.create_publisher(tf2_msgs.TFMessage, "/tf", STREAM)
+
+    def said() -> bool:
+        stamp = ros_node.get_clock().now().nanoseconds
+        publisher.publish(tf2_msgs.TFMessage(transforms=[transform(GOOD, stamp, "base", "cup")]))
+        return "none leads from 'base' to 'mug'; those that came are about base, cup" in diagnostics.messages.get(
+            "frame_tracker", ""
+        )
+
+    spin_until(ros_node, said, message="the reason", processes=(process,))
+
+
+def test_a_clock_that_is_ahead_and_lengths_that_are_odd_are_taken_and_said(
+    ros_node: Node, start_process: StartProcess, tmp_path: Path
+) -> None:
+    (tmp_path / "task.yaml").write_text(TASK.split("frames:")[0] + "frames: {cup: {topic: cup}}\n")
+    process = start_process("frame_tracker", *ros_arguments(task_file=tmp_path / "task.yaml"))
+    diagnostics = Diagnostics(ros_node)
+    publisher = ros_node.create_publisher(PoseStamped, "cup", STREAM)
+    pose = np.concatenate([GOOD[:3] + 2 * FAR, 1.3 * GOOD[3:]])
+
+    def publish() -> None:
+        stamp = ros_node.get_clock().now().nanoseconds + round(0.15 * SECOND)
+        publisher.publish(conversions.pose_stamped(pose, stamp, "base"))
+
+    timer = ros_node.create_timer(1 / 30, publish)
+
+    def said() -> bool:
+        values = diagnostics.values.get("frame_tracker", {})
+        notes = " ".join(text for key, text in values.items() if key.startswith("note_cup"))
+        return values.get("status_cup") == "VISIBLE" and all(
+            words in notes for words in ("ahead of ROS time", "other lengths than 1", "millimetres")
+        )
+
+    spin_until(ros_node, said, message="the notes", processes=(process,))
+    ros_node.destroy_timer(timer)
