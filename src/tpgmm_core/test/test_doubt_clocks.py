@@ -16,7 +16,7 @@ def ns(seconds: object) -> Nanoseconds:
 def topic(name: str, seconds: object, stamps: object = None, start: float = START) -> TopicTimes:
     recorded = np.asarray(seconds, dtype=float)
     stamped = recorded if stamps is None else np.asarray(stamps, dtype=float)
-    return TopicTimes(name, ns(stamped + start * (stamped != 0)), ns(recorded + start * (recorded != 0)))
+    return TopicTimes(name, name, ns(stamped + start * (stamped != 0)), ns(recorded + start * (recorded != 0)))
 
 
 def seconds(clock: CommonClock, name: str) -> np.ndarray:

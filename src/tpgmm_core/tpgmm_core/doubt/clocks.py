@@ -44,15 +44,26 @@ class ClockError(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TopicTimes:
-    """Times of the messages of a topic in the order of writing: header stamps (T,), and the recorder's (T,), ns."""
+    """Times of the messages of a topic in the order of writing.
 
+    Attributes
+    ----------
+    key
+        name of what is told of, since several things may be on one topic
+    name
+        of the topic
+    stamps, recorded
+        (T,) header stamps, and times of the recorder, ns
+    """
+
+    key: str
     name: str
     stamps: Nanoseconds
     recorded: Nanoseconds
 
     def taken(self, which: NDArray[np.intp]) -> TopicTimes:
         """Some of the messages."""
-        return TopicTimes(self.name, self.stamps[which], self.recorded[which])
+        return TopicTimes(self.key, self.name, self.stamps[which], self.recorded[which])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,9 +73,9 @@ class CommonClock:
     Attributes
     ----------
     kept
-        topic → numbers (S,) of the messages that are taken, in the order of their times
+        key → numbers (S,) of the messages that are taken, in the order of their times
     times
-        topic → times (S,) of these, ns, never decreasing
+        key → times (S,) of these, ns, never decreasing
     by_recorder
         whether the times are the recorder's
     notes
@@ -101,32 +112,32 @@ def common_clock(movement: TopicTimes, others: Sequence[TopicTimes]) -> CommonCl
         the clock steps in the middle of the movement, or a topic lags by what is not steady
     """
     streams = [movement, *others]
-    kept = {stream.name: _whole_part(stream, stream is movement) for stream in streams}
+    kept = {stream.key: _whole_part(stream, stream is movement) for stream in streams}
     doubts = []
-    left_out = len(movement.recorded) - len(kept[movement.name])
+    left_out = len(movement.recorded) - len(kept[movement.key])
     if left_out:
-        doubts.append(Doubt("clock", (), _told(movement, kept[movement.name], left_out)))
-        begin, end = movement.recorded[kept[movement.name][[0, -1]]]
+        doubts.append(Doubt("clock", (), _told(movement, kept[movement.key], left_out)))
+        begin, end = movement.recorded[kept[movement.key][[0, -1]]]
         for stream in others:
-            kept[stream.name] = _within(stream, begin, end)
-    streams = [stream.taken(kept[stream.name]) for stream in streams]
+            kept[stream.key] = _within(stream, begin, end)
+    streams = [stream.taken(kept[stream.key]) for stream in streams]
     problem = _problem_of_stamps(streams)
     if problem:
-        times = {stream.name: stream.recorded for stream in streams}
+        times = {stream.key: stream.recorded for stream in streams}
         notes = [f"{problem}: times of the recorder used"]
     else:
-        times = {stream.name: stream.stamps for stream in streams}
+        times = {stream.key: stream.stamps for stream in streams}
         notes = []
         for stream in streams[1:]:
             lag = _lag(streams[0], stream)
             if lag is not None:
                 corrected, doubt = _judged(streams[0], stream, lag)
                 doubts.append(doubt)
-                times[stream.name] = stream.stamps + corrected
-    order = {name: np.argsort(series, kind="stable") for name, series in times.items()}
+                times[stream.key] = stream.stamps + corrected
+    order = {key: np.argsort(series, kind="stable") for key, series in times.items()}
     return CommonClock(
-        {name: kept[name][order[name]] for name in times},
-        {name: times[name][order[name]] for name in times},
+        {key: kept[key][order[key]] for key in times},
+        {key: times[key][order[key]] for key in times},
         problem is not None,
         tuple(notes),
         tuple(doubts),

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from tpgmm_core import Demonstration
 from tpgmm_core.common.text import listed
-from tpgmm_core.doubt.clocks import ClockError, TopicTimes, common_clock, gaps
+from tpgmm_core.doubt.clocks import ClockError, CommonClock, TopicTimes, common_clock, gaps
 from tpgmm_core.doubt.doubts import Doubt
+from tpgmm_core.doubt.values import LARGEST_M
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.observation.gate import MotionLimits
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_core.observation.tracking import TrackingConfig
 from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
@@ -43,7 +45,7 @@ MIN_SAMPLES = 10
 
 MOVEMENT = "the movement"
 JOINTS = "the joints"
-"""Names of the movement and of its joints among the streams; no frame's name has a space."""
+"""Names of the movement and of the joints among the streams; no frame's name has a space."""
 
 START_TOLERANCE_S = 0.5
 """Topics start in any order when a recorder is switched on: a frame seen so soon was there all along."""
@@ -61,11 +63,12 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
     """Read one bag, as the task says it was recorded: streams of poses, or one PoseArray.
 
     Poses that are none, or that leap, are left out and counted in a note. Of streams, times are the header stamps when
-    those of all topics are sane (not zero, never backwards, of one clock), else the times of the recorder for all
-    topics; a note says when. Messages that repeat a stamp are dropped, and counted in a note. A frame holds its latest
-    pose, however long ago that was seen. Before its first observation a frame is not visible, unless that observation
-    comes within 0.5 s of the first sample: then the frame counts as seen from the start. Joints are interpolated
-    between their messages. Of a PoseArray, times are the numbers of the poses times `period`, and frames stand still.
+    those of all topics are sane (not zero, never backwards), else the times of the recorder for all topics; a note
+    says when, and doubts say what was put right (see `tpgmm_core.doubt.clocks`). Messages that repeat a stamp are
+    dropped, and counted in a note. A frame holds its latest pose, however long ago that was seen. Before its first
+    observation a frame is not visible, unless that observation comes within 0.5 s of the first sample: then the frame
+    counts as seen from the start. Joints are interpolated between their messages. Of a PoseArray, times are the numbers
+    of the poses times `period`, and frames stand still.
 
     Parameters
     ----------
@@ -140,25 +143,20 @@ def _from_streams(path: Path, task: Task) -> Recording:
         streams[MOVEMENT] = read_link_stream(path, task.recorded_movement, task.base_frame)
     names = task.space.joints()
     joints = read_joint_stream(path, task.space.joint_states, names) if names else None
-    times = _times(streams | ({} if joints is None else {JOINTS: joints}))
-    try:
-        clock = common_clock(times[MOVEMENT], [item for name, item in times.items() if name != MOVEMENT])
-    except ClockError as error:
-        raise BagError(path, str(error)) from None
-    notes, doubts = list(clock.notes), [*clock.doubts]
+    clock = _clock(path, streams if joints is None else {**streams, JOINTS: joints})
+    notes, doubts = list(clock.notes), list(clock.doubts)
     series: dict[str, tuple[Nanoseconds, Array]] = {}
     limits = TrackingConfig(**task.tracking).motion
     for name, stream in streams.items():
-        label = times[name].name
         notes += stream.notes
-        ns, values = clock.times[label], stream.values[clock.kept[label]]
+        ns, values = clock.times[name], stream.values[clock.kept[name]]
         fresh = np.diff(ns, prepend=ns[0] - 1) > 0
         if not fresh.all():
-            notes.append(f"{label}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
-        kept, poses, leaps = without_leaps(path, label, ns[fresh], values[fresh], limits)
+            notes.append(f"{stream.topic}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
+        doubts += _doubts_of_rate(stream.topic, (ns[fresh], values[fresh]), name == MOVEMENT)
+        kept, poses, leaps = without_leaps(path, stream.topic, ns[fresh], values[fresh], _in_its_unit(limits, values))
         series[name] = kept, poses
         notes += leaps
-        doubts += _doubts_of_rate(label, series[name], name == MOVEMENT)
 
     ns, movement = series[MOVEMENT]
     frames: dict[str, Array] = {}
@@ -180,10 +178,9 @@ def _from_streams(path: Path, task: Task) -> Recording:
             notes.append(f"{name}: not seen in the first {unseen} of {len(ns)} samples")
     configurations = None
     if joints is not None:
-        label = times[JOINTS].name
-        configurations = _configurations(path, joints, joints.values[clock.kept[label]], clock.times[label], ns)
-    seconds, derived = (ns - ns[0]) * 1e-9, task.derived
-    return Recording(path, seconds, movement, frames, visible, tuple(notes), configurations, derived, tuple(doubts))
+        configurations = _configurations(path, joints, joints.values[clock.kept[JOINTS]], clock.times[JOINTS], ns)
+    times, derived = (ns - ns[0]) * 1e-9, task.derived
+    return Recording(path, times, movement, frames, visible, tuple(notes), configurations, derived, tuple(doubts))
 
 
 def _sources(task: Task) -> dict[str, Source]:
@@ -192,17 +189,19 @@ def _sources(task: Task) -> dict[str, Source]:
     return ({} if isinstance(movement, JointStateSource) else {MOVEMENT: movement}) | task.sources
 
 
-def _times(streams: Mapping[str, Stream]) -> dict[str, TopicTimes]:
-    """Times of streams by name. Several streams may be of one topic: their labels say which is which."""
-    topics = [stream.topic for stream in streams.values()]
-    return {
-        name: TopicTimes(
-            stream.topic if topics.count(stream.topic) == 1 else f"{stream.topic} ({name})",
-            stream.stamps,
-            stream.recorded,
-        )
-        for name, stream in streams.items()
-    }
+def _clock(path: Path, streams: Mapping[str, Stream]) -> CommonClock:
+    """When all that is in these streams was true."""
+    times = {name: TopicTimes(name, s.topic, s.stamps, s.recorded) for name, s in streams.items()}
+    try:
+        return common_clock(times.pop(MOVEMENT), list(times.values()))
+    except ClockError as error:
+        raise BagError(path, str(error)) from None
+
+
+def _in_its_unit(limits: MotionLimits, poses: Array) -> MotionLimits:
+    """Limits for poses (T, 7) that look like millimetres: these are doubted as such, and do not leap."""
+    low, high = np.quantile(poses[:, :3], (0.05, 0.95), axis=0)
+    return limits if np.linalg.norm(high - low) <= LARGEST_M else replace(limits, speed=1000.0 * limits.speed)
 
 
 def _doubts_of_rate(topic: str, series: tuple[Nanoseconds, Array], moves: bool) -> list[Doubt]:

@@ -220,8 +220,6 @@ def without_leaps(
     BagError
         hardly any piece of them follows from another one.
     """
-    if doubtful_units(poses[:, :3]):  # limits in metres say nothing of other units, which are judged elsewhere
-        return times, poses, []
     course = likeliest_course(poses, times, limits)
     left, notes = len(poses) - int(np.count_nonzero(course.kept)), []
     if left:
