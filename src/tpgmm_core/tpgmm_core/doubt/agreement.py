@@ -103,7 +103,7 @@ def doubts_of_misfits(shown: Sequence[Shown]) -> list[Doubt]:
                 most = begin + int(np.argmax(distances[i][begin:end]))
                 seconds = one.duration * np.array([begin, end - 1, most]) / (SHARES - 1)
                 parts.append(
-                    f"from {seconds[0]:.2f} to {seconds[1]:.2f} s it is up to {scale * distances[i][most]:{form}} {unit} "
+                    f"from {seconds[0]:.2f} to {seconds[1]:.2f} s it is {scale * distances[i][most]:{form}} {unit} "
                     f"(at {seconds[2]:.2f} s) from where the others are, which differ by {scale * usual[most]:{form}}"
                 )
         if parts:
