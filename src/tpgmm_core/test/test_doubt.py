@@ -151,7 +151,7 @@ def test_one_that_turns_the_other_way_round_is_named(count: int, turn: float) ->
     (doubt,) = judged(several)
     assert doubt.kind == "misfit" and doubt.about == ("demo_1",)
     assert f"it turns by {360 - turn:.0f} deg the other way round, the others by {turn:.0f} deg" in doubt.text
-    assert " deg (at " in doubt.text and " s it is up to " in doubt.text
+    assert " deg (at " in doubt.text and " s it is " in doubt.text
 
 
 def test_one_that_goes_elsewhere_is_named_with_when() -> None:
@@ -161,6 +161,6 @@ def test_one_that_goes_elsewhere_is_named_with_when() -> None:
     movement[:, 2] += 0.35 * np.sin(np.pi * np.clip((share - 0.4) / 0.4, 0.0, 1.0)) ** 2
     several[5] = replace(several[5], movement=movement)
     (doubt,) = judged(several)
-    assert doubt.kind == "misfit" and doubt.about == ("demo_5",) and "up to 0.3" in doubt.text
+    assert doubt.kind == "misfit" and doubt.about == ("demo_5",) and " s it is 0.3" in doubt.text
     begin = float(doubt.text.split("from ")[1].split(" to ")[0])
     assert 0.4 < begin / several[5].duration < 0.7

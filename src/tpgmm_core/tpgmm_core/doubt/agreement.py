@@ -92,9 +92,9 @@ def doubts_of_misfits(shown: Sequence[Shown]) -> list[Doubt]:
     found = []
     for i, one in enumerate(shown):
         parts = []
-        for distances, least, scale, unit in (
-            (positions, max(APART_M, APART_SHARE * extent), 1.0, "m"),
-            (turns, APART_RAD, 180.0 / np.pi, "deg"),
+        for distances, least, scale, form, unit in (
+            (positions, max(APART_M, APART_SHARE * extent), 1.0, ".2f", "m"),
+            (turns, APART_RAD, 180.0 / np.pi, ".0f", "deg"),
         ):
             usual = np.median(distances, axis=0)
             limit = np.maximum(least, FURTHER * np.maximum(usual, np.median(usual)))
@@ -103,8 +103,8 @@ def doubts_of_misfits(shown: Sequence[Shown]) -> list[Doubt]:
                 most = begin + int(np.argmax(distances[i][begin:end]))
                 seconds = one.duration * np.array([begin, end - 1, most]) / (SHARES - 1)
                 parts.append(
-                    f"from {seconds[0]:.2f} to {seconds[1]:.2f} s it is up to {scale * distances[i][most]:.2g} {unit} "
-                    f"(at {seconds[2]:.2f} s) from where the others are, which differ by {scale * usual[most]:.2g}"
+                    f"from {seconds[0]:.2f} to {seconds[1]:.2f} s it is {scale * distances[i][most]:{form}} {unit} "
+                    f"(at {seconds[2]:.2f} s) from where the others are, which differ by {scale * usual[most]:{form}}"
                 )
         if parts:
             way = _other_way(i, shown)
