@@ -21,10 +21,10 @@ MOST = 64
 class Batches:
     """A subscription whose callback gets all messages that wait.
 
-    A message that comes alone is handed on at once. Where several have waited, the node is slower than the stream. It
-    hands them on at the end of the executor's queue then. Otherwise the event of each message would find still newer
-    ones, which came while the last was answered: each would be answered in full, the queue would grow without end, and
-    timers, services and other topics would come later and later.
+    A message that finds the node idle is handed on at once. Then the executor's queue has to be worked off to its
+    present end before more are handed on, together. Otherwise a node that is slower than the stream would find a newer
+    message at each event of the queue, which came while the last was answered: each would be answered in full, the
+    queue would grow without end, and timers, services and other topics would come later and later.
 
     Parameters
     ----------
@@ -53,7 +53,8 @@ class Batches:
     ) -> None:
         self._node, self._take, self._decode = node, take, decode
         self._messages: deque[Any] = deque(maxlen=MOST)
-        self._due = False
+        self._is_behind = False
+        self._end_of_queue = guarded(node, self._work_off)
         self._subscription = node.create_subscription(kind, topic, self._come, qos, raw=True)
         receive_values(self._subscription, self._come_as_value)
 
@@ -68,20 +69,23 @@ class Batches:
 
     def _come_as_value(self, value: Any) -> None:
         self._messages.append(value)
-        self._plan()
+        self._hand_on()  # nothing waits where the sender calls
 
     def _plan(self) -> None:
         executor = self._node.executor
-        if self._due:
+        if self._is_behind:
             return
-        if len(self._messages) <= 1 or executor is None:
-            self._hand_on()
-        else:
-            self._due = True
-            executor.create_task(guarded(self._node, self._hand_on))
+        self._hand_on()
+        if executor is not None:
+            self._is_behind = True
+            executor.create_task(self._end_of_queue)
+
+    def _work_off(self) -> None:
+        self._is_behind = False
+        if self._messages:
+            self._plan()
 
     def _hand_on(self) -> None:
-        self._due = False
         messages = list(self._messages)
         self._messages.clear()
         if messages:
