@@ -38,6 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OSError, ValueError) as error:
         print(f"error: {one_line(error)}", file=sys.stderr)
         return 1
+    for bag in found["bad_bags"]:
+        print(f"bad bag: {one_line(bag['error'])}", file=sys.stderr)
     print(json.dumps(found, indent=2) if options.json else _text(found))
     return 0 if found["passed"] else 1
 
@@ -119,7 +121,6 @@ def _text(found: dict[str, Any]) -> str:
         ]
         head = ("topic", "type", "messages", "Hz", "gap s", "frame", "moves m")
         parts.append(f"{bag['bag']}: {bag['duration_s']:.2f} s\n{format_table(head, rows)}")
-    parts += [f"bad bag: {one_line(bag['error'])}" for bag in found["bad_bags"]]
     parts += [one_line(note) for note in found["notes"]]
     parts += [f"{'refused' if doubt['refuses'] else 'doubt'}: {Doubt(**doubt)}" for doubt in found["doubts"]]
     if not found["doubts"] and not found["bad_bags"]:
