@@ -13,8 +13,13 @@ Numbers = tuple[float, float, float, float, float, float, float]
 
 
 def time_to_ns(stamp: Any) -> int:
-    """A stamp in ns. More nanoseconds than a second has are none: the stamp is taken for the end of its second."""
-    return int(stamp.sec * 1_000_000_000 + min(stamp.nanosec, 999_999_999))
+    """A stamp in ns: see `nanoseconds`."""
+    return nanoseconds(stamp.sec, stamp.nanosec)
+
+
+def nanoseconds(sec: int, nanosec: int) -> int:
+    """A time in ns. More nanoseconds than a second has are none: it is taken for the end of its second."""
+    return int(sec * 1_000_000_000 + min(nanosec, 999_999_999))
 
 
 def pose_numbers(pose: Any) -> Numbers:

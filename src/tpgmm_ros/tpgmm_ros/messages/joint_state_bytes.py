@@ -20,7 +20,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from tpgmm_core.common.types import Array
-from tpgmm_ros.messages.basic_messages import time_to_ns
+from tpgmm_ros.messages.fields import nanoseconds, time_to_ns
 
 #: What says that the rest is plain CDR in little endian.
 _LITTLE_ENDIAN = b"\x00\x01"
@@ -96,7 +96,7 @@ class JointStateDecoder:
         """Raises ValueError or struct.error for bytes that are arranged otherwise."""
         if data[:2] != _LITTLE_ENDIAN:
             raise ValueError("another representation")
-        seconds, nanoseconds = _STAMP.unpack_from(data, _BODY)
+        sec, nanosec = _STAMP.unpack_from(data, _BODY)
         place = _BODY + _STAMP.size
         known = next((item for item in self._known if data.startswith(item[0], place)), None)
         if known is None:
@@ -116,7 +116,7 @@ class JointStateDecoder:
             place += 8 * n
         if not 0 <= len(data) - place <= _MOST_SLACK:
             raise ValueError("another length")
-        return JointStateValues(seconds * 1_000_000_000 + min(nanoseconds, 999_999_999), names, *columns)
+        return JointStateValues(nanoseconds(sec, nanosec), names, *columns)
 
 
 _NONE = np.zeros(0)
