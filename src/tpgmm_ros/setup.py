@@ -37,6 +37,7 @@ setup(
             "compose = tpgmm_ros.executables:compose",
             "check_robot = tpgmm_ros.executables:check_robot",
             "inspect = tpgmm_ros.executables:inspect",
+            "record = tpgmm_ros.executables:record",
             "teach = tpgmm_ros.executables:teach",
             "train = tpgmm_ros.executables:train",
             "recognize = tpgmm_ros.executables:recognize",
