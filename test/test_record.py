@@ -260,16 +260,22 @@ def test_keys_of_a_terminal_start_stop_undo_and_end_and_the_line_says_what_is_mi
                     break
             return text in shown
 
+        def wait_for(condition: Callable[[], bool], what: str) -> None:
+            try:
+                spin_until(ros_node, condition, START)
+            except AssertionError:
+                raise AssertionError(f"{what!r} did not come; shown: {shown[-1500:]!r}") from None
+
         try:
             for key, text in ((b"", "cup \x1b[31mMISSING"), (b"u", "nothing to undo"), (b" ", "recording ")):
                 os.write(master, key)
-                spin_until(ros_node, lambda text=text: shows(text), START, f"{text!r} is shown")
+                wait_for(lambda text=text: shows(text), text)
             robot.run()
             for key, text in ((b"\n", "MISSING: frame cup"), (b"u", "undone"), (b" ", "demo_02 ")):
                 os.write(master, key)
-                spin_until(ros_node, lambda text=text: shows(text), START, f"{text!r} is shown")
+                wait_for(lambda text=text: shows(text), text)
             os.write(master, b"q")
-            spin_until(ros_node, lambda: shows("") and process.poll() is not None, message="the end")
+            wait_for(lambda: shows("") and process.poll() is not None, "the end")
             assert process.returncode == 0, shown
         finally:
             process.kill()
