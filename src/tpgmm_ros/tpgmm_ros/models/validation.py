@@ -54,8 +54,10 @@ class Fold:
     ----------
     recording
         what was left out
+    path
+        (T, 7), the reproduction by a model of the others
     model
-        errors of the reproduction by a model of the others
+        its errors
     nearest
         errors of replaying the most similar of the others, as seen from the anchor; for comparison
     baselines
@@ -70,6 +72,7 @@ class Fold:
     """
 
     recording: Recording
+    path: Array
     model: PathErrors
     nearest: PathErrors
     baselines: dict[str, PathErrors]
@@ -120,6 +123,7 @@ def cross_validate(
         path, covariances = reproduce_gaussians(model, situation)
         yield Fold(
             left_out,
+            path,
             path_errors(path, left_out.movement),
             path_errors(replay_nearest(others, left_out, anchor), left_out.movement),
             {} if baselines is None else baseline_errors(demonstrations, situation, left_out, baselines),

@@ -14,6 +14,7 @@ EXAMPLES = """\
 examples:
   train --task config/pick_place.yaml --output pick_place.tpgmm bags/
   train --task config/pick_place.yaml --output pick_place.tpgmm --report out/train demo_1 demo_2 demo_3
+  train --task config/pick_place.yaml --output pick_place.tpgmm --leave-one-out --report training.html bags/
   train --task config/pick_place.yaml --leave-one-out bags/          (only measures, saves no model)
   train --task config/pick_place.yaml --output best.tpgmm --auto --budget 60s bags/pick_place
   train --task config/pick_place.yaml --output dmp.tpgmm --retrieval dmp bags/
@@ -80,7 +81,12 @@ def parser_of_train() -> argparse.ArgumentParser:
     parser.add_argument(
         "--workers", type=_positive, metavar="N", help="for --auto: processes (default: one for each core)"
     )
-    parser.add_argument("--report", type=Path, metavar="DIR", help="write report.json into this directory")
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="WHERE",
+        help="write what was found: FILE.html is a page with pictures, anything else the directory of report.json",
+    )
     parser.add_argument(
         "--separate",
         action="store_true",
