@@ -131,7 +131,7 @@ COLCON_PLACES := --base-paths src --build-base out/colcon/build --install-base o
 colcon: dev ## build and test the packages with colcon: out/colcon/ (15 minutes; TESTS="-k frame" for some tests)
 	$(COLCON) build --metas colcon.meta $(COLCON_PLACES)
 	$(COLCON) test $(COLCON_PLACES) --executor sequential --event-handlers console_direct+ --return-code-on-test-failure \
-		--packages-select tpgmm_core tpgmm_ros tpgmm_demos $(if $(TESTS),--pytest-args $(TESTS))
+		--packages-select tpgmm_core tpgmm_ros tpgmm_demos tpgmm_workbench $(if $(TESTS),--pytest-args $(TESTS))
 
 clean: ## remove everything that the other targets have made
 	rm -rf $(VENV) out .hypothesis .mypy_cache .pytest_cache .ruff_cache
@@ -149,7 +149,7 @@ $(DONE)/venv: .python-version
 	@mkdir -p $(DONE) && touch $@
 
 $(DONE)/requirements: requirements.txt tools/install_requirements.py tools/relocate_wheels.py $(DONE)/venv
-	$(call say,what running needs: 143 wheels (some 2 minutes))
+	$(call say,what running needs: 160 wheels (some 2 minutes))
 	@$(PYTHON) tools/install_requirements.py requirements.txt
 	@$(PYTHON) tools/relocate_wheels.py
 	@touch $@
@@ -160,7 +160,7 @@ $(DONE)/requirements-dev: requirements-dev.txt $(DONE)/requirements
 	@touch $@
 
 $(DONE)/requirements-docs: requirements-docs.txt $(DONE)/requirements
-	$(call say,what the site needs: 31 wheels (some 20 seconds))
+	$(call say,what the site needs: 22 wheels (some 20 seconds))
 	@$(PYTHON) tools/install_requirements.py requirements-docs.txt
 	@touch $@
 
@@ -186,11 +186,11 @@ $(DONE)/standard-interfaces: $(DONE)/requirements tools/build_interfaces.py tool
 	@$(call progress,standard-interfaces) $(PYTHON) tools/build_interfaces.py tools/standard_interfaces.yaml $(CURDIR)/$(VENV)
 	@touch $@
 
-PACKAGE_FILES := $(foreach package,tpgmm_core tpgmm_ros tpgmm_demos,$(addprefix src/$(package)/,setup.py setup.cfg package.xml))
+PACKAGE_FILES := $(foreach package,tpgmm_core tpgmm_ros tpgmm_demos tpgmm_workbench,$(addprefix src/$(package)/,setup.py setup.cfg package.xml))
 INSTALLED_DATA := $(wildcard src/tpgmm_ros/launch/*.launch.py config/*.yaml)
 $(DONE)/packages: tools/link_packages.py $(DONE)/interfaces $(DONE)/standard-interfaces $(PACKAGE_FILES) $(INSTALLED_DATA)
 	$(call say,Python packages (some seconds))
-	@$(PYTHON) tools/link_packages.py src/tpgmm_core src/tpgmm_ros src/tpgmm_demos
+	@$(PYTHON) tools/link_packages.py src/tpgmm_core src/tpgmm_ros src/tpgmm_demos src/tpgmm_workbench
 	@touch $@
 
 # A compiled function keeps what it was compiled from, also when a function of another file that it calls has changed
