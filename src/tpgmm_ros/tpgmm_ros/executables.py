@@ -10,7 +10,7 @@ from tpgmm_ros.runtime.entry import missing, node, program
 
 
 def _elsewhere(package: str, run: Callable[[], int], name: str) -> Callable[[], int]:
-    """An executable of another package under the name that it has here; without that package, it says what to install."""
+    """An executable of another package, under its name here; without that package, it says what to install."""
 
     def start() -> int:
         if reason := missing(package, name):
