@@ -23,7 +23,7 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy
 import numpy as np  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
+from tpgmm_core import Demonstration, Frame, LearnedMixture  # noqa: E402
 from tpgmm_core.choice.baselines import BASELINES, Learner  # noqa: E402
 from tpgmm_core.choice.reproducing import reproduce, without_frames  # noqa: E402
 from tpgmm_core.common.report import format_table  # noqa: E402
@@ -138,7 +138,7 @@ def measure(data: DataSet) -> Iterator[dict[str, Any]]:
 
 def learned(
     settings: Mapping[str, Mapping[str, Any]], method: str, training: Sequence[Demonstration], space: str
-) -> Iterator[tuple[str, bool, TPGMM]]:
+) -> Iterator[tuple[str, bool, LearnedMixture]]:
     """Name of the candidate, whether leave-one-out takes it, and its model of all that it was given."""
     recipes = {name: Recipe.of(values, method) for name, values in settings.items()}
     manifold = Manifold.parse(space)
