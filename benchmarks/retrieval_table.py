@@ -30,7 +30,8 @@ from tpgmm_core.common.report import format_table  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
 from tpgmm_core.geometry.manifold import Manifold  # noqa: E402
-from tpgmm_core.learning.selection import SelectableEstimator, select_model  # noqa: E402
+from tpgmm_core.learning.held_out import SelectableEstimator  # noqa: E402
+from tpgmm_core.learning.selection import select_model  # noqa: E402
 from tpgmm_core.retrieval.methods import DEFAULT, METHODS  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_ros.models.validation import path_errors, replay_nearest  # noqa: E402
