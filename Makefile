@@ -88,6 +88,7 @@ results: setup ## compute the numbers of docs/reference/results.md: leave-one-ou
 	PYTHONPATH=. $(PYTHON) benchmarks/retrieval_table.py --data $(DATA)
 	PYTHONPATH=. $(PYTHON) benchmarks/irrelevant_frames.py $(SETS)
 	PYTHONPATH=. $(PYTHON) benchmarks/automatic.py $(SETS)
+	PYTHONPATH=.:src/tpgmm_core/test $(PYTHON) benchmarks/recognition.py --data $(DATA)
 
 figures: setup ## draw figures 1 to 4 of the paper, weights of frames, extrapolation: out/figures/ (DATA=directory of the data sets)
 	@for number in 1 2 3 4; do PYTHONPATH=. $(PYTHON) examples/figure$$number.py || exit 1; done
