@@ -69,8 +69,8 @@ seeds: setup ## run the demo in lockstep in many situations and list failures wi
 soak: setup ## run 30 minutes of simulated time with random faults, watch tasks and memory: out/soak/ (MINUTES=5 for less)
 	PYTHONPATH=. $(PYTHON) benchmarks/soak.py --minutes $(MINUTES) --seed $(SEED)
 
-faults: dev ## make every known fault happen to the running nodes and check what they do: out/faults/ (10 minutes)
-	PYTHONPATH=.:test $(PYTHON) -m faults
+faults: dev ## make every known fault happen to the running nodes and check what they do: out/faults/ (20 minutes; RATE=250 on slow cores)
+	PYTHONPATH=.:test $(PYTHON) -m faults $(if $(RATE),--rate $(RATE))
 
 demo: setup ## train a model, start the nodes, do the task, report: out/demo/ (SEED=7 for another situation, SEPARATE=1 for a process for each node)
 	$(DEMOS)/demo --seed $(SEED) $(if $(SEPARATE),--separate)
