@@ -24,7 +24,7 @@ def main() -> int:
         "--output", type=Path, default=Path("out/faults"), help="report and logs (default: %(default)s)"
     )
     parser.add_argument(
-        "--rate", type=float, default=GraphBench.rate, metavar="HZ",
+        "--rate", type=float, default=GraphBench.joint_state_rate, metavar="HZ",
         help="joint states per second where all nodes run in real time: less on slow cores (default: %(default)g)",
     )  # fmt: skip
     parser.add_argument("--list", action="store_true", help="print names and promises, and do nothing")
@@ -33,7 +33,7 @@ def main() -> int:
     if arguments.list:
         print(format_table(("fault", "promise"), [(row.name, row.promise) for row in faults]))
         return 0
-    GraphBench.rate = arguments.rate
+    GraphBench.joint_state_rate = arguments.rate
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, joint states at {arguments.rate:g} Hz")
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # which ends the nodes too
     # A report of an earlier success must not stand beside a failure

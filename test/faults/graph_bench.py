@@ -49,7 +49,7 @@ class GraphBench:
     name: ClassVar[str] = "graph"
     realtime: ClassVar[bool] = True
     #: Joint states per second; slow cores that are to run four nodes and this program bear less.
-    rate: ClassVar[float] = 500.0
+    joint_state_rate: ClassVar[float] = 500.0
     #: Further parameters of the nodes.
     more: ClassVar[dict[str, dict[str, object]]] = {}
 
@@ -58,14 +58,14 @@ class GraphBench:
         self.model_file = trained(directory / "model.tpgmm")
         real_time = {"realtime_priority": REALTIME_PRIORITY}
         task, robot = {"task_file": TASK_FILE, **real_time}, {"robot_file": ROBOT_FILE, **real_time}
-        answering = {"autostart": True, "joint_state_rate": self.rate}
+        answering = {"autostart": True, "joint_state_rate": self.joint_state_rate}
         self.parameters: dict[str, dict[str, object]] = {
             "frame_tracker": task,
             "reproduction": {
                 **task, **answering, "model_file": self.model_file, "settle_time": 0.5, "start_timeout": 2.0
             },
             "impedance_controller": {**robot, **answering},
-            "baxter_simulator": {**robot, "rate": self.rate},
+            "baxter_simulator": {**robot, "rate": self.joint_state_rate},
         }  # fmt: skip
         for name, values in self.parameters.items():
             values.update(self.more.get(name, {}))
