@@ -1,0 +1,388 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`Project`: one folder with a task, a robot, demonstrations and models; nothing in it is ever deleted.
+
+    project/
+      task.yaml  robot.yaml
+      demonstrations/0001/   an ordinary bag, and notes.json
+      models/0001.tpgmm  0001.json   a model, and what it was learned from
+
+A demonstration is there when its folder is, a model when its notes are: each comes by one renaming, after all of it is
+on the disk. So a folder whose program, or machine, died at any moment opens again with all that was finished.
+"""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tpgmm_core import TPGMM
+from tpgmm_core.common.text import one_line
+from tpgmm_core.common.types import Array
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_ros.models.task_model import load_task_model
+from tpgmm_ros.recordings.bags import BagError, read_recording
+from tpgmm_ros.recordings.recording import Recording
+from tpgmm_ros.task.task_file import Task, TaskError
+from tpgmm_workbench.project import folder as files
+from tpgmm_workbench.project.errors import ProjectError
+from tpgmm_workbench.project.notes import Correction, ModelNotes, Notes, read_notes, write_notes
+from tpgmm_workbench.project.taught import NOTES, TaughtDemonstration, trimmed
+
+
+@dataclass(frozen=True, slots=True)
+class TrainedModel:
+    """A model of a project: its number, its file, and what is known of it."""
+
+    number: int
+    path: Path
+    notes: ModelNotes
+
+
+class Project:
+    """A project's folder; make one with `create` or `open`. Its methods may be called from several threads.
+
+    Attributes
+    ----------
+    folder
+        where it lies
+    task
+        what its task file says
+    """
+
+    def __init__(self, folder: Path, task: Task) -> None:
+        self.folder, self.task = folder, task
+        self._lock = threading.RLock()
+        self._read: dict[int, Recording | str] = {}
+        self._loaded: dict[int, TPGMM] = {}
+        self._robot: RobotModel | None = None
+
+    @classmethod
+    def create(cls, folder: str | Path, task_file: str | Path, robot_file: str | Path) -> Project:
+        """Make a project of copies of a task file and a robot file.
+
+        Parameters
+        ----------
+        folder
+            must not exist, or be empty
+        task_file, robot_file
+            both are copied, with a URDF that lies beside the robot file
+
+        Returns
+        -------
+        Project
+            without demonstrations
+
+        Raises
+        ------
+        ProjectError
+            for a folder that is not empty, and files that cannot be used
+        OSError
+            where the folder cannot be written
+        """
+
+        def fill(draft: Path) -> None:
+            try:
+                Task.load(task_file)
+            except TaskError as error:
+                raise ProjectError(str(error)) from error
+            shutil.copyfile(task_file, draft / files.TASK)
+            files.copy_robot(Path(robot_file), draft)
+            for name in (files.DEMONSTRATIONS, files.MODELS):
+                (draft / name).mkdir()
+
+        files.make_folder(Path(folder), fill)
+        return cls.open(folder)
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Project:
+        """Open a project.
+
+        Parameters
+        ----------
+        folder
+            of the project
+
+        Returns
+        -------
+        Project
+            with all that was finished
+
+        Raises
+        ------
+        ProjectError
+            for a folder that is no project
+        """
+        place = Path(folder).resolve()
+        missing = [name for name in (files.TASK, files.ROBOT) if not (place / name).is_file()]
+        if missing:
+            raise ProjectError(
+                f"{one_line(place)} is no project: it lacks {' and '.join(missing)}; choose a project's folder, or "
+                "make a new one"
+            )
+        try:
+            return cls(place, Task.load(place / files.TASK))
+        except TaskError as error:
+            raise ProjectError(str(error)) from error
+
+    @property
+    def task_file(self) -> Path:
+        """Its task file."""
+        return self.folder / files.TASK
+
+    @property
+    def robot_file(self) -> Path:
+        """Its robot file."""
+        return self.folder / files.ROBOT
+
+    def robot(self) -> RobotModel:
+        """The robot, which is read once. Raises RobotFileError."""
+        with self._lock:
+            if self._robot is None:
+                self._robot = RobotModel.from_file(self.robot_file)
+            return self._robot
+
+    def fixed_frames(self) -> dict[str, Array]:
+        """Frames that the task file fixes: name -> pose (7,) in the base frame."""
+        return {name: np.array(spec.pose) for name, spec in self.task.frames.items() if spec.pose is not None}
+
+    # -- demonstrations
+
+    def new_demonstration(self) -> Path:
+        """Where the next bag goes: the path for a `BagRecorder`. What was begun there before stays where it is."""
+        folder = self.folder / files.DEMONSTRATIONS
+        with self._lock:
+            folder.mkdir(exist_ok=True)
+            return folder / files.named(files.free_number(folder))
+
+    def recorded(self, path: Path, comment: str = "") -> TaughtDemonstration:
+        """Take note of a bag that was recorded at the place that `new_demonstration` gave.
+
+        When this returns, the demonstration survives the end of the machine.
+
+        Parameters
+        ----------
+        path
+            of the bag
+        comment
+            of the user
+
+        Returns
+        -------
+        TaughtDemonstration
+            with its problem in words where the bag cannot be used
+
+        Raises
+        ------
+        ProjectError
+            for another place
+        """
+        with self._lock:
+            found = files.numbered(self.folder / files.DEMONSTRATIONS)
+            number = next((n for n, place in found.items() if place == Path(path)), None)
+            if number is None:
+                raise ProjectError(f"{one_line(path)} is no demonstration of {self.folder.name}: record it there first")
+            files.sync_tree(Path(path))
+            files.sync(Path(path).parent)
+            if comment:
+                self.note(number, comment=comment)
+            return self.demonstration(number)
+
+    def add(
+        self, write: Callable[[Path], None], comment: str = "", correction: Correction | None = None
+    ) -> TaughtDemonstration:
+        """Add a demonstration that is not recorded in place.
+
+        Parameters
+        ----------
+        write
+            makes a bag at the path that it is given, which does not exist
+        comment
+            of the user
+        correction
+            what it corrects; None for an ordinary one
+
+        Returns
+        -------
+        TaughtDemonstration
+            with its problem in words where the bag cannot be used
+        """
+        with self._lock:
+            path = self.new_demonstration()
+            draft = path.parent / files.PARTIAL / path.name
+            draft.parent.mkdir(exist_ok=True)
+            write(draft)
+            write_notes(draft / NOTES, Notes(comment=comment, correction=correction))
+            files.place(draft, path)
+            return self.demonstration(int(path.name))
+
+    def add_bag(self, bag: str | Path, comment: str = "") -> TaughtDemonstration:
+        """Add a copy of a bag that lies elsewhere, a folder with metadata.yaml; see `add`."""
+        return self.add(lambda draft: shutil.copytree(bag, draft) and None, comment)
+
+    def demonstrations(self) -> tuple[TaughtDemonstration, ...]:
+        """All of them in the order of teaching, those too that were undone or cannot be read."""
+        with self._lock:
+            return tuple(self.demonstration(n) for n in files.numbered(self.folder / files.DEMONSTRATIONS))
+
+    def used(self) -> tuple[TaughtDemonstration, ...]:
+        """Those that models learn from."""
+        return tuple(shown for shown in self.demonstrations() if shown.is_used)
+
+    def demonstration(self, number: int) -> TaughtDemonstration:
+        """The demonstration of a number. Raises ProjectError where there is none."""
+        with self._lock:
+            path = self.folder / files.DEMONSTRATIONS / files.named(number)
+            if not path.is_dir():
+                raise ProjectError(f"there is no demonstration {number}")
+            if number not in self._read:
+                try:
+                    self._read[number] = read_recording(path, self.task)
+                except BagError as error:
+                    self._read[number] = one_line(error)
+            found = self._read[number]
+            problem = found if isinstance(found, str) else ""
+            notes = Notes()
+            try:
+                notes = read_notes(path / NOTES, Notes) if (path / NOTES).exists() else notes
+            except ProjectError as error:
+                problem = problem or str(error)
+            whole = None if problem or isinstance(found, str) else found
+            return TaughtDemonstration(number, path, notes, whole, problem)
+
+    def note(
+        self,
+        number: int,
+        *,
+        comment: str | None = None,
+        trim: tuple[float, float] | None | str = "as it is",
+        is_used: bool | None = None,
+    ) -> TaughtDemonstration:
+        """Change what is noted of a demonstration; what is not given stays.
+
+        Parameters
+        ----------
+        number
+            of the demonstration
+        comment
+            a new one
+        trim
+            begin and end in s from the first sample; None: all of it
+        is_used
+            whether models learn from it
+
+        Returns
+        -------
+        TaughtDemonstration
+            as it is now
+
+        Raises
+        ------
+        ProjectError
+            for a trim that leaves too little
+        """
+        with self._lock:
+            shown = self.demonstration(number)
+            notes = shown.notes
+            if comment is not None:
+                notes = replace(notes, comment=comment)
+            if not isinstance(trim, str):
+                if trim is not None:
+                    trim = (float(trim[0]), float(trim[1]))
+                    if shown.whole is not None:
+                        trimmed(shown.whole, *trim)  # raises
+                notes = replace(notes, trim=trim)
+            if is_used is not None:
+                notes = replace(notes, is_used=is_used)
+            self._write(number, notes)
+            return replace(shown, notes=notes)
+
+    def _write(self, number: int, notes: Notes) -> None:
+        write_notes(self.folder / files.DEMONSTRATIONS / files.named(number) / NOTES, notes)
+
+    # -- models
+
+    def models(self) -> tuple[TrainedModel, ...]:
+        """All models, in the order of training, those too that were undone."""
+        with self._lock:
+            folder = self.folder / files.MODELS
+            found = []
+            for number, path in files.numbered(folder, ".json").items():
+                model = folder / f"{files.named(number)}.tpgmm"
+                if model.is_file():
+                    found.append(TrainedModel(number, model, read_notes(path, ModelNotes)))
+            return tuple(found)
+
+    @property
+    def model(self) -> TrainedModel | None:
+        """The last one that was not undone."""
+        return next((model for model in reversed(self.models()) if not model.notes.is_undone), None)
+
+    def load(self, model: TrainedModel) -> TPGMM:
+        """A model from its file, which is read once.
+
+        Raises
+        ------
+        ProjectError
+            for a file that is no model of this task
+        """
+        with self._lock:
+            if model.number not in self._loaded:
+                try:
+                    self._loaded[model.number] = load_task_model(model.path, self.task)
+                except (OSError, ValueError) as error:
+                    raise ProjectError(one_line(error)) from error
+            return self._loaded[model.number]
+
+    def keep(self, model: TPGMM, notes: ModelNotes) -> TrainedModel:
+        """Keep a new model, which is the present one from now on. Raises OSError."""
+        with self._lock:
+            folder = self.folder / files.MODELS
+            folder.mkdir(exist_ok=True)
+            number = files.free_number(folder)
+            path = folder / f"{files.named(number)}.tpgmm"
+            model.save(path)
+            write_notes(path.with_suffix(".json"), notes)
+            files.sync(folder)
+            self._loaded[number] = model
+            return TrainedModel(number, path, notes)
+
+    # -- undo
+
+    def undo(self) -> str:
+        """Take back the last demonstration or correction, with the model that a correction made.
+
+        Returns
+        -------
+        str
+            what was undone, in words; empty where there is nothing
+        """
+        return self._mark_last(True)
+
+    def redo(self) -> str:
+        """Bring back what was undone last; returns what that was, in words, or nothing."""
+        return self._mark_last(False)
+
+    def _mark_last(self, is_undone: bool) -> str:
+        with self._lock:
+            shown = [d for d in self.demonstrations() if d.notes.is_undone != is_undone]
+            if not shown:
+                return ""
+            last = shown[-1] if is_undone else shown[0]
+            self._write(last.number, replace(last.notes, is_undone=is_undone))
+            word = "undone" if is_undone else "back again"
+            if last.notes.correction is None:
+                return f"demonstration {last.number} is {word}"
+            for model in self.models():
+                if last.number in model.notes.learned_from and model.notes.is_undone != is_undone:
+                    write_notes(model.path.with_suffix(".json"), replace(model.notes, is_undone=is_undone))
+            return f"correction {last.number} is {word}, and so is what was learned from it"
+
+
+def used_parts(shown: Sequence[TaughtDemonstration]) -> Mapping[int, tuple[float, float] | None]:
+    """What is used of demonstrations, as the notes of a model have it."""
+    return {one.number: one.notes.trim for one in shown}
