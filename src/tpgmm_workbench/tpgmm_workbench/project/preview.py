@@ -29,7 +29,10 @@ NEAR_LIMIT = 0.02
 """A joint is at its limit where it is nearer than this share of its range."""
 NEW = 2.0
 """A situation that is so many times as new as the newest that a model was judged by is too new."""
+STARTS_M = 0.05
+"""A hand that is nearer to the begin of the movement is there."""
 COLLISION_STRIDE = 4
+"""Every so many poses of the path are looked at for parts that meet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +59,7 @@ class Preview:
     q
         (T, nv) joints along the path, in the robot's order, within the limits of their positions
     checks
-        reachable, position limits, speed limits, self-collision, novelty; in this order
+        reachable, position limits, speed limits, self-collision, novelty, start; in this order
     """
 
     times: Array
@@ -133,6 +136,7 @@ def preview(
         _speeds(robot, joints, times),
         _collision(shapes, joints, times),
         _novelty(model, frames, hand),
+        _start(hand, path[0]),
     )
     return Preview(times, path, covariances, joints, checks)
 
@@ -200,6 +204,17 @@ def _collision(shapes: SelfCollision | None, q: Array, times: Array) -> Check:
         return Check("self-collision", True, "the robot does not meet itself")
     one, other = meeting.links
     return Check("self-collision", False, f"{one} meets {other} at {times[meeting.at]:.1f} s")
+
+
+def _start(hand: Array, first: Array) -> Check:
+    away = float(np.linalg.norm(hand[:3] - first[:3]))
+    if away <= STARTS_M:
+        return Check("start", True, "the hand is where the movement begins")
+    return Check(
+        "start",
+        None,
+        f"the hand is {100.0 * away:.0f} cm from where the movement begins, and will hurry there: lead it there first",
+    )
 
 
 def _novelty(model: TPGMM, frames: Mapping[str, Array], hand: Array) -> Check:

@@ -24,6 +24,7 @@ from tpgmm_core.common.text import one_line
 from tpgmm_core.common.types import Array
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.models.task_model import load_task_model
+from tpgmm_ros.task.state_space import PoseSpace
 from tpgmm_ros.task.task_file import Task, TaskError
 from tpgmm_workbench.project import folder as files
 from tpgmm_workbench.project.errors import ProjectError
@@ -82,10 +83,7 @@ class Project(Teaching):
         """
 
         def fill(draft: Path) -> None:
-            try:
-                Task.load(task_file)
-            except TaskError as error:
-                raise ProjectError(str(error)) from error
+            _task(Path(task_file))
             shutil.copyfile(task_file, draft / files.TASK)
             files.copy_robot(Path(robot_file), draft)
             for name in (files.DEMONSTRATIONS, files.MODELS):
@@ -120,10 +118,7 @@ class Project(Teaching):
                 f"{one_line(place)} is no project: it lacks {' and '.join(missing)}; choose a project's folder, or "
                 "make a new one"
             )
-        try:
-            return cls(place, Task.load(place / files.TASK))
-        except TaskError as error:
-            raise ProjectError(str(error)) from error
+        return cls(place, _task(place / files.TASK))
 
     @property
     def task_file(self) -> Path:
@@ -246,6 +241,17 @@ class Project(Teaching):
                     now = not undone.isdisjoint(model.notes.learned_from)
                     write_notes(model.path.with_suffix(".json"), replace(model.notes, is_undone=now))
             return f"correction {last.number} is {word}, and so is the model that learned from it"
+
+
+def _task(path: Path) -> Task:
+    """A task of poses. Raises ProjectError."""
+    try:
+        task = Task.load(path)
+    except TaskError as error:
+        raise ProjectError(str(error)) from error
+    if not isinstance(task.space, PoseSpace):
+        raise ProjectError(f"{one_line(path)} is a task over joints; the workbench teaches movements of poses")
+    return task
 
 
 def used_parts(shown: Sequence[TaughtDemonstration]) -> Mapping[int, tuple[float, float] | None]:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from tpgmm_core.retrieval.methods import METHODS
-from tpgmm_ros.task.state_space import PoseSpace
 from tpgmm_workbench.project.activities import Action, Facts, may
 from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.project import Project, TrainedModel
@@ -59,16 +58,13 @@ class Training:
         Raises
         ------
         ProjectError
-            for too few demonstrations, with how many more are needed, a method that does not exist, and a task that is
-            not over poses
+            for too few demonstrations, with how many more are needed, and a method that does not exist
         """
         chosen = options or TrainingOptions()
         if reason := may(Action.TRAIN, Facts(demonstrations=len(project.shown()))):
             raise ProjectError(reason)
         if chosen.method is not None and chosen.method not in METHODS:
             raise ProjectError(f"there is no method {chosen.method!r}; there are {', '.join(METHODS)}")
-        if not isinstance(project.task.space, PoseSpace):
-            raise ProjectError(f"task {project.task.name!r} is over joints; the workbench learns movements of poses")
         # spawned, not forked: a fork of a process with threads (of ROS, of BLAS) may never come to its work
         context = multiprocessing.get_context("spawn")
         receiver, sender = context.Pipe(duplex=False)
