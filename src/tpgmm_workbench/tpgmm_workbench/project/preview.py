@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Demonstration
+from tpgmm_core import Demonstration, LearnedMixture
 from tpgmm_core.choice.reproducing import as_seen_by, reproduce_gaussians
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
@@ -82,7 +82,7 @@ class Preview:
 
 
 def preview(
-    model: TPGMM,
+    model: LearnedMixture,
     frames: Mapping[str, Array],
     q: Array,
     robot: RobotModel,
@@ -141,7 +141,7 @@ def preview(
     return Preview(times, path, covariances, joints, checks)
 
 
-def _reference(model: TPGMM, frames: Mapping[str, Array], hand: Array, times: Array) -> tuple[Array, Array]:
+def _reference(model: LearnedMixture, frames: Mapping[str, Array], hand: Array, times: Array) -> tuple[Array, Array]:
     needed = DerivedFrames.of_metadata(model.metadata_).observed(model.frame_names_)
     if missing := [name for name in needed if name not in frames]:
         raise ProjectError(f"the model needs {listed(missing)}, and nobody says where that is: bring it into view")
@@ -217,7 +217,7 @@ def _start(hand: Array, first: Array) -> Check:
     )
 
 
-def _novelty(model: TPGMM, frames: Mapping[str, Array], hand: Array) -> Check:
+def _novelty(model: LearnedMixture, frames: Mapping[str, Array], hand: Array) -> Check:
     scale = NoveltyScale.of_model(model)
     if scale is None:
         return Check("novelty", None, "how new this situation is, is not known: train with three demonstrations")

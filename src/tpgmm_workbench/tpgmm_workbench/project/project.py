@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tpgmm_core import TPGMM
+from tpgmm_core import LearnedMixture
 from tpgmm_core.common.text import one_line
 from tpgmm_core.common.types import Array
 from tpgmm_core.robot.model import RobotModel
@@ -55,7 +55,7 @@ class Project(Teaching):
 
     def __init__(self, folder: Path, task: Task) -> None:
         super().__init__(folder, task)
-        self._loaded: dict[int, TPGMM] = {}
+        self._loaded: dict[int, LearnedMixture] = {}
         self._robot: RobotModel | None = None
 
     @classmethod
@@ -159,7 +159,7 @@ class Project(Teaching):
         """The last one that was not undone."""
         return next((model for model in reversed(self.models()) if not model.notes.is_undone), None)
 
-    def load(self, model: TrainedModel) -> TPGMM:
+    def load(self, model: TrainedModel) -> LearnedMixture:
         """A model from its file, which is read once.
 
         Parameters
@@ -169,7 +169,7 @@ class Project(Teaching):
 
         Returns
         -------
-        TPGMM
+        LearnedMixture
             a fitted model
 
         Raises
@@ -185,7 +185,7 @@ class Project(Teaching):
                     raise ProjectError(one_line(error)) from error
             return self._loaded[model.number]
 
-    def keep(self, model: TPGMM, notes: ModelNotes) -> TrainedModel:
+    def keep(self, model: LearnedMixture, notes: ModelNotes) -> TrainedModel:
         """Keep a new model, which is the present one from now on. Raises OSError."""
         with self._lock:
             folder = self.folder / files.MODELS
@@ -196,6 +196,13 @@ class Project(Teaching):
             files.sync(folder)
             self._loaded[number] = model
             return TrainedModel(number, path, notes)
+
+    def take_back(self, number: int) -> None:
+        """Mark a model as undone, by its number: the one before is the present one again."""
+        with self._lock:
+            for model in self.models():
+                if model.number == number:
+                    write_notes(model.path.with_suffix(".json"), replace(model.notes, is_undone=True))
 
     @staticmethod
     def _reserved(folder: Path) -> tuple[int, Path]:
