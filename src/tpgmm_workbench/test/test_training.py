@@ -66,8 +66,13 @@ def test_two_demonstrations_give_a_model_already(tmp_path: Path) -> None:
     project = Project.create(tmp_path / "project", TASK, ROBOT)
     for bag in BAGS[:2]:
         project.add_bag(bag)
-    words = train(project, TrainingOptions(), lambda share, words: None).notes.words
-    assert any("third" in word or "one more" in word for word in words)
+    (project.folder / "models" / "0001.tpgmm").touch()  # of a process that died: no model, and its number is taken
+    assert project.model is None
+    model = train(project, TrainingOptions(), lambda share, words: None)
+    assert any("third" in word or "one more" in word for word in model.notes.words)
+    assert project.model == model and model.number == 2
+    project.take_back(model.number)
+    assert project.model is None and len(project.models()) == 1
 
 
 def test_a_demonstration_that_shows_something_else_is_marked(taught: Project, tmp_path: Path) -> None:
