@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tpgmm_core import Frame, LearnedMixture
 from tpgmm_core.common.text import listed, one_line, shown
@@ -13,8 +13,10 @@ from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.retrieval.methods import load_model, make_retrieval
-from tpgmm_ros.messages.conversions import TaskFrameState
 from tpgmm_ros.task.task_file import Task
+
+if TYPE_CHECKING:  # messages need rclpy, and models do not
+    from tpgmm_ros.messages.conversions import TaskFrameState
 
 
 def load_task_model(path: str | Path, task: Task) -> LearnedMixture:
