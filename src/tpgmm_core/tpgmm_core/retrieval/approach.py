@@ -40,7 +40,7 @@ def way_time(manifold: Manifold, apart: Array, speed: float, rate: float) -> flo
     float
         s
     """
-    places = [] if manifold.is_euclidean else manifold.flat_tangent
+    places = np.zeros(0, dtype=np.intp) if manifold.is_euclidean else np.asarray(manifold.flat_tangent)
     others = np.setdiff1d(np.arange(manifold.tangent_dim), places)
     return max(float(np.linalg.norm(apart[places])) / speed, float(np.linalg.norm(apart[others])) / rate)
 

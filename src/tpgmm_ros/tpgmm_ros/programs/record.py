@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from rclpy.executors import Executor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
@@ -132,7 +133,7 @@ def _serve(node: Node, session: RecordSession) -> None:
 
 
 def _loop(
-    executor: EventsExecutor,
+    executor: Executor,
     stop: StopFlag,
     keys: Keys,
     session: RecordSession,

@@ -88,7 +88,7 @@ def described(model: LearnedMixture, path: Path) -> dict[str, Any]:
         "learned_from": list(learned_from(model)),
         "manifold": str(model.manifold_),
         "dimensions": list(model.dimensions_ or ()),
-        "covariance": str(model.covariance),
+        "covariance": model.emissions_.structure.name,
         "iterations": int(model.n_iter_),
         "converged": bool(model.converged_),
         "log_likelihood": float(model.log_likelihood_),
