@@ -69,8 +69,8 @@ seeds: setup ## run the demo in lockstep in many situations and list failures wi
 soak: setup ## run 30 minutes of simulated time with random faults, watch tasks and memory: out/soak/ (MINUTES=5 for less)
 	PYTHONPATH=. $(PYTHON) benchmarks/soak.py --minutes $(MINUTES) --seed $(SEED)
 
-faults: dev ## make every known fault happen to the running nodes and check what they do: out/faults/ (10 minutes)
-	PYTHONPATH=.:test $(PYTHON) -m faults
+faults: dev ## make every known fault happen to the running nodes and check what they do: out/faults/ (20 minutes; RATE=250 on slow cores)
+	PYTHONPATH=.:test $(PYTHON) -m faults $(if $(RATE),--rate $(RATE))
 
 demo: setup ## train a model, start the nodes, do the task, report: out/demo/ (SEED=7 for another situation, SEPARATE=1 for a process for each node)
 	$(DEMOS)/demo --seed $(SEED) $(if $(SEPARATE),--separate)
@@ -88,6 +88,7 @@ results: setup ## compute the numbers of docs/reference/results.md: leave-one-ou
 	PYTHONPATH=. $(PYTHON) benchmarks/retrieval_table.py --data $(DATA)
 	PYTHONPATH=. $(PYTHON) benchmarks/irrelevant_frames.py $(SETS)
 	PYTHONPATH=. $(PYTHON) benchmarks/automatic.py $(SETS)
+	PYTHONPATH=.:src/tpgmm_core/test $(PYTHON) benchmarks/recognition.py --data $(DATA)
 
 figures: setup ## draw figures 1 to 4 of the paper, weights of frames, extrapolation: out/figures/ (DATA=directory of the data sets)
 	@for number in 1 2 3 4; do PYTHONPATH=. $(PYTHON) examples/figure$$number.py || exit 1; done
@@ -131,7 +132,7 @@ COLCON_PLACES := --base-paths src --build-base out/colcon/build --install-base o
 colcon: dev ## build and test the packages with colcon: out/colcon/ (15 minutes; TESTS="-k frame" for some tests)
 	$(COLCON) build --metas colcon.meta $(COLCON_PLACES)
 	$(COLCON) test $(COLCON_PLACES) --executor sequential --event-handlers console_direct+ --return-code-on-test-failure \
-		--packages-select tpgmm_core tpgmm_ros tpgmm_demos $(if $(TESTS),--pytest-args $(TESTS))
+		--packages-select tpgmm_core tpgmm_ros tpgmm_demos tpgmm_workbench $(if $(TESTS),--pytest-args $(TESTS))
 
 clean: ## remove everything that the other targets have made
 	rm -rf $(VENV) out .hypothesis .mypy_cache .pytest_cache .ruff_cache
@@ -149,7 +150,7 @@ $(DONE)/venv: .python-version
 	@mkdir -p $(DONE) && touch $@
 
 $(DONE)/requirements: requirements.txt tools/install_requirements.py tools/relocate_wheels.py $(DONE)/venv
-	$(call say,what running needs: 143 wheels (some 2 minutes))
+	$(call say,what running needs: 160 wheels (some 2 minutes))
 	@$(PYTHON) tools/install_requirements.py requirements.txt
 	@$(PYTHON) tools/relocate_wheels.py
 	@touch $@
@@ -160,7 +161,7 @@ $(DONE)/requirements-dev: requirements-dev.txt $(DONE)/requirements
 	@touch $@
 
 $(DONE)/requirements-docs: requirements-docs.txt $(DONE)/requirements
-	$(call say,what the site needs: 31 wheels (some 20 seconds))
+	$(call say,what the site needs: 22 wheels (some 20 seconds))
 	@$(PYTHON) tools/install_requirements.py requirements-docs.txt
 	@touch $@
 
@@ -186,11 +187,11 @@ $(DONE)/standard-interfaces: $(DONE)/requirements tools/build_interfaces.py tool
 	@$(call progress,standard-interfaces) $(PYTHON) tools/build_interfaces.py tools/standard_interfaces.yaml $(CURDIR)/$(VENV)
 	@touch $@
 
-PACKAGE_FILES := $(foreach package,tpgmm_core tpgmm_ros tpgmm_demos,$(addprefix src/$(package)/,setup.py setup.cfg package.xml))
+PACKAGE_FILES := $(foreach package,tpgmm_core tpgmm_ros tpgmm_demos tpgmm_workbench,$(addprefix src/$(package)/,setup.py setup.cfg package.xml))
 INSTALLED_DATA := $(wildcard src/tpgmm_ros/launch/*.launch.py config/*.yaml)
 $(DONE)/packages: tools/link_packages.py $(DONE)/interfaces $(DONE)/standard-interfaces $(PACKAGE_FILES) $(INSTALLED_DATA)
 	$(call say,Python packages (some seconds))
-	@$(PYTHON) tools/link_packages.py src/tpgmm_core src/tpgmm_ros src/tpgmm_demos
+	@$(PYTHON) tools/link_packages.py src/tpgmm_core src/tpgmm_ros src/tpgmm_demos src/tpgmm_workbench
 	@touch $@
 
 # A compiled function keeps what it was compiled from, also when a function of another file that it calls has changed

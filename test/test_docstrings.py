@@ -13,7 +13,7 @@ from ros_graph import ROOT
 
 SOURCES = sorted(
     path
-    for package in ("tpgmm_core", "tpgmm_ros", "tpgmm_demos")
+    for package in ("tpgmm_core", "tpgmm_ros", "tpgmm_demos", "tpgmm_workbench")
     for path in (ROOT / "src" / package / package).rglob("*.py")
 )
 type Function = ast.FunctionDef | ast.AsyncFunctionDef

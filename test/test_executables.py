@@ -54,7 +54,7 @@ def test_every_executable_begins_where_signals_come_before_imports() -> None:
         name: f"tpgmm_ros.executables:{name}" for name in EXECUTABLES
     }
     assert all(callable(getattr(executables, name)) for name in EXECUTABLES)
-    for package in ("tpgmm_ros", "tpgmm_demos"):
+    for package in ("tpgmm_ros", "tpgmm_demos", "tpgmm_workbench"):
         slow = "{'numpy', 'rclpy', 'tpgmm_core', 'argparse'}"
         check = f"import sys, {package}.executables\nsys.exit(bool({slow} & set(sys.modules)))"
         subprocess.run([sys.executable, "-c", check], check=True, timeout=60)

@@ -15,7 +15,7 @@ from ros_testing import executable
 REPOSITORY = Path(__file__).parents[1]
 PROGRAMS = [
     (package, program)
-    for package in ("tpgmm_ros", "tpgmm_demos")
+    for package in ("tpgmm_ros", "tpgmm_demos", "tpgmm_workbench")
     for program in distribution(package).entry_points.select(group="console_scripts")
 ]
 

@@ -13,12 +13,14 @@ SOURCES = Path(__file__).resolve().parents[1] / "src"
 LAYERS = {
     "tpgmm_ros": ("messages", "runtime", "task", "recordings", "models", "nodes", "programs", "executables"),
     "tpgmm_demos": ("scene", "teaching", "demo", "figure5", "executables"),
+    "tpgmm_workbench": ("project", "scene", "page", "node", "executables"),
 }
 #: Package -> the packages of the workspace that it may import.
 PACKAGES = {
     "tpgmm_core": set[str](),
     "tpgmm_ros": {"tpgmm_core", "tpgmm_msgs"},
     "tpgmm_demos": {"tpgmm_core", "tpgmm_msgs", "tpgmm_ros"},
+    "tpgmm_workbench": {"tpgmm_core", "tpgmm_msgs", "tpgmm_ros", "tpgmm_demos"},
 }
 
 

@@ -7,7 +7,7 @@ import sys
 
 import tpgmm_core
 
-NOT_IN_THE_CORE = ("rclpy", "rosbags", "tpgmm_msgs", "tpgmm_ros", "tpgmm_demos")
+NOT_IN_THE_CORE = ("rclpy", "rosbags", "tpgmm_msgs", "tpgmm_ros", "tpgmm_demos", "tpgmm_workbench")
 
 
 def imported_after(statement: str) -> set[str]:

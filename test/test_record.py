@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import os
 import pty
@@ -13,6 +12,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -270,11 +270,11 @@ def test_keys_of_a_terminal_start_stop_undo_and_end_and_the_line_says_what_is_mi
         try:
             for key, text in ((b"", "cup \x1b[31mMISSING"), (b"u", "nothing to undo"), (b" ", "recording ")):
                 os.write(master, key)
-                wait_for(functools.partial(shows, text), text)
+                wait_for(partial(shows, text), text)
             robot.run()
             for key, text in ((b"\n", "MISSING: frame cup"), (b"u", "undone"), (b" ", "demo_02 ")):
                 os.write(master, key)
-                wait_for(functools.partial(shows, text), text)
+                wait_for(partial(shows, text), text)
             os.write(master, b"q")
             wait_for(lambda: shows("") and process.poll() is not None, "the end")
             assert process.returncode == 0, shown

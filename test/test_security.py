@@ -144,7 +144,7 @@ def test_with_the_profile_for_this_machine_nodes_find_each_other_and_have_no_soc
 
 def test_tests_and_programs_keep_to_this_machine(ros_domain: int) -> None:
     assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST" and os.environ["ROS_DOMAIN_ID"] == str(ros_domain)
-    packages = [ROOT / "src" / package / package for package in ("tpgmm_ros", "tpgmm_demos")]
+    packages = [ROOT / "src" / package / package for package in ("tpgmm_ros", "tpgmm_demos", "tpgmm_workbench")]
     programs = [path for folder in (ROOT / "benchmarks", *packages) for path in folder.rglob("*.py")]
     starting = {path: text for path in programs if "open_graph(" in (text := path.read_text())}
     assert len(starting) > 3

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make Python packages of the workspace part of this virtual environment, as `colcon build` and a setup.bash do.
 
-    .venv/bin/python tools/link_packages.py src/tpgmm_core src/tpgmm_ros src/tpgmm_demos
+    .venv/bin/python tools/link_packages.py src/tpgmm_core src/tpgmm_ros src/tpgmm_demos src/tpgmm_workbench
 
 Modules and data files are linked, not copied: a change needs no build. Executables lie in lib/<package>, where
 `ros2 run` looks. Every Python process of the environment then finds all of it, whatever has started it. colcon itself
@@ -45,7 +45,7 @@ def hook(directory: Path) -> None:
     quiet = (
         'import os, sys; folder = os.path.dirname(os.path.realpath(getattr(sys, "argv", [""])[0])); '
         'lib = os.path.realpath(os.path.join(sys.prefix, "lib")); '
-        'ours = folder in (os.path.join(lib, "tpgmm_ros"), os.path.join(lib, "tpgmm_demos")); '
+        'ours = folder in [os.path.join(lib, name) for name in ("tpgmm_ros", "tpgmm_demos", "tpgmm_workbench")]; '
         'ours and (signal := __import__("signal")).signal(signal.SIGINT, signal.SIG_DFL)'
     )
     # In the order of their names; that of the ROS wheels starts Python a second time

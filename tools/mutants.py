@@ -35,7 +35,7 @@ from tpgmm_core.common.report import Row, format_rows, write_json
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("src", "test", "benchmarks", "examples", "tools", "docs", "bags", "config", "conftest.py", "pyproject.toml",
           "README.md", "Makefile")  # fmt: skip
-PACKAGES = ("src/tpgmm_core", "src/tpgmm_ros", "src/tpgmm_demos")
+PACKAGES = ("src/tpgmm_core", "src/tpgmm_ros", "src/tpgmm_demos", "src/tpgmm_workbench")
 #: A fault may make a program wait for ever: the test counts as failed after this time, s
 TIMEOUT = 300.0
 #: Of pytest: tests failed, or could not even be collected

@@ -45,6 +45,7 @@ setup(
             "recognize = tpgmm_ros.executables:recognize",
             "demo = tpgmm_ros.executables:demo",
             "figure5 = tpgmm_ros.executables:figure5",
+            "workbench = tpgmm_ros.executables:workbench",
         ]
     },
     zip_safe=True,

@@ -75,12 +75,12 @@ def modules_of(package: str) -> dict[str, Path]:
     return {str(path.relative_to(root)): path for path in root.rglob("*.py") if not path.stem.startswith("__")}
 
 
-@pytest.mark.parametrize("package", ["tpgmm_core", "tpgmm_ros", "tpgmm_demos"])
+@pytest.mark.parametrize("package", ["tpgmm_core", "tpgmm_ros", "tpgmm_demos", "tpgmm_workbench"])
 def test_the_table_of_modules_names_each_module_once_and_no_other(package: str) -> None:
     assert sorted(modules_in_table(package)) == sorted(modules_of(package))
 
 
-@pytest.mark.parametrize("package", ["tpgmm_core", "tpgmm_ros", "tpgmm_demos"])
+@pytest.mark.parametrize("package", ["tpgmm_core", "tpgmm_ros", "tpgmm_demos", "tpgmm_workbench"])
 def test_imports_of_modules_go_in_no_circle(package: str) -> None:
     """Those at the top of a module; an import for the type checker alone is none."""
     modules = modules_of(package)

@@ -96,6 +96,8 @@ def test_private_parts_of_rclpy_are_used_in_one_module() -> None:
 
 def modules_with(pattern: str) -> list[str]:
     """Names of the files of both packages whose text has it."""
-    packages = (Path(__file__).parents[2] / package / package for package in ("tpgmm_ros", "tpgmm_demos"))
+    packages = (
+        Path(__file__).parents[2] / package / package for package in ("tpgmm_ros", "tpgmm_demos", "tpgmm_workbench")
+    )
     modules = (path for package in packages for path in package.rglob("*.py"))
     return [path.name for path in modules if re.search(pattern, path.read_text())]

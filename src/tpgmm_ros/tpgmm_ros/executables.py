@@ -9,12 +9,11 @@ from collections.abc import Callable
 from tpgmm_ros.runtime.entry import missing, node, program
 
 
-def _demonstration(name: str) -> Callable[[], int]:
-    """A program of tpgmm_demos under the name that it has here; without that package, it says what to install."""
-    run = program(f"tpgmm_demos.{name}")
+def _elsewhere(package: str, run: Callable[[], int], name: str) -> Callable[[], int]:
+    """An executable of another package, under its name here; without that package, it says what to install."""
 
     def start() -> int:
-        if reason := missing("tpgmm_demos", name):
+        if reason := missing(package, name):
             print(f"error: {reason}", file=sys.stderr)
             return 1
         return run()
@@ -38,5 +37,6 @@ train = program("tpgmm_ros.programs.train")
 evaluate = program("tpgmm_ros.programs.evaluate")
 show = program("tpgmm_ros.programs.show")
 recognize = program("tpgmm_ros.programs.recognize")
-demo = _demonstration("demo")
-figure5 = _demonstration("figure5")
+demo = _elsewhere("tpgmm_demos", program("tpgmm_demos.demo"), "demo")
+figure5 = _elsewhere("tpgmm_demos", program("tpgmm_demos.figure5"), "figure5")
+workbench = _elsewhere("tpgmm_workbench", node("tpgmm_workbench.node"), "workbench")

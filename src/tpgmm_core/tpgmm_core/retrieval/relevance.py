@@ -16,7 +16,7 @@ import numpy as np
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.mixture import GaussianMixture
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.retrieval.encodings import DmpEncoding, VelocityEncoding, encoding_of
 
 
@@ -37,7 +37,7 @@ class Relevance:
     shares: dict[str, Array]
 
 
-def relevance(model: TPGMM, parts: int = 10) -> Relevance:
+def relevance(model: LearnedMixture, parts: int = 10) -> Relevance:
     """How much each frame says of where the hand is, in each part of the movement.
 
     Parameters
@@ -81,7 +81,7 @@ def relevance(model: TPGMM, parts: int = 10) -> Relevance:
     return Relevance("movement" if has_time else "component", shares)
 
 
-def position_dimensions(model: TPGMM) -> tuple[list[int], Array]:
+def position_dimensions(model: LearnedMixture) -> tuple[list[int], Array]:
     """Where a model's data hold the position: the first three Euclidean numbers that are no time and no derivative.
 
     Parameters
@@ -102,12 +102,12 @@ def position_dimensions(model: TPGMM) -> tuple[list[int], Array]:
     return flat[:3], _tangent(model, flat[:3])
 
 
-def _tangent(model: TPGMM, places: Sequence[int]) -> Array:
+def _tangent(model: LearnedMixture, places: Sequence[int]) -> Array:
     known = dict(zip(model.manifold_.flat_ambient.tolist(), model.manifold_.flat_tangent.tolist(), strict=True))
     return np.array([known[i] for i in places])
 
 
-def _over_time(model: TPGMM, name: str, places: Sequence[int], inputs: Array) -> Array:
+def _over_time(model: LearnedMixture, name: str, places: Sequence[int], inputs: Array) -> Array:
     """Covariances (M, 3, 3) of the position as one frame sees it, at some inputs (M,)."""
     tangent = _tangent(model, [0, *places])
     mixture = GaussianMixture(

@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from tpgmm_core import TPGMM
+from tpgmm_core import LearnedMixture
 from tpgmm_core.common.text import shown
 
 BAGS, ERRORS = "bags", "expected_errors"
@@ -17,12 +17,12 @@ MOST_BAGS = 1000
 """Names beyond so many are not kept: a model file is not to grow with its recordings."""
 
 
-def keep_recordings(model: TPGMM, names: Sequence[str]) -> None:
+def keep_recordings(model: LearnedMixture, names: Sequence[str]) -> None:
     """Write the names of the recordings into a model that was learned from them."""
     model.metadata_[BAGS] = json.dumps(list(names[:MOST_BAGS]))
 
 
-def keep_errors(model: TPGMM, source: str, path_m: float, end_m: float, turn_deg: float) -> None:
+def keep_errors(model: LearnedMixture, source: str, path_m: float, end_m: float, turn_deg: float) -> None:
     """Write into a model how far it was off, in the mean, where demonstrations were left out.
 
     Parameters
@@ -42,7 +42,7 @@ def keep_errors(model: TPGMM, source: str, path_m: float, end_m: float, turn_deg
     model.metadata_[ERRORS] = json.dumps({"from": source, **errors})
 
 
-def learned_from(model: TPGMM) -> tuple[str, ...]:
+def learned_from(model: LearnedMixture) -> tuple[str, ...]:
     """Names of the recordings that a model was learned from; none where it does not say them.
 
     Parameters
@@ -66,7 +66,7 @@ def learned_from(model: TPGMM) -> tuple[str, ...]:
     return tuple(found)
 
 
-def expected_errors(model: TPGMM) -> dict[str, Any]:
+def expected_errors(model: LearnedMixture) -> dict[str, Any]:
     """Mean errors on demonstrations that were left out, by name; empty where a model does not say them.
 
     Parameters
@@ -90,7 +90,7 @@ def expected_errors(model: TPGMM) -> dict[str, Any]:
     return found
 
 
-def _read(model: TPGMM, key: str, empty: Any) -> Any:
+def _read(model: LearnedMixture, key: str, empty: Any) -> Any:
     text = model.metadata_.get(key)
     if text is None:
         return empty

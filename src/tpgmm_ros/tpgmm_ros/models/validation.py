@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Demonstration
+from tpgmm_core import Demonstration, LearnedMixture
 from tpgmm_core.choice.baselines import BASELINES, Learner
 from tpgmm_core.choice.calibration import knows_time, squared_distances_of
 from tpgmm_core.choice.novelty import novelty_of
@@ -83,7 +83,7 @@ class Fold:
 
 def cross_validate(
     recordings: Sequence[Recording],
-    learn: Callable[[list[Demonstration]], TPGMM],
+    learn: Callable[[list[Demonstration]], LearnedMixture],
     anchor: str,
     baselines: Learner | None = None,
 ) -> Iterator[Fold]:
@@ -144,7 +144,7 @@ class Tried:
     squared_distances: Array
 
 
-def tried(model: TPGMM, recording: Recording, duration: float) -> Tried:
+def tried(model: LearnedMixture, recording: Recording, duration: float) -> Tried:
     """Reproduce a recording by a model, whose movements take a duration, s.
 
     Parameters
@@ -167,8 +167,8 @@ def tried(model: TPGMM, recording: Recording, duration: float) -> Tried:
 
 
 def tried_by_others(
-    recordings: Sequence[Recording], learn: Callable[[list[Demonstration]], TPGMM]
-) -> Iterator[tuple[Tried, TPGMM, list[Recording], list[Demonstration], Demonstration]]:
+    recordings: Sequence[Recording], learn: Callable[[list[Demonstration]], LearnedMixture]
+) -> Iterator[tuple[Tried, LearnedMixture, list[Recording], list[Demonstration], Demonstration]]:
     """Reproduce each recording by a model of the others.
 
     Parameters
@@ -180,7 +180,7 @@ def tried_by_others(
 
     Yields
     ------
-    tuple[Tried, TPGMM, list[Recording], list[Demonstration], Demonstration]
+    tuple[Tried, LearnedMixture, list[Recording], list[Demonstration], Demonstration]
         what came of it, the model, the others, their demonstrations, and the situation of the recording left out
 
     Raises

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Demonstration
+from tpgmm_core import Demonstration, LearnedMixture
 from tpgmm_core.choice.calibration import coverage
 from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.report import format_table
@@ -91,7 +91,7 @@ def _tried(
         model = load_task_model(name, task)
         return [tried(model, recording, float(model.metadata_["duration_s"])) for recording in recordings]
     space, recipe = task.space.manifold(), task.space.recipe(task.model, name)
-    learn: Callable[[list[Demonstration]], TPGMM] = lambda shown: recipe.learn(shown, space)  # noqa: E731
+    learn: Callable[[list[Demonstration]], LearnedMixture] = lambda shown: recipe.learn(shown, space)  # noqa: E731
     if held_out:
         demonstrations, duration = align(recordings)
         model = learn(demonstrations)

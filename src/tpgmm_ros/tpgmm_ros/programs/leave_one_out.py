@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
-from tpgmm_core import TPGMM, Demonstration
+from tpgmm_core import Demonstration, LearnedMixture
 from tpgmm_core.choice.baselines import Learner
 from tpgmm_core.choice.calibration import Calibration
 from tpgmm_core.choice.novelty import range_of
@@ -27,7 +27,7 @@ from tpgmm_ros.task.task_file import Task
 
 
 def validate(
-    task: Task, recipe: Recipe, recordings: list[Recording], trained: TPGMM
+    task: Task, recipe: Recipe, recordings: list[Recording], trained: LearnedMixture
 ) -> tuple[list[Fold], dict[str, Any]]:
     """Reproduce each demonstration by a model of the others, and print the errors.
 
@@ -110,7 +110,7 @@ def validate(
     }
 
 
-def _calibrate(folds: list[Fold], recipe: Recipe, trained: TPGMM) -> Calibration:
+def _calibrate(folds: list[Fold], recipe: Recipe, trained: LearnedMixture) -> Calibration:
     """Say how exact the references are that the model calls exact, and write the scale that mends it into the model."""
     found = Calibration.of([fold.squared_distances for fold in folds], POSE.tangent_dim)
     trained.metadata_[scale_key(recipe.method.name)] = found.scale
@@ -124,7 +124,7 @@ def _calibrate(folds: list[Fold], recipe: Recipe, trained: TPGMM) -> Calibration
     return found
 
 
-def _novelty(folds: list[Fold], demonstrations: list[Demonstration], trained: TPGMM) -> float | None:
+def _novelty(folds: list[Fold], demonstrations: list[Demonstration], trained: LearnedMixture) -> float | None:
     """Write what novelty was for what was left out into the model; returns its rank correlation with the error."""
     against, far = zip(*(fold.novelty for fold in folds), strict=True)
     if not np.isfinite(against).all():

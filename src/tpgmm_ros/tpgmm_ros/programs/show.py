@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tpgmm_core import TPGMM
+from tpgmm_core import LearnedMixture
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.kinematics.method import NAME as KINEMATIC
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def described(model: TPGMM, path: Path) -> dict[str, Any]:
+def described(model: LearnedMixture, path: Path) -> dict[str, Any]:
     """What a model says of itself, as JSON can hold it.
 
     Parameters
@@ -88,7 +88,7 @@ def described(model: TPGMM, path: Path) -> dict[str, Any]:
         "learned_from": list(learned_from(model)),
         "manifold": str(model.manifold_),
         "dimensions": list(model.dimensions_ or ()),
-        "covariance": str(model.covariance),
+        "covariance": model.emissions_.structure.name,
         "iterations": int(model.n_iter_),
         "converged": bool(model.converged_),
         "log_likelihood": float(model.log_likelihood_),
@@ -117,13 +117,13 @@ def _encodes(method: str) -> str:
     return METHODS[method].encoding.description if method in METHODS else "configurations of joints"
 
 
-def _frames(model: TPGMM) -> dict[str, str]:
+def _frames(model: LearnedMixture) -> dict[str, str]:
     """What each frame is."""
     derived = DerivedFrames.of_metadata(model.metadata_).sources
     return {name: str(derived[name]) if name in derived else "of the task" for name in model.frame_names_}
 
 
-def _components(model: TPGMM) -> list[dict[str, Any]]:
+def _components(model: LearnedMixture) -> list[dict[str, Any]]:
     """Each component: its share of the samples, and its mean in each frame."""
     names = model.dimensions_
     has_time = names is not None and names[0] == "time"
@@ -139,7 +139,7 @@ def _components(model: TPGMM) -> list[dict[str, Any]]:
     return rows
 
 
-def _relevance(model: TPGMM, method: str) -> tuple[str, dict[str, list[float]]]:
+def _relevance(model: LearnedMixture, method: str) -> tuple[str, dict[str, list[float]]]:
     if method == KINEMATIC:
         raise ValueError("frames of the robot's joints: what each says depends on where the robot is")
     shares = relevance(model, PARTS)

@@ -43,8 +43,8 @@ def record_live(task: Task, output: Path) -> dict[str, int]:
             executor.spin_once(timeout_sec=0.1)
             if time.monotonic() - told > 1.0:
                 told = time.monotonic()
-                words = ", ".join(f"{topic} {count}" for topic, count in recorder.counts.items() if count)
-                print(f"\r{words} ", end="", file=sys.stderr, flush=True)
+                told_counts = ", ".join(f"{topic} {count}" for topic, count in recorder.counts.items())
+                print(f"\r{told_counts} ", end="", file=sys.stderr, flush=True)
         # On a busy machine the end is known before all that came earlier was looked at
         end = time.monotonic() + DRAIN_TIME
         while time.monotonic() < end:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tpgmm_core import TPGMM
+from tpgmm_core import LearnedMixture
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.learning.situations import demonstrated_situations
@@ -29,7 +29,7 @@ from tpgmm_ros.recordings.bags import Recording, align
 from tpgmm_ros.runtime.entry import INTERRUPTED
 from tpgmm_ros.task.task_file import Task
 
-type Learn = Callable[..., TPGMM]
+type Learn = Callable[..., LearnedMixture]
 """Takes what `Recipe.learn` takes."""
 
 
@@ -37,7 +37,7 @@ type Learn = Callable[..., TPGMM]
 class Training:
     """A fitted model, and what it was fitted to."""
 
-    model: TPGMM
+    model: LearnedMixture
     method: str
     recordings: list[Recording]
     duration_s: float

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Demonstration
+from tpgmm_core import Demonstration, LearnedMixture
 from tpgmm_core.common.atomic_file import write_atomically
 from tpgmm_core.common.types import Array
 from tpgmm_core.doubt.doubts import Doubt
@@ -38,7 +38,7 @@ def write_page(
     path: Path,
     command: Sequence[str],
     report: Mapping[str, Any],
-    model: TPGMM | None,
+    model: LearnedMixture | None,
     recordings: Sequence[Recording],
     folds: Sequence[Fold],
 ) -> None:
@@ -122,7 +122,7 @@ def _facts(report: Mapping[str, Any]) -> str:
     return f"<h2>What was learned</h2>{_table(('', ''), rows)}<details><summary>recordings</summary>{table}</details>"
 
 
-def _relevance(model: TPGMM) -> str:
+def _relevance(model: LearnedMixture) -> str:
     try:
         found = relevance(model, 50)
     except ValueError as error:
@@ -134,7 +134,7 @@ def _relevance(model: TPGMM) -> str:
     return f"<h2>How much each frame counts in each component</h2>{_table(header, rows)}"
 
 
-def _demonstrations(model: TPGMM, recordings: Sequence[Recording]) -> str:
+def _demonstrations(model: LearnedMixture, recordings: Sequence[Recording]) -> str:
     """As each frame sees them, with the components at two standard deviations."""
     shown, derived = align(recordings)[0], DerivedFrames.of_metadata(model.metadata_)
     missing = [name for name in derived.sources if name not in shown[0].frames]
