@@ -78,8 +78,12 @@ class Page:
         beside = np.array([-forward[1], forward[0], 0.0])
         look_at = hand[:3] + np.array([0.0, 0.0, -0.05])
         server.initial_camera.look_at = tuple(look_at)
-        server.initial_camera.position = tuple(look_at + 1.1 * forward + 0.5 * beside + np.array([0.0, 0.0, 0.75]))
+        server.initial_camera.position = tuple(look_at + 1.2 * forward + 0.9 * beside + np.array([0.0, 0.0, 0.8]))
         server.initial_camera.fov = 0.9
+        # shadows and reflections would cost more than all of the rest where a browser draws without a graphics card
+        scene.configure_default_lights(cast_shadow=False)
+        scene.configure_environment_map(hdri=None)
+        scene.add_light_ambient("/ambient", intensity=1.2)
         scene.add_grid("/floor", width=4.0, height=4.0, position=(0.0, 0.0, self._lowest()), cell_size=0.25)
         self._robot = RobotView(scene, desk.robot, self._shapes)
         self._ghost: RobotView | None = None
