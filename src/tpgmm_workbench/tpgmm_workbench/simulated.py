@@ -18,7 +18,7 @@ from domain_coordinator import domain_id
 
 from tpgmm_core.common.text import one_line
 from tpgmm_ros.runtime.executor import run
-from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, GraphError, NodeProcesses, Value
+from tpgmm_ros.runtime.processes import GraphError, NodeProcesses, Value
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task
 from tpgmm_workbench.node import WorkbenchNode
@@ -31,6 +31,8 @@ PHYSICS_RATE = 1000.0
 FEW_CORES, FEW_CORES_RATE, RATE = 4, 250.0, 1000.0
 #: A simulation waits for nobody who could be hurt: a busy machine is given time before the arm is only damped, s.
 PATIENCE = 0.15
+#: Task parameters per second, besides those that tell of changes, Hz.
+TRACKER_RATE = 20.0
 #: How often it is looked whether the nodes still run, s.
 CHECK_PERIOD = 1.0
 
@@ -58,6 +60,7 @@ def main() -> int:
             "port": arguments.port,
             "meshes": not arguments.no_meshes,
             "seed": arguments.seed,
+            "frame_rate": arguments.frame_rate,
         }
         words = ["workbench", "--ros-args"]
         for name, value in given.items():
@@ -100,19 +103,17 @@ def _project(arguments: argparse.Namespace) -> Project:
 
 def _start(processes: NodeProcesses, project: Project, task: Task, rate: float) -> None:
     """All nodes but the page's."""
-    priority: dict[str, Value] = {"realtime_priority": REALTIME_PRIORITY}
-    answering: dict[str, Value] = {"joint_state_rate": rate, "autostart": True, **priority}
+    answering: dict[str, Value] = {"joint_state_rate": rate, "autostart": True}
     processes.start(
         "baxter_simulator",
         robot_file=project.robot_file,
         rate=rate,
         physics_steps=math.ceil(PHYSICS_RATE / rate),
         command_timeout=PATIENCE,
-        wrench_timeout=0.3,
-        **priority,
+        wrench_timeout=1.0,
     )
     nodes: dict[str, dict[str, Value]] = {
-        "frame_tracker": {"task_file": project.task_file, **priority},
+        "frame_tracker": {"task_file": project.task_file, "rate": TRACKER_RATE},
         "reproduction": {"task_file": project.task_file, **answering},
         "impedance_controller": {
             "robot_file": project.robot_file,
@@ -145,6 +146,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--rate", type=float, default=FEW_CORES_RATE if few else RATE, help=f"joint states, Hz {shown}")
     parser.add_argument("--seed", type=int, default=-1, help=f"of the objects' places; -1: others each time {shown}")
     parser.add_argument("--no-meshes", action="store_true", help="draw simple shapes, which is faster")
+    parser.add_argument("--frame-rate", type=float, default=30.0, help=f"the page is renewed this often, Hz {shown}")
     parser.add_argument("--domain", type=int, help="ROS domain, to watch with RViz (default: a free one)")
     parser.add_argument("--log", type=Path, default=Path("out/workbench/log"), help=f"logs of the nodes {shown}")
     return parser

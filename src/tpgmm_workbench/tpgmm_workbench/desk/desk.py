@@ -11,9 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 from rclpy.node import Node
 
 from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.pose import pose_error
 from tpgmm_core.robot.description import RobotDescription
 from tpgmm_ros.runtime.background import Background
 from tpgmm_workbench.desk.learning import Learning, ModelView
@@ -66,6 +68,8 @@ class DeskView:
         those of them that nobody sees
     aim
         (7,) to which the hand is led
+    to_go
+        how far it still is from there, m; None while nobody leads it
     speed
         of the movement; 1: as learned
     """
@@ -83,6 +87,7 @@ class DeskView:
     places: dict[str, Array] = field(default_factory=dict)
     hidden: frozenset[str] = frozenset()
     aim: Array | None = None
+    to_go: float | None = None
     speed: float = 1.0
 
 
@@ -122,8 +127,7 @@ class Desk:
         self._world: SimulatedWorld | None = None
         if simulated:
             regions = regions_of(project.task.name, project.task.topics, self.home)
-            link = self.robot.endpoints[project.task.endpoint].frame
-            self._world = SimulatedWorld(node, project.task, link, Arrangement(regions, seed))
+            self._world = SimulatedWorld(node, project.task, Arrangement(regions, seed))
         self._said: list[tuple[float, str]] = []
         self._graph = GraphView()
         self._speed, self._is_paused = 1.0, False
@@ -181,7 +185,7 @@ class Desk:
         self._learning.look()
         self._begin_when_free()
         if self._world is not None:
-            self._world.let_see()
+            self._world.tell()
         now = time.monotonic()
         self._said = [(when, words) for when, words in self._said[-MOST_WORDS:] if now - when < WORDS_STAY]
         facts = self.facts()
@@ -199,9 +203,15 @@ class Desk:
             words=tuple(words for _, words in reversed(self._said)),
             places={} if world is None else dict(world.arrangement.places),
             hidden=frozenset() if world is None else frozenset(world.arrangement.hidden),
-            aim=None if world is None else world.leading.aim,
+            aim=None if world is None else world.aim,
+            to_go=self._to_go(),
             speed=self._speed,
         )
+
+    def _to_go(self) -> float | None:
+        if self._world is None or self._world.aim is None or self._graph.hand is None:
+            return None
+        return pose_error(self._graph.hand, self._world.aim)[0]
 
     def _refused(self, action: Action) -> bool:
         """Whether something may not be done now; then the user is told why."""
@@ -259,14 +269,14 @@ class Desk:
             return
         if self._movement.view.goes_on:
             if is_held:
-                self._world.leading.lead(aim)
+                self._world.aim = np.array(aim)
             else:
-                self._world.leading.let_go()
+                self._world.aim = None
             return
         controller = self._graph.controller
         if controller is not None and controller.state == "ACTIVE":
             self._movement.let_go()
-        self._world.leading.lead(aim)
+        self._world.aim = np.array(aim)
 
     def lead_to(self, name: str, above: bool) -> None:
         """Lead the simulated hand to an object, or above it; "home": to where it is at home."""
@@ -283,7 +293,7 @@ class Desk:
     def let_go(self) -> None:
         """Give the simulated hand no more force."""
         if self._world is not None:
-            self._world.leading.let_go()
+            self._world.aim = None
 
     def move_object(self, name: str, pose: Array) -> None:
         """Lay a simulation's object at a pose (7,)."""

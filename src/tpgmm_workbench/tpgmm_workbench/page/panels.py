@@ -25,7 +25,7 @@ class TeachPanel:
         self._record = Button(server, "Record", self._begin_or_end, "R", color="red")
         self._length = Text(server)
         self._hide = {}
-        self._hand: list = []
+        self._led: Text | None = None
         if desk.simulated:
             self._lead(server)
             self._objects(server)
@@ -38,6 +38,7 @@ class TeachPanel:
     def _lead(self, server: ViserServer) -> None:
         desk, ask = self._desk, self._ask
         with server.gui.add_folder("Lead the hand (or drag its gizmo)"):
+            self._led = Text(server)
             for name in desk.project.task.topics:
                 group = server.gui.add_button_group(name, (f"above {name}", f"to {name}"))
                 group.on_click(
@@ -45,8 +46,7 @@ class TeachPanel:
                         event.client_id, desk.lead_to, name, event.target.value.startswith("above ")
                     )
                 )
-                self._hand.append(group)
-            group = server.gui.add_button_group("hand", ("home", "let go"))
+                group = server.gui.add_button_group("hand", ("home", "let go"))
             group.on_click(
                 lambda event: (
                     ask(event.client_id, desk.let_go)
@@ -54,7 +54,6 @@ class TeachPanel:
                     else ask(event.client_id, desk.lead_to, "home", False)
                 )
             )
-            self._hand.append(group)
 
     def _objects(self, server: ViserServer) -> None:
         desk, ask = self._desk, self._ask
@@ -79,6 +78,8 @@ class TeachPanel:
         self._undo.show(view.reasons.get(Action.UNDO, ""))
         self._length.show(words.recording(view))
         self._list.show(words.demonstrations(view))
+        if self._led is not None:
+            self._led.show(words.led(view))
         for name, box in self._hide.items():
             if box.value != (name in view.hidden):
                 box.value = name in view.hidden

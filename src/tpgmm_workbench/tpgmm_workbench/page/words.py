@@ -12,6 +12,8 @@ from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SKY, YELLOW, C
 
 #: So many demonstrations before training is suggested: with fewer, hardly anything is known of how exact a skill is.
 SUGGESTED = 4
+#: A hand that is led is there when it is so near, m.
+THERE = 0.012
 _CONTROLLER = {"WAITING": GREY, "ACTIVE": GREEN, "HOLD": YELLOW, "DAMPING": SKY, "FAULT": RED}
 _LEVELS: dict[str, tuple[Color, str]] = {
     "good": (GREEN, "good"),
@@ -74,6 +76,13 @@ def status(view: DeskView) -> str:
     frames = " ".join(chip(f"{frame.name}: {frame.state}", FRAME[frame.state]) for frame in view.graph.frames)
     lines = [first, robot, frames, f"<b>{escape(next_step(view))}</b>"]
     return _block([line for line in [*lines, *(f"<i>{escape(words)}</i>" for words in view.words)] if line])
+
+
+def led(view: DeskView) -> str:
+    """How far the hand still is from where it is led."""
+    if view.to_go is None:
+        return _block(["Nobody leads the hand."])
+    return _block(["The hand is there." if view.to_go < THERE else f"{100.0 * view.to_go:.0f} cm to go."])
 
 
 def recording(view: DeskView) -> str:
