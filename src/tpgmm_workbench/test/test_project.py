@@ -72,38 +72,60 @@ def test_a_folder_that_holds_something_else_is_neither_made_nor_opened(tmp_path:
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 
+#: One process reads the modules once; for each line a child of it adds demonstrations until it is killed.
 WRITER = """
-import sys
+import os, sys
+import numpy as np
+from tpgmm_workbench.project.bag_writer import write_bag
 from tpgmm_workbench.project.project import Project
-project, bags = Project.open(sys.argv[1]), sys.argv[2:]
-print("begin", flush=True)
-while True:
-    for bag in bags:
-        shown = project.add_bag(bag, comment="whole")
-        project.note(shown.number, comment="whole " * 50)
-        print(shown.number, flush=True)
+
+project, times = Project.open(sys.argv[1]), np.linspace(0.0, 2.0, 40)
+hand = np.column_stack([times, times, times, *np.zeros((3, 40)), np.ones(40)])
+frames = {name: np.array([1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0]) for name in project.task.sources}
+write = lambda path: write_bag(path, project.task, times, hand, frames)
+project.add(write, comment="whole")  # reads what it needs
+for _ in sys.stdin:
+    child = os.fork()
+    if not child:
+        while True:
+            shown = project.add(write, comment="whole")
+            os.write(1, f"{shown.number}\\n".encode())
+            project.note(shown.number, comment="whole " * 50)
+    os.write(1, f"child {child}\\n".encode())
+    os.waitpid(child, 0)
+    os.write(1, b"dead\\n")
 """
 
 
 def test_a_process_killed_at_any_moment_leaves_every_finished_demonstration(project: Project) -> None:
-    rng = random.Random(0)
-    told = 0
-    for _ in range(20):
-        process = subprocess.Popen(
-            [sys.executable, "-c", WRITER, str(project.folder), *map(str, BAGS[:2])],
-            stdout=subprocess.PIPE,
-            text=True,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-        )
-        assert process.stdout is not None
-        assert process.stdout.readline() == "begin\n"
-        time.sleep(rng.uniform(0.0, 0.1))  # the moment
-        process.send_signal(signal.SIGKILL)
-        lines = process.stdout.read().split()
-        process.wait()
-        told = max([told, *map(int, lines)])
-    again = Project.open(project.folder)
-    shown = again.demonstrations()
-    assert told > 0
-    assert {one.number for one in shown} >= {one.number for one in shown if one.number <= told}
-    assert all(not one.problem and one.notes.comment.startswith("whole") for one in shown)
+    rng, told = random.Random(0), set()
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", WRITER, str(project.folder)]
+    with subprocess.Popen(command, stdin=-1, stdout=-1, text=True, env=environment) as process:
+        assert process.stdin is not None and process.stdout is not None
+
+        def heard() -> str:
+            """What was said next; finished demonstrations are noted."""
+            line = process.stdout.readline().strip()  # type: ignore[union-attr]
+            if line.isdigit():
+                told.add(int(line))
+            return line
+
+        takes = 0.01
+        for k in range(20):
+            process.stdin.write("another\n")
+            process.stdin.flush()
+            while not (line := heard()).startswith("child "):
+                pass
+            begin = time.monotonic()
+            if k % 2:  # while it makes its second one, else its first
+                assert heard().isdigit()
+                takes = time.monotonic() - begin
+            time.sleep(rng.uniform(0.0, takes))  # the moment
+            os.kill(int(line.removeprefix("child ")), signal.SIGKILL)
+            while heard() != "dead":
+                pass
+        process.stdin.close()
+    found = {one.number: one for one in Project.open(project.folder).demonstrations()}
+    assert len(told) >= 10 and told <= set(found)
+    assert all(not one.problem and one.notes.comment.startswith("whole") for one in found.values())

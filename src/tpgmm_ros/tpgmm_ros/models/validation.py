@@ -67,6 +67,8 @@ class Fold:
         of what was shown from the reproduction, in units of its covariances, at each sample, (T,)
     novelty
         contradiction and distance: see `tpgmm_core.retrieval.novelty`
+    path
+        the reproduction, poses (T, 7)
     """
 
     recording: Recording
@@ -76,6 +78,7 @@ class Fold:
     iterations: int
     squared_distances: Array
     novelty: tuple[float, float]
+    path: Array
 
 
 def cross_validate(
@@ -126,6 +129,7 @@ def cross_validate(
             int(model.n_iter_),
             squared_distances_of(path, covariances, left_out.movement, POSE, knows_time(model)),
             novelty_of(model, demonstrations, situation, POSE),
+            path,
         )
 
 

@@ -13,6 +13,7 @@ from typing import Any, Self
 from tpgmm_core.common.atomic_file import write_atomically
 from tpgmm_core.common.text import one_line, shown
 from tpgmm_workbench.project.errors import ProjectError
+from tpgmm_workbench.project.recipe import LearnedAs
 
 MAX_BYTES = 2_000_000
 MAX_COMMENT = 2000
@@ -101,6 +102,8 @@ class ModelNotes:
         whether it was taken back
     corrects
         number of the model that a correction changed into this one; 0 without one
+    learned_as
+        method, frames and settings, with which corrections learn
     """
 
     learned_from: Mapping[int, tuple[float, float] | None]
@@ -112,12 +115,13 @@ class ModelNotes:
     seconds: float = 0.0
     is_undone: bool = False
     corrects: int = 0
+    learned_as: LearnedAs | None = None
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
         """From JSON. Raises ValueError for what `write_json` of notes did not write."""
         _refuse_others(values, cls.__dataclass_fields__)
-        learned = _mapping(values.get("learned_from"))
+        learned, learned_as = _mapping(values.get("learned_from")), values.get("learned_as")
         return cls(
             learned_from={_number(k): None if v is None else _interval(v) for k, v in learned.items()},
             words=tuple(one_line(_text(word)) for word in _list(values.get("words", []))),
@@ -131,6 +135,7 @@ class ModelNotes:
             seconds=_real(values.get("seconds", 0.0)),
             is_undone=_truth(values.get("is_undone", False)),
             corrects=_number(values.get("corrects", 0)),
+            learned_as=None if learned_as is None else LearnedAs.of(_mapping(learned_as)),
         )
 
 

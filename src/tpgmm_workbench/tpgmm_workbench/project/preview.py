@@ -6,9 +6,30 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from tpgmm_core import TPGMM
+import numpy as np
+
+from tpgmm_core import TPGMM, Demonstration
+from tpgmm_core.choice.reproducing import as_seen_by, reproduce_gaussians
+from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
+from tpgmm_core.model.derived_frames import DerivedFrames
+from tpgmm_core.retrieval.calibrated import covariance_scale
+from tpgmm_core.retrieval.interface import demonstrated_duration
+from tpgmm_core.retrieval.methods import make_retrieval, method_of
+from tpgmm_core.retrieval.novelty import NoveltyScale
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_workbench.project.errors import ProjectError
+from tpgmm_workbench.project.joints_along import joints_along
+from tpgmm_workbench.project.self_collision import SelfCollision
+from tpgmm_workbench.project.situations import frames_of
+
+FAR_M, FAR_RAD = 0.01, 0.1
+"""A pose that the joints miss by more is out of reach."""
+NEAR_LIMIT = 0.02
+"""A joint is at its limit where it is nearer than this share of its range."""
+NEW = 2.0
+"""A situation that is so many times as new as the newest that a model was judged by is too new."""
+COLLISION_STRIDE = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +72,10 @@ class Preview:
 
     @property
     def words(self) -> str:
-        """The verdict: what is bad, or that nothing is."""
+        """The verdict: what is bad, or that nothing is; then what cannot be known."""
         bad = [check.words for check in self.checks if check.is_good is False]
-        return "; ".join(bad) if bad else "it can be done as shown"
+        unknown = [check.words for check in self.checks if check.is_good is None]
+        return "; ".join([*(bad or ["it can be done as shown"]), *unknown])
 
 
 def preview(
@@ -64,6 +86,7 @@ def preview(
     endpoint: str,
     duration: float | None = None,
     count: int = 100,
+    shapes: SelfCollision | None = None,
 ) -> Preview:
     """See where a model would go, and whether the robot can.
 
@@ -83,6 +106,8 @@ def preview(
         of the movement, s; None: as demonstrated
     count
         number of poses
+    shapes
+        of the robot, made once; None: whether it meets itself is not known
 
     Returns
     -------
@@ -94,4 +119,98 @@ def preview(
     ProjectError
         for a frame that the model needs and nobody gives, and for a model over joints
     """
-    raise NotImplementedError
+    data = robot.create_data()
+    data.update(np.asarray(q, float))
+    hand = data.pose(endpoint)
+    learned = demonstrated_duration(model)
+    path, covariances = _reference(model, frames, hand, np.linspace(0.0, learned, count))
+    times = np.linspace(0.0, learned if duration is None else duration, count)
+    joints, missing = joints_along(robot, endpoint, path, q)
+    moving = robot.indices(robot.endpoints[endpoint].joints)
+    checks = (
+        _reachable(times, missing),
+        _positions(robot, joints[:, moving], [robot.joint_names[i] for i in moving], times),
+        _speeds(robot, joints, times),
+        _collision(shapes, joints, times),
+        _novelty(model, frames, hand),
+    )
+    return Preview(times, path, covariances, joints, checks)
+
+
+def _reference(model: TPGMM, frames: Mapping[str, Array], hand: Array, times: Array) -> tuple[Array, Array]:
+    needed = DerivedFrames.of_metadata(model.metadata_).observed(model.frame_names_)
+    if missing := [name for name in needed if name not in frames]:
+        raise ProjectError(f"the model needs {listed(missing)}, and nobody says where that is: bring it into view")
+    known = frames_of({name: np.asarray(frames[name], float) for name in needed})
+    data = np.column_stack([times, np.tile(hand, (len(times), 1))])
+    if not known:
+        known = frames_of({"base": np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])})
+    situation = as_seen_by(model, Demonstration(times, data, known))
+    try:
+        path, covariances = reproduce_gaussians(model, situation)
+    except ValueError as error:
+        raise ProjectError(f"the model has no answer in this situation: {error}") from error
+    if path.shape[1] != 7:
+        raise ProjectError("the model is over joints, or positions alone; a preview needs one of poses")
+    return path, covariances * covariance_scale(model, method_of(model).name)
+
+
+def _reachable(times: Array, missing: Array) -> Check:
+    far = np.flatnonzero((missing[:, 0] > FAR_M) | (missing[:, 1] > FAR_RAD))
+    if not len(far):
+        return Check("reachable", True, "the hand reaches all of the path")
+    most = far[np.argmax(missing[far, 0])]
+    return Check(
+        "reachable",
+        False,
+        f"out of reach from {times[far[0]]:.1f} to {times[far[-1]]:.1f} s: {1e3 * missing[most, 0]:.0f} mm and "
+        f"{np.degrees(missing[most, 1]):.0f} deg are missing at {times[most]:.1f} s; move the objects nearer",
+    )
+
+
+def _positions(robot: RobotModel, q: Array, names: list[str], times: Array) -> Check:
+    joints = robot.indices(names)
+    lower, upper = robot.lower_limits[joints], robot.upper_limits[joints]
+    ranges = upper - lower
+    room = np.minimum(q - lower, upper - q) / np.where(np.isfinite(ranges), ranges, 1.0)
+    i, k = np.unravel_index(int(np.argmin(room)), room.shape)
+    if room[i, k] > NEAR_LIMIT:
+        return Check("joint limits", True, f"joints stay within their limits; {names[k]} comes nearest")
+    return Check(
+        "joint limits", False, f"{names[k]} is at its limit ({q[i, k]:.2f} of {lower[k]:.2f} to {upper[k]:.2f}) at "
+        f"{times[i]:.1f} s; start from another posture, or move the objects",
+    )  # fmt: skip
+
+
+def _speeds(robot: RobotModel, q: Array, times: Array) -> Check:
+    speeds = np.abs(np.diff(q, axis=0)) / np.diff(times)[:, None] / robot.velocity_limits
+    i, k = np.unravel_index(int(np.argmax(speeds)), speeds.shape)
+    words = f"{robot.joint_names[k]} needs {speeds[i, k]:.0%} of its speed limit at {times[i]:.1f} s"
+    if speeds[i, k] <= 1.0:
+        return Check("speed limits", True, words)
+    return Check("speed limits", False, f"{words}: give it {speeds[i, k] * times[-1]:.0f} s")
+
+
+def _collision(shapes: SelfCollision | None, q: Array, times: Array) -> Check:
+    problem = "its shapes were not asked for" if shapes is None else shapes.problem
+    if shapes is None or problem:
+        return Check("self-collision", None, f"whether the robot meets itself is not known: {problem}")
+    meeting = shapes.first(q, COLLISION_STRIDE)
+    if meeting is None:
+        return Check("self-collision", True, "the robot does not meet itself")
+    one, other = meeting.links
+    return Check("self-collision", False, f"{one} meets {other} at {times[meeting.at]:.1f} s")
+
+
+def _novelty(model: TPGMM, frames: Mapping[str, Array], hand: Array) -> Check:
+    scale = NoveltyScale.of_model(model)
+    if scale is None:
+        return Check("novelty", None, "how new this situation is, is not known: train with three demonstrations")
+    known = frames_of({name: np.asarray(pose, float) for name, pose in frames.items()})
+    known |= DerivedFrames.of_metadata(model.metadata_).frames(known, hand)
+    seen = {name: known[name] for name in model.frame_names_ if name in known}
+    novelty = scale.judge(make_retrieval(model, horizon_steps=0), seen, hand)
+    words = f"this situation is {novelty.score:.1f} times as new as the newest that the model was judged by"
+    if novelty.score <= NEW:
+        return Check("novelty", True, words)
+    return Check("novelty", False, f"{words}: show a demonstration like it, or move the objects to where they were")

@@ -230,8 +230,12 @@ class Project:
             return tuple(self.demonstration(n) for n in files.numbered(self.folder / files.DEMONSTRATIONS))
 
     def used(self) -> tuple[TaughtDemonstration, ...]:
-        """Those that models learn from."""
+        """Those that models learn from, corrections too."""
         return tuple(shown for shown in self.demonstrations() if shown.is_used)
+
+    def shown(self) -> tuple[TaughtDemonstration, ...]:
+        """Those of them that are no corrections: so many a model is learned from."""
+        return tuple(one for one in self.used() if one.notes.correction is None)
 
     def demonstration(self, number: int) -> TaughtDemonstration:
         """The demonstration of a number. Raises ProjectError where there is none."""
@@ -343,13 +347,24 @@ class Project:
         with self._lock:
             folder = self.folder / files.MODELS
             folder.mkdir(exist_ok=True)
-            number = files.free_number(folder)
-            path = folder / f"{files.named(number)}.tpgmm"
+            number, path = self._reserved(folder)
             model.save(path)
             write_notes(path.with_suffix(".json"), notes)
             files.sync(folder)
             self._loaded[number] = model
             return TrainedModel(number, path, notes)
+
+    @staticmethod
+    def _reserved(folder: Path) -> tuple[int, Path]:
+        """A number that no other process takes: the empty file counts as no model as long as it has no notes."""
+        while True:
+            number = files.free_number(folder)
+            path = folder / f"{files.named(number)}.tpgmm"
+            try:
+                path.touch(exist_ok=False)
+            except FileExistsError:
+                continue
+            return number, path
 
     # -- undo
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -106,18 +106,10 @@ def trimmed(recording: Recording, begin: float, end: float) -> Recording:
     ProjectError
         where too little is left
     """
-    kept = (recording.times >= begin) & (recording.times <= end)
-    if np.count_nonzero(kept) < MIN_SAMPLES:
+    kept = np.flatnonzero((recording.times >= begin) & (recording.times <= end))
+    if len(kept) < MIN_SAMPLES:
         raise ProjectError(
-            f"between {begin:.2f} and {end:.2f} s are {np.count_nonzero(kept)} samples of {recording.path.name}, which "
-            f"lasts {recording.duration:.2f} s; expected at least {MIN_SAMPLES}: trim less"
+            f"between {begin:.2f} and {end:.2f} s are {len(kept)} samples of {recording.path.name}, which lasts "
+            f"{recording.duration:.2f} s; expected at least {MIN_SAMPLES}: trim less"
         )
-    times = recording.times[kept]
-    return replace(
-        recording,
-        times=times - times[0],
-        movement=recording.movement[kept],
-        frames={name: poses[kept] for name, poses in recording.frames.items()},
-        visible={name: seen[kept] for name, seen in recording.visible.items()},
-        configurations=None if recording.configurations is None else recording.configurations[kept],
-    )
+    return recording.at(kept)

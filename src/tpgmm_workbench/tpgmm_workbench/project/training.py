@@ -3,29 +3,22 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import threading
 from dataclasses import dataclass
+from typing import Any
 
+from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_ros.task.state_space import PoseSpace
+from tpgmm_workbench.project.activities import Action, Facts, may
+from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.project import Project, TrainedModel
+from tpgmm_workbench.project.training_process import TrainingOptions, work
 
+__all__ = ["Progress", "Training", "TrainingOptions"]
 
-@dataclass(frozen=True, slots=True)
-class TrainingOptions:
-    """How a model is learned.
-
-    Parameters
-    ----------
-    is_automatic
-        choose frames, method and settings as `train --auto` does; from three demonstrations on
-    budget_s
-        time for choosing
-    method, n_components
-        in place of those of the task file; None: as it says, or as chosen
-    """
-
-    is_automatic: bool = True
-    budget_s: float = 60.0
-    method: str | None = None
-    n_components: int | None = None
+END_S = 5.0
+"""A process that is told to end has this time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +31,14 @@ class Progress:
 
 
 class Training:
-    """A training that goes on; make one with `start`."""
+    """A training that goes on; make one with `start`. Its methods may be called from several threads."""
+
+    def __init__(self, project: Project, process: Any, pipe: Any) -> None:
+        self._project, self._process, self._pipe = project, process, pipe
+        self._lock = threading.RLock()
+        self._progress = Progress(0.0, "starting")
+        self._number: int | None = None
+        self._reason = ""
 
     @classmethod
     def start(cls, project: Project, options: TrainingOptions | None = None) -> Training:
@@ -59,21 +59,60 @@ class Training:
         Raises
         ------
         ProjectError
-            for too few demonstrations, with how many more are needed
+            for too few demonstrations, with how many more are needed, a method that does not exist, and a task that is
+            not over poses
         """
-        raise NotImplementedError
+        chosen = options or TrainingOptions()
+        if reason := may(Action.TRAIN, Facts(demonstrations=len(project.shown()))):
+            raise ProjectError(reason)
+        if chosen.method is not None and chosen.method not in METHODS:
+            raise ProjectError(f"there is no method {chosen.method!r}; there are {', '.join(METHODS)}")
+        if not isinstance(project.task.space, PoseSpace):
+            raise ProjectError(f"task {project.task.name!r} is over joints; the workbench learns movements of poses")
+        # spawned, not forked: a fork of a process with threads (of ROS, of BLAS) may never come to its work
+        context = multiprocessing.get_context("spawn")
+        receiver, sender = context.Pipe(duplex=False)
+        process = context.Process(target=work, args=(sender, str(project.folder), chosen), name="training")
+        process.start()
+        sender.close()
+        return cls(project, process, receiver)
 
     def progress(self) -> Progress:
         """How far it is; never waits."""
-        raise NotImplementedError
+        with self._lock:
+            while not self._progress.is_over:
+                try:
+                    if not self._pipe.poll():
+                        break
+                    kind, *values = self._pipe.recv()
+                except (EOFError, OSError):
+                    self._end(f"the training ended without a model (status {self._process.exitcode})")
+                    break
+                if kind == "progress":
+                    self._progress = Progress(*values)
+                elif kind == "done":
+                    self._number = values[0]
+                    self._progress = Progress(1.0, "the model is ready", True)
+                else:
+                    self._end(values[0])
+            return self._progress
 
     def cancel(self) -> None:
         """End it; nothing is kept. Nothing happens where it has ended."""
-        raise NotImplementedError
+        with self._lock:
+            if self.progress().is_over:
+                return
+            self._end("cancelled: no model was made; the demonstrations are as they were")
+            self._process.terminate()
+        self._process.join(END_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for its end, at most this time; returns whether it has ended."""
-        raise NotImplementedError
+        self._process.join(timeout_s)
+        return self.progress().is_over
 
     def result(self) -> TrainedModel:
         """The model that was kept in the project; its `notes.words` are for people.
@@ -83,4 +122,12 @@ class Training:
         ProjectError
             with why there is none: cancelled, going on, or what could not be learned
         """
-        raise NotImplementedError
+        if not self.progress().is_over:
+            raise ProjectError("the training goes on: wait for its end")
+        if self._number is None:
+            raise ProjectError(self._reason)
+        return next(model for model in self._project.models() if model.number == self._number)
+
+    def _end(self, reason: str) -> None:
+        self._reason = reason
+        self._progress = Progress(self._progress.share, reason, True)
