@@ -18,6 +18,7 @@ from viser import ClientHandle, Icon, ViserServer
 from tpgmm_core.common.types import Array
 from tpgmm_workbench.desk.desk import Desk, DeskView
 from tpgmm_workbench.page import words
+from tpgmm_workbench.page.camera import camera_for
 from tpgmm_workbench.page.controls import Button, Text
 from tpgmm_workbench.page.driver import Driver
 from tpgmm_workbench.page.panels import NodesPanel, RunPanel, TeachPanel, TrainPanel
@@ -72,14 +73,10 @@ class Page:
 
     def _make_scene(self, server: ViserServer) -> None:
         desk, scene = self._desk, server.scene
-        hand = desk.home
-        forward = np.array([float(hand[0]), float(hand[1]), 0.0])
-        forward = forward / max(1e-6, float(np.linalg.norm(forward)))
-        beside = np.array([-forward[1], forward[0], 0.0])
-        look_at = hand[:3] + np.array([0.0, 0.0, -0.05])
-        server.initial_camera.look_at = tuple(look_at)
-        server.initial_camera.position = tuple(look_at + 1.2 * forward + 0.9 * beside + np.array([0.0, 0.0, 0.8]))
-        server.initial_camera.fov = 0.9
+        camera = camera_for(desk.home)
+        server.initial_camera.look_at = tuple(camera.look_at)
+        server.initial_camera.position = tuple(camera.position)
+        server.initial_camera.fov = camera.fov
         # shadows and reflections would cost more than all of the rest where a browser draws without a graphics card
         scene.configure_default_lights(cast_shadow=False)
         scene.configure_environment_map(hdri=None)
