@@ -37,7 +37,7 @@ pytestmark = [
 ]
 OUTPUT = ROOT / "out" / "workbench_page"
 WIDTH, HEIGHT = 1000, 640
-PATIENCE = 60.0
+PATIENCE = 150.0
 FLAGS = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader"]
 
 

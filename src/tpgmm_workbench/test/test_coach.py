@@ -31,6 +31,8 @@ TASK, ROBOT = ROOT / "config" / "pick_place.yaml", ROOT / "config" / "baxter.yam
 CHANGED = np.array([0.03, 0.04, 0.0])
 """By how much the target is elsewhere now, 5 cm, in its own axes."""
 LED_FROM, LED_AFTER = 0.55, 0.75
+REACHES = 0.1
+"""Share of the movement by which one of twelve Gaussians reaches out of the corrected part."""
 
 
 def made(folder: Path, method: str) -> Project:
@@ -74,7 +76,7 @@ def errors(model: TPGMM, first: TPGMM, situations: list[Recording]) -> tuple[flo
     """Largest distance from what is wanted at the end, and from what the first model did before the change, m."""
     ends, before = [], []
     for situation in situations:
-        path, is_before = reference(model, situation), situation.times / situation.duration < LED_FROM - 0.05
+        path, is_before = reference(model, situation), situation.times / situation.duration < LED_FROM - REACHES
         ends.append(np.linalg.norm(path[-1, :3] - wanted(first, situation)[-1, :3]))
         before.append(np.linalg.norm(path[is_before, :3] - reference(first, situation)[is_before, :3], axis=1).max())
     return float(max(ends)), float(max(before))

@@ -141,7 +141,7 @@ def test_a_preview_refuses_in_words_what_the_robot_cannot_do(taught: Project) ->
     far = preview(model, away, robot.home, robot, "left")
     verdict = {check.name: check for check in far.checks}
     assert verdict["reachable"].is_good is False and verdict["novelty"].is_good is False and not far.may_run
-    with pytest.raises(ProjectError, match="needs 'target'"):
+    with pytest.raises(ProjectError, match="needs target"):
         preview(model, {"object": situation["object"], "robot": situation["robot"]}, robot.home, robot, "left")
 
 
@@ -152,7 +152,7 @@ def test_an_arm_within_the_other_one_is_seen(taught: Project) -> None:
     crossed = robot.home.copy()
     for side, sign in (("left", -1.0), ("right", 1.0)):
         joints = robot.indices([f"{side}_s0", f"{side}_s1", f"{side}_e0", f"{side}_e1"])
-        crossed[joints] = [sign * 0.78, 0.0, 0.0, 0.05]  # both stretched to the front, towards the middle
+        crossed[joints] = [sign * 1.5, 0.0, 0.0, 0.05]  # both stretched to the front and to the other side
     meeting = shapes.first(np.array([robot.home, crossed]))
     assert meeting is not None and meeting.at == 1
     assert {link.split("_")[0] for link in meeting.links} == {"left", "right"}

@@ -123,7 +123,20 @@ def shift_of(model: TPGMM, recording: Recording, correction: Correction) -> Shif
 
 
 def fade(shares: Array, begin: float, end: float) -> Array:
-    """Weights (T,) that are 1 from begin to end, and fall to 0 within FADES before and after, without a corner."""
+    """Weights that are 1 in a part of the movement, and fall to 0 within FADES before and after it, without a corner.
+
+    Parameters
+    ----------
+    shares
+        (T,) of the movement
+    begin, end
+        of the part
+
+    Returns
+    -------
+    Array
+        (T,) from 0 to 1
+    """
     outside = np.maximum(np.maximum(begin - shares, shares - end), 0.0) / FADES
     near = np.clip(1.0 - outside, 0.0, 1.0)
     return np.asarray(near**2 * (3.0 - 2.0 * near))

@@ -13,8 +13,7 @@ on the disk. So a folder whose program, or machine, died at any moment opens aga
 from __future__ import annotations
 
 import shutil
-import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,13 +24,12 @@ from tpgmm_core.common.text import one_line
 from tpgmm_core.common.types import Array
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.models.task_model import load_task_model
-from tpgmm_ros.recordings.bags import BagError, read_recording
-from tpgmm_ros.recordings.recording import Recording
 from tpgmm_ros.task.task_file import Task, TaskError
 from tpgmm_workbench.project import folder as files
 from tpgmm_workbench.project.errors import ProjectError
-from tpgmm_workbench.project.notes import Correction, ModelNotes, Notes, read_notes, write_notes
-from tpgmm_workbench.project.taught import NOTES, TaughtDemonstration, trimmed
+from tpgmm_workbench.project.notes import ModelNotes, read_notes, write_notes
+from tpgmm_workbench.project.taught import TaughtDemonstration
+from tpgmm_workbench.project.teaching import Teaching
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +41,7 @@ class TrainedModel:
     notes: ModelNotes
 
 
-class Project:
+class Project(Teaching):
     """A project's folder; make one with `create` or `open`. Its methods may be called from several threads.
 
     Attributes
@@ -55,9 +53,7 @@ class Project:
     """
 
     def __init__(self, folder: Path, task: Task) -> None:
-        self.folder, self.task = folder, task
-        self._lock = threading.RLock()
-        self._read: dict[int, Recording | str] = {}
+        super().__init__(folder, task)
         self._loaded: dict[int, TPGMM] = {}
         self._robot: RobotModel | None = None
 
@@ -150,164 +146,6 @@ class Project:
         """Frames that the task file fixes: name -> pose (7,) in the base frame."""
         return {name: np.array(spec.pose) for name, spec in self.task.frames.items() if spec.pose is not None}
 
-    # -- demonstrations
-
-    def new_demonstration(self) -> Path:
-        """Where the next bag goes: the path for a `BagRecorder`. What was begun there before stays where it is."""
-        folder = self.folder / files.DEMONSTRATIONS
-        with self._lock:
-            folder.mkdir(exist_ok=True)
-            return folder / files.named(files.free_number(folder))
-
-    def recorded(self, path: Path, comment: str = "") -> TaughtDemonstration:
-        """Take note of a bag that was recorded at the place that `new_demonstration` gave.
-
-        When this returns, the demonstration survives the end of the machine.
-
-        Parameters
-        ----------
-        path
-            of the bag
-        comment
-            of the user
-
-        Returns
-        -------
-        TaughtDemonstration
-            with its problem in words where the bag cannot be used
-
-        Raises
-        ------
-        ProjectError
-            for another place
-        """
-        with self._lock:
-            found = files.numbered(self.folder / files.DEMONSTRATIONS)
-            number = next((n for n, place in found.items() if place == Path(path)), None)
-            if number is None:
-                raise ProjectError(f"{one_line(path)} is no demonstration of {self.folder.name}: record it there first")
-            files.sync_tree(Path(path))
-            files.sync(Path(path).parent)
-            if comment:
-                self.note(number, comment=comment)
-            return self.demonstration(number)
-
-    def add(
-        self, write: Callable[[Path], None], comment: str = "", correction: Correction | None = None
-    ) -> TaughtDemonstration:
-        """Add a demonstration that is not recorded in place.
-
-        Parameters
-        ----------
-        write
-            makes a bag at the path that it is given, which does not exist
-        comment
-            of the user
-        correction
-            what it corrects; None for an ordinary one
-
-        Returns
-        -------
-        TaughtDemonstration
-            with its problem in words where the bag cannot be used
-        """
-        with self._lock:
-            path = self.new_demonstration()
-            draft = path.parent / files.PARTIAL / path.name
-            draft.parent.mkdir(exist_ok=True)
-            write(draft)
-            write_notes(draft / NOTES, Notes(comment=comment, correction=correction))
-            files.place(draft, path)
-            return self.demonstration(int(path.name))
-
-    def add_bag(self, bag: str | Path, comment: str = "") -> TaughtDemonstration:
-        """Add a copy of a bag that lies elsewhere, a folder with metadata.yaml; see `add`."""
-        return self.add(lambda draft: shutil.copytree(bag, draft) and None, comment)
-
-    def demonstrations(self) -> tuple[TaughtDemonstration, ...]:
-        """All of them in the order of teaching, those too that were undone or cannot be read."""
-        with self._lock:
-            return tuple(self.demonstration(n) for n in files.numbered(self.folder / files.DEMONSTRATIONS))
-
-    def used(self) -> tuple[TaughtDemonstration, ...]:
-        """Those that models learn from, corrections too."""
-        return tuple(shown for shown in self.demonstrations() if shown.is_used)
-
-    def shown(self) -> tuple[TaughtDemonstration, ...]:
-        """Those of them that are no corrections: so many a model is learned from."""
-        return tuple(one for one in self.used() if one.notes.correction is None)
-
-    def demonstration(self, number: int) -> TaughtDemonstration:
-        """The demonstration of a number. Raises ProjectError where there is none."""
-        with self._lock:
-            path = self.folder / files.DEMONSTRATIONS / files.named(number)
-            if not path.is_dir():
-                raise ProjectError(f"there is no demonstration {number}")
-            if number not in self._read:
-                try:
-                    self._read[number] = read_recording(path, self.task)
-                except BagError as error:
-                    self._read[number] = one_line(error)
-            found = self._read[number]
-            problem = found if isinstance(found, str) else ""
-            notes = Notes()
-            try:
-                notes = read_notes(path / NOTES, Notes) if (path / NOTES).exists() else notes
-            except ProjectError as error:
-                problem = problem or str(error)
-            whole = None if problem or isinstance(found, str) else found
-            return TaughtDemonstration(number, path, notes, whole, problem)
-
-    def note(
-        self,
-        number: int,
-        *,
-        comment: str | None = None,
-        trim: tuple[float, float] | None | str = "as it is",
-        is_used: bool | None = None,
-    ) -> TaughtDemonstration:
-        """Change what is noted of a demonstration; what is not given stays.
-
-        Parameters
-        ----------
-        number
-            of the demonstration
-        comment
-            a new one
-        trim
-            begin and end in s from the first sample; None: all of it
-        is_used
-            whether models learn from it
-
-        Returns
-        -------
-        TaughtDemonstration
-            as it is now
-
-        Raises
-        ------
-        ProjectError
-            for a trim that leaves too little
-        """
-        with self._lock:
-            shown = self.demonstration(number)
-            notes = shown.notes
-            if comment is not None:
-                notes = replace(notes, comment=comment)
-            if not isinstance(trim, str):
-                if trim is not None:
-                    trim = (float(trim[0]), float(trim[1]))
-                    if shown.whole is not None:
-                        trimmed(shown.whole, *trim)  # raises
-                notes = replace(notes, trim=trim)
-            if is_used is not None:
-                notes = replace(notes, is_used=is_used)
-            self._write(number, notes)
-            return replace(shown, notes=notes)
-
-    def _write(self, number: int, notes: Notes) -> None:
-        write_notes(self.folder / files.DEMONSTRATIONS / files.named(number) / NOTES, notes)
-
     # -- models
 
     def models(self) -> tuple[TrainedModel, ...]:
@@ -328,6 +166,16 @@ class Project:
 
     def load(self, model: TrainedModel) -> TPGMM:
         """A model from its file, which is read once.
+
+        Parameters
+        ----------
+        model
+            of this project
+
+        Returns
+        -------
+        TPGMM
+            a fitted model
 
         Raises
         ------
@@ -392,10 +240,12 @@ class Project:
             word = "undone" if is_undone else "back again"
             if last.notes.correction is None:
                 return f"demonstration {last.number} is {word}"
+            undone = {d.number for d in self.demonstrations() if d.notes.is_undone}
             for model in self.models():
-                if last.number in model.notes.learned_from and model.notes.is_undone != is_undone:
-                    write_notes(model.path.with_suffix(".json"), replace(model.notes, is_undone=is_undone))
-            return f"correction {last.number} is {word}, and so is what was learned from it"
+                if last.number in model.notes.learned_from:
+                    now = not undone.isdisjoint(model.notes.learned_from)
+                    write_notes(model.path.with_suffix(".json"), replace(model.notes, is_undone=now))
+            return f"correction {last.number} is {word}, and so is the model that learned from it"
 
 
 def used_parts(shown: Sequence[TaughtDemonstration]) -> Mapping[int, tuple[float, float] | None]:

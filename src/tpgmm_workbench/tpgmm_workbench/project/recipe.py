@@ -40,7 +40,20 @@ class LearnedAs:
 
     @classmethod
     def of_task(cls, task: Task, method: str | None = None, n_components: int | None = None) -> Self:
-        """As the task file says, but for what is given."""
+        """As the task file says, but for what is given.
+
+        Parameters
+        ----------
+        task
+            with the frames and the settings
+        method, n_components
+            in place of those of the task file
+
+        Returns
+        -------
+        Self
+            with all frames of the task
+        """
         settings = {name: value for name, value in task.model.items() if name != KEY}
         if n_components is not None:
             settings["n_components"] = n_components
@@ -55,7 +68,23 @@ class LearnedAs:
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
-        """From JSON. Raises ValueError for what was not written from such an object."""
+        """From JSON.
+
+        Parameters
+        ----------
+        values
+            by the names of the fields
+
+        Returns
+        -------
+        Self
+            whose recipe can be made
+
+        Raises
+        ------
+        ValueError
+            for what was not written from such an object
+        """
         try:
             method, frames, settings = values["method"], values["frames"], values["settings"]
             derived = {str(name): (str(of), bool(turned)) for name, (of, turned) in values["derived"].items()}

@@ -75,6 +75,11 @@ class TaughtDemonstration:
         -------
         Array
             poses (T, 7)
+
+        Raises
+        ------
+        ProjectError
+            for a frame that the task has not got, and a bag that cannot be read
         """
         recording = self.recording
         at = np.unique(np.linspace(0, len(recording.times) - 1, count).round().astype(int))

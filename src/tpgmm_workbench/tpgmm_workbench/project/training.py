@@ -115,7 +115,12 @@ class Training:
         return self.progress().is_over
 
     def result(self) -> TrainedModel:
-        """The model that was kept in the project; its `notes.words` are for people.
+        """The model that was kept in the project.
+
+        Returns
+        -------
+        TrainedModel
+            whose `notes.words` are for people
 
         Raises
         ------
