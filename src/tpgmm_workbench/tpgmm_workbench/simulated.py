@@ -2,7 +2,8 @@
 """simulated_workbench: the workbench with a simulated robot; starts the nodes, and says where the page is.
 
 Starts ``baxter_simulator``, and ``frame_tracker``, ``reproduction`` and ``impedance_controller`` in one process, on a
-ROS domain that nobody else on this machine uses. All of them end with this program.
+ROS domain that nobody else on this machine uses. All of them end with this program. The simulation waits for the
+controller, so that on a busy machine time passes more slowly, and nothing else happens.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from tpgmm_core.common.text import one_line
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.processes import GraphError, NodeProcesses, Value
 from tpgmm_ros.runtime.resources import config_file
-from tpgmm_ros.task.task_file import Task
 from tpgmm_workbench.node import WorkbenchNode
 from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.project import Project
@@ -29,8 +29,6 @@ from tpgmm_workbench.project.project import Project
 PHYSICS_RATE = 1000.0
 #: Joint states per second on machines of few cores, where a browser draws beside the nodes, and on others, Hz.
 FEW_CORES, FEW_CORES_RATE, RATE = 4, 250.0, 1000.0
-#: A simulation waits for nobody who could be hurt: a busy machine is given time before the arm is only damped, s.
-PATIENCE = 0.15
 #: Task parameters per second, besides those that tell of changes, Hz.
 TRACKER_RATE = 20.0
 #: How often it is looked whether the nodes still run, s.
@@ -42,7 +40,6 @@ def main() -> int:
     arguments = _parser().parse_args()
     try:
         project = _project(arguments)
-        task = project.task
     except (ValueError, OSError) as error:
         print(f"error: {one_line(error)}", file=sys.stderr)
         return 1
@@ -53,10 +50,11 @@ def main() -> int:
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         processes = stack.enter_context(NodeProcesses(log))
         print(f"starting the nodes (logs: {log})")
-        _start(processes, project, task, arguments.rate)
+        start_nodes(processes, project, arguments.rate)
         given: dict[str, Value] = {
             "project": project.folder,
             "simulated": True,
+            "use_sim_time": True,
             "port": arguments.port,
             "meshes": not arguments.no_meshes,
             "seed": arguments.seed,
@@ -101,26 +99,34 @@ def _project(arguments: argparse.Namespace) -> Project:
     return Project.create(folder, task, arguments.robot or config_file("baxter.yaml"))
 
 
-def _start(processes: NodeProcesses, project: Project, task: Task, rate: float) -> None:
-    """All nodes but the page's."""
-    answering: dict[str, Value] = {"joint_state_rate": rate, "autostart": True}
+def start_nodes(processes: NodeProcesses, project: Project, rate: float) -> None:
+    """Start all nodes but the page's.
+
+    Parameters
+    ----------
+    processes
+        starts them
+    project
+        its task and its robot
+    rate
+        joint states per second of simulated time, Hz
+    """
     processes.start(
         "baxter_simulator",
         robot_file=project.robot_file,
+        lockstep=True,
+        real_time_factor=1.0,
         rate=rate,
         physics_steps=math.ceil(PHYSICS_RATE / rate),
-        command_timeout=PATIENCE,
         wrench_timeout=1.0,
     )
+    answering: dict[str, Value] = {"joint_state_rate": rate, "autostart": True, "use_sim_time": True}
     nodes: dict[str, dict[str, Value]] = {
-        "frame_tracker": {"task_file": project.task_file, "rate": TRACKER_RATE},
+        "frame_tracker": {"task_file": project.task_file, "rate": TRACKER_RATE, "use_sim_time": True},
         "reproduction": {"task_file": project.task_file, **answering},
         "impedance_controller": {
             "robot_file": project.robot_file,
-            "endpoint": task.endpoint,
-            "joint_state_timeout": PATIENCE,
-            "reference_timeout": 2.0 * PATIENCE,
-            "max_age": PATIENCE,
+            "endpoint": project.task.endpoint,
             "hold_time": 0.5,
             **answering,
         },

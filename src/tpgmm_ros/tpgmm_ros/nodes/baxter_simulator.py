@@ -42,6 +42,13 @@ PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
     Declared("lockstep", False, "Lockstep: publish /clock and wait for the torques that answer each state", fixed=True),
     Declared("lockstep_wrench", False, "Lockstep: wait also for an external wrench in answer to each pose", fixed=True),
+    Declared(
+        "real_time_factor",
+        0.0,
+        "Lockstep: simulated seconds per second at most; a busy machine takes longer; 0: as fast as it can",
+        0.0,
+        100.0,
+    ),
     Declared("rate", 1000.0, "Joint states per second of simulated time, Hz", 100.0, 2000.0, fixed=True),
     Declared("physics_steps", 1, "Physics steps from one joint state to the next", 1, 20, fixed=True),
     Declared("pose_rate", 100.0, "End point poses per second of simulated time, Hz", 1.0, 1000.0, fixed=True),
@@ -264,7 +271,13 @@ class BaxterSimulatorNode(Node):
             self.monitor.step.add(time.perf_counter() - start)
 
     def _run_lockstep(self, executor: Executor, stop: StopFlag) -> None:
+        due = time.perf_counter()
         while not stop.set:
+            if factor := self.parameters["real_time_factor"]:
+                # what was lost is not made up for: time then passes more slowly
+                due = max(due + self.time_step / factor, time.perf_counter() - MAX_CATCH_UP * self.time_step / factor)
+                while (remaining := due - time.perf_counter()) > 0.0 and not stop.set:
+                    executor.spin_once(timeout_sec=remaining)
             # Simulated time starts at 1 s: in ROS, zero means that time is not known yet.
             self._stamp_ns = SECOND + round(self._steps * self.time_step * SECOND)
             if self._steps % self._steps_per_clock == 0:

@@ -42,7 +42,7 @@ class SimulatedWorld:
         self._node, self._base = node, task.base_frame
         self._lead = node.create_publisher(PoseStamped, f"lead/{task.endpoint}/pose", STREAM)
         self._places = {name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()}
-        self._due = 0.0
+        self._due, self._told_ns = 0.0, -1
 
     def tell(self) -> None:
         """Publish where the objects are, and where the hand is to be, when it is time for it again."""
@@ -51,6 +51,9 @@ class SimulatedWorld:
             return
         self._due = max(self._due + PERIOD, now)
         stamp_ns = self._node.get_clock().now().nanoseconds
+        if stamp_ns == self._told_ns:  # a simulation that stands still: nothing new is seen
+            return
+        self._told_ns = stamp_ns
         for name, pose in self.arrangement.in_sight().items():
             self._places[name].publish(conversions.pose_stamped(pose, stamp_ns, self._base))
         if self.aim is not None:

@@ -21,6 +21,7 @@ from tpgmm_workbench.page import words
 from tpgmm_workbench.page.camera import camera_for
 from tpgmm_workbench.page.controls import Button, Text
 from tpgmm_workbench.page.driver import Driver
+from tpgmm_workbench.page.local_only import local_only
 from tpgmm_workbench.page.panels import NodesPanel, RunPanel, TeachPanel, TrainPanel
 from tpgmm_workbench.project.preview import Preview
 from tpgmm_workbench.scene.colors import PREVIEW
@@ -59,7 +60,10 @@ class Page:
     def __init__(self, desk: Desk, ask: Callable[..., object], shapes: Shapes, port: int) -> None:
         self._desk, self._give, self._shapes = desk, ask, shapes
         self.driver = Driver()
-        with contextlib.redirect_stdout(io.StringIO()):  # viser draws a box with an address; ours is said by the node
+        with (
+            local_only(),
+            contextlib.redirect_stdout(io.StringIO()),
+        ):  # viser draws a box with an address; ours is said by the node
             self._server = server = ViserServer(HOST, port, label="tpgmm workbench", verbose=False)
         # nothing of this page goes to another machine, whatever a client asks for
         server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
