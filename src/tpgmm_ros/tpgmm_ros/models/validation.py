@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Demonstration
+from tpgmm_core import Demonstration, LearnedMixture
 from tpgmm_core.choice.baselines import BASELINES, Learner
 from tpgmm_core.choice.calibration import knows_time, squared_distances_of
 from tpgmm_core.choice.novelty import novelty_of
@@ -83,7 +83,7 @@ class Fold:
 
 def cross_validate(
     recordings: Sequence[Recording],
-    learn: Callable[[list[Demonstration]], TPGMM],
+    learn: Callable[[list[Demonstration]], LearnedMixture],
     anchor: str,
     baselines: Learner | None = None,
 ) -> Iterator[Fold]:

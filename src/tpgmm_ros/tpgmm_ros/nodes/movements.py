@@ -16,7 +16,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from tpgmm_core import TPGMM, Frame
+from tpgmm_core import Frame, LearnedMixture
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.common.types import Array
 from tpgmm_core.model.derived_frames import DerivedFrames
@@ -39,7 +39,7 @@ RETRIEVAL_SETTINGS = ("retrieval", "phase", "speed", "horizon_steps", "horizon_t
 
 DEACTIVATED = "the node was deactivated"
 
-type Prepared = tuple[TPGMM, Retrieval, DerivedFrames, Novelty | None]
+type Prepared = tuple[LearnedMixture, Retrieval, DerivedFrames, Novelty | None]
 """A model, a movement of it that has not begun yet, its frames that are not observed by themselves, and how new to it
 the situation is, where that can be told."""
 
@@ -78,7 +78,7 @@ class Movements:
         self,
         node: Node,
         task: Task,
-        model: TPGMM | None,
+        model: LearnedMixture | None,
         parameters: Parameters,
         why_silent: Callable[[], str],
         controller: ControllerWords,
@@ -269,7 +269,7 @@ class Movements:
 
 
 def _judged(
-    model: TPGMM, retrieval: Retrieval, frames: Mapping[str, Frame], state: Array | None, most: float
+    model: LearnedMixture, retrieval: Retrieval, frames: Mapping[str, Frame], state: Array | None, most: float
 ) -> Novelty | None:
     """How new a situation is. With a limit `most` above 0, ValueError beyond it, and where that cannot be told."""
     scale = NoveltyScale.of_model(model)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import spearmanr
 from tqdm import tqdm
 
-from tpgmm_core import TPGMM, Demonstration
+from tpgmm_core import Demonstration, LearnedMixture
 from tpgmm_core.choice.baselines import Learner
 from tpgmm_core.choice.calibration import Calibration
 from tpgmm_core.choice.novelty import range_of
@@ -50,7 +50,7 @@ exit status: 0 the model was trained and saved; 1 it was not, the reason is on s
 """
 
 
-type Learn = Callable[..., TPGMM]
+type Learn = Callable[..., LearnedMixture]
 """Takes what `Recipe.learn` takes."""
 
 
@@ -62,7 +62,7 @@ class TrainingError(Exception):
 class Training:
     """A fitted model, and what it was fitted to."""
 
-    model: TPGMM
+    model: LearnedMixture
     method: str
     recordings: list[Recording]
     duration_s: float
@@ -281,7 +281,7 @@ def _ways(model: TimeStepTPGMM, recordings: list[Recording]) -> str:
     return "\n".join([f"demonstrations go {len(lines)} ways, which are kept apart ({chosen}):", *lines])
 
 
-def _validate(task: Task, recipe: Recipe, recordings: list[Recording], trained: TPGMM) -> dict[str, Any]:
+def _validate(task: Task, recipe: Recipe, recordings: list[Recording], trained: LearnedMixture) -> dict[str, Any]:
     anchor, space = list(task.sources or task.frames)[-1], task.space.manifold()
     folds: list[Fold] = []
     with _bar(total=len(recordings), desc="leave one out", unit="demonstration") as bar:
@@ -333,7 +333,7 @@ def _validate(task: Task, recipe: Recipe, recordings: list[Recording], trained: 
     }
 
 
-def _calibrate(folds: list[Fold], recipe: Recipe, trained: TPGMM) -> Calibration:
+def _calibrate(folds: list[Fold], recipe: Recipe, trained: LearnedMixture) -> Calibration:
     """Say how exact the references are that the model calls exact, and write the scale that mends it into the model."""
     found = Calibration.of([fold.squared_distances for fold in folds], POSE.tangent_dim)
     trained.metadata_[scale_key(recipe.method.name)] = found.scale
@@ -347,7 +347,7 @@ def _calibrate(folds: list[Fold], recipe: Recipe, trained: TPGMM) -> Calibration
     return found
 
 
-def _novelty(folds: list[Fold], demonstrations: list[Demonstration], trained: TPGMM) -> float | None:
+def _novelty(folds: list[Fold], demonstrations: list[Demonstration], trained: LearnedMixture) -> float | None:
     """Write what novelty was for what was left out into the model; returns its rank correlation with the error."""
     against, far = zip(*(fold.novelty for fold in folds), strict=True)
     if not np.isfinite(against).all():
