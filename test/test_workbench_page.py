@@ -63,7 +63,11 @@ class User:
     def sees(self, text: str, timeout: float = PATIENCE) -> None:
         """Wait until a text is on the page; topics are served meanwhile."""
         place = self.page.get_by_text(text).first
-        self.until(place.is_visible, f"the page to say {text!r}; it says {self.text()[:1500]}", timeout)
+        try:
+            self.until(place.is_visible, f"the page to say {text!r}", timeout)
+        except AssertionError as error:
+            self.shoot("failed")
+            raise AssertionError(f"{error}; it says {self.text()[:2000]}") from None
 
     def until(self, condition: Callable[[], Any], what: str, timeout: float = PATIENCE) -> None:
         spin_until(self._node, condition, timeout, what, (self._process,))

@@ -64,6 +64,7 @@ class BagRecorder:
         self._topics = dict(topics)
         self._keep_every = dict(keep_every or {})
         # rosbag2 names the files after the directory, so the unfinished bag has its final name elsewhere.
+        self._is_over = False
         self._partial = path.parent / ".partial" / path.name
 
     def __enter__(self) -> BagRecorder:
@@ -84,6 +85,8 @@ class BagRecorder:
         return self
 
     def _write(self, topic: str, connection: Connection, data: bytes) -> None:
+        if self._is_over:  # an executor may still have what came before the subscription was taken away
+            return
         if data == self._last.get(topic):
             return  # sent again because an answer was missing, stamp and all
         self._last[topic] = data
@@ -94,6 +97,7 @@ class BagRecorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._is_over = True
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._writer.close()

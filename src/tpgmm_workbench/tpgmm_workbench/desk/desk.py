@@ -130,7 +130,7 @@ class Desk:
             self._world = SimulatedWorld(node, project.task, Arrangement(regions, seed))
         self._said: list[tuple[float, str]] = []
         self._graph = GraphView()
-        self._speed, self._is_paused = 1.0, False
+        self._speed, self._is_paused, self._duration = 1.0, False, 0.0
         self._release_until: float | None = None
 
     def close(self) -> None:
@@ -331,7 +331,7 @@ class Desk:
         if self._learning.is_previewing or self._graph.joints is None:
             return
         frames = {frame.name: frame.pose for frame in self._graph.frames if frame.pose is not None}
-        self._learning.preview(frames, self._graph.joints, then)
+        self._learning.preview(frames, self._graph.joints, self._duration or None, then)
 
     def run(self) -> None:
         """Run the skill, where its preview says that it can; go on after a pause."""
@@ -349,7 +349,7 @@ class Desk:
             return
         if self._learning.model is not None and not self._refused(Action.RUN):
             self.set_speed(self._speed)
-            self._movement.start(self._learning.model.path)
+            self._movement.start(self._learning.model.path, self._duration)
 
     def pause(self) -> None:
         """Stand still; `run` goes on."""
@@ -361,6 +361,11 @@ class Desk:
         """Run at this speed; 1: as learned, below 0: back."""
         self._speed, self._is_paused = speed, False
         self._movement.set_speed(speed)
+
+    def set_duration(self, duration: float) -> None:
+        """Let the next movement take so long, s; 0: as taught."""
+        self._duration = duration
+        self._learning.shown = None
 
     def stop(self) -> None:
         """Stop the robot where it is; may always be asked for. A recording goes on until it is ended."""

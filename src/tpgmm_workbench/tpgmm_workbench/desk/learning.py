@@ -110,7 +110,13 @@ class Learning:
             self._say(f"no model: {one_line(error)}")
         self.refresh()
 
-    def preview(self, frames: Mapping[str, Array], joints: Array, then: Callable[[Preview], object]) -> None:
+    def preview(
+        self,
+        frames: Mapping[str, Array],
+        joints: Array,
+        duration: float | None,
+        then: Callable[[Preview], object],
+    ) -> None:
         """Make a preview.
 
         Parameters
@@ -119,6 +125,8 @@ class Learning:
             name -> pose (7,) of those that are known
         joints
             (nv,) where the robot is
+        duration
+            s; None: as demonstrated
         then
             gets it, in the executor's thread
         """
@@ -130,7 +138,7 @@ class Learning:
             if model is None:
                 raise ValueError("there is no model yet: train one first")
             task, robot = self._project.task, self._project.robot()
-            return preview(self._project.load(model), known, joints, robot, task.endpoint)
+            return preview(self._project.load(model), known, joints, robot, task.endpoint, duration)
 
         def take(job: Future[Preview]) -> None:
             self._is_previewing = False

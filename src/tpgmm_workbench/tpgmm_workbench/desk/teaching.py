@@ -12,8 +12,8 @@ from pathlib import Path
 from rclpy.node import Node
 
 from tpgmm_core.common.text import one_line
-from tpgmm_ros.recordings.bag_recorder import BagRecorder, topics_of
 from tpgmm_ros.runtime.background import Background
+from tpgmm_workbench.graph.recording import Recording
 from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.project.quality import Quality, quality_of
 from tpgmm_workbench.project.taught import TaughtDemonstration
@@ -71,7 +71,7 @@ class Teaching:
     ) -> None:
         self._node, self._project, self._background = node, project, background
         self._say, self._changed = say, changed
-        self._recorder: BagRecorder | None = None
+        self._recording: Recording | None = None
         self._began = 0.0
         self._pending = 0
         self._qualities: dict[int, Quality] = {}
@@ -82,7 +82,7 @@ class Teaching:
     @property
     def is_recording(self) -> bool:
         """Whether a demonstration is being recorded."""
-        return self._recorder is not None
+        return self._recording is not None
 
     @property
     def lasted(self) -> float:
@@ -106,25 +106,22 @@ class Teaching:
 
     def begin(self) -> None:
         """Record from now on."""
-        topics = topics_of(self._project.task)
         try:
-            recorder = BagRecorder(self._node, self._project.new_demonstration(), topics)
-            recorder.__enter__()
+            self._recording = Recording(self._node, self._project.new_demonstration(), self._project.task)
         except (OSError, ValueError) as error:
             self._say(f"nothing is recorded: {one_line(error)}")
             return
-        self._recorder, self._began = recorder, time.monotonic()
+        self._began = time.monotonic()
 
     def end(self) -> None:
         """Keep what was recorded; too little is left where unfinished recordings lie."""
-        recorder, lasted = self._recorder, self.lasted
-        self._recorder = None
-        if recorder is None:
+        recording, lasted = self._recording, self.lasted
+        self._recording = None
+        if recording is None:
             return
-        count = recorder.counts.get(self._project.task.movement, 0)
-        if lasted < SHORTEST or not count:
-            recorder.__exit__(ValueError, ValueError("too little"), None)
-            if count:
+        if lasted < SHORTEST or not recording.poses:
+            recording.leave("too little")
+            if recording.poses:
                 self._say(f"not kept: {lasted:.1f} s are too short for a demonstration")
             else:
                 self._say(
@@ -132,12 +129,12 @@ class Teaching:
                 )
             return
         try:
-            recorder.__exit__(None, None, None)
+            recording.keep()
         except OSError as error:
             self._say(f"the demonstration could not be kept: {one_line(error)}")
             return
         self._pending += 1
-        self._background.run(lambda: self._keep(recorder.path), self._kept)
+        self._background.run(lambda: self._keep(recording.path), self._kept)
 
     def _keep(self, path: Path) -> TaughtDemonstration:
         return self._project.recorded(path)
@@ -156,9 +153,9 @@ class Teaching:
 
     def close(self) -> None:
         """Keep what is being recorded: the workbench ends."""
-        recorder, self._recorder = self._recorder, None
-        if recorder is not None:
-            recorder.__exit__(None, None, None)
+        recording, self._recording = self._recording, None
+        if recording is not None:
+            recording.keep()
 
     def undo(self) -> None:
         """Take the last one back."""

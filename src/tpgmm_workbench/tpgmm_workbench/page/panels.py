@@ -117,6 +117,12 @@ class RunPanel:
     """Look ahead, and run."""
 
     def __init__(self, server: ViserServer, desk: Desk, ask: Ask) -> None:
+        duration = server.gui.add_slider("duration, s", 0.0, 40.0, 1.0, 0.0, hint="Of the movement; 0: as taught")
+        duration.on_update(
+            lambda event: (
+                None if event.client_id is None else ask(event.client_id, desk.set_duration, float(event.target.value))
+            )
+        )
         self._preview = Button(server, "Preview", lambda page: ask(page, desk.preview), "P")
         self._verdict = Text(server)
         self._run = Button(server, "Run", lambda page: ask(page, desk.run), "G", color="green")
