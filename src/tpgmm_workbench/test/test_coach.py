@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tpgmm_core import TPGMM
+from tpgmm_core import LearnedMixture
 from tpgmm_core.choice.reproducing import reproduce
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
@@ -50,11 +50,11 @@ def situations(tmp_path_factory: pytest.TempPathFactory) -> list[Recording]:
     return [thin(read_recording(bag, task)) for bag in BAGS[5:11]]
 
 
-def reference(model: TPGMM, situation: Recording) -> Array:
+def reference(model: LearnedMixture, situation: Recording) -> Array:
     return reproduce(model, situation.to_demonstration(float(model.metadata_["duration_s"])))
 
 
-def wanted(first: TPGMM, situation: Recording) -> Array:
+def wanted(first: LearnedMixture, situation: Recording) -> Array:
     """What the first model did, but as the changed target wants it."""
     blend = np.clip((situation.times / situation.duration - LED_FROM) / (LED_AFTER - LED_FROM), 0.0, 1.0)
     seen = compose(inverse(situation.frames["target"]), reference(first, situation))
@@ -62,7 +62,7 @@ def wanted(first: TPGMM, situation: Recording) -> Array:
     return np.asarray(compose(situation.frames["target"], seen))
 
 
-def run_in(model: TPGMM, first: TPGMM, situation: Recording, rng: np.random.Generator) -> Run:
+def run_in(model: LearnedMixture, first: LearnedMixture, situation: Recording, rng: np.random.Generator) -> Run:
     """A hand that follows to 1 mm, and where it is led is 2 mm beside what is wanted, as hands are."""
     hand, goal = reference(model, situation), wanted(first, situation)
     led = situation.times / situation.duration > LED_FROM
@@ -72,7 +72,7 @@ def run_in(model: TPGMM, first: TPGMM, situation: Recording, rng: np.random.Gene
     return Run(3.0 + situation.times, hand, frames, is_led=led)
 
 
-def errors(model: TPGMM, first: TPGMM, situations: list[Recording]) -> tuple[float, float]:
+def errors(model: LearnedMixture, first: LearnedMixture, situations: list[Recording]) -> tuple[float, float]:
     """Largest distance from what is wanted at the end, and from what the first model did before the change, m."""
     ends, before = [], []
     for situation in situations:

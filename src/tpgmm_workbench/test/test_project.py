@@ -63,6 +63,12 @@ def test_what_is_trimmed_to_nothing_is_refused_and_the_notes_stay(project: Proje
     assert project.demonstration(1).notes.trim is None
 
 
+def test_a_task_over_joints_is_refused_in_words(tmp_path: Path) -> None:
+    with pytest.raises(ProjectError, match="over joints"):
+        Project.create(tmp_path / "project", ROOT / "config" / "left_first.yaml", ROBOT)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_folder_that_holds_something_else_is_neither_made_nor_opened(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(ProjectError, match="not empty"):

@@ -38,6 +38,8 @@ def test_the_proposed_file_is_a_robot_that_can_be_used(
     for name, end in robot.endpoints.items():
         moved = data.jacobian(name)[:, robot.indices(end.joints)]
         assert np.linalg.matrix_rank(moved, tol=1e-3) == 6, "at home the hand moves in all directions"
+    if "baxter" in urdf or "panda" in urdf:  # as in the files that people wrote
+        assert {end.frame for end in robot.endpoints.values()} <= {"left_gripper", "right_gripper", "panda_hand_tcp"}
     assert not any("home of" in text or "hardly move" in text for text in found.suspicions)
 
 

@@ -12,7 +12,7 @@ from tpgmm_core.robot.urdf_tree import SINGLE, UrdfTree
 
 FEWEST = 3
 """Joints that an arm has at least: fewer are fingers, or a head."""
-_GRIPPER = re.compile(r"grip|finger|jaw|claw|knuckle|thumb|pad", re.IGNORECASE)
+_GRIPPER = re.compile(r"grip|finger|jaw|claw|knuckle|thumb|pad|index|little|pinky|_flex|_abd", re.IGNORECASE)
 _HANDS = ("tcp", "tool0", "grasp", "gripper", "tool", "ee", "end_effector", "flange", "hand")
 """What frames of hands are called, the most exact first."""
 _BASE = re.compile(r"base|link_?0$", re.IGNORECASE)
@@ -107,9 +107,9 @@ def _hand(tree: UrdfTree, link: str) -> str:
     """The frame of a hand among what is fixed to the last link: by its name, else the farthest out."""
     fixed = list(_fixed_to(tree, link))
     for word in _HANDS:
-        for name in fixed:
-            if word in re.split(r"[_\W]+", name.lower()) or (len(word) > 3 and word in name.lower()):
-                return name
+        named = [n for n in fixed if word in re.split(r"[_\W]+", n.lower()) or (len(word) > 3 and word in n.lower())]
+        if named:  # gripper rather than gripper_base_link
+            return min(named, key=lambda n: ("base" in n.lower(), len(n)))
     return link
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core import TPGMM
+from tpgmm_core import LearnedMixture
 from tpgmm_core.choice.reproducing import reproduce
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
@@ -163,7 +163,7 @@ def _recording(project: Project, present: TrainedModel, run: Run) -> tuple[Recor
     return recording, None if run.is_led is None else np.asarray(run.is_led, bool)[at]
 
 
-def _led_part(model: TPGMM, recording: Recording, told: NDArray[np.bool_] | None) -> tuple[float, float]:
+def _led_part(model: LearnedMixture, recording: Recording, told: NDArray[np.bool_] | None) -> tuple[float, float]:
     """Shares of the movement between which the arm was led: as told, or the longest time away from the reference."""
     reference = reproduce(model, recording.to_demonstration())
     away = _away(recording.movement, reference)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import TPGMM
+from tpgmm_core import LearnedMixture
 from tpgmm_core.choice.automatic import MISFIT
 from tpgmm_core.choice.calibration import Calibration
 from tpgmm_core.choice.novelty import range_of
@@ -113,7 +113,7 @@ def leave_each_out(
     return HeldOut(tuple(_errors(fold, tuple(task.sources)) for fold in folds), tuple(folds))
 
 
-def judge_itself(model: TPGMM, recordings: Sequence[Recording], found: HeldOut) -> None:
+def judge_itself(model: LearnedMixture, recordings: Sequence[Recording], found: HeldOut) -> None:
     """Write into a model how exact its references are, and what is new to it, as `train --leave-one-out` does."""
     if len(found.folds) < 2:
         return

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tpgmm_core import TPGMM
+from tpgmm_core import LearnedMixture
 from tpgmm_core.choice.reproducing import reproduce
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
@@ -96,7 +96,7 @@ def lessons_of(project: Project, shown: Sequence[TaughtDemonstration]) -> dict[i
     return lessons
 
 
-def shift_of(model: TPGMM, recording: Recording, correction: Correction) -> Shift:
+def shift_of(model: LearnedMixture, recording: Recording, correction: Correction) -> Shift:
     """What a correction changes.
 
     Parameters

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Demonstration
+from tpgmm_core import Demonstration, LearnedMixture
 from tpgmm_core.choice.reproducing import as_seen_by, reproduce_gaussians
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
@@ -29,7 +29,10 @@ NEAR_LIMIT = 0.02
 """A joint is at its limit where it is nearer than this share of its range."""
 NEW = 2.0
 """A situation that is so many times as new as the newest that a model was judged by is too new."""
+STARTS_M = 0.05
+"""A hand that is nearer to the begin of the movement is there."""
 COLLISION_STRIDE = 4
+"""Every so many poses of the path are looked at for parts that meet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +59,7 @@ class Preview:
     q
         (T, nv) joints along the path, in the robot's order, within the limits of their positions
     checks
-        reachable, position limits, speed limits, self-collision, novelty; in this order
+        reachable, position limits, speed limits, self-collision, novelty, start; in this order
     """
 
     times: Array
@@ -79,7 +82,7 @@ class Preview:
 
 
 def preview(
-    model: TPGMM,
+    model: LearnedMixture,
     frames: Mapping[str, Array],
     q: Array,
     robot: RobotModel,
@@ -133,11 +136,12 @@ def preview(
         _speeds(robot, joints, times),
         _collision(shapes, joints, times),
         _novelty(model, frames, hand),
+        _start(hand, path[0]),
     )
     return Preview(times, path, covariances, joints, checks)
 
 
-def _reference(model: TPGMM, frames: Mapping[str, Array], hand: Array, times: Array) -> tuple[Array, Array]:
+def _reference(model: LearnedMixture, frames: Mapping[str, Array], hand: Array, times: Array) -> tuple[Array, Array]:
     needed = DerivedFrames.of_metadata(model.metadata_).observed(model.frame_names_)
     if missing := [name for name in needed if name not in frames]:
         raise ProjectError(f"the model needs {listed(missing)}, and nobody says where that is: bring it into view")
@@ -202,7 +206,18 @@ def _collision(shapes: SelfCollision | None, q: Array, times: Array) -> Check:
     return Check("self-collision", False, f"{one} meets {other} at {times[meeting.at]:.1f} s")
 
 
-def _novelty(model: TPGMM, frames: Mapping[str, Array], hand: Array) -> Check:
+def _start(hand: Array, first: Array) -> Check:
+    away = float(np.linalg.norm(hand[:3] - first[:3]))
+    if away <= STARTS_M:
+        return Check("start", True, "the hand is where the movement begins")
+    return Check(
+        "start",
+        None,
+        f"the hand is {100.0 * away:.0f} cm from where the movement begins, and will hurry there: lead it there first",
+    )
+
+
+def _novelty(model: LearnedMixture, frames: Mapping[str, Array], hand: Array) -> Check:
     scale = NoveltyScale.of_model(model)
     if scale is None:
         return Check("novelty", None, "how new this situation is, is not known: train with three demonstrations")

@@ -19,11 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tpgmm_core import TPGMM
+from tpgmm_core import LearnedMixture
 from tpgmm_core.common.text import one_line
 from tpgmm_core.common.types import Array
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.models.task_model import load_task_model
+from tpgmm_ros.task.state_space import PoseSpace
 from tpgmm_ros.task.task_file import Task, TaskError
 from tpgmm_workbench.project import folder as files
 from tpgmm_workbench.project.errors import ProjectError
@@ -54,7 +55,7 @@ class Project(Teaching):
 
     def __init__(self, folder: Path, task: Task) -> None:
         super().__init__(folder, task)
-        self._loaded: dict[int, TPGMM] = {}
+        self._loaded: dict[int, LearnedMixture] = {}
         self._robot: RobotModel | None = None
 
     @classmethod
@@ -82,10 +83,7 @@ class Project(Teaching):
         """
 
         def fill(draft: Path) -> None:
-            try:
-                Task.load(task_file)
-            except TaskError as error:
-                raise ProjectError(str(error)) from error
+            _task(Path(task_file))
             shutil.copyfile(task_file, draft / files.TASK)
             files.copy_robot(Path(robot_file), draft)
             for name in (files.DEMONSTRATIONS, files.MODELS):
@@ -120,10 +118,7 @@ class Project(Teaching):
                 f"{one_line(place)} is no project: it lacks {' and '.join(missing)}; choose a project's folder, or "
                 "make a new one"
             )
-        try:
-            return cls(place, Task.load(place / files.TASK))
-        except TaskError as error:
-            raise ProjectError(str(error)) from error
+        return cls(place, _task(place / files.TASK))
 
     @property
     def task_file(self) -> Path:
@@ -164,7 +159,7 @@ class Project(Teaching):
         """The last one that was not undone."""
         return next((model for model in reversed(self.models()) if not model.notes.is_undone), None)
 
-    def load(self, model: TrainedModel) -> TPGMM:
+    def load(self, model: TrainedModel) -> LearnedMixture:
         """A model from its file, which is read once.
 
         Parameters
@@ -174,7 +169,7 @@ class Project(Teaching):
 
         Returns
         -------
-        TPGMM
+        LearnedMixture
             a fitted model
 
         Raises
@@ -190,7 +185,7 @@ class Project(Teaching):
                     raise ProjectError(one_line(error)) from error
             return self._loaded[model.number]
 
-    def keep(self, model: TPGMM, notes: ModelNotes) -> TrainedModel:
+    def keep(self, model: LearnedMixture, notes: ModelNotes) -> TrainedModel:
         """Keep a new model, which is the present one from now on. Raises OSError."""
         with self._lock:
             folder = self.folder / files.MODELS
@@ -201,6 +196,13 @@ class Project(Teaching):
             files.sync(folder)
             self._loaded[number] = model
             return TrainedModel(number, path, notes)
+
+    def take_back(self, number: int) -> None:
+        """Mark a model as undone, by its number: the one before is the present one again."""
+        with self._lock:
+            for model in self.models():
+                if model.number == number:
+                    write_notes(model.path.with_suffix(".json"), replace(model.notes, is_undone=True))
 
     @staticmethod
     def _reserved(folder: Path) -> tuple[int, Path]:
@@ -246,6 +248,17 @@ class Project(Teaching):
                     now = not undone.isdisjoint(model.notes.learned_from)
                     write_notes(model.path.with_suffix(".json"), replace(model.notes, is_undone=now))
             return f"correction {last.number} is {word}, and so is the model that learned from it"
+
+
+def _task(path: Path) -> Task:
+    """A task of poses. Raises ProjectError."""
+    try:
+        task = Task.load(path)
+    except TaskError as error:
+        raise ProjectError(str(error)) from error
+    if not isinstance(task.space, PoseSpace):
+        raise ProjectError(f"{one_line(path)} is a task over joints; the workbench teaches movements of poses")
+    return task
 
 
 def used_parts(shown: Sequence[TaughtDemonstration]) -> Mapping[int, tuple[float, float] | None]:

@@ -102,7 +102,7 @@ def quality_of(project: Project, number: int) -> Quality:
     doubts = _doubts(project, shown, others)
     streams = _streams(shown, project)
     difference = _difference(project, shown, others)
-    novelty = Newness.of(project, others).of_situation(shown.situation, recording.movement[0])
+    novelty = Newness.of(project, others, number).of_situation(shown.situation, recording.movement[0])
     refused = [text for text, refuses in doubts if refuses]
     looked = [
         *(text for text, refuses in doubts if not refuses),

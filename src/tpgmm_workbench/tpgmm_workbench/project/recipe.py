@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
-from tpgmm_core import TPGMM, Demonstration
+from tpgmm_core import Demonstration, LearnedMixture
 from tpgmm_core.choice.automatic import Choice
 from tpgmm_core.choice.trial import SAMPLES, Trial, thinned
 from tpgmm_core.common.text import shown
@@ -106,7 +106,7 @@ class LearnedAs:
         """What derived frames are made of."""
         return DerivedFrames({name: FrameSource(of, turned) for name, (of, turned) in self.derived.items()})
 
-    def learn(self, demonstrations: Sequence[Demonstration], task: Task) -> TPGMM:
+    def learn(self, demonstrations: Sequence[Demonstration], task: Task) -> LearnedMixture:
         """A model of demonstrations of one duration, as `train --auto` learns the one that it chose.
 
         Parameters
@@ -118,7 +118,7 @@ class LearnedAs:
 
         Returns
         -------
-        TPGMM
+        LearnedMixture
             with metadata of its method and its derived frames
 
         Raises
@@ -135,7 +135,7 @@ class LearnedAs:
         model.metadata_ |= self.sources.metadata()
         return model
 
-    def learn_recordings(self, recordings: Sequence[Recording], task: Task) -> TPGMM:
+    def learn_recordings(self, recordings: Sequence[Recording], task: Task) -> LearnedMixture:
         """A model of recordings, with the metadata that `train` writes; raises as `learn` does."""
         demonstrations, _ = align(recordings)
         model = self.learn(demonstrations, task)

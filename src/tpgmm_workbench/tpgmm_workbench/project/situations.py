@@ -48,10 +48,25 @@ class Newness:
     farthest: float = 1.0
 
     @classmethod
-    def of(cls, project: Project, shown: Sequence[TaughtDemonstration]) -> Newness:
-        """What is known in a project, by its present model and by demonstrations."""
+    def of(cls, project: Project, shown: Sequence[TaughtDemonstration], but: int = 0) -> Newness:
+        """What is known in a project, without one of its demonstrations.
+
+        Parameters
+        ----------
+        project
+            whose present model tells, where it has not learned from that one
+        shown
+            demonstrations, which tell where there is no such model
+        but
+            number of the one that is to be judged; 0: none
+
+        Returns
+        -------
+        Newness
+            which may know nothing
+        """
         present = project.model
-        if present is not None:
+        if present is not None and but not in present.notes.learned_from:
             model = project.load(present)
             scale = NoveltyScale.of_model(model)
             if scale is not None:

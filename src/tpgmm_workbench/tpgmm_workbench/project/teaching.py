@@ -105,7 +105,25 @@ class Teaching:
             return self.demonstration(int(path.name))
 
     def add_bag(self, bag: str | Path, comment: str = "") -> TaughtDemonstration:
-        """Add a copy of a bag that lies elsewhere, a folder with metadata.yaml; see `add`. Raises ProjectError."""
+        """Add a copy of a bag that lies elsewhere.
+
+        Parameters
+        ----------
+        bag
+            a folder with metadata.yaml
+        comment
+            of the user
+
+        Returns
+        -------
+        TaughtDemonstration
+            as of `add`
+
+        Raises
+        ------
+        ProjectError
+            for what is no such folder
+        """
         if not (Path(bag) / METADATA).is_file():
             raise ProjectError(f"{one_line(bag)} is no bag: expected a folder with {METADATA}")
         return self.add(lambda draft: shutil.copytree(bag, draft), comment)
@@ -124,7 +142,23 @@ class Teaching:
         return tuple(one for one in self.used() if one.notes.correction is None)
 
     def demonstration(self, number: int) -> TaughtDemonstration:
-        """The demonstration of a number. Raises ProjectError where there is none."""
+        """The demonstration of a number.
+
+        Parameters
+        ----------
+        number
+            from 1
+
+        Returns
+        -------
+        TaughtDemonstration
+            with its problem in words where the bag cannot be used
+
+        Raises
+        ------
+        ProjectError
+            where there is none
+        """
         with self._lock:
             path = self.folder / files.DEMONSTRATIONS / files.named(number)
             if not path.is_dir():

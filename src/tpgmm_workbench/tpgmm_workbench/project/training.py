@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from tpgmm_core.retrieval.methods import METHODS
-from tpgmm_ros.task.state_space import PoseSpace
 from tpgmm_workbench.project.activities import Action, Facts, may
 from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.project import Project, TrainedModel
@@ -39,6 +38,8 @@ class Training:
         self._progress = Progress(0.0, "starting")
         self._number: int | None = None
         self._reason = ""
+        self._listener = threading.Thread(target=self._listen, name="training", daemon=True)
+        self._listener.start()
 
     @classmethod
     def start(cls, project: Project, options: TrainingOptions | None = None) -> Training:
@@ -59,16 +60,13 @@ class Training:
         Raises
         ------
         ProjectError
-            for too few demonstrations, with how many more are needed, a method that does not exist, and a task that is
-            not over poses
+            for too few demonstrations, with how many more are needed, and a method that does not exist
         """
         chosen = options or TrainingOptions()
         if reason := may(Action.TRAIN, Facts(demonstrations=len(project.shown()))):
             raise ProjectError(reason)
         if chosen.method is not None and chosen.method not in METHODS:
             raise ProjectError(f"there is no method {chosen.method!r}; there are {', '.join(METHODS)}")
-        if not isinstance(project.task.space, PoseSpace):
-            raise ProjectError(f"task {project.task.name!r} is over joints; the workbench learns movements of poses")
         # spawned, not forked: a fork of a process with threads (of ROS, of BLAS) may never come to its work
         context = multiprocessing.get_context("spawn")
         receiver, sender = context.Pipe(duplex=False)
@@ -80,27 +78,34 @@ class Training:
     def progress(self) -> Progress:
         """How far it is; never waits."""
         with self._lock:
-            while not self._progress.is_over:
-                try:
-                    if not self._pipe.poll():
-                        break
-                    kind, *values = self._pipe.recv()
-                except (EOFError, OSError):
-                    self._end(f"the training ended without a model (status {self._process.exitcode})")
-                    break
-                if kind == "progress":
-                    self._progress = Progress(*values)
-                elif kind == "done":
-                    self._number = values[0]
-                    self._progress = Progress(1.0, "the model is ready", True)
-                else:
-                    self._end(values[0])
             return self._progress
+
+    def _listen(self) -> None:
+        """Take what the process tells, as it comes: it would wait for a listener that is late."""
+        try:
+            while True:
+                kind, *values = self._pipe.recv()
+                with self._lock:
+                    if self._progress.is_over:
+                        if kind == "done":  # it was cancelled in its last moment
+                            self._project.take_back(values[0])
+                    elif kind == "progress":
+                        self._progress = Progress(*values)
+                    elif kind == "done":
+                        self._number = values[0]
+                        self._progress = Progress(1.0, "the model is ready", True)
+                    else:
+                        self._end(values[0])
+        except (EOFError, OSError):
+            self._process.join()
+            with self._lock:
+                if not self._progress.is_over:
+                    self._end(f"the training ended without a model (status {self._process.exitcode})")
 
     def cancel(self) -> None:
         """End it; nothing is kept. Nothing happens where it has ended."""
         with self._lock:
-            if self.progress().is_over:
+            if self._progress.is_over:
                 return
             self._end("cancelled: no model was made; the demonstrations are as they were")
             self._process.terminate()
@@ -111,7 +116,7 @@ class Training:
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for its end, at most this time; returns whether it has ended."""
-        self._process.join(timeout_s)
+        self._listener.join(timeout_s)
         return self.progress().is_over
 
     def result(self) -> TrainedModel:

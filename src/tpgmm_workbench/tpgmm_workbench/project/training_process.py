@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from tpgmm_core import LearnedMixture
 from tpgmm_core.choice.automatic import Choice, choose
 from tpgmm_core.choice.trial import TrialResult
 from tpgmm_core.common.text import listed, one_line
@@ -65,8 +66,10 @@ def work(pipe: Any, folder: str, options: TrainingOptions) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     os.nice(NICE)
     try:
-        kept = train(Project.open(folder), options, lambda share, words: pipe.send(("progress", share, words)))
-        pipe.send(("done", kept.number))
+        project = Project.open(folder)
+        found = learn(project, options, lambda share, words: pipe.send(("progress", share, words)))
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # from here on it is kept, and told of
+        pipe.send(("done", project.keep(*found).number))
     except (ProjectError, ValueError, OSError, np.linalg.LinAlgError) as error:
         pipe.send(("failed", one_line(error)))
 
@@ -79,7 +82,23 @@ def _end_with_parent() -> None:
 
 
 def train(project: Project, options: TrainingOptions, tell: Tell) -> TrainedModel:
-    """Learn from the demonstrations that are used, and keep the model.
+    """Learn from the demonstrations that are used, and keep the model: see `learn`.
+
+    Parameters
+    ----------
+    project, options, tell
+        as for `learn`
+
+    Returns
+    -------
+    TrainedModel
+        the present one from now on
+    """
+    return project.keep(*learn(project, options, tell))
+
+
+def learn(project: Project, options: TrainingOptions, tell: Tell) -> tuple[LearnedMixture, ModelNotes]:
+    """Learn from the demonstrations that are used.
 
     Parameters
     ----------
@@ -92,8 +111,8 @@ def train(project: Project, options: TrainingOptions, tell: Tell) -> TrainedMode
 
     Returns
     -------
-    TrainedModel
-        the present one from now on
+    tuple[LearnedMixture, ModelNotes]
+        a model, and what is known of it
 
     Raises
     ------
@@ -135,7 +154,7 @@ def train(project: Project, options: TrainingOptions, tell: Tell) -> TrainedMode
         misfits=misfits,
         learned_as=learned_as,
     )
-    return project.keep(model, replace(notes, seconds=round(time.monotonic() - begin, 2)))
+    return model, replace(notes, seconds=round(time.monotonic() - begin, 2))
 
 
 def _chosen(recordings: Sequence[Recording], task: Task, options: TrainingOptions, tell: Tell) -> tuple[LearnedAs, str]:

@@ -108,7 +108,7 @@ def propose_robot_file(urdf: str, folder: str | Path = ".") -> Proposal:
             home = _home(robot, arms)
             text = _text(urdf, tree, arms, limits, places, home)
             robot = _read(text, path, urdf, Path(made))
-        except RobotFileError as error:
+        except ValueError as error:  # RobotFileError, and what Pinocchio says of doubled names
             reason = one_line(error).replace(f"{made}/", "")
             return Proposal(text, tuple(arm.name for arm in arms), tuple(words), problem=reason)
     words.append(
