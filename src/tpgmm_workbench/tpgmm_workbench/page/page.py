@@ -177,7 +177,7 @@ class Page:
         self._hand.draw_trail()
         self._status.show(words.status(view))
         several = self.driver.pages > 1
-        self._pages.show(words.pages(self.driver.pages) if several else "")
+        self._pages.show(words.pages(self.driver.pages))
         if self._take_over.visible != several:
             self._take_over.visible = several
         for panel in self._panels:

@@ -153,5 +153,7 @@ def nodes(view: DeskView) -> str:
 
 
 def pages(count: int) -> str:
-    """That several pages are open."""
-    return _block([f"{count} pages show this; one of them drives."])
+    """That the page is not heard yet, or that several pages are open."""
+    if count == 0:
+        return _block([chip("connecting", GREY) + " what you press is heard in a moment"])
+    return _block([f"{count} pages show this; one of them drives."]) if count > 1 else ""
