@@ -27,7 +27,7 @@ DATA ?= ../shared/data
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup dev lint format test mutants properties faults fuzz determinism seeds soak demo bags results figures figure5 figure6 bench scaling stress colcon docs reference lock clean
+.PHONY: help setup dev lint format test mutants properties faults fuzz determinism seeds soak demo workbench bags results figures figure5 figure6 bench scaling stress colcon docs reference lock clean
 
 help: ## list all targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
@@ -74,6 +74,12 @@ faults: dev ## make every known fault happen to the running nodes and check what
 
 demo: setup ## train a model, start the nodes, do the task, report: out/demo/ (SEED=7 for another situation, SEPARATE=1 for a process for each node)
 	$(DEMOS)/demo --seed $(SEED) $(if $(SEPARATE),--separate)
+
+# Another folder is another project
+PROJECT ?= out/workbench/project
+workbench: setup ## serve a page on which a simulated robot is taught a skill, and runs it, until Ctrl-C (PROJECT=folder, PORT=8080, ROBOT=robot file, TASK=task file)
+	$(PYTHON) -m tpgmm_workbench.simulated --project $(PROJECT) $(if $(PORT),--port $(PORT)) $(if $(ROBOT),--robot $(ROBOT)) \
+		$(if $(TASK),--task $(TASK))
 
 bags: setup ## record the demonstrations in bags/ again
 	rm -rf bags/pick_place

@@ -21,6 +21,7 @@ setup(
     extras_require={"test": ["pytest"]},  # `colcon test` asks for pytest here
     entry_points={
         "console_scripts": [
+            "simulated_workbench = tpgmm_workbench.executables:simulated_workbench",
             "workbench = tpgmm_workbench.executables:workbench",
         ]
     },

@@ -4,3 +4,4 @@
 from tpgmm_ros.runtime.entry import node
 
 workbench = node("tpgmm_workbench.node")
+simulated_workbench = node("tpgmm_workbench.simulated")

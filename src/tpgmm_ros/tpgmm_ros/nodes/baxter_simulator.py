@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """baxter_simulator: joint torques and external wrenches in, joint states and end point poses out.
 
+A hand can also be led to a pose, by a spring as soft as a person's arm.
+
 In real time it makes one step per tick of the steady clock. In lockstep it publishes ``/clock``, waits for the torques
 that answer each state (they carry its stamp), and goes on at once: as fast as the controller can.
 """
 
 from __future__ import annotations
 
+import functools
 import sys
 import time
 from dataclasses import dataclass
@@ -20,7 +23,9 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
+from tpgmm_core.observation.poses import check_pose, wrong_frame
 from tpgmm_core.observation.streams import SECOND, Stamp, StreamWatch
+from tpgmm_core.robot.led_hand import LedHand
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator
 from tpgmm_ros.messages import conversions
@@ -37,12 +42,25 @@ PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
     Declared("lockstep", False, "Lockstep: publish /clock and wait for the torques that answer each state", fixed=True),
     Declared("lockstep_wrench", False, "Lockstep: wait also for an external wrench in answer to each pose", fixed=True),
+    Declared(
+        "real_time_factor",
+        0.0,
+        "Lockstep: simulated seconds per second at most; a busy machine takes longer; 0: as fast as it can",
+        0.0,
+        100.0,
+    ),
     Declared("rate", 1000.0, "Joint states per second of simulated time, Hz", 100.0, 2000.0, fixed=True),
     Declared("physics_steps", 1, "Physics steps from one joint state to the next", 1, 20, fixed=True),
     Declared("pose_rate", 100.0, "End point poses per second of simulated time, Hz", 1.0, 1000.0, fixed=True),
     Declared("command_timeout", 0.1, "Time without torques after which the robot brakes, s", 0.002, 10.0),
     Declared("braking_rate", 20.0, "How fast it brakes while no torques come, 1/s", 0.0, 50.0),
-    Declared("wrench_timeout", 0.2, "Time after which an external wrench ends unless it is repeated, s", 0.002, 10.0),
+    Declared(
+        "wrench_timeout",
+        0.2,
+        "Time after which an external wrench, or leading a hand, ends unless repeated, s",
+        0.002,
+        10.0,
+    ),
 ]
 
 Array = NDArray[np.float64]
@@ -62,6 +80,13 @@ MAX_CATCH_UP = 50
 class _Push:
     wrench: Array
     received: float  # simulated s
+
+
+@dataclass(slots=True)
+class _Lead:
+    aim: Array
+    received: float  # simulated s
+    person: LedHand
 
 
 class BaxterSimulatorNode(Node):
@@ -87,6 +112,7 @@ class BaxterSimulatorNode(Node):
         self._torque_watch = StreamWatch()
         self._torque_received = 0.0  # simulated s
         self._pushes: dict[str, _Push] = {}
+        self._leads: dict[str, _Lead] = {}
         self._wrench_stamp_ns = -1
         self._pose_stamp_ns = 0
         self._states = self.create_publisher(JointState, "joint_states", STREAM)
@@ -96,6 +122,8 @@ class BaxterSimulatorNode(Node):
         self._clock_publisher = self.create_publisher(Clock, "/clock", EVENTS) if self.lockstep else None
         self.create_subscription(JointState, "joint_torques", self._take_torques, STREAM)
         self.create_subscription(WrenchStamped, "external_wrench", self._take_wrench, STREAM)
+        for name in self.robot.endpoints:
+            self.create_subscription(PoseStamped, f"lead/{name}/pose", functools.partial(self._take_lead, name), STREAM)
         self.monitor = Monitor(self, self._status)
 
     # -- inputs -------------------------------------------------------------------------------------------------------
@@ -132,6 +160,32 @@ class BaxterSimulatorNode(Node):
         except ValueError as error:
             self.get_logger().error(f"wrench refused: {error}", throttle_duration_sec=1.0)
 
+    def _take_lead(self, endpoint: str, message: PoseStamped) -> None:
+        pose, reason = check_pose(conversions.pose_to_array(message.pose))
+        reason = wrong_frame(message.header.frame_id, self.robot.base_frame) or reason
+        if pose is None or reason:
+            self.get_logger().error(f"leading the hand {endpoint} refused: {reason}", throttle_duration_sec=1.0)
+            return
+        now = self.simulator.state.time
+        if endpoint in self._leads:
+            self._leads[endpoint].aim, self._leads[endpoint].received = pose, now
+        else:
+            self._data.update(self.simulator.state.q)
+            self._leads[endpoint] = _Lead(pose, now, LedHand(self._data.pose(endpoint)))
+
+    def _led(self, now: float, timeout: float) -> dict[str, Array]:
+        """Forces of those who lead hands, by the links of these."""
+        self._leads = {name: lead for name, lead in self._leads.items() if now - lead.received <= timeout}
+        if not self._leads:
+            return {}
+        self._data.update(self.simulator.state.q, self.simulator.state.v)
+        return {
+            self.robot.endpoints[name].frame: lead.person.wrench(
+                self.time_step, lead.aim, self._data.pose(name), self._data.twist(name)
+            )
+            for name, lead in self._leads.items()
+        }
+
     # -- one step -----------------------------------------------------------------------------------------------------
 
     def _step(self) -> None:
@@ -139,6 +193,8 @@ class BaxterSimulatorNode(Node):
         timeout = self.parameters["wrench_timeout"]
         self._pushes = {link: push for link, push in self._pushes.items() if now - push.received <= timeout}
         wrenches = {link: push.wrench for link, push in self._pushes.items()}
+        for link, wrench in self._led(now, timeout).items():
+            wrenches[link] = wrenches[link] + wrench if link in wrenches else wrench
         torque = self._live_torque()
         for _ in range(self._physics_steps):
             self.simulator.step(self._braking() if torque is None else torque, wrenches)
@@ -215,7 +271,13 @@ class BaxterSimulatorNode(Node):
             self.monitor.step.add(time.perf_counter() - start)
 
     def _run_lockstep(self, executor: Executor, stop: StopFlag) -> None:
+        due = time.perf_counter()
         while not stop.set:
+            if factor := self.parameters["real_time_factor"]:
+                # what was lost is not made up for: time then passes more slowly
+                due = max(due + self.time_step / factor, time.perf_counter() - MAX_CATCH_UP * self.time_step / factor)
+                while (remaining := due - time.perf_counter()) > 0.0 and not stop.set:
+                    executor.spin_once(timeout_sec=remaining)
             # Simulated time starts at 1 s: in ROS, zero means that time is not known yet.
             self._stamp_ns = SECOND + round(self._steps * self.time_step * SECOND)
             if self._steps % self._steps_per_clock == 0:

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The objects of a simulation, the refusals of a tracker, the tube: without ROS and page."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tpgmm_core.geometry import quaternion
+from tpgmm_workbench.scene.tube import SIDES, THINNEST, tube
+from tpgmm_workbench.session.arrangement import Arrangement, hand_over, regions_of
+from tpgmm_workbench.session.refusals import LASTS, Refusals
+from tpgmm_workbench.session.view import FrameView
+
+HOME = np.array([0.6, 0.2, 0.1, 0.0, 1.0, 0.0, 0.0])
+
+
+def test_objects_lie_in_their_regions_elsewhere_each_time_and_can_be_hidden() -> None:
+    regions = regions_of("anything", ["left", "right"], HOME)
+    arrangement = Arrangement(regions, seed=1)
+    first = dict(arrangement.places)
+    arrangement.shuffle()
+    for name, region in regions.items():
+        place = arrangement.places[name]
+        assert np.all(place[:3] >= region.lower) and np.all(place[:3] <= region.upper)
+        assert not np.allclose(place, first[name])
+    assert arrangement.places["left"][1] > arrangement.places["right"][1]
+    arrangement.hide("left", True)
+    assert set(arrangement.in_sight()) == {"right"}
+    arrangement.hide("left", False)
+    assert set(arrangement.in_sight()) == {"left", "right"}
+    with pytest.raises(ValueError, match="no object 'cup'"):
+        arrangement.move("cup", HOME)
+
+
+def test_the_hand_over_an_object_turns_with_it() -> None:
+    turn = quaternion.exp([0.0, 0.0, 0.7])
+    place = np.concatenate([[0.5, 0.1, 0.0], turn])
+    at, above = hand_over(place, HOME, above=False), hand_over(place, HOME, above=True)
+    np.testing.assert_allclose(above[:3] - at[:3], [0.0, 0.0, 0.1], atol=1e-12)
+    assert quaternion.angle_between(at[3:], HOME[3:]) == pytest.approx(0.7)
+
+
+def test_a_refusal_is_of_now_for_a_while_and_those_of_before_do_not_count() -> None:
+    refusals = Refusals()
+    refusals.take({"refused_cup: stamp too old": "7", "age_cup_s": "0.1"}, 0.0)
+    assert refusals.of("cup", 0.0) is None
+    refusals.take({"refused_cup: stamp too old": "9"}, 1.0)
+    assert refusals.of("cup", 1.5) == "stamp too old"
+    assert refusals.of("plate", 1.5) is None
+    assert refusals.of("cup", 1.0 + LASTS + 0.1) is None
+
+
+@pytest.mark.parametrize(
+    ("view", "words"),
+    [
+        (FrameView("cup", "seen", 0.02), "seen"),
+        (FrameView("cup", "held", 1.25), "held, seen 1.2 s ago"),
+        (FrameView("cup", "missing"), "missing"),
+        (FrameView("cup", "missing", 300.0), "missing for 5 min"),
+        (FrameView("cup", "refused", 0.1, why="not finite"), "refused: not finite"),
+    ],
+)
+def test_a_frame_says_what_is_known_of_it(view: FrameView, words: str) -> None:
+    assert view.words == words
+
+
+def test_a_tube_is_as_wide_as_two_deviations_across_the_way() -> None:
+    path = np.column_stack([np.linspace(0.0, 1.0, 20), np.zeros(20), np.zeros(20)])
+    covariance = np.diag([9.0, 0.01**2, 0.03**2])
+    vertices, faces = tube(path, np.broadcast_to(covariance, (20, 3, 3)))
+    assert vertices.shape == (20 * SIDES, 3) and faces.shape == (19 * SIDES * 2, 3)
+    assert faces.min() == 0 and faces.max() == len(vertices) - 1
+    np.testing.assert_allclose(np.abs(vertices).max(axis=0), [1.0, 0.02, 0.06], rtol=0.05)
+
+
+def test_a_tube_along_a_path_that_rests_and_turns_is_finite_and_never_thinner_than_seen() -> None:
+    path = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    vertices, _ = tube(path, np.zeros((5, 3, 3)))
+    away = np.linalg.norm(vertices.reshape(5, SIDES, 3) - path[:, None], axis=2)
+    np.testing.assert_allclose(away, THINNEST)
+    with pytest.raises(ValueError, match="two points or more"):
+        tube(path[:1], np.zeros((1, 3, 3)))

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the panels say, and which page drives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tpgmm_workbench.desk.desk import DeskView
+from tpgmm_workbench.desk.learning import ModelView
+from tpgmm_workbench.desk.teaching import TaughtView
+from tpgmm_workbench.graph.movement import RunView
+from tpgmm_workbench.page import words
+from tpgmm_workbench.page.driver import Driver
+from tpgmm_workbench.project.activities import Action, Activity, Facts, may
+from tpgmm_workbench.project.preview import Check, Preview
+from tpgmm_workbench.project.training import Progress
+from tpgmm_workbench.session.view import ControllerView, FrameView, GraphView, NodeView
+
+READY = DeskView(graph=GraphView(joints=np.zeros(2), controller=ControllerView("DAMPING", "no reference yet")))
+
+
+def taught(count: int) -> tuple[TaughtView, ...]:
+    return tuple(TaughtView(i + 1, True, "good", "12 s") for i in range(count))
+
+
+def test_a_newcomer_is_told_what_to_do_next_at_each_step() -> None:
+    model = ModelView(1, "1.tpgmm", ("reproduces what it has not seen to 4 mm",), {})
+    steps = [
+        READY,
+        replace(READY, activity=Activity.TEACHING),
+        replace(READY, activity=Activity.TEACHING, lasted=2.0),
+        replace(READY, taught=taught(3)),
+        replace(READY, taught=taught(4)),
+        replace(READY, taught=taught(4), progress=Progress(0.2, "learning")),
+        replace(READY, taught=taught(4), model=model),
+        replace(READY, taught=taught(4), model=model, activity=Activity.RUNNING),
+    ]
+    said = [words.next_step(step) for step in steps]
+    assert len(set(said)) == len(said)
+    for text, word in zip(
+        said,
+        ["4 more times", "released", "Finish", "1 more time.", "Train", "learned", "Preview", "Move an object"],
+        strict=True,
+    ):
+        assert word in text
+    assert "no joint states" in words.next_step(
+        replace(READY, reasons={Action.RECORD: may("record", Facts(has_robot=False))})
+    )
+
+
+def test_what_others_wrote_is_text_and_never_a_part_of_the_page() -> None:
+    evil = '<img src=x onerror="alert(1)">'
+    graph = GraphView(
+        frames=(FrameView(evil, "refused", 0.1, why=evil),),
+        controller=ControllerView(evil, evil),
+        nodes={evil: NodeView(False, evil, {"tick_rate_hz": "10"})},
+    )
+    view = DeskView(
+        graph=graph,
+        run=RunView("failed", 0.5, evil),
+        taught=(TaughtView(1, True, "look", evil),),
+        model=ModelView(1, evil, (evil,), {1: evil}),
+        progress=Progress(0.1, evil),
+        words=(evil,),
+        preview=Preview(
+            np.zeros(1), np.zeros((1, 7)), np.zeros((1, 6, 6)), np.zeros((1, 2)), (Check(evil, None, evil),)
+        ),
+    )
+    for say in (words.status, words.demonstrations, words.model, words.training, words.verdict, words.run, words.nodes):
+        assert "<img" not in say(view), say.__name__
+
+
+def test_each_state_has_its_word_beside_its_colour() -> None:
+    frames = tuple(FrameView(name, name) for name in ("seen", "held", "missing", "refused", "fixed"))
+    text = words.status(replace(READY, graph=replace(READY.graph, frames=frames)))
+    assert all(f"{name}: {name}" in text for name in ("seen", "held", "missing", "refused", "fixed"))
+    assert "DAMPING" in text and "no reference yet" in text
+    assert "no controller" in words.status(DeskView())
+
+
+def test_of_several_pages_one_drives_and_another_may_take_over() -> None:
+    driver = Driver()
+    for page in (1, 2, 3):
+        driver.come(page)
+    assert driver.drives(1) and not driver.drives(2)
+    driver.take_over(2)
+    assert driver.drives(2) and not driver.drives(1)
+    assert driver.go(2) and driver.number is None
+    assert not driver.go(1) and driver.pages == 1
+    assert driver.drives(3) and driver.number == 3
+    assert driver.go(3)
+    driver.come(4)
+    assert driver.number == 4

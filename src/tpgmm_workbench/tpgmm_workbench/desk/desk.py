@@ -1,0 +1,374 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`Desk`: what a user may ask for, obeyed or refused in words, and what is known at one moment.
+
+All methods are called in the executor's thread, and return at once.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from rclpy.node import Node
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.pose import pose_error
+from tpgmm_core.robot.description import RobotDescription
+from tpgmm_ros.runtime.background import Background
+from tpgmm_workbench.desk.learning import Learning, ModelView
+from tpgmm_workbench.desk.teaching import TaughtView, Teaching
+from tpgmm_workbench.graph.movement import MovementClient, RunView
+from tpgmm_workbench.graph.simulated_world import SimulatedWorld
+from tpgmm_workbench.graph.watching import Watcher
+from tpgmm_workbench.project.activities import Action, Activity, Facts, may
+from tpgmm_workbench.project.preview import Preview
+from tpgmm_workbench.project.project import Project
+from tpgmm_workbench.project.training import Progress, TrainingOptions
+from tpgmm_workbench.session.arrangement import Arrangement, hand_over, regions_of
+from tpgmm_workbench.session.view import GraphView
+
+#: What was said is shown for so long, s; and how much of it at once.
+WORDS_STAY, MOST_WORDS = 12.0, 3
+#: An arm that is held is given so long to become free before a recording begins anyway, s.
+RELEASE = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class DeskView:
+    """All that a page shows of one moment.
+
+    Parameters
+    ----------
+    graph
+        what the nodes say
+    run
+        how far the movement is
+    activity
+        what is going on
+    taught
+        the demonstrations that were not undone
+    lasted
+        how long the present recording has been going on, s
+    progress
+        of a training
+    model
+        the present one
+    preview
+        of the present model, where one was made
+    reasons
+        action -> why it may not be done now, or nothing
+    words
+        what was said last, newest first
+    places
+        where a simulation's objects are, (7,) by name
+    hidden
+        those of them that nobody sees
+    aim
+        (7,) to which the hand is led
+    to_go
+        how far it still is from there, m; None while nobody leads it
+    speed
+        of the movement; 1: as learned
+    """
+
+    graph: GraphView = field(default_factory=GraphView)
+    run: RunView = field(default_factory=RunView)
+    activity: Activity = Activity.IDLE
+    taught: tuple[TaughtView, ...] = ()
+    lasted: float = 0.0
+    progress: Progress | None = None
+    model: ModelView | None = None
+    preview: Preview | None = None
+    reasons: dict[Action, str] = field(default_factory=dict)
+    words: tuple[str, ...] = ()
+    places: dict[str, Array] = field(default_factory=dict)
+    hidden: frozenset[str] = frozenset()
+    aim: Array | None = None
+    to_go: float | None = None
+    speed: float = 1.0
+
+
+class Desk:
+    """The workbench without its page.
+
+    Parameters
+    ----------
+    node
+        talks to the graph
+    project
+        what is taught, and learned
+    simulated
+        whether the robot is a simulation, whose hand may be dragged and whose objects may be moved
+    seed
+        of the places of a simulation's objects; None: others each time
+
+    Attributes
+    ----------
+    robot
+        its kinematics
+    home
+        (7,) the hand's pose at the robot's home
+    """
+
+    def __init__(self, node: Node, project: Project, simulated: bool, seed: int | None = None) -> None:
+        self._node, self.project, self.simulated = node, project, simulated
+        self.robot = project.robot()
+        self._background, self._judge = Background(node), Background(node)
+        self._watcher = Watcher(node, project.task, self.robot.joint_names)
+        self._movement = MovementClient(node, self.say)
+        self._teaching = Teaching(node, project, self._judge, self.say, lambda: None)
+        self._learning = Learning(project, self._background, self.say)
+        data = self.robot.create_data()
+        data.update(self.robot.home)
+        self.home = data.pose(project.task.endpoint).copy()
+        self._world: SimulatedWorld | None = None
+        if simulated:
+            regions = regions_of(project.task.name, project.task.topics, self.home)
+            self._world = SimulatedWorld(node, project.task, Arrangement(regions, seed))
+        self._said: list[tuple[float, str]] = []
+        self._graph = GraphView()
+        self._speed, self._is_paused, self._duration = 1.0, False, 0.0
+        self._release_until: float | None = None
+
+    def close(self) -> None:
+        """End what goes on, in order; what was recorded is kept."""
+        self._movement.stop()
+        self._teaching.close()
+        self._learning.close()
+        self._background.close()
+        self._judge.close()
+        self._watcher.close()
+
+    def say(self, words: str) -> None:
+        """Tell the user something, and the log."""
+        self._node.get_logger().info(words)
+        self._said.append((time.monotonic(), words))
+
+    @property
+    def robot_urdf(self) -> Path:
+        """The URDF of the robot. Raises RobotFileError."""
+        return RobotDescription.from_file(self.project.robot_file).urdf
+
+    # -- what is known ------------------------------------------------------------------------------------------------
+
+    @property
+    def activity(self) -> Activity:
+        """What is going on."""
+        if self._teaching.is_recording or self._release_until is not None:
+            return Activity.TEACHING
+        if self._movement.view.goes_on:
+            return Activity.PAUSED if self._is_paused else Activity.RUNNING
+        return Activity.IDLE
+
+    def facts(self, drives: bool = True) -> Facts:
+        """What the rules ask about; `drives`: whether who asks is the one that drives."""
+        graph, controller = self._graph, self._graph.controller
+        return Facts(
+            activity=self.activity,
+            demonstrations=self._teaching.used,
+            has_model=self._learning.model is not None,
+            is_training=self._learning.is_training,
+            can_undo=self._teaching.can_undo,
+            has_robot=graph.joints is not None,
+            missing_frames=tuple(frame.name for frame in graph.frames if frame.pose is None),
+            is_simulated=self.simulated,
+            fault=controller.reason if controller is not None and controller.state == "FAULT" else "",
+            drives=drives,
+        )
+
+    def look(self) -> DeskView:
+        """What is known now; to be called up to thirty times per second."""
+        self._graph = self._watcher.look()
+        self._learning.look()
+        self._begin_when_free()
+        if self._world is not None:
+            self._world.tell()
+        now = time.monotonic()
+        self._said = [(when, words) for when, words in self._said[-MOST_WORDS:] if now - when < WORDS_STAY]
+        facts = self.facts()
+        world = self._world
+        return DeskView(
+            graph=self._graph,
+            run=self._movement.view,
+            activity=facts.activity,
+            taught=self._teaching.shown,
+            lasted=self._teaching.lasted,
+            progress=self._learning.progress,
+            model=self._learning.model,
+            preview=self._learning.shown,
+            reasons={action: may(action, facts) for action in Action},
+            words=tuple(words for _, words in reversed(self._said)),
+            places={} if world is None else dict(world.arrangement.places),
+            hidden=frozenset() if world is None else frozenset(world.arrangement.hidden),
+            aim=None if world is None else world.aim,
+            to_go=self._to_go(),
+            speed=self._speed,
+        )
+
+    def _to_go(self) -> float | None:
+        if self._world is None or self._world.aim is None or self._graph.hand is None:
+            return None
+        return pose_error(self._graph.hand, self._world.aim)[0]
+
+    def _refused(self, action: Action) -> bool:
+        """Whether something may not be done now; then the user is told why."""
+        reason = may(action, self.facts())
+        if reason:
+            self.say(reason)
+        return bool(reason)
+
+    # -- teach --------------------------------------------------------------------------------------------------------
+
+    def record(self) -> None:
+        """Begin a demonstration, as soon as nothing holds the arm."""
+        if self._refused(Action.RECORD):
+            return
+        controller = self._graph.controller
+        if controller is not None and controller.state in ("ACTIVE", "HOLD"):
+            self._movement.let_go()
+            self._release_until = time.monotonic() + RELEASE
+        else:
+            self._teaching.begin()
+
+    def _begin_when_free(self) -> None:
+        if self._release_until is None:
+            return
+        controller = self._graph.controller
+        held = controller is not None and controller.state in ("ACTIVE", "HOLD")
+        if not held or time.monotonic() > self._release_until:
+            self._release_until = None
+            self._teaching.begin()
+
+    def end_recording(self) -> None:
+        """End the demonstration, and keep it."""
+        if not self._refused(Action.END_RECORDING):
+            self._release_until = None
+            self._teaching.end()
+
+    def undo(self) -> None:
+        """Take the last demonstration back."""
+        if not self._refused(Action.UNDO):
+            self._teaching.undo()
+
+    # -- a simulation's hand and objects ------------------------------------------------------------------------------
+
+    def lead_hand(self, aim: Array, is_held: bool = False) -> None:
+        """Lead the simulated hand.
+
+        Parameters
+        ----------
+        aim
+            (7,) to there
+        is_held
+            whether the mouse holds it; a hand that is pushed while the skill runs is let go of with the mouse
+        """
+        if self._world is None or (is_held and self._refused(Action.DRAG_HAND)):
+            return
+        if self._movement.view.goes_on:
+            if is_held:
+                self._world.aim = np.array(aim)
+            else:
+                self._world.aim = None
+            return
+        controller = self._graph.controller
+        if controller is not None and controller.state == "ACTIVE":
+            self._movement.let_go()
+        self._world.aim = np.array(aim)
+
+    def lead_to(self, name: str, above: bool) -> None:
+        """Lead the simulated hand to an object, or above it; "home": to where it is at home."""
+        if self._world is None or self._refused(Action.DRAG_HAND):
+            return
+        if self._movement.view.goes_on:
+            self.say("the skill runs: stop it before the hand is led")
+            return
+        if name == "home":
+            self.lead_hand(self.home)
+        elif name in self._world.arrangement.places:
+            self.lead_hand(hand_over(self._world.arrangement.places[name], self.home, above))
+
+    def let_go(self) -> None:
+        """Give the simulated hand no more force."""
+        if self._world is not None:
+            self._world.aim = None
+
+    def move_object(self, name: str, pose: Array) -> None:
+        """Lay a simulation's object at a pose (7,)."""
+        if self._world is not None and name in self._world.arrangement.places:
+            self._world.arrangement.move(name, pose)
+
+    def hide_object(self, name: str, hidden: bool) -> None:
+        """Hide a simulation's object from its sensors, or show it again."""
+        if self._world is not None:
+            self._world.arrangement.hide(name, hidden)
+
+    def shuffle(self) -> None:
+        """Lay a simulation's objects elsewhere."""
+        if self._world is not None:
+            self._world.arrangement.shuffle()
+
+    # -- learn, look ahead, run ---------------------------------------------------------------------------------------
+
+    def train(self, is_automatic: bool = True) -> None:
+        """Learn from all demonstrations that are used; `is_automatic`: method and settings are chosen."""
+        if not self._refused(Action.TRAIN):
+            self._learning.train(TrainingOptions(is_automatic=is_automatic))
+
+    def cancel_training(self) -> None:
+        """End the training."""
+        if not self._refused(Action.CANCEL_TRAINING):
+            self._learning.cancel()
+
+    def preview(self) -> None:
+        """See where the skill would go."""
+        if not self._refused(Action.PREVIEW):
+            self._look_ahead(lambda shown: self.say(f"preview: {shown.words}"))
+
+    def _look_ahead(self, then: Callable[[Preview], object]) -> None:
+        if self._learning.is_previewing or self._graph.joints is None:
+            return
+        frames = {frame.name: frame.pose for frame in self._graph.frames if frame.pose is not None}
+        self._learning.preview(frames, self._graph.joints, self._duration or None, then)
+
+    def run(self) -> None:
+        """Run the skill, where its preview says that it can; go on after a pause."""
+        if self._refused(Action.RUN):
+            return
+        if self.activity is Activity.PAUSED:
+            self.set_speed(self._speed)
+            return
+        self.let_go()
+        self._look_ahead(self._run_if_good)
+
+    def _run_if_good(self, shown: Preview) -> None:
+        if not shown.may_run:
+            self.say(f"not run: {shown.words}")
+            return
+        if self._learning.model is not None and not self._refused(Action.RUN):
+            self.set_speed(self._speed)
+            self._movement.start(self._learning.model.path, self._duration)
+
+    def pause(self) -> None:
+        """Stand still; `run` goes on."""
+        if not self._refused(Action.PAUSE):
+            self._is_paused = True
+            self._movement.set_speed(0.0)
+
+    def set_speed(self, speed: float) -> None:
+        """Run at this speed; 1: as learned, below 0: back."""
+        self._speed, self._is_paused = speed, False
+        self._movement.set_speed(speed)
+
+    def set_duration(self, duration: float) -> None:
+        """Let the next movement take so long, s; 0: as taught."""
+        self._duration = duration
+        self._learning.shown = None
+
+    def stop(self) -> None:
+        """Stop the robot where it is; may always be asked for. A recording goes on until it is ended."""
+        self._movement.stop()
+        self.let_go()
+        self._is_paused = False

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The skill: learned in a process of its own, previewed in the background, with a verdict before anything moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass
+
+from tpgmm_core.common.text import one_line
+from tpgmm_core.common.types import Array
+from tpgmm_ros.runtime.background import Background
+from tpgmm_workbench.project.preview import Preview, preview
+from tpgmm_workbench.project.project import Project, TrainedModel
+from tpgmm_workbench.project.training import Progress, Training, TrainingOptions
+
+
+@dataclass(frozen=True, slots=True)
+class ModelView:
+    """The present model: its number, its file, and how well it does, in words."""
+
+    number: int
+    path: str
+    words: tuple[str, ...]
+    misfits: Mapping[int, str]
+
+
+class Learning:
+    """Training and previews of a project.
+
+    Parameters
+    ----------
+    project
+        what is learned from, and where models are kept
+    background
+        previews
+    say
+        gets what went wrong, or is to be known, in words
+
+    Attributes
+    ----------
+    progress
+        of the training that goes on, or was the last one; None before
+    model
+        the present one; None before
+    shown
+        the last preview; None where what it was of has changed
+    """
+
+    def __init__(self, project: Project, background: Background, say: Callable[[str], object]) -> None:
+        self.progress: Progress | None = None
+        self.model: ModelView | None = None
+        self.shown: Preview | None = None
+        self._project, self._background, self._say = project, background, say
+        self._training: Training | None = None
+        self._is_previewing = False
+        self.refresh()
+
+    @property
+    def is_training(self) -> bool:
+        """Whether a training goes on."""
+        return self._training is not None
+
+    @property
+    def is_previewing(self) -> bool:
+        """Whether a preview is being made."""
+        return self._is_previewing
+
+    def refresh(self) -> None:
+        """Find out which model is the present one."""
+        self._background.run(lambda: self._project.model, self._take)
+
+    def _take(self, job: Future[TrainedModel | None]) -> None:
+        try:
+            found = job.result()
+        except (OSError, ValueError) as error:
+            self._say(f"the models cannot be read: {one_line(error)}")
+            return
+        self.shown = None
+        self.model = None
+        if found is not None:
+            self.model = ModelView(found.number, str(found.path), tuple(found.notes.words), found.notes.misfits)
+
+    def train(self, options: TrainingOptions) -> None:
+        """Begin to train."""
+        try:
+            self._training = Training.start(self._project, options)
+        except (OSError, ValueError) as error:
+            self._say(f"not trained: {one_line(error)}")
+            return
+        self.progress = self._training.progress()
+
+    def cancel(self) -> None:
+        """End the training; nothing is kept of it."""
+        if self._training is not None:
+            self._training.cancel()
+
+    def look(self) -> None:
+        """Take in how far the training is; to be called several times per second."""
+        if self._training is None:
+            return
+        self.progress = self._training.progress()
+        if not self.progress.is_over:
+            return
+        training, self._training = self._training, None
+        try:
+            trained = training.result()
+            self._say(f"model {trained.number}: {'; '.join(trained.notes.words[:1]) or 'trained'}")
+        except (OSError, ValueError) as error:
+            self._say(f"no model: {one_line(error)}")
+        self.refresh()
+
+    def preview(
+        self,
+        frames: Mapping[str, Array],
+        joints: Array,
+        duration: float | None,
+        then: Callable[[Preview], object],
+    ) -> None:
+        """Make a preview.
+
+        Parameters
+        ----------
+        frames
+            name -> pose (7,) of those that are known
+        joints
+            (nv,) where the robot is
+        duration
+            s; None: as demonstrated
+        then
+            gets it, in the executor's thread
+        """
+        known = {**self._project.fixed_frames(), **frames}
+        self._is_previewing = True
+
+        def work() -> Preview:
+            model = self._project.model
+            if model is None:
+                raise ValueError("there is no model yet: train one first")
+            task, robot = self._project.task, self._project.robot()
+            return preview(self._project.load(model), known, joints, robot, task.endpoint, duration)
+
+        def take(job: Future[Preview]) -> None:
+            self._is_previewing = False
+            try:
+                self.shown = job.result()
+            except (OSError, ValueError) as error:
+                self._say(f"no preview: {one_line(error)}")
+                return
+            then(self.shown)
+
+        self._background.run(work, take)
+
+    def close(self) -> None:
+        """End what goes on."""
+        self.cancel()

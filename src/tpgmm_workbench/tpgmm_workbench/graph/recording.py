@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One demonstration at a time into a bag: begun, and then kept or left unfinished."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from rclpy.node import Node
+
+from tpgmm_ros.recordings.bag_recorder import BagRecorder
+from tpgmm_ros.task.task_file import Task
+
+#: Joint states come at up to 1 kHz; a demonstration needs no more of them than of poses.
+KEEP_EVERY = {"joint_states": 5}
+
+
+class Recording:
+    """A demonstration that is being recorded; it begins at once.
+
+    Parameters
+    ----------
+    node
+        subscribes
+    path
+        of the bag, which does not exist yet
+    task
+        whose topics are recorded
+
+    Raises
+    ------
+    OSError
+        where the bag cannot be written
+    """
+
+    def __init__(self, node: Node, path: Path, task: Task) -> None:
+        self.path, self._movement = path, task.movement
+        make: Any = BagRecorder
+        if hasattr(BagRecorder, "into"):  # listens first, and records one bag after the other
+            topics = import_module("tpgmm_ros.recordings.recorded_topics").topics_of(task)
+            self._recorder = make(node, topics, KEEP_EVERY, drop_repeated=True)
+            self._bag = self._recorder.into(path)
+            self._bag.__enter__()
+        else:
+            topics = import_module("tpgmm_ros.recordings.bag_recorder").topics_of(task)
+            self._recorder = self._bag = make(node, path, topics, KEEP_EVERY)
+            self._bag.__enter__()
+
+    @property
+    def poses(self) -> int:
+        """How many poses of the movement have come."""
+        return int(self._recorder.counts.get(self._movement, 0))
+
+    def keep(self) -> None:
+        """End it. The bag is in its place then.
+
+        Raises
+        ------
+        OSError
+            where the disk did not take all of it
+        """
+        self._bag.__exit__(None, None, None)
+
+    def leave(self, reason: str) -> None:
+        """End it unfinished: what came stays where unfinished bags lie, and never counts."""
+        error = ValueError(reason)
+        try:
+            self._bag.__exit__(ValueError, error, None)
+        except ValueError as raised:
+            if raised is not error:
+                raise

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a simulation has in place of a person and of sensors: where its hand is led, and poses of objects."""
+
+from __future__ import annotations
+
+import time
+
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+
+from tpgmm_core.common.types import Array
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.task.task_file import Task
+from tpgmm_workbench.session.arrangement import Arrangement
+
+#: Objects are seen, and the hand is led, this often, s.
+PERIOD = 1.0 / 30.0
+
+
+class SimulatedWorld:
+    """Says to the simulator where to lead the hand, and publishes where the objects are as a camera would.
+
+    Parameters
+    ----------
+    node
+        publishes
+    task
+        names the topics
+    arrangement
+        where the objects lie
+
+    Attributes
+    ----------
+    aim
+        (7,) where the hand is led to; None while nobody leads it
+    """
+
+    def __init__(self, node: Node, task: Task, arrangement: Arrangement) -> None:
+        self.aim: Array | None = None
+        self.arrangement = arrangement
+        self._node, self._base = node, task.base_frame
+        self._lead = node.create_publisher(PoseStamped, f"lead/{task.endpoint}/pose", STREAM)
+        self._places = {name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()}
+        self._due, self._told_ns = 0.0, -1
+
+    def tell(self) -> None:
+        """Publish where the objects are, and where the hand is to be, when it is time for it again."""
+        now = time.monotonic()
+        if now < self._due:
+            return
+        self._due = max(self._due + PERIOD, now)
+        stamp_ns = self._node.get_clock().now().nanoseconds
+        if stamp_ns == self._told_ns:  # a simulation that stands still: nothing new is seen
+            return
+        self._told_ns = stamp_ns
+        for name, pose in self.arrangement.in_sight().items():
+            self._places[name].publish(conversions.pose_stamped(pose, stamp_ns, self._base))
+        if self.aim is not None:
+            self._lead.publish(conversions.pose_stamped(self.aim, stamp_ns, self._base))

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the nodes say, at most thirty times per second: topics -> `GraphView`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from visualization_msgs.msg import Marker, MarkerArray
+
+from tpgmm_core.common.text import one_line
+from tpgmm_core.common.types import Array
+from tpgmm_core.control.supervision import ControllerMode
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.observation.joint_states import MAX_SPREAD
+from tpgmm_core.observation.poses import check_pose
+from tpgmm_msgs.msg import ControllerState, TaskFrame, TaskParameters
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.conversions import JointStates, MessageError
+from tpgmm_ros.messages.joint_state_bytes import JointStateDecoder
+from tpgmm_ros.messages.qos import EVENTS, LATCHED, STATES, STREAM
+from tpgmm_ros.task.task_file import Task
+from tpgmm_workbench.graph.latest import Looker
+from tpgmm_workbench.session.refusals import Refusals
+from tpgmm_workbench.session.view import (
+    ComponentView,
+    ControllerView,
+    FrameView,
+    GraphView,
+    NodeView,
+    ReferenceView,
+)
+
+#: What was said longer ago is not shown any more, s: streams, and what comes once per second or when it changes.
+STREAM_LASTS, WORDS_LAST = 0.5, 3.5
+_STATES = {TaskFrame.VISIBLE: "seen", TaskFrame.HELD: "held", TaskFrame.MISSING: "missing"}
+
+
+class Watcher:
+    """Looks at what the nodes say of a task and a robot.
+
+    Parameters
+    ----------
+    node
+        whose topics are looked at
+    task
+        names the movement and the frames
+    joints
+        the robot's, in the order in which they are wanted
+    """
+
+    def __init__(self, node: Node, task: Task, joints: Sequence[str]) -> None:
+        self._node, self._task = node, task
+        self._looker = Looker(node)
+        topic = self._looker.topic
+        self._joints = topic(JointState, "joint_states", STATES, raw=True)
+        self._decode = JointStateDecoder()
+        self._states = JointStates(joints, ("position",), MAX_SPREAD)
+        self._hand = topic(PoseStamped, task.movement, STREAM)
+        self._frames = topic(TaskParameters, "task_parameters", LATCHED)
+        self._controller = topic(ControllerState, "controller_state", LATCHED)
+        self._reference = topic(PoseWithCovarianceStamped, "reference_pose", STREAM)
+        self._markers = topic(MarkerArray, "markers", STREAM)
+        self._diagnostics = topic(DiagnosticArray, "/diagnostics", EVENTS)
+        self._refusals = Refusals()
+        self._q: Array | None = None
+        self._components: dict[int, ComponentView] = {}
+        self._nodes: dict[str, tuple[float, NodeView]] = {}
+
+    def close(self) -> None:
+        """Look no more."""
+        self._looker.close()
+
+    def look(self) -> GraphView:
+        """What is known now."""
+        self._take_joints()
+        self._take_diagnostics()
+        return GraphView(
+            joints=self._q if self._joints.silence < WORDS_LAST else None,
+            hand=self._pose_of_hand(),
+            frames=self._known_frames(),
+            controller=self._words_of_controller(),
+            reference=self._known_reference(),
+            components=self._known_components(),
+            nodes={name: view for name, (came, view) in self._nodes.items() if time.monotonic() - came < WORDS_LAST},
+        )
+
+    def _take_joints(self) -> None:
+        for data in self._joints.take():
+            try:
+                sample = self._states.take(self._decode(data))
+            except (MessageError, RuntimeError):  # the nodes that follow them say what is wrong with them
+                continue
+            if sample is not None:
+                (self._q,) = sample.values
+
+    def _pose_of_hand(self) -> Array | None:
+        message = self._hand.newest()
+        if message is None or self._hand.silence > WORDS_LAST:
+            return None
+        pose, _ = check_pose(conversions.pose_to_array(message.pose))
+        return pose
+
+    def _known_frames(self) -> tuple[FrameView, ...]:
+        message, now = self._frames.newest(), time.monotonic()
+        told = {} if message is None or self._frames.silence > WORDS_LAST else {i.name: i for i in message.frames}
+        clock_ns = self._node.get_clock().now().nanoseconds
+        views = []
+        for name, spec in self._task.frames.items():
+            if spec.pose is not None:
+                views.append(FrameView(name, "fixed", pose=np.array(spec.pose)))
+            elif name in told:
+                views.append(self._frame(told[name], clock_ns, now))
+            else:
+                views.append(FrameView(name, "missing"))
+        return tuple(views)
+
+    def _frame(self, item: TaskFrame, clock_ns: int, now: float) -> FrameView:
+        stamp_ns = conversions.time_to_ns(item.stamp)
+        age = max(0.0, 1e-9 * (clock_ns - stamp_ns)) if stamp_ns else None
+        why = self._refusals.of(item.name, now)
+        state = "refused" if why is not None else _STATES.get(item.status, "missing")
+        return FrameView(item.name, state, age, _pose_of(item), one_line(why or "", 100))
+
+    def _words_of_controller(self) -> ControllerView | None:
+        message = self._controller.newest()
+        if message is None or self._controller.silence > WORDS_LAST:
+            return None
+        modes = {int(mode): mode.name for mode in ControllerMode}
+        return ControllerView(modes.get(message.state, str(message.state)), one_line(message.reason, 300))
+
+    def _known_reference(self) -> ReferenceView | None:
+        message = self._reference.newest()
+        if message is None or self._reference.silence > STREAM_LASTS:
+            return None
+        covariance = np.array(message.pose.covariance).reshape(6, 6)
+        return ReferenceView(conversions.pose_to_array(message.pose.pose), covariance)
+
+    def _known_components(self) -> tuple[ComponentView, ...]:
+        for array in self._markers.take():
+            for marker in array.markers:
+                if marker.ns != "components":
+                    continue
+                if marker.action == Marker.DELETE:
+                    self._components.pop(marker.id, None)
+                else:
+                    size = np.array([marker.scale.x, marker.scale.y, marker.scale.z])
+                    pose = conversions.pose_to_array(marker.pose)
+                    self._components[marker.id] = ComponentView(pose, size, float(marker.color.a))
+        if self._markers.silence > WORDS_LAST:
+            self._components.clear()
+        return tuple(self._components[number] for number in sorted(self._components))
+
+    def _take_diagnostics(self) -> None:
+        for array in self._diagnostics.take():
+            for status in array.status:
+                values = {item.key: item.value for item in status.values}
+                name, now = status.name.rpartition("/")[2], time.monotonic()
+                well = status.level == DiagnosticStatus.OK
+                self._nodes[name] = now, NodeView(well, one_line(status.message, 300), values)
+                if name == "frame_tracker":
+                    self._refusals.take(values, now)
+
+
+def _pose_of(item: TaskFrame) -> Array | None:
+    """The pose of a frame; None where it has none, or is none of poses."""
+    if item.status == TaskFrame.MISSING or item.rows != 7 or item.cols != 7 or len(item.a) != 49 or len(item.b) != 7:
+        return None
+    turn = np.array(item.a).reshape(7, 7)[:3, :3]
+    if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6):
+        return None
+    return np.concatenate([np.array(item.b)[:3], quaternion.from_matrix(turn)])

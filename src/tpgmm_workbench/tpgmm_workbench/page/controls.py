@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Buttons and texts of a page that send nothing as long as nothing has changed, and keys that do what buttons do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from viser import ViserServer
+
+
+class Text:
+    """HTML in a panel."""
+
+    def __init__(self, server: ViserServer) -> None:
+        self._shown = ""
+        self._html = server.gui.add_html("", visible=False)
+
+    def show(self, content: str) -> None:
+        """Show this; nothing where it is empty."""
+        if content == self._shown:
+            return
+        self._shown = content
+        self._html.content = content
+        self._html.visible = bool(content)
+
+
+class Button:
+    """A button, and a key that does the same.
+
+    Parameters
+    ----------
+    server
+        of the page
+    label
+        what it says; the key is added
+    do
+        called with the number of the page that asks
+    key
+        of the keyboard; None: none
+    **options
+        of viser's button
+    """
+
+    def __init__(
+        self,
+        server: ViserServer,
+        label: str,
+        do: Callable[[int | None], object],
+        key: Any = None,
+        **options: Any,
+    ) -> None:
+        self._key = "" if key is None else f"  [{'Esc' if key == 'escape' else str(key).title()}]"
+        self._button = server.gui.add_button(label + self._key, **options)
+        self._button.on_click(lambda event: do(event.client_id))
+        self._command = None
+        if key is not None:
+            self._command = server.gui.add_command(label, hotkey=key)
+            self._command.on_trigger(lambda event: do(event.client_id))
+
+    def show(self, reason: str = "", label: str | None = None) -> None:
+        """Show whether it may be pressed: not where there is a reason; and another label."""
+        if self._button.disabled != bool(reason):
+            self._button.disabled = bool(reason)
+        hint = reason or None
+        if self._button.hint != hint:
+            self._button.hint = hint
+        if label is not None and self._button.label != label + self._key:
+            self._button.label = label + self._key
+            if self._command is not None:
+                self._command.label = label

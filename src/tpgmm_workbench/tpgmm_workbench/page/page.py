@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page: a scene and panels that show a `DeskView`, served by viser on this machine alone.
+
+What a user asks for is put in a queue, which the node works off: a page never calls ROS, and never waits for it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from viser import ClientHandle, Icon, ViserServer
+
+from tpgmm_core.common.types import Array
+from tpgmm_workbench.desk.desk import Desk, DeskView
+from tpgmm_workbench.page import words
+from tpgmm_workbench.page.camera import camera_for
+from tpgmm_workbench.page.controls import Button, Text
+from tpgmm_workbench.page.driver import Driver
+from tpgmm_workbench.page.local_only import local_only
+from tpgmm_workbench.page.panels import NodesPanel, RunPanel, TeachPanel, TrainPanel
+from tpgmm_workbench.project.preview import Preview
+from tpgmm_workbench.scene.colors import PREVIEW
+from tpgmm_workbench.scene.frames_view import FramesView
+from tpgmm_workbench.scene.hand_view import HandView
+from tpgmm_workbench.scene.model_view import ModelView
+from tpgmm_workbench.scene.robot_view import RobotView
+from tpgmm_workbench.scene.shapes import Shapes
+
+#: This machine alone: whoever else wants to see it makes a tunnel, as with ssh -L.
+HOST = "127.0.0.1"
+#: Texts and trail are renewed this often, s; a ghost moves through its movement in this time, s.
+TEXT_PERIOD, GHOST_TIME = 0.2, 4.0
+
+
+class Page:
+    """The page.
+
+    Parameters
+    ----------
+    desk
+        what the user may ask for
+    ask
+        called from any thread with a method of the desk and its arguments
+    shapes
+        what the robot looks like
+    port
+        where it is served; the next free one where it is taken
+
+    Attributes
+    ----------
+    address
+        where it is
+    """
+
+    def __init__(self, desk: Desk, ask: Callable[..., object], shapes: Shapes, port: int) -> None:
+        self._desk, self._give, self._shapes = desk, ask, shapes
+        self.driver = Driver()
+        with (
+            local_only(),
+            contextlib.redirect_stdout(io.StringIO()),
+        ):  # viser draws a box with an address; ours is said by the node
+            self._server = server = ViserServer(HOST, port, label="tpgmm workbench", verbose=False)
+        # nothing of this page goes to another machine, whatever a client asks for
+        server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
+        self.address = f"http://{HOST}:{server.get_port()}"
+        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        self._make_scene(server)
+        self._make_panels(server)
+        server.on_client_connect(self._come)
+        server.on_client_disconnect(self._go)
+        self._text_due = 0.0
+
+    def _make_scene(self, server: ViserServer) -> None:
+        desk, scene = self._desk, server.scene
+        camera = camera_for(desk.home)
+        server.initial_camera.look_at = tuple(camera.look_at)
+        server.initial_camera.position = tuple(camera.position)
+        server.initial_camera.fov = camera.fov
+        # shadows and reflections would cost more than all of the rest where a browser draws without a graphics card
+        scene.configure_default_lights(cast_shadow=False)
+        scene.configure_environment_map(hdri=None)
+        scene.add_light_ambient("/ambient", intensity=1.2)
+        scene.add_grid("/floor", width=4.0, height=4.0, position=(0.0, 0.0, self._lowest()), cell_size=0.25)
+        self._robot = RobotView(scene, desk.robot, self._shapes)
+        self._ghost: RobotView | None = None
+        self._shown: Preview | None = None
+        self._shown_since = 0.0
+        draggable = desk.project.task.topics if desk.simulated else ()
+        self._frames = FramesView(scene, list(desk.project.task.frames), draggable, self._move)
+        self._hand = HandView(scene, self._lead if desk.simulated else None)
+        self._model = ModelView(scene)
+
+    def _lowest(self) -> float:
+        """Where the floor is: below all of the robot, m."""
+        data = self._desk.robot.create_data()
+        data.update(self._desk.robot.home)
+        known = [part for part in self._shapes.parts if self._desk.robot.pinocchio.existFrame(part.link)]
+        heights = [
+            float(data.frame_pose(self._desk.robot.frame_id(part.link))[2]) - float(np.abs(part.vertices).max())
+            for part in known
+        ]
+        return max(min(heights, default=0.0), -1.0)
+
+    def _make_panels(self, server: ViserServer) -> None:
+        desk = self._desk
+        Button(server, "STOP", lambda _: self._give(desk.stop), "escape", color="red", icon=Icon.HAND_STOP)
+        self._status, self._pages = Text(server), Text(server)
+        self._take_over = server.gui.add_button("Drive from this page", visible=False)
+        self._take_over.on_click(lambda event: self.driver.take_over(event.client_id))
+        tabs = server.gui.add_tab_group()
+        with tabs.add_tab("Teach"):
+            teach = TeachPanel(server, desk, self.ask)
+        with tabs.add_tab("Train"):
+            train = TrainPanel(server, desk, self.ask)
+        with tabs.add_tab("Run"):
+            run = RunPanel(server, desk, self.ask)
+        with tabs.add_tab("Nodes"):
+            nodes = NodesPanel(server)
+        with tabs.add_tab("Look"):
+            dark = server.gui.add_checkbox("dark", False)
+            dark.on_update(
+                lambda event: server.gui.configure_theme(
+                    show_logo=False, show_share_button=False, control_width="large", dark_mode=bool(event.target.value)
+                )
+            )
+        self._panels = (teach, train, run, nodes)
+
+    # -- who asks -----------------------------------------------------------------------------------------------------
+
+    def _come(self, client: ClientHandle) -> None:
+        self.driver.come(client.client_id)
+
+    def _go(self, client: ClientHandle) -> None:
+        if self.driver.go(client.client_id):  # the person who held the hand is gone
+            self._give(self._desk.let_go)
+
+    def ask(self, page: int | None, method: Callable[..., object], *arguments: Any) -> None:
+        """Ask for something, as the page of a number; the pages that do not drive are told so."""
+        if self.driver.drives(page):
+            self._give(method, *arguments)
+            return
+        client = self._server.get_clients().get(page) if page is not None else None
+        if client is not None:
+            client.add_notification(
+                "Another page drives", "Press “Drive from this page” to take over.", auto_close_seconds=4.0
+            )
+
+    def _move(self, name: str, pose: Array, page: int | None) -> None:
+        self.ask(page, self._desk.move_object, name, pose)
+
+    def _lead(self, pose: Array, is_held: bool, page: int | None) -> None:
+        self.ask(page, self._desk.lead_hand, pose, is_held)
+
+    # -- what is shown ------------------------------------------------------------------------------------------------
+
+    def show(self, view: DeskView) -> None:
+        """Show a view; to be called up to thirty times per second."""
+        now = time.monotonic()
+        with self._server.atomic():
+            graph = view.graph
+            if graph.joints is not None:
+                self._robot.show(graph.joints)
+            self._frames.show(graph.frames, view.places)
+            self._hand.show(graph.hand, view.aim)
+            self._model.show(graph.reference, graph.components)
+            self._show_preview(view, now)
+        if now >= self._text_due:
+            self._text_due = now + TEXT_PERIOD
+            self._show_texts(view)
+
+    def _show_texts(self, view: DeskView) -> None:
+        self._hand.draw_trail()
+        self._status.show(words.status(view))
+        several = self.driver.pages > 1
+        self._pages.show(words.pages(self.driver.pages))
+        if self._take_over.visible != several:
+            self._take_over.visible = several
+        for panel in self._panels:
+            panel.show(view)
+
+    def _show_preview(self, view: DeskView, now: float) -> None:
+        """The tube of a movement, and the robot's ghost that goes through it again and again."""
+        if view.preview is not self._shown:
+            self._shown, self._shown_since = view.preview, now
+            if view.preview is None:
+                self._model.show_tube(None, None)
+            else:
+                self._model.show_tube(view.preview.path[:, :3], view.preview.covariances[:, :3, :3])
+        moves = self._shown is not None and not view.run.goes_on
+        if self._ghost is None and moves:
+            self._ghost = RobotView(
+                self._server.scene, self._desk.robot, self._moving_parts(), "/ghost", PREVIEW, opacity=0.3
+            )
+        if self._ghost is not None:
+            self._ghost.visible = moves
+            if moves and self._shown is not None:
+                share = ((now - self._shown_since) / GHOST_TIME) % 1.0
+                self._ghost.show(self._shown.q[round(share * (len(self._shown.q) - 1))])
+
+    def _moving_parts(self) -> Shapes:
+        """Those of the arm that the movement is of."""
+        robot = self._desk.robot
+        joints = set(robot.joint_groups[robot.endpoints[self._desk.project.task.endpoint].joints])
+        model = robot.pinocchio
+
+        def moves(link: str) -> bool:
+            joint = model.frames[robot.frame_id(link)].parentJoint
+            while joint:
+                if model.names[joint] in joints:
+                    return True
+                joint = model.parents[joint]
+            return False
+
+        parts = [part for part in self._shapes.parts if model.existFrame(part.link) and moves(part.link)]
+        return Shapes(tuple(parts), ())
+
+    def close(self) -> None:
+        """Serve no more."""
+        self._server.stop()

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The panels of the page: teach, train, run, and what the nodes say. They show a view and ask for things."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from viser import ViserServer
+
+from tpgmm_workbench.desk.desk import Desk, DeskView
+from tpgmm_workbench.page import words
+from tpgmm_workbench.page.controls import Button, Text
+from tpgmm_workbench.project.activities import Action, Activity
+
+type Ask = Callable[..., None]
+"""Called with the number of the page, a method of the desk, and its arguments."""
+
+
+class TeachPanel:
+    """Record demonstrations; in a simulation, also lead the hand and move the objects."""
+
+    def __init__(self, server: ViserServer, desk: Desk, ask: Ask) -> None:
+        self._is_recording = False
+        self._desk, self._ask = desk, ask
+        self._record = Button(server, "Record", self._begin_or_end, "R", color="red")
+        self._length = Text(server)
+        self._hide = {}
+        self._led: Text | None = None
+        if desk.simulated:
+            self._lead(server)
+            self._objects(server)
+        self._undo = Button(server, "Undo the last one", lambda page: ask(page, desk.undo), "U")
+        self._list = Text(server)
+
+    def _begin_or_end(self, page: int | None) -> None:
+        self._ask(page, self._desk.end_recording if self._is_recording else self._desk.record)
+
+    def _lead(self, server: ViserServer) -> None:
+        desk, ask = self._desk, self._ask
+        with server.gui.add_folder("Lead the hand (or drag its gizmo)"):
+            self._led = Text(server)
+            for name in desk.project.task.topics:
+                group = server.gui.add_button_group(name, (f"above {name}", f"to {name}"))
+                group.on_click(
+                    lambda event, name=name: ask(
+                        event.client_id, desk.lead_to, name, event.target.value.startswith("above ")
+                    )
+                )
+                group = server.gui.add_button_group("hand", ("home", "let go"))
+            group.on_click(
+                lambda event: (
+                    ask(event.client_id, desk.let_go)
+                    if event.target.value == "let go"
+                    else ask(event.client_id, desk.lead_to, "home", False)
+                )
+            )
+
+    def _objects(self, server: ViserServer) -> None:
+        desk, ask = self._desk, self._ask
+        with server.gui.add_folder("Objects (or drag their gizmos)"):
+            Button(server, "Lay them elsewhere", lambda page: ask(page, desk.shuffle), "N")
+            for name in desk.project.task.topics:
+                box = server.gui.add_checkbox(f"hide {name}", False)
+                box.on_update(
+                    lambda event, name=name: (
+                        None
+                        if event.client_id is None
+                        else ask(event.client_id, desk.hide_object, name, bool(event.target.value))
+                    )
+                )
+                self._hide[name] = box
+
+    def show(self, view: DeskView) -> None:
+        """Show what is known."""
+        self._is_recording = view.activity is Activity.TEACHING
+        action = Action.END_RECORDING if self._is_recording else Action.RECORD
+        self._record.show(view.reasons.get(action, ""), "Finish" if self._is_recording else "Record")
+        self._undo.show(view.reasons.get(Action.UNDO, ""))
+        self._length.show(words.recording(view))
+        self._list.show(words.demonstrations(view))
+        if self._led is not None:
+            self._led.show(words.led(view))
+        for name, box in self._hide.items():
+            if box.value != (name in view.hidden):
+                box.value = name in view.hidden
+
+
+class TrainPanel:
+    """Learn from what was taught."""
+
+    def __init__(self, server: ViserServer, desk: Desk, ask: Ask) -> None:
+        self._choose = server.gui.add_checkbox(
+            "choose method and settings", False, hint="Tries several and keeps the best; takes longer"
+        )
+        self._train = Button(
+            server, "Train", lambda page: ask(page, desk.train, bool(self._choose.value)), "T", color="blue"
+        )
+        self._cancel = Button(server, "Cancel training", lambda page: ask(page, desk.cancel_training))
+        self._bar = server.gui.add_progress_bar(0.0, visible=False)
+        self._words, self._model = Text(server), Text(server)
+
+    def show(self, view: DeskView) -> None:
+        """Show what is known."""
+        self._train.show(view.reasons.get(Action.TRAIN, ""))
+        self._cancel.show(view.reasons.get(Action.CANCEL_TRAINING, ""))
+        progress = view.progress
+        goes_on = progress is not None and not progress.is_over
+        if self._bar.visible != goes_on:
+            self._bar.visible = goes_on
+        if progress is not None and goes_on and abs(self._bar.value - 100.0 * progress.share) > 0.5:
+            self._bar.value = min(100.0, max(0.0, 100.0 * progress.share))
+        self._words.show(words.training(view))
+        self._model.show(words.model(view))
+
+
+class RunPanel:
+    """Look ahead, and run."""
+
+    def __init__(self, server: ViserServer, desk: Desk, ask: Ask) -> None:
+        duration = server.gui.add_slider("duration, s", 0.0, 40.0, 1.0, 0.0, hint="Of the movement; 0: as taught")
+        duration.on_update(
+            lambda event: (
+                None if event.client_id is None else ask(event.client_id, desk.set_duration, float(event.target.value))
+            )
+        )
+        self._preview = Button(server, "Preview", lambda page: ask(page, desk.preview), "P")
+        self._verdict = Text(server)
+        self._run = Button(server, "Run", lambda page: ask(page, desk.run), "G", color="green")
+        self._pause = Button(server, "Pause", lambda page: ask(page, desk.pause), "space")
+        self._speed = server.gui.add_slider("speed", -1.0, 2.0, 0.1, 1.0, hint="1: as taught; below 0: back")
+        self._speed.on_update(
+            lambda event: (
+                None if event.client_id is None else ask(event.client_id, desk.set_speed, float(event.target.value))
+            )
+        )
+        self._bar = server.gui.add_progress_bar(0.0)
+        self._state = Text(server)
+
+    def show(self, view: DeskView) -> None:
+        """Show what is known."""
+        self._preview.show(view.reasons.get(Action.PREVIEW, ""))
+        is_paused = view.activity is Activity.PAUSED
+        self._run.show(view.reasons.get(Action.RUN, ""), "Go on" if is_paused else "Run")
+        self._pause.show(view.reasons.get(Action.PAUSE, ""))
+        self._verdict.show(words.verdict(view))
+        self._state.show(words.run(view))
+        share = round(100.0 * min(1.0, max(0.0, view.run.phase)))
+        if self._bar.value != share:
+            self._bar.value = share
+
+
+class NodesPanel:
+    """What the nodes say of themselves."""
+
+    def __init__(self, server: ViserServer) -> None:
+        self._text = Text(server)
+
+    def show(self, view: DeskView) -> None:
+        """Show what is known."""
+        self._text.show(words.nodes(view))

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What panels say, as HTML: pure functions of a view. Each colour has a word beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from html import escape
+
+from tpgmm_workbench.desk.desk import DeskView
+from tpgmm_workbench.project.activities import LEAST, Action, Activity
+from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SKY, YELLOW, Color, css
+
+#: So many demonstrations before training is suggested: with fewer, hardly anything is known of how exact a skill is.
+SUGGESTED = 4
+#: A hand that is led is there when it is so near, m.
+THERE = 0.012
+_CONTROLLER = {"WAITING": GREY, "ACTIVE": GREEN, "HOLD": YELLOW, "DAMPING": SKY, "FAULT": RED}
+_LEVELS: dict[str, tuple[Color, str]] = {
+    "good": (GREEN, "good"),
+    "look": (YELLOW, "look"),
+    "bad": (RED, "bad"),
+    "": (GREY, "…"),
+}
+
+
+def chip(text: str, color: Color) -> str:
+    """A word on a coloured ground that can be read."""
+    light = 0.299 * color[0] + 0.587 * color[1] + 0.114 * color[2] > 110
+    return (
+        f'<span style="background:{css(color)};color:{"#000" if light else "#fff"};border-radius:0.6em;'
+        f'padding:0 0.5em;white-space:nowrap">{escape(text)}</span>'
+    )
+
+
+def _block(lines: Iterable[str]) -> str:
+    rows = "".join(f'<div style="margin:0.15em 0">{line}</div>' for line in lines)
+    return f'<div style="font-size:0.85em;line-height:1.35;padding:0 0.6em">{rows}</div>'
+
+
+def next_step(view: DeskView) -> str:
+    """What a newcomer does next, in words."""
+    reasons = view.reasons
+    if view.activity is Activity.TEACHING:
+        if view.lasted == 0.0:
+            return "The arm is being released: the recording begins in a moment."
+        return "Show the movement: lead the hand. Then press Finish."
+    if view.activity in (Activity.RUNNING, Activity.PAUSED):
+        return "Move an object, or hide it, and see how the movement adapts."
+    if view.progress is not None and not view.progress.is_over:
+        return "The skill is being learned. You may go on teaching meanwhile."
+    if view.model is not None and view.preview is None:
+        return "Press Preview: see where the skill would go. Then press Run."
+    if view.model is not None:
+        return "Press Run. Move the objects and run it again, or teach one more demonstration."
+    if len(view.taught) >= SUGGESTED and not reasons.get(Action.TRAIN):
+        return "Press Train, or show it once more: the more situations, the better."
+    if reasons.get(Action.RECORD):
+        return f"Before you teach: {reasons[Action.RECORD]}"
+    more = max(LEAST, SUGGESTED) - len(view.taught)
+    begin = (
+        "Lay the objects elsewhere, lead the hand to where it begins"
+        if view.taught
+        else "Lead the hand to where it begins"
+    )
+    return f"{begin}, and press Record. Show the movement {more} more time{'s' if more != 1 else ''}."
+
+
+def status(view: DeskView) -> str:
+    """Controller, activity, what to do next, and what was said."""
+    controller = view.graph.controller
+    if controller is None:
+        first = chip("no controller", GREY) + " nothing on controller_state: is impedance_controller running?"
+    else:
+        first = chip(controller.state, _CONTROLLER.get(controller.state, GREY)) + " " + escape(controller.reason)
+    robot = "" if view.graph.joints is not None else chip("no robot", RED) + " no joint states arrive"
+    frames = " ".join(chip(f"{frame.name}: {frame.state}", FRAME[frame.state]) for frame in view.graph.frames)
+    lines = [first, robot, frames, f"<b>{escape(next_step(view))}</b>"]
+    return _block([line for line in [*lines, *(f"<i>{escape(words)}</i>" for words in view.words)] if line])
+
+
+def led(view: DeskView) -> str:
+    """How far the hand still is from where it is led."""
+    if view.to_go is None:
+        return _block(["Nobody leads the hand."])
+    return _block(["The hand is there." if view.to_go < THERE else f"{100.0 * view.to_go:.0f} cm to go."])
+
+
+def recording(view: DeskView) -> str:
+    """How long the present recording is."""
+    if view.activity is not Activity.TEACHING:
+        return ""
+    return _block([chip("recording", RED) + f" {view.lasted:.0f} s"])
+
+
+def demonstrations(view: DeskView) -> str:
+    """The demonstrations, newest first, each with its verdict."""
+    if not view.taught:
+        return _block(["No demonstration yet."])
+    lines = []
+    for one in reversed(view.taught):
+        color, word = _LEVELS.get(one.level, (GREY, one.level))
+        fits = view.model.misfits.get(one.number, "") if view.model is not None else ""
+        words = "; ".join(part for part in (one.words, fits) if part)
+        used = "" if one.is_used else " (not used)"
+        lines.append(f"<b>{one.number}</b>{used} {chip(word, color)} {escape(words)}")
+    return _block(lines)
+
+
+def model(view: DeskView) -> str:
+    """How well the present model does."""
+    if view.model is None:
+        return _block(["No model yet."])
+    return _block([f"<b>Model {view.model.number}</b>", *(escape(words) for words in view.model.words)])
+
+
+def training(view: DeskView) -> str:
+    """How far a training is, or why there is none."""
+    if view.progress is not None and not view.progress.is_over:
+        return _block([escape(view.progress.words)])
+    reason = view.reasons.get(Action.TRAIN, "")
+    return _block([escape(reason)]) if reason else ""
+
+
+def verdict(view: DeskView) -> str:
+    """What the preview says before anything moves."""
+    if view.preview is None:
+        return _block([escape(view.reasons.get(Action.PREVIEW, "")) or "Not previewed yet."])
+    words = {True: chip("yes", GREEN), False: chip("no", RED), None: chip("not known", GREY)}
+    return _block(
+        f"{words[check.is_good]} {escape(check.name)}: {escape(check.words)}" for check in view.preview.checks
+    )
+
+
+def run(view: DeskView) -> str:
+    """How far the movement is, and how it ended."""
+    colors = {"running": SKY, "asked": GREY, "done": GREEN, "failed": RED, "stopped": YELLOW}
+    if view.run.stage == "idle":
+        return _block([escape(view.reasons.get(Action.RUN, ""))]) if view.reasons.get(Action.RUN) else ""
+    stage = "paused" if view.activity is Activity.PAUSED else view.run.stage
+    share = f" {100.0 * view.run.phase:.0f} %" if view.run.goes_on else ""
+    return _block([f"{chip(stage, colors.get(view.run.stage, GREY))}{share} {escape(view.run.words)}"])
+
+
+def nodes(view: DeskView) -> str:
+    """What each node says, its rate and its time of a step; when each frame was seen."""
+    lines = [
+        f"{chip('well' if node.well else 'look', GREEN if node.well else YELLOW)} <b>{escape(name)}</b> "
+        f"{escape(node.figures)}<br>{escape(node.words)}"
+        for name, node in sorted(view.graph.nodes.items())
+    ]
+    lines += [f"frame <b>{escape(frame.name)}</b>: {escape(frame.words)}" for frame in view.graph.frames]
+    return _block(lines or ["No node says anything."])
+
+
+def pages(count: int) -> str:
+    """That the page is not heard yet, or that several pages are open."""
+    if count == 0:
+        return _block([chip("connecting", GREY) + " what you press is heard in a moment"])
+    return _block([f"{count} pages show this; one of them drives."]) if count > 1 else ""
