@@ -69,8 +69,8 @@ seeds: setup ## run the demo in lockstep in many situations and list failures wi
 soak: setup ## run 30 minutes of simulated time with random faults, watch tasks and memory: out/soak/ (MINUTES=5 for less)
 	PYTHONPATH=. $(PYTHON) benchmarks/soak.py --minutes $(MINUTES) --seed $(SEED)
 
-faults: dev ## make every known fault happen to the running nodes and check what they do: out/faults/ (10 minutes)
-	PYTHONPATH=.:test $(PYTHON) -m faults
+faults: dev ## make every known fault happen to the running nodes and check what they do: out/faults/ (20 minutes; RATE=250 on slow cores)
+	PYTHONPATH=.:test $(PYTHON) -m faults $(if $(RATE),--rate $(RATE))
 
 demo: setup ## train a model, start the nodes, do the task, report: out/demo/ (SEED=7 for another situation, SEPARATE=1 for a process for each node)
 	$(DEMOS)/demo --seed $(SEED) $(if $(SEPARATE),--separate)
@@ -88,6 +88,7 @@ results: setup ## compute the numbers of docs/reference/results.md: leave-one-ou
 	PYTHONPATH=. $(PYTHON) benchmarks/retrieval_table.py --data $(DATA)
 	PYTHONPATH=. $(PYTHON) benchmarks/irrelevant_frames.py $(SETS)
 	PYTHONPATH=. $(PYTHON) benchmarks/automatic.py $(SETS)
+	PYTHONPATH=.:src/tpgmm_core/test $(PYTHON) benchmarks/recognition.py --data $(DATA)
 
 figures: setup ## draw figures 1 to 4 of the paper, weights of frames, extrapolation: out/figures/ (DATA=directory of the data sets)
 	@for number in 1 2 3 4; do PYTHONPATH=. $(PYTHON) examples/figure$$number.py || exit 1; done

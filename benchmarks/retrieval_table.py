@@ -23,14 +23,15 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy
 import numpy as np  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
+from tpgmm_core import Demonstration, Frame, LearnedMixture  # noqa: E402
 from tpgmm_core.choice.baselines import BASELINES, Learner  # noqa: E402
 from tpgmm_core.choice.reproducing import reproduce, without_frames  # noqa: E402
 from tpgmm_core.common.report import format_table  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
 from tpgmm_core.geometry.manifold import Manifold  # noqa: E402
-from tpgmm_core.learning.selection import SelectableEstimator, select_model  # noqa: E402
+from tpgmm_core.learning.held_out import SelectableEstimator  # noqa: E402
+from tpgmm_core.learning.selection import select_model  # noqa: E402
 from tpgmm_core.retrieval.methods import DEFAULT, METHODS  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_ros.models.validation import path_errors, replay_nearest  # noqa: E402
@@ -138,7 +139,7 @@ def measure(data: DataSet) -> Iterator[dict[str, Any]]:
 
 def learned(
     settings: Mapping[str, Mapping[str, Any]], method: str, training: Sequence[Demonstration], space: str
-) -> Iterator[tuple[str, bool, TPGMM]]:
+) -> Iterator[tuple[str, bool, LearnedMixture]]:
     """Name of the candidate, whether leave-one-out takes it, and its model of all that it was given."""
     recipes = {name: Recipe.of(values, method) for name, values in settings.items()}
     manifold = Manifold.parse(space)

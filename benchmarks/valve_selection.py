@@ -24,7 +24,8 @@ from tpgmm_core import TPGMM, Demonstration  # noqa: E402
 from tpgmm_core.common.report import format_table  # noqa: E402
 from tpgmm_core.learning.covariance.structure import STRUCTURES  # noqa: E402  # noqa: E402
 from tpgmm_core.learning.dirichlet import DirichletTPGMM  # noqa: E402
-from tpgmm_core.learning.selection import Candidate, SelectableEstimator, select_model, unfitted  # noqa: E402
+from tpgmm_core.learning.held_out import SelectableEstimator, unfitted  # noqa: E402
+from tpgmm_core.learning.selection import Candidate, select_model  # noqa: E402
 from tpgmm_ros.models.validation import cross_validate, mean_errors  # noqa: E402
 from tpgmm_ros.programs.reporting import write_report  # noqa: E402
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings  # noqa: E402

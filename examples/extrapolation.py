@@ -27,7 +27,7 @@ from tqdm import tqdm  # noqa: E402
 
 from examples import pbdlib  # noqa: E402
 from examples.report import write_report  # noqa: E402
-from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
+from tpgmm_core import Demonstration, Frame, LearnedMixture  # noqa: E402
 from tpgmm_core.choice.reproducing import reproduce, without_frames  # noqa: E402
 from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
@@ -114,7 +114,7 @@ def _farther(mean: Array, pose: Array, factor: float) -> Array:
 
 
 def measure(
-    task: str, learn: Callable[[str, Sequence[Demonstration]], TPGMM], demonstrations: Sequence[Demonstration],
+    task: str, learn: Callable[[str, Sequence[Demonstration]], LearnedMixture], demonstrations: Sequence[Demonstration],
     situations: Sequence[New],
 ) -> list[dict[str, Any]]:  # fmt: skip
     """A row for each method and situation: end-point errors, in the units of the data and degrees."""
@@ -132,7 +132,7 @@ def measure(
     return rows
 
 
-def without_velocities(model: TPGMM, names: Sequence[str]) -> TPGMM:
+def without_velocities(model: LearnedMixture, names: Sequence[str]) -> LearnedMixture:
     """A model over [time, x, velocity, acceleration] in the plane whose frames of these names hardly say velocities."""
     wider = np.array([1.0, 1.0, 1.0, 100.0, 100.0, 1.0, 1.0])  # standard deviations
     for name in names:

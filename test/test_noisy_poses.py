@@ -30,7 +30,7 @@ from noisy_poses import (
 )
 from ros_graph import ALL, ALL_LATCHED, ROOT, TASK_FILE, Inbox, result_of, ros_arguments
 from ros_testing import STARTUP_TIMEOUT, StartProcess, spin_until
-from tpgmm_core import TPGMM
+from tpgmm_core import LearnedMixture
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.observation.tracking import TrackingConfig
@@ -59,7 +59,7 @@ SHIFT = 0.02
 
 
 @cache
-def learned(method: str) -> tuple[TPGMM, Array]:
+def learned(method: str) -> tuple[LearnedMixture, Array]:
     """The model, and where demonstrations began."""
     task = Task.load(TASK_FILE)
     recordings, bad = read_recordings(find_bags([ROOT / "bags" / "pick_place"])[:DEMONSTRATIONS], task, every=10)

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 import signal
 import sys
 import time
 from pathlib import Path
 
+from faults.graph_bench import GraphBench
 from faults.table import Benches, Fault, all_faults
 from tpgmm_core.common.report import format_table
 from tpgmm_ros.programs.reporting import write_report
@@ -21,12 +23,18 @@ def main() -> int:
     parser.add_argument(
         "--output", type=Path, default=Path("out/faults"), help="report and logs (default: %(default)s)"
     )
+    parser.add_argument(
+        "--rate", type=float, default=GraphBench.joint_state_rate, metavar="HZ",
+        help="joint states per second where all nodes run in real time: less on slow cores (default: %(default)g)",
+    )  # fmt: skip
     parser.add_argument("--list", action="store_true", help="print names and promises, and do nothing")
     arguments = parser.parse_args()
     faults = [row for row in all_faults() if not arguments.names or any(name in row.name for name in arguments.names)]
     if arguments.list:
         print(format_table(("fault", "promise"), [(row.name, row.promise) for row in faults]))
         return 0
+    GraphBench.joint_state_rate = arguments.rate
+    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, joint states at {arguments.rate:g} Hz")
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # which ends the nodes too
     # A report of an earlier success must not stand beside a failure
     (arguments.output / "report.json").unlink(missing_ok=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Frame
+from tpgmm_core import Frame, LearnedMixture
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE, Manifold
 from tpgmm_core.observation.tracking import FrameTracker, TrackingConfig
@@ -104,7 +104,12 @@ class Run:
 
 
 def run(
-    model: TPGMM, method: str, frames_at: Callable[[float], Frames], start: Array, step: float, settle: float = 0.5
+    model: LearnedMixture,
+    method: str,
+    frames_at: Callable[[float], Frames],
+    start: Array,
+    step: float,
+    settle: float = 0.5,
 ) -> Run:
     """A movement from its start; step, settle : s."""
     retrieval = make_retrieval(model, method)
@@ -132,7 +137,14 @@ class Own:
 
     @classmethod
     def of(
-        cls, model: TPGMM, method: str, poses: Mapping[str, Array], noise: Noise, start: Array, step: float, count: int
+        cls,
+        model: LearnedMixture,
+        method: str,
+        poses: Mapping[str, Array],
+        noise: Noise,
+        start: Array,
+        step: float,
+        count: int,
     ) -> Own:
         random = np.random.default_rng(count)
         still = [frames_of(noise.on(poses, random)) for _ in range(count)]

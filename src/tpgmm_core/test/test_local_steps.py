@@ -13,10 +13,10 @@ from reaching import DURATION, frames_at, place, reaching_demonstrations
 from tpgmm_core import Demonstration, Frame
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
-from tpgmm_core.learning.gaussian_process import GaussianProcessTPGMM
 from tpgmm_core.learning.local_weights import Places
 from tpgmm_core.learning.promp import ProMPTPGMM
-from tpgmm_core.learning.time_steps import TimeStepTPGMM, isotropic
+from tpgmm_core.learning.shown_to_frame import isotropic
+from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.retrieval.local_steps import localise
 from tpgmm_core.retrieval.methods import load_model
 from tpgmm_core.retrieval.recipe import Recipe
@@ -154,9 +154,10 @@ def test_no_step_waits_for_the_compiler() -> None:
     assert compiled and list(localise.signatures) == compiled
 
 
-def test_a_locality_that_cannot_be_is_refused_and_where_it_means_nothing_it_changes_nothing() -> None:
+def test_a_locality_that_cannot_be_or_means_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match="locality is a finite number from 0, got -1"):
         TimeStepTPGMM(locality=-1.0).fit(reaching_demonstrations(3))
-    assert GaussianProcessTPGMM(manifold=SPACE, locality=1.0).fit(reaching_demonstrations(3)).shown_ is None
+    with pytest.raises(ValueError, match="locality is no setting of gaussian_process"):
+        Recipe.of({"locality": 1.0}, method="gaussian_process")
     recipe = Recipe.of({"retrieval": "promp", "locality": 1.0, "n_components": 5})
     assert recipe.arguments["locality"] == 1.0

@@ -3,6 +3,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -31,9 +32,16 @@ def precisions(draw: st.DrawFn, max_dimensions: int = 7) -> np.ndarray:
 @given(precisions(), st.sampled_from([1e-2, 0.3, 5.0]))
 def test_closed_form_solves_the_riccati_equation(precision: np.ndarray, control_cost: float) -> None:
     gains = double_integrator_gains(precision, control_cost)
+    D = len(precision)
+    A, B = np.eye(2 * D, k=D), np.eye(2 * D)[:, D:]
+    Q = np.zeros((2 * D, 2 * D))
+    Q[:D, :D] = precision
+    P = scipy.linalg.solve_continuous_are(A, B, Q, control_cost * np.eye(D))
     exact = riccati_gains(precision, np.zeros_like(precision), control_cost)
-    np.testing.assert_allclose(gains.stiffness, exact.stiffness, rtol=1e-9, atol=1e-9 * np.abs(exact.stiffness).max())
-    np.testing.assert_allclose(gains.damping, exact.damping, rtol=1e-9, atol=1e-9 * np.abs(exact.damping).max())
+    for found in (gains, exact):
+        for part, expected in ((found.stiffness, P[D:, :D]), (found.damping, P[D:, D:])):
+            expected = expected / control_cost
+            np.testing.assert_allclose(part, expected, rtol=1e-7, atol=1e-7 * np.abs(expected).max())
 
 
 def test_control_cost_may_differ_between_dimensions() -> None:

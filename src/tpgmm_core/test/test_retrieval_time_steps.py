@@ -11,7 +11,8 @@ import pytest
 from reaching import DURATION, frames_at, place, reaching_demonstrations
 from tpgmm_core import Demonstration, Frame, Gaussian
 from tpgmm_core.geometry.manifold import POSE, Manifold
-from tpgmm_core.learning.time_steps import TimeStepTPGMM, isotropic_blocks
+from tpgmm_core.learning.shown_to_frame import isotropic_blocks
+from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.retrieval.time_steps import TimeSteps, product_at
 from worlds import planar_demonstrations
 

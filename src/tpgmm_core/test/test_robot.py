@@ -75,12 +75,38 @@ def test_jacobian_and_bias_agree_with_finite_differences(name: str, request: pyt
     np.testing.assert_allclose(data.bias_acceleration(endpoint), jacobian_rate @ v, atol=1e-3)
 
 
-def test_dynamics_satisfy_the_equation_of_motion(baxter: RobotModel) -> None:
+def energies(robot: RobotModel, q: np.ndarray, v: np.ndarray, h: float = 1e-5) -> tuple[float, float]:
+    """Kinetic and potential energy of the links, J, from where they are a little earlier and later."""
+
+    def links(at: np.ndarray) -> list[pin.SE3]:
+        data = robot.pinocchio.createData()
+        pin.forwardKinematics(robot.pinocchio, data, at)
+        return [pin.SE3(placement) for placement in data.oMi]
+
+    kinetic = potential = 0.0
+    places = zip(links(q - h * v), links(q), links(q + h * v), robot.pinocchio.inertias, strict=True)
+    for before, here, after, inertia in places:
+        centre = (after.act(inertia.lever) - before.act(inertia.lever)) / (2.0 * h)
+        turn = pin.log3(before.rotation.T @ after.rotation) / (2.0 * h)
+        kinetic += 0.5 * (inertia.mass * centre @ centre + turn @ inertia.inertia @ turn)
+        potential -= inertia.mass * robot.pinocchio.gravity.linear @ here.act(inertia.lever)
+    return kinetic, potential
+
+
+def test_dynamics_are_those_of_the_energies_of_the_links(baxter: RobotModel) -> None:
+    """M from the kinetic energy of moving links, and Lagrange's equation with derivatives of both energies."""
     rng = np.random.default_rng(1)
-    q, v, a = baxter.home, rng.normal(size=19), rng.normal(size=19)
-    data = baxter.create_data()
-    tau = data.mass_matrix(q) @ a + data.nonlinear_effects(q, v)
-    np.testing.assert_allclose(tau, pin.rnea(baxter.pinocchio, baxter.pinocchio.createData(), q, v, a), atol=1e-9)
+    q, v = baxter.home, rng.normal(size=19)
+    data, h = baxter.create_data(), 1e-5
+    M = data.mass_matrix(q).copy()
+    assert 0.5 * v @ M @ v == pytest.approx(energies(baxter, q, v)[0], rel=1e-6)
+    M_rate = (data.mass_matrix(q + h * v).copy() - data.mass_matrix(q - h * v)) / (2.0 * h)
+    slopes = np.empty(19)
+    for i, step in enumerate(h * np.eye(19)):
+        U = [energies(baxter, at, np.zeros(19))[1] for at in (q - step, q + step)]
+        T = [0.5 * v @ data.mass_matrix(at) @ v for at in (q - step, q + step)]
+        slopes[i] = ((T[1] - T[0]) - (U[1] - U[0])) / (2.0 * h)
+    np.testing.assert_allclose(data.nonlinear_effects(q, v), M_rate @ v - slopes, atol=1e-5)
 
 
 def test_joints_are_matched_by_name(baxter: RobotModel) -> None:

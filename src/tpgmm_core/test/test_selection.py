@@ -13,7 +13,8 @@ from tpgmm_core.learning.covariance.structure import Structure
 from tpgmm_core.learning.criteria import aic, bic
 from tpgmm_core.learning.dirichlet import DirichletTPGMM
 from tpgmm_core.learning.estimation.emissions import Emissions
-from tpgmm_core.learning.selection import leave_one_out, select_model
+from tpgmm_core.learning.held_out import leave_one_out
+from tpgmm_core.learning.selection import select_model
 from tpgmm_core.model.samples import Samples
 from workloads import pose_demonstrations
 

@@ -38,7 +38,7 @@ def model(start: str, goal: str) -> TPGMM:
         one, other = (POSE.exp(PLACES[name], random.uniform(-1.0, 1.0, 6) * SPREAD) for name in (start, goal))
         shown = demonstrate(one, other, random)
         demonstrations.append(Demonstration(shown.times, shown.data, frames_at(**{start: one, goal: other})))
-    made = TPGMM(n_components=4, reg_covar=1e-5, manifold="R1 x R3 x S3").fit(demonstrations)
+    made = TPGMM(n_components=7, reg_covar=1e-5, manifold="R1 x R3 x S3").fit(demonstrations)
     made.metadata_ = {"duration_s": DURATION}
     return made
 
@@ -107,11 +107,15 @@ def test_neither_reference_nor_covariance_jumps_where_one_skill_follows_another(
     run = run_of(skill("reach"), skill("place"), skill("retreat"))
     run.go(12.0)
     steps, size = run.steps(), np.array([np.linalg.norm(r.gaussian.covariance) for r in run.references])
+    fastest = np.abs(steps).max()
     for change in np.flatnonzero(np.diff(run.indices)):
-        former = np.abs(steps[change - 1]).max()
-        assert np.abs(steps[change]).max() < 1.05 * former and np.abs(steps[change + 1]).max() < 1.05 * former
-        # what dies out with 0.15 s changes in a tick of 0.01 s by a fifteenth of its logarithm
-        assert abs(np.log(size[change + 1] / size[change])) < 0.1
+        assert np.abs(steps[change]).max() < 0.02 * fastest, "the reference at rest goes on from there"
+        assert abs(size[change + 1] / size[change] - 1.0) < 0.02
+    # neither velocity nor covariance changes faster there than within the movements
+    change = np.flatnonzero(np.diff(run.indices))
+    near = np.isin(np.arange(len(steps) - 1), np.concatenate([change + i for i in range(-1, 20)]))
+    acceleration = np.abs(np.diff(steps, axis=0)).max(axis=1)
+    assert acceleration[near].max() < 1.5 * acceleration[~near].max()
 
 
 def test_a_skill_that_begins_elsewhere_waits_until_the_reference_has_gone_there_slowly() -> None:
@@ -127,7 +131,7 @@ def test_a_skill_that_begins_elsewhere_waits_until_the_reference_has_gone_there_
     assert np.linalg.norm(begun[:3] - PLACES["target"][:3]) < 0.1 * np.linalg.norm(
         (PLACES["target"] - PLACES["object"])[:3]
     )
-    assert np.linalg.norm(run.references[-1].gaussian.mean[:3] - PLACES["home"][:3]) < 0.03
+    assert np.linalg.norm(run.references[-1].gaussian.mean[:3] - PLACES["home"][:3]) < 0.01
 
 
 def test_the_last_reference_is_held_until_the_next_ones_frames_are_seen() -> None:

@@ -136,6 +136,23 @@ def test_what_a_hidden_sample_holds_does_not_matter() -> None:
         a = TPGMM(init=init).fit_projected(X, {"frame_1": mask})
         b = TPGMM(init=init).fit_projected(spoilt, {"frame_1": mask})
         np.testing.assert_array_equal(a.means_["frame_1"], b.means_["frame_1"])
+        np.testing.assert_array_equal(a.covariances_["frame_1"], b.covariances_["frame_1"])
+
+
+@pytest.mark.parametrize("spoilt_by", [np.nan, 0.0, 1e200])
+def test_what_a_hidden_pose_holds_does_not_matter(spoilt_by: float) -> None:
+    shown = [d.data for d in pose_demonstrations(4, n_samples=60)]
+    X = {name: np.concatenate(shown) for name in ("a", "b")}
+    mask = np.ones(len(X["a"]), dtype=bool)
+    mask[70:110] = False
+    spoilt = {**X, "b": np.where(mask[:, None], X["b"], spoilt_by)}
+    for init in ("time", "kmeans"):
+        one, other = (
+            TPGMM(init=init, manifold="R1 x R3 x S3").fit_projected(views, {"b": mask}) for views in (X, spoilt)
+        )
+        for name in X:
+            np.testing.assert_array_equal(one.means_[name], other.means_[name])
+            np.testing.assert_array_equal(one.covariances_[name], other.covariances_[name])
 
 
 def test_joint_kmeans_finds_groups_and_is_repeatable() -> None:

@@ -4,20 +4,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from synthetic_bags import REACH_TASK, Topic, reach, write_bag
-from tpgmm_core import Demonstration
-from tpgmm_core.recognition.recognizer import UNKNOWN, Recognizer
-from tpgmm_core.recognition.skill import Skill
-from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_ros.programs import recognize, train
-from tpgmm_ros.recordings.bags import Recording, find_bags, read_recording
-from tpgmm_ros.task.task_file import Task
 
 ROOT = Path(__file__).resolve().parents[3]
 VALVE = ROOT.parent / "shared" / "data" / "baxter_valve"
@@ -101,55 +94,3 @@ def test_what_is_wrong_is_said(
     assert run(folder, *given, str(folder / "new_reach")) == 1
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
-
-
-# Phases of a real movement
-
-
-PHASES = ("approach", "turn", "retreat")
-
-
-def phases(recording: Recording) -> dict[str, Demonstration]:
-    """Until the hand is at the handle, from there until this is at its end, and from there on; each from time 0."""
-    apart = [
-        np.linalg.norm((recording.movement - recording.frames[name])[:, :3], axis=1) for name in ("start", "valve")
-    ]
-    ends = [0, *(int(distance.argmin()) for distance in apart), len(recording.times)]
-    whole, found = recording.to_demonstration(), {}
-    for name, first, end in zip(PHASES, ends, ends[1:], strict=False):
-        times = whole.times[first:end] - whole.times[first]
-        frames = {frame: one.at(0) for frame, one in whole.frames.items()}
-        found[name] = Demonstration(times, np.column_stack([times, whole.data[first:end, 1:]]), frames)
-    return found
-
-
-def skill_of(name: str, shown: Sequence[Demonstration]) -> Skill:
-    """With the scale of covariances that leave-one-out finds for whole movements of these recordings."""
-    duration = float(np.mean([one.times[-1] for one in shown]))
-    stretched = []
-    for one in shown:
-        times = one.times * duration / one.times[-1]
-        stretched.append(Demonstration(times, np.column_stack([times, one.data[:, 1:]]), one.frames))
-    model = Recipe.of({"n_components": 4, "reg_covar": 1e-3}).learn(stretched, "R1 x R3 x S3")
-    return Skill(name, Skill.of_model(name, model).course, scale=2.6)
-
-
-@pytest.mark.skipif(not VALVE.is_dir(), reason=f"{VALVE} is not there: it is no part of the project")
-def test_phases_of_a_valve_that_is_opened_are_recognised_in_demonstrations_left_out() -> None:
-    task = Task.load(ROOT / "config" / "baxter_valve.yaml")
-    shown = [phases(read_recording(path, task)) for path in find_bags([VALVE])]
-    counts = {share: np.zeros((3, 4), dtype=int) for share in (0.5, 1.0)}
-    for i, left_out in enumerate(shown):
-        others = shown[:i] + shown[i + 1 :]
-        recognizer = Recognizer([skill_of(name, [one[name] for one in others]) for name in PHASES])
-        for row, name in enumerate(PHASES):
-            recognizer.start()
-            part = left_out[name]
-            for t, (time, pose) in enumerate(zip(part.times, part.data[:, 1:], strict=True), start=1):
-                found = recognizer.step(round(1e9 * time), pose, part.frames)
-                for share, table in counts.items():
-                    if t == round(share * len(part.times)):
-                        table[row, [*PHASES, UNKNOWN].index(found.most_probable)] += 1
-    assert all(table.sum() == 18 for table in counts.values())
-    assert np.trace(counts[1.0]) >= 17, counts[1.0]
-    assert np.trace(counts[0.5]) >= 16, counts[0.5]

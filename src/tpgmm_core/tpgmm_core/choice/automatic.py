@@ -19,7 +19,7 @@ from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.iteration import Progress as EmProgress
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.derived_frames import BASE, HAND, DerivedFrames, with_frames
 from tpgmm_core.retrieval.methods import METHODS
@@ -84,7 +84,7 @@ class Choice:
         manifold: str | Manifold,
         dimensions: Sequence[str] | None = None,
         progress: EmProgress | None = None,
-    ) -> TPGMM:
+    ) -> LearnedMixture:
         """A model as it was chosen, which says in its metadata what its frames are made of.
 
         It is learned from as many samples of each demonstration as those were that trials were judged by: the window of
@@ -92,7 +92,7 @@ class Choice:
 
         Returns
         -------
-        TPGMM
+        LearnedMixture
             a fitted model
         """
         trial = self.best.trial

@@ -27,6 +27,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.learning.situations import FrameCoordinates, first_frames
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
@@ -70,7 +71,7 @@ class Learner:
         """Manifold of the points, without time."""
         return self.manifold.subset(range(1, self.manifold.dim))
 
-    def model(self, demonstrations: Sequence[Demonstration], manifold: Manifold | None = None) -> TPGMM:
+    def model(self, demonstrations: Sequence[Demonstration], manifold: Manifold | None = None) -> LearnedMixture:
         """A mixture of these demonstrations, on `manifold` where it is another one."""
         return TPGMM(self.n_components, reg_covar=self.reg_covar, manifold=manifold or self.manifold).fit(
             demonstrations

@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from tpgmm_core.choice.reproducing import reproduce_gaussians
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.encodings import VelocityEncoding, encoding_of
 
@@ -77,7 +77,9 @@ class Calibration:
         return cls(_scale(known, dimensions), coverage(known, dimensions), coverage(scaled, dimensions))
 
 
-def squared_distances(model: TPGMM, left_out: Demonstration, manifold: Manifold, method: str | None = None) -> Array:
+def squared_distances(
+    model: LearnedMixture, left_out: Demonstration, manifold: Manifold, method: str | None = None
+) -> Array:
     """How far a demonstration is from what a model, that has not seen it, does in its situation.
 
     Parameters
@@ -100,7 +102,7 @@ def squared_distances(model: TPGMM, left_out: Demonstration, manifold: Manifold,
     return squared_distances_of(means, covariances, left_out.data[:, 1:], manifold, knows_time(model))
 
 
-def knows_time(model: TPGMM) -> bool:
+def knows_time(model: LearnedMixture) -> bool:
     """Whether a model says when it is where: those of velocities over places do not."""
     return not isinstance(encoding_of(model), VelocityEncoding)
 

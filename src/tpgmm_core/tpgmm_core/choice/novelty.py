@@ -7,14 +7,14 @@ from collections.abc import Sequence
 
 from tpgmm_core.choice.reproducing import as_seen_by
 from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.learning.situations import first_frames
-from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.methods import make_retrieval
 from tpgmm_core.retrieval.novelty import SituationRange, contradiction
 
 
-def range_of(model: TPGMM, demonstrations: Sequence[Demonstration], manifold: Manifold) -> SituationRange:
+def range_of(model: LearnedMixture, demonstrations: Sequence[Demonstration], manifold: Manifold) -> SituationRange:
     """Where the frames of a model were in demonstrations.
 
     Parameters
@@ -36,7 +36,7 @@ def range_of(model: TPGMM, demonstrations: Sequence[Demonstration], manifold: Ma
 
 
 def novelty_of(
-    model: TPGMM, demonstrations: Sequence[Demonstration], left_out: Demonstration, manifold: Manifold
+    model: LearnedMixture, demonstrations: Sequence[Demonstration], left_out: Demonstration, manifold: Manifold
 ) -> tuple[float, float]:
     """How new the situation of a demonstration is to a model of others.
 

@@ -9,14 +9,14 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.derived_frames import DerivedFrames, with_frames
 from tpgmm_core.retrieval.interface import Retrieval, TimeParametrized
 from tpgmm_core.retrieval.methods import make_retrieval, method_named, method_of
 
 
-def reproduce(model: TPGMM, situation: Demonstration, method: str | None = None, settle: float = 0.0) -> Array:
+def reproduce(model: LearnedMixture, situation: Demonstration, method: str | None = None, settle: float = 0.0) -> Array:
     """What a model does at the times and with the frames of a demonstration.
 
     A method that knows the movement as a function of time is asked for each time in the situation then. One that
@@ -45,7 +45,7 @@ def reproduce(model: TPGMM, situation: Demonstration, method: str | None = None,
 
 
 def reproduce_gaussians(
-    model: TPGMM, situation: Demonstration, method: str | None = None, settle: float = 0.0
+    model: LearnedMixture, situation: Demonstration, method: str | None = None, settle: float = 0.0
 ) -> tuple[Array, Array]:
     """What a model does, as `reproduce`, and how exactly.
 
@@ -69,7 +69,7 @@ def reproduce_gaussians(
     return _step_by_step(make_retrieval(model, chosen.name, horizon_steps=0, calibrated=False), seen, settle)
 
 
-def as_seen_by(model: TPGMM, situation: Demonstration) -> Demonstration:
+def as_seen_by(model: LearnedMixture, situation: Demonstration) -> Demonstration:
     """A demonstration with the frames of a model, derived ones included.
 
     Parameters

@@ -74,7 +74,7 @@ class Trial:
         """
         chosen = method_named(method)
         known = {item.name for item in fields(chosen.encoding)} | inspect.signature(chosen.estimator).parameters.keys()
-        used = (known | {EXACT_KEY}) - {KEY} - chosen.estimator.unused
+        used = (known | {EXACT_KEY}) - {KEY}
         return cls(chosen.name, tuple(frames), {name: settings[name] for name in settings if name in used})
 
     def changed(self, **settings: Any) -> Trial:

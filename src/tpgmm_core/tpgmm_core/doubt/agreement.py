@@ -85,9 +85,7 @@ def doubts_of_misfits(shown: Sequence[Shown]) -> list[Doubt]:
     """
     if len(shown) < 3:
         return []
-    views = _views(shown)
-    positions = _distances(views, lambda one, other: np.linalg.norm(one[..., :3] - other[..., :3], axis=-1))
-    turns = _distances(views, lambda one, other: quaternion.angle_between(one[..., 3:], other[..., 3:]))
+    positions, turns = distances_from_others(shown)
     extent = float(np.median([one.extent for one in shown]))
     found = []
     for i, one in enumerate(shown):
@@ -114,6 +112,25 @@ def doubts_of_misfits(shown: Sequence[Shown]) -> list[Doubt]:
             )
             found.append(Doubt("misfit", (one.name,), text))
     return found
+
+
+def distances_from_others(shown: Sequence[Shown]) -> tuple[Array, Array]:
+    """How far each demonstration is from the others, in the frame that sees it nearest to them.
+
+    Parameters
+    ----------
+    shown
+        M of one task, two or more
+
+    Returns
+    -------
+    tuple[Array, Array]
+        distances (M, SHARES), m, and angles (M, SHARES), rad, at even shares of the time
+    """
+    views = _views(shown)
+    positions = _distances(views, lambda one, other: np.linalg.norm(one[..., :3] - other[..., :3], axis=-1))
+    turns = _distances(views, lambda one, other: quaternion.angle_between(one[..., 3:], other[..., 3:]))
+    return positions, turns
 
 
 def _views(shown: Sequence[Shown]) -> list[Array]:

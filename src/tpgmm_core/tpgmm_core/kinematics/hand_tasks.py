@@ -25,7 +25,7 @@ from tpgmm_core.geometry.kernels import compiled
 from tpgmm_core.geometry.kernels_rotation import inverse_left_jacobian, quaternion_difference, rotation
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.kinematics.joint_space import to_joint_space
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
 from tpgmm_core.robot.model import RobotModel
 
@@ -50,7 +50,7 @@ class HandTask:
         for another kind of model, frames without a place, and a frame that is the hand itself
     """
 
-    model: TPGMM
+    model: LearnedMixture
     endpoint: str
     places: Mapping[str, str | ArrayLike]
 

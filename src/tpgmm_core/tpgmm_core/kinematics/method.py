@@ -16,7 +16,7 @@ from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.kinematics.movement import KinematicMovement
 from tpgmm_core.kinematics.moving import MovingFrames
 from tpgmm_core.kinematics.object_targets import target_object_origins
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.encodings import Encoding
 from tpgmm_core.retrieval.interface import Retrieval
@@ -81,7 +81,7 @@ class KinematicEncoding(Encoding):
         configurations = demonstration.data[:, -frames.kinematics.n_joints :]
         return frames.demonstration(demonstration.times, configurations, objects, with_time=self.over_time)
 
-    def finish(self, model: TPGMM) -> None:
+    def finish(self, model: LearnedMixture) -> None:
         """See `Encoding`: where the targets of objects are in the model that was fitted."""
         target_object_origins(model, self.aims, self.over_time)
 
@@ -123,12 +123,12 @@ class KinematicMethod(RetrievalMethod):
     def of(cls, frames: Callable[[], MovingFrames], text: str) -> KinematicMethod:
         """For frames that are made, and what they mean."""
 
-        def movement(model: TPGMM, *, duration: float | None = None, **_: Any) -> Retrieval:
+        def movement(model: LearnedMixture, *, duration: float | None = None, **_: Any) -> Retrieval:
             return KinematicMovement(model, frames(), duration=duration)
 
         return cls(name=NAME, encoding=KinematicEncoding, movement=movement, text=text)
 
-    def check(self, model: TPGMM) -> None:
+    def check(self, model: LearnedMixture) -> None:
         """See `RetrievalMethod.check`.
 
         Raises

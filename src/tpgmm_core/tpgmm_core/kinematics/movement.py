@@ -14,7 +14,7 @@ from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.kinematics.moving import ConfigurationProduct, MovingFrames
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.interface import demonstrated_duration
@@ -57,7 +57,7 @@ class KinematicMovement:
 
     def __init__(
         self,
-        model: TPGMM,
+        model: LearnedMixture,
         frames: MovingFrames,
         *,
         duration: float | None = None,

@@ -17,7 +17,7 @@ from tpgmm_core.kinematics.chains import Kinematics
 from tpgmm_core.kinematics.frames import KinematicFrame, PreviousConfiguration
 from tpgmm_core.kinematics.inverse import THRESHOLD
 from tpgmm_core.kinematics.tasks import KinematicState, compile_kernels
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.adaptation import Adapter
 from tpgmm_core.model.demonstration import Demonstration
 
@@ -193,7 +193,7 @@ class ConfigurationProduct:
         for a model of other frames, and a timeless mixture, which does not say when which component is active
     """
 
-    def __init__(self, model: TPGMM, frames: MovingFrames) -> None:
+    def __init__(self, model: LearnedMixture, frames: MovingFrames) -> None:
         n = frames.kinematics.n_joints
         missing = sorted(set(model.frame_names_) - set(frames.candidates))
         if missing:

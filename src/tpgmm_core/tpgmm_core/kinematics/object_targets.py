@@ -13,10 +13,10 @@ from collections.abc import Collection
 
 import numpy as np
 
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 
 
-def target_object_origins(model: TPGMM, frames: Collection[str], over_time: bool = False) -> None:
+def target_object_origins(model: LearnedMixture, frames: Collection[str], over_time: bool = False) -> None:
     """Make the origins of some frames the targets of a fitted model.
 
     Each component's mean there becomes zero, and its former mean counts as deviation, Sigma + mu mu^T. For one Gaussian
@@ -40,8 +40,9 @@ def target_object_origins(model: TPGMM, frames: Collection[str], over_time: bool
     unknown = sorted(set(frames) - set(model.frame_names_))
     if unknown:
         raise ValueError(f"the model has no frames {unknown}; it has {list(model.frame_names_)}")
-    if model.covariance != "full":
-        raise ValueError(f"the model needs full covariances, which take up the means; it has {model.covariance!r}")
+    structure = model.emissions_.structure.name
+    if structure != "full":
+        raise ValueError(f"the model needs full covariances, which take up the means; it has {structure!r}")
     data = slice(1 if over_time else 0, None)
     for name in frames:
         means, covariances = model.means_[name].copy(), model.covariances_[name].copy()

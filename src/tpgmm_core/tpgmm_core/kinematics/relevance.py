@@ -9,11 +9,11 @@ import numpy as np
 
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.mixture import GaussianMixture
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 
 
 def directions_determined(
-    model: TPGMM, frames: Mapping[str, Frame], time: float | None = None, component: int = 0
+    model: LearnedMixture, frames: Mapping[str, Frame], time: float | None = None, component: int = 0
 ) -> dict[str, float]:
     """How many of the n directions each frame determines: the trace of H^-1 H_j.
 

@@ -8,7 +8,7 @@ common is the component that a sample comes from, as in EM over frames.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
@@ -20,7 +20,7 @@ from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation import initialization
 from tpgmm_core.learning.estimation.compiled_em import Estimate, MixtureParameters, Workspace
 from tpgmm_core.learning.estimation.iteration import Progress, iterate
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.samples import Samples
 
 DELETION_ITERATIONS = 10  # after which a model without the component must be better
@@ -28,10 +28,11 @@ FORGOTTEN = -1e9  # instead of the logarithm of 0
 LOG_2, LOG_PI, LOG_2PI = np.log(2.0), np.log(np.pi), np.log(2.0 * np.pi)
 
 
-class DirichletTPGMM(TPGMM):
+@dataclass(eq=False, repr=False)
+class DirichletTPGMM(LearnedMixture):
     """TP-GMM with a Dirichlet process prior: `n_components` is the most that there may be, not how many there are.
 
-    Parameters and attributes that are not listed here mean what they mean in `TPGMM`.
+    Parameters and attributes that are not listed here mean what they mean in `TPGMM` and `StoredMixture`.
 
     Parameters
     ----------
@@ -63,43 +64,30 @@ class DirichletTPGMM(TPGMM):
         of the model with K components
     """
 
-    weights_: Array
+    weights_: Array = field(init=False)
 
-    def __init__(
-        self,
-        n_components: int = 20,
-        concentration: float = 1.0,
-        spread: float = 0.1,
-        mean_precision: float = 1.0,
-        init: str | ArrayLike = "kmeans",
-        reg_covar: float = 1e-6,
-        tol: float = 1e-5,
-        max_iter: int = 500,
-        random_state: int | np.random.Generator | None = 0,
-        manifold: str | Manifold = "euclidean",
-    ) -> None:
-        super().__init__(
-            n_components, init, reg_covar=reg_covar, tol=tol, max_iter=max_iter, random_state=random_state,
-            manifold=manifold,
-        )  # fmt: skip
-        self.concentration = concentration
-        self.spread = spread
-        self.mean_precision = mean_precision
+    n_components: int = 20
+    concentration: float = 1.0
+    spread: float = 0.1
+    mean_precision: float = 1.0
+    init: str | ArrayLike = "kmeans"
+    reg_covar: float = 1e-6
+    tol: float = 1e-5
+    max_iter: int = 500
+    random_state: int | np.random.Generator | None = 0
+    manifold: str | Manifold = "euclidean"
 
     def _check_parameters(self) -> None:
-        super()._check_parameters()
-        for name in ("concentration", "spread", "mean_precision"):
-            value = getattr(self, name)
-            if not isinstance(value, int | float | np.number) or not (np.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} is a finite number above 0, got {value!r}")
-        if isinstance(self.init, TPGMM):
+        self._check_integers("n_components", "max_iter")
+        self._check_numbers("reg_covar", "tol")
+        self._check_numbers("concentration", "spread", "mean_precision", positive=True)
+        if isinstance(self.init, LearnedMixture):
             raise ValueError('init is "time", "bins", "kmeans" or labels, not a fitted model')
 
     def _fit(self, samples: Samples, progress: Progress | None) -> Self:
         T = self.n_components
         if samples.n_samples < T:
             raise ValueError(f"{T} components need at least as many samples, got {samples.n_samples}")
-        assert not isinstance(self.init, TPGMM)
         labels = initialization.assignments(samples, self.init, T, self.random_state)
         posterior = _Posterior(self, samples, labels)
         objectives: list[float] = []

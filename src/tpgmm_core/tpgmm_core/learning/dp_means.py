@@ -146,14 +146,10 @@ class DPMeans(Estimator):
         return float(nearest.max())
 
     def _check_parameters(self) -> None:
-        for name in ("penalty", "dimension_penalty"):
-            value = getattr(self, name)
-            if name == "dimension_penalty" and value is None:
-                continue
-            if not isinstance(value, int | float | np.number) or not (np.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} is a finite number above 0, got {value!r}")
-        if not isinstance(self.max_iter, int | np.integer) or self.max_iter < 1:
-            raise ValueError(f"max_iter is an integer from 1, got {self.max_iter!r}")
+        self._check_numbers(
+            "penalty", *([] if self.dimension_penalty is None else ["dimension_penalty"]), positive=True
+        )
+        self._check_integers("max_iter")
 
     def _fit(self, samples: Samples) -> Self:
         """Make sweeps of steps none of which raises the cost.

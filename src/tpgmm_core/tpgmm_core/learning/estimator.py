@@ -62,6 +62,21 @@ class Estimator:
             setattr(self, name, value)
         return self
 
+    def _check_integers(self, *names: str, least: int = 1) -> None:
+        """Raise ValueError for a parameter that is no integer from `least`."""
+        for name in names:
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
+                raise ValueError(f"{name} is an integer from {least}, got {value!r}")
+
+    def _check_numbers(self, *names: str, positive: bool = False) -> None:
+        """Raise ValueError for a parameter that is no finite number from 0, or above it."""
+        for name in names:
+            value = getattr(self, name)
+            is_number = isinstance(value, int | float | np.number) and np.isfinite(value)
+            if not is_number or value < 0.0 or (positive and value == 0.0):
+                raise ValueError(f"{name} is a finite number {'above' if positive else 'from'} 0, got {value!r}")
+
     def __repr__(self) -> str:
         parameters = inspect.signature(type(self)).parameters
         changed = {k: v for k, v in self.get_params().items() if not _is_same(v, parameters[k].default)}

@@ -23,8 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tpgmm_core.common.types import Array
+from tpgmm_core.learning.shown_to_frame import ShownToFrame, isotropic
 from tpgmm_core.learning.smooth_paths import smoothed, unrolled
-from tpgmm_core.learning.time_steps import UNSEEN, ShownToFrame, TimeStepTPGMM, isotropic
+from tpgmm_core.learning.step_mixture import UNSEEN, StepMixture
 
 LENGTHS = np.geomspace(0.03, 0.6, 8)
 """l, shares of the duration."""
@@ -32,14 +33,11 @@ NOISES = np.geomspace(1e-6, 1.0, 13)
 """lambda, shares of the variance of the process."""
 
 
-class GaussianProcessTPGMM(TimeStepTPGMM):
+class GaussianProcessTPGMM(StepMixture):
     """Gaussian processes over time in all frames and coordinates, as a Gaussian for each time step and frame.
 
-    Parameters and attributes are those of `TimeStepTPGMM`, of which `locality`, `modes` and `mode` have no
-    meaning here.
+    Parameters and attributes are those of `StepMixture` and `StoredMixture`.
     """
-
-    unused = TimeStepTPGMM.unused | {"locality", "modes", "mode"}
 
     def _gaussians(self, shown: ShownToFrame) -> tuple[Array, Array]:
         space, points = shown.space, shown.held()

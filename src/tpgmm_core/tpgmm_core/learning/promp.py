@@ -20,19 +20,19 @@ path, in fixed axes. What the basis functions cannot follow (noise, tremor) is S
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.shown_to_frame import ShownToFrame, isotropic
 from tpgmm_core.learning.smooth_paths import smoothed
-from tpgmm_core.learning.time_steps import PRIOR_STRENGTH, UNSEEN, ShownToFrame, TimeStepTPGMM, isotropic
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.step_mixture import UNSEEN
+from tpgmm_core.learning.time_steps import TimeStepTPGMM
 
 
+@dataclass(eq=False, repr=False)
 class ProMPTPGMM(TimeStepTPGMM):
     """Probabilistic movement primitives in all frames, as a Gaussian for each time step and frame.
 
@@ -44,32 +44,7 @@ class ProMPTPGMM(TimeStepTPGMM):
         number of basis functions, from 2 to `n_steps`: the more, the finer the details that are kept
     """
 
-    def __init__(
-        self,
-        n_components: int = 3,
-        init: str | ArrayLike | TPGMM = "time",
-        reg_covar: float = 1e-6,
-        tol: float = 1e-5,
-        max_iter: int = 100,
-        random_state: int | np.random.Generator | None = 0,
-        manifold: str | Manifold = "euclidean",
-        regularization: str = "add",
-        n_init: int = 1,
-        covariance: str = "full",
-        n_factors: int = 1,
-        covariance_options: Mapping[str, Any] | None = None,
-        prior_strength: float = PRIOR_STRENGTH,
-        n_steps: int = 100,
-        locality: float = 0.0,
-        modes: int = 0,
-        mode: int = 0,
-        n_basis: int = 20,
-    ) -> None:
-        super().__init__(
-            n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
-            covariance, n_factors, covariance_options, prior_strength, n_steps, locality, modes, mode,
-        )  # fmt: skip
-        self.n_basis = n_basis
+    n_basis: int = 20
 
     def _gaussians(self, shown: ShownToFrame) -> tuple[Array, Array]:
         space, points = shown.space, shown.held()
@@ -101,9 +76,9 @@ class ProMPTPGMM(TimeStepTPGMM):
 
     def _check_parameters(self) -> None:
         super()._check_parameters()
-        B = self.n_basis
-        if not isinstance(B, int | np.integer) or isinstance(B, bool) or not 2 <= B <= self.n_steps:
-            raise ValueError(f"n_basis is an integer from 2 to n_steps = {self.n_steps}, got {B!r}")
+        self._check_integers("n_basis", least=2)
+        if self.n_basis > self.n_steps:
+            raise ValueError(f"n_basis is an integer from 2 to n_steps = {self.n_steps}, got {self.n_basis}")
 
 
 def basis(n_steps: int, n_basis: int) -> Array:

@@ -24,7 +24,7 @@ from tpgmm_core.common.constants import LOG_2PI
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.recognition import kernels_recognition
 from tpgmm_core.retrieval.calibrated import covariance_scale
 from tpgmm_core.retrieval.interface import TimeParametrized
@@ -66,7 +66,7 @@ class Skill:
                 raise ValueError(f"the {what} of the skill {self.name!r} is a positive number, got {value!r}")
 
     @classmethod
-    def of_model(cls, name: str, model: TPGMM, prior: float = 1.0) -> Skill:
+    def of_model(cls, name: str, model: LearnedMixture, prior: float = 1.0) -> Skill:
         """A skill of a model, with the scale that was found for what `train --leave-one-out` had left out.
 
         Parameters

@@ -11,7 +11,7 @@ from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.interface import Retrieval
@@ -23,7 +23,7 @@ def scale_key(method: str) -> str:
     return f"covariance_scale.{method}"
 
 
-def covariance_scale(model: TPGMM, method: str) -> float:
+def covariance_scale(model: LearnedMixture, method: str) -> float:
     """What the covariances of a method's references are to be multiplied by.
 
     Parameters

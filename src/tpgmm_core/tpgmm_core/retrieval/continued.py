@@ -3,16 +3,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
-
-import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
-from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.continuity import MOMENT, Continuity
 from tpgmm_core.retrieval.interface import Retrieval
@@ -105,30 +101,3 @@ class Continued(Wrapped):
         """The next n Gaussians, dt (s) apart, with what will remain of the difference then."""
         ahead = self._retrieval.horizon(n, dt)
         return [self._continuity.gaussian(g.mean, g.covariance, dt * i) for i, g in enumerate(ahead, start=1)]
-
-
-def slow_enough(manifold: Manifold, apart: Array, speed: float, rate: float) -> float:
-    """Time constant with which a distance dies out at these speeds at most.
-
-    A critically damped spring from rest is fastest after one time constant T, at 1 / (e T) of the distance.
-
-    Parameters
-    ----------
-    manifold
-        of the references
-    apart
-        (n,), tangent vector
-    speed
-        at most, of places, m/s
-    rate
-        at most, of orientations and of movements of joints, rad/s
-
-    Returns
-    -------
-    float
-        s
-    """
-    places = [] if manifold.is_euclidean else manifold.flat_tangent
-    others = np.setdiff1d(np.arange(manifold.tangent_dim), places)
-    distances = ((apart[places], speed), (apart[others], rate))
-    return max(float(np.linalg.norm(part)) / (math.e * fastest) for part, fastest in distances)

@@ -19,7 +19,7 @@ from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.settings import check_settings, configured, setting
 from tpgmm_core.common.text import shown
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.dmp import DmpParameters
 from tpgmm_core.retrieval.dynamic_features import manifold_with_derivatives, with_derivatives
@@ -77,7 +77,7 @@ class Encoding(ABC):
             for a demonstration that cannot be encoded, with the reason
         """
 
-    def finish(self, model: TPGMM) -> None:  # noqa: B027  (most have nothing to add)
+    def finish(self, model: LearnedMixture) -> None:  # noqa: B027  (most have nothing to add)
         """Set what is known ahead of all demonstrations, in a model that was just fitted."""
 
     @abstractmethod
@@ -224,7 +224,7 @@ ENCODINGS: dict[str, type[Encoding]] = {
 }
 
 
-def encoding_of(model: TPGMM) -> Encoding:
+def encoding_of(model: LearnedMixture) -> Encoding:
     """The encoding of a model's data, from its metadata; [time, data] where these name none.
 
     Parameters

@@ -27,7 +27,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.retrieval.interface import TimeParametrized
 
 KEY = "exact"
@@ -97,7 +97,7 @@ def parsed(text: Any) -> tuple[Constraint, ...]:
     return found
 
 
-def constraints_of(model: TPGMM) -> tuple[Constraint, ...]:
+def constraints_of(model: LearnedMixture) -> tuple[Constraint, ...]:
     """What the metadata of a model ask for.
 
     Parameters

@@ -10,6 +10,7 @@ its end, so that the robot stays at the place that it has reached.
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Mapping
 
 from tpgmm_core.common.text import listed
@@ -17,17 +18,14 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.model.reference import Reference
-from tpgmm_core.retrieval.continued import Continued, slow_enough
-from tpgmm_core.retrieval.delayed import Delayed
+from tpgmm_core.retrieval.approach import PEAK, Approach, way_time
+from tpgmm_core.retrieval.continued import Continued
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.retrieval.outcome import ExecutionConfig, Outcome, distance, judged
 
 _SECOND = 1_000_000_000
 _PROGRESS = 0.01
 """A movement stands still when it advances by less than this share of what its speed requires."""
-
-_TRANSITION = 4.0
-"""Time constants that a movement waits at its beginning: 9 % of the way there are left."""
 
 
 class Stage(enum.Enum):
@@ -163,7 +161,7 @@ class Execution:
 
         Call it before the first step. The former one goes on giving references until this one has begun. Where this
         movement begins elsewhere, the difference dies out with `blend_time`. Where that would be faster than
-        `transition_speed` or `transition_rate`, it takes longer, and this movement waits at its beginning meanwhile.
+        `transition_speed` or `transition_rate`, the reference goes to the beginning first: see `Approach`.
 
         Parameters
         ----------
@@ -183,7 +181,7 @@ class Execution:
             self.retrieval.start(time_ns, pose)
             if self._former is not None:
                 first = self.retrieval.step(time_ns, frames, pose, weights).gaussian
-                self._continue(time_ns, first, *self._former)
+                self._continue(time_ns, pose, first, *self._former)
                 self._former = None
             self._reference_ns = time_ns
             self.stage = Stage.MOVING
@@ -195,18 +193,22 @@ class Execution:
             )
         return False
 
-    def _continue(self, time_ns: int, first: Gaussian, former: Execution, blend_time: float) -> None:
+    def _continue(
+        self, time_ns: int, pose: Array | None, first: Gaussian, former: Execution, blend_time: float
+    ) -> None:
         """Start from the last reference of another movement, and not from the own `first` one."""
         last, config = former.reference, self.config
         if last is None:
             return
         apart = first.manifold.log(first.mean, last.gaussian.mean)
-        time = slow_enough(first.manifold, apart, config.transition_speed, config.transition_rate)
-        if time > blend_time:  # a way to the beginning, and no part of the movement
-            delay_ns = round(_TRANSITION * time * _SECOND)
-            self.retrieval = Delayed(self.retrieval, time_ns, delay_ns)
-            self._stalled_ns = -delay_ns
-        self.retrieval = Continued(self.retrieval, last, former._reference_ns, max(blend_time, time))
+        time = way_time(first.manifold, apart, config.transition_speed, config.transition_rate)
+        if (
+            time > math.e * blend_time
+        ):  # a spring from rest is fastest after blend_time, at 1 / (e blend_time) of the way
+            seconds = PEAK * time
+            self.retrieval = Approach(self.retrieval, time_ns, seconds, apart, pose)
+            self._stalled_ns = -round(seconds * _SECOND)
+        self.retrieval = Continued(self.retrieval, last, former._reference_ns, blend_time)
 
     def _watch_progress(self, time_ns: int, phase: float, since_ns: int) -> None:
         """Abort a movement that has not advanced for too long, unless it is paused or back at its start."""

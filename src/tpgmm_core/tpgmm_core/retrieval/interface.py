@@ -20,7 +20,7 @@ from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.reference import Reference
 
 
@@ -174,7 +174,7 @@ class TimeParametrized(Protocol):
         """The model in this situation, over all dimensions that it encodes."""
 
 
-def demonstrated_duration(model: TPGMM) -> float:
+def demonstrated_duration(model: LearnedMixture) -> float:
     """Mean duration of the demonstrations of a model, s.
 
     Parameters

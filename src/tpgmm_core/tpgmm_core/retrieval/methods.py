@@ -14,6 +14,7 @@ from tpgmm_core.learning import model_file
 from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.learning.gaussian_process import GaussianProcessTPGMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.learning.promp import ProMPTPGMM
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.learning.tpgmm import TPGMM
@@ -73,11 +74,11 @@ class RetrievalMethod:
     name: str
     encoding: type[Encoding]
     options: Mapping[str, float] = field(default_factory=dict)
-    estimator: type[TPGMM] = TPGMM
-    time_parametrized: Callable[[TPGMM], TimeParametrized] | None = None
+    estimator: type[LearnedMixture] = TPGMM
+    time_parametrized: Callable[[LearnedMixture], TimeParametrized] | None = None
     movement: Callable[..., Retrieval] | None = None
 
-    def check(self, model: TPGMM) -> None:
+    def check(self, model: LearnedMixture) -> None:
         """Check that this method can retrieve from a model.
 
         Raises
@@ -98,7 +99,7 @@ class RetrievalMethod:
                 f"train one with 'retrieval: {self.name}'"
             )
 
-    def course(self, model: TPGMM) -> TimeParametrized | None:
+    def course(self, model: LearnedMixture) -> TimeParametrized | None:
         """The movement as a function of time, which meets the constraints that the model's metadata ask for.
 
         Parameters
@@ -129,7 +130,7 @@ class RetrievalMethod:
         return Constrained(course, constraints) if constraints else course
 
 
-def _dmp(model: TPGMM, **settings: Any) -> Retrieval:
+def _dmp(model: LearnedMixture, **settings: Any) -> Retrieval:
     encoding = encoding_of(model)
     assert isinstance(encoding, DmpEncoding) and isinstance(model, EndpointTPGMM)  # checked by `RetrievalMethod.check`
     return DynamicMovementPrimitive(model, encoding.parameters, **settings)
@@ -188,7 +189,7 @@ def method_named(name: str) -> RetrievalMethod:
     return METHODS[current]
 
 
-def method_of(model: TPGMM) -> RetrievalMethod:
+def method_of(model: LearnedMixture) -> RetrievalMethod:
     """The method that a model was learned for, from its metadata.
 
     Parameters
@@ -210,7 +211,7 @@ def method_of(model: TPGMM) -> RetrievalMethod:
 
 
 def make_retrieval(
-    model: TPGMM,
+    model: LearnedMixture,
     method: str | RetrievalMethod | None = None,
     *,
     duration: float | None = None,
@@ -280,7 +281,7 @@ def make_retrieval(
     return retrieval if scale == 1.0 else Calibrated(retrieval, scale)
 
 
-def load_model(path: str | PathLike[str]) -> TPGMM:
+def load_model(path: str | PathLike[str]) -> LearnedMixture:
     """The model in a file, of the class that its method needs; `TPGMM.load` reads all as mixtures.
 
     Parameters
@@ -290,7 +291,7 @@ def load_model(path: str | PathLike[str]) -> TPGMM:
 
     Returns
     -------
-    TPGMM
+    LearnedMixture
         a fitted model
 
     Raises

@@ -29,8 +29,8 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.learning.situations import seen_from
-from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.frame_buffer import manifold_origin
 from tpgmm_core.retrieval.interface import Retrieval
 
@@ -186,7 +186,7 @@ class NoveltyScale:
     distances: tuple[float, ...]
 
     @classmethod
-    def of_model(cls, model: TPGMM) -> NoveltyScale | None:
+    def of_model(cls, model: LearnedMixture) -> NoveltyScale | None:
         """What the metadata of a model say of it; None where they say nothing.
 
         Parameters

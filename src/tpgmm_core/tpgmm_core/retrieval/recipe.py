@@ -14,6 +14,7 @@ from tpgmm_core.common.settings import configured
 from tpgmm_core.common.text import listed
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.encodings import Encoding
@@ -51,7 +52,8 @@ class Recipe:
     def of(cls, settings: Mapping[str, Any], method: str | None = None) -> Self:
         """Make a recipe from settings by name: `retrieval`, `exact`, options of the encoding, of the estimator.
 
-        Where they name no `prior_strength` and the estimator has none of its own, it is PRIOR_STRENGTH.
+        Settings of `TPGMM` that the method's estimator does not have are left out. Where they name no
+        `prior_strength` and the estimator has none of its own, it is PRIOR_STRENGTH.
 
         Parameters
         ----------
@@ -76,6 +78,9 @@ class Recipe:
         chosen = method_named(named if method is None else method)
         options = {item.name for item in fields(chosen.encoding)}
         arguments = [name for name in inspect.signature(chosen.estimator).parameters if name != "manifold"]
+        # The settings of a task serve all methods, so that another one can be tried by its name alone
+        elsewhere = inspect.signature(TPGMM).parameters.keys() - {"manifold", *arguments}
+        rest = {name: value for name, value in rest.items() if name not in elsewhere}
         unknown = [name for name in rest if name not in options and name not in arguments]
         if unknown:
             known = ", ".join([*arguments, *sorted(options)])
@@ -83,7 +88,7 @@ class Recipe:
         encoding = configured(
             chosen.encoding, {**chosen.options, **{name: rest.pop(name) for name in options if name in rest}}
         )
-        if encoding.init is not None:
+        if encoding.init is not None and "init" in arguments:
             rest.setdefault("init", encoding.init)
         if "prior_strength" in arguments and not chosen.estimator().prior_strength:
             rest.setdefault("prior_strength", PRIOR_STRENGTH)
@@ -93,8 +98,8 @@ class Recipe:
 
     @property
     def max_iter(self) -> int:
-        """Largest number of iterations of EM."""
-        return int(self.method.estimator(**self.arguments).max_iter)
+        """Largest number of iterations of EM; 1 for what is learned at once."""
+        return int(self.method.estimator(**self.arguments).get_params().get("max_iter", 1))
 
     def learn(
         self,
@@ -102,7 +107,7 @@ class Recipe:
         manifold: str | Manifold,
         dimensions: Sequence[str] | None = None,
         progress: Progress | None = None,
-    ) -> TPGMM:
+    ) -> LearnedMixture:
         """A model of demonstrations over [time, data], whose metadata say what it is for.
 
         Parameters
@@ -118,7 +123,7 @@ class Recipe:
 
         Returns
         -------
-        TPGMM
+        LearnedMixture
             a fitted model
 
         Raises

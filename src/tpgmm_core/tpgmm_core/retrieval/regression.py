@@ -27,7 +27,7 @@ from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model import kernels_regress
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE, Adapter
 from tpgmm_core.model.frame_buffer import FrameBuffer
@@ -51,7 +51,7 @@ class _Regression(ABC):
         for a model without time
     """
 
-    def __init__(self, model: TPGMM, buffer: FrameBuffer) -> None:
+    def __init__(self, model: LearnedMixture, buffer: FrameBuffer) -> None:
         self._buffer = buffer
         for name, manifold in model.frame_manifolds_.items():
             if manifold.factors[0][0] != "R" or manifold.tangent_dim < 2:
@@ -154,7 +154,7 @@ class _Regression(ABC):
 class AdaptThenRegress(_Regression):
     """Eqs. (5) and (6), then regression on the first dimension."""
 
-    def __init__(self, model: TPGMM) -> None:
+    def __init__(self, model: LearnedMixture) -> None:
         self._adapter = Adapter(model)
         super().__init__(model, self._adapter.buffer)
 
@@ -180,7 +180,7 @@ class RegressThenProduct(_Regression):
     Activations are the mean over the frames, which differ where frames were not seen all the time.
     """
 
-    def __init__(self, model: TPGMM) -> None:
+    def __init__(self, model: LearnedMixture) -> None:
         super().__init__(model, FrameBuffer(model))
         sizes = self._buffer.sizes
         P, K = len(sizes), len(model.priors_)

@@ -17,7 +17,7 @@ from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.model.situation import Situation
@@ -54,7 +54,7 @@ class Reproduction:
 
     def __init__(
         self,
-        course: TimeParametrized | TPGMM,
+        course: TimeParametrized | LearnedMixture,
         *,
         phase: ClockPhase | None = None,
         duration: float | None = None,
@@ -62,7 +62,7 @@ class Reproduction:
         horizon_time_step: float = 0.005,
         blend_time: float = 0.15,
     ) -> None:
-        self.course: TimeParametrized = AdaptThenRegress(course) if isinstance(course, TPGMM) else course
+        self.course: TimeParametrized = AdaptThenRegress(course) if isinstance(course, LearnedMixture) else course
         duration = self.course.duration if duration is None else duration
         for name, value in (
             ("duration", duration),

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.kernels_terms import add_term, scratch_for
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.retrieval.regression import RegressThenProduct
 
 
@@ -54,7 +54,7 @@ class SubObjectives:
         return np.asarray(self.shares[..., dimensions].mean(axis=-1))
 
 
-def sub_objectives(model: TPGMM, times: ArrayLike, frames: Mapping[str, Frame]) -> SubObjectives:
+def sub_objectives(model: LearnedMixture, times: ArrayLike, frames: Mapping[str, Frame]) -> SubObjectives:
     """The sub-objectives of a model's frames in one situation.
 
     Parameters

@@ -17,8 +17,9 @@ from tpgmm_core.geometry.disagreement import no_product
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
 from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.learned_mixture import LearnedMixture
+from tpgmm_core.learning.step_mixture import StepMixture
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
-from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
 from tpgmm_core.model.kernels_adapt import adapt
 from tpgmm_core.retrieval.interpolation import interpolate
@@ -27,7 +28,7 @@ from tpgmm_core.retrieval.regression import RegressThenProduct
 
 
 class TimeSteps(RegressThenProduct):
-    """The movement of a `TimeStepTPGMM` as a `TimeParametrized`.
+    """The movement of a `StepMixture` as a `TimeParametrized`.
 
     Parameters
     ----------
@@ -40,8 +41,8 @@ class TimeSteps(RegressThenProduct):
         for a model without time
     """
 
-    def __init__(self, model: TPGMM) -> None:
-        assert isinstance(model, TimeStepTPGMM)  # checked by `RetrievalMethod.check`
+    def __init__(self, model: LearnedMixture) -> None:
+        assert isinstance(model, StepMixture)  # checked by `RetrievalMethod.check`
         names = model.frame_names_
         T, P = len(model.priors_), len(names)
         sizes = np.array([[m.dim - 1, m.tangent_dim - 1] for m in model.frame_manifolds_.values()])
@@ -55,7 +56,7 @@ class TimeSteps(RegressThenProduct):
         self._sizes = sizes
         view, spheres = self._view(model.manifold_.subset(range(1, model.manifold_.dim)))
         self._local = None
-        if model.shown_ is not None:
+        if isinstance(model, TimeStepTPGMM) and model.shown_ is not None:
             self._local = LocalSteps(model, self._points, self._velocities, self._within, view, spheres)
         super().__init__(model)
 

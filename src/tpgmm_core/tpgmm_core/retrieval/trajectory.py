@@ -32,7 +32,7 @@ from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
-from tpgmm_core.learning.tpgmm import TPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.adaptation import Adapter
 from tpgmm_core.model.kernels_regress import spread_at
 from tpgmm_core.retrieval.differences import difference_weights
@@ -99,7 +99,7 @@ class TrajectoryModel:
         for a model of other dimensions
     """
 
-    def __init__(self, model: TPGMM) -> None:
+    def __init__(self, model: LearnedMixture) -> None:
         point_manifold(model.manifold_)
         self._adapter = Adapter(model)
         self._log_priors = np.log(np.maximum(model.priors_, np.finfo(float).tiny))
@@ -107,7 +107,7 @@ class TrajectoryModel:
         self._variances = np.stack([covariances[:, 0, 0] for covariances in model.covariances_.values()])
         self._compile(model)
 
-    def _compile(self, model: TPGMM) -> None:
+    def _compile(self, model: LearnedMixture) -> None:
         """Compute one solution and one interpolation, so that no later one waits for the compiler."""
         name, view = next(iter(model.frame_manifolds_.items()))
         seen_as_it_is = GaussianMixture(model.priors_, model.means_[name], model.covariances_[name], view)
@@ -247,7 +247,7 @@ class SmoothTrajectory:
         like `TrajectoryModel`, for a duration that is not known, and less than three steps
     """
 
-    def __init__(self, model: TPGMM, *, steps: int = 100) -> None:
+    def __init__(self, model: LearnedMixture, *, steps: int = 100) -> None:
         self._model = TrajectoryModel(model)
         self._grid = np.linspace(0.0, demonstrated_duration(model), steps)
         self._windows = difference_weights(self._grid)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tpgmm_core import TPGMM, Frame
+from tpgmm_core import Frame, LearnedMixture
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.model.derived_frames import DerivedFrames
@@ -97,14 +97,14 @@ class Prepared:
         how new the situation is to it; None where that cannot be told
     """
 
-    model: TPGMM
+    model: LearnedMixture
     skill: QueuedSkill
     novelty: Novelty | None
 
 
 def prepare(
     requests: Sequence[SkillRequest],
-    model: TPGMM | None,
+    model: LearnedMixture | None,
     task: Task,
     settings: Mapping[str, Any],
     known: Mapping[str, tuple[Frame, float]],
@@ -145,7 +145,7 @@ def prepare(
     OSError
         for a file that cannot be read
     """
-    read: dict[str, TPGMM] = {}
+    read: dict[str, LearnedMixture] = {}
     found = []
     for i, request in enumerate(requests):
         try:
@@ -155,7 +155,7 @@ def prepare(
             if chosen is None:
                 raise ValueError("no model is loaded: name a model file in the goal, or set the parameter model_file")
             found.append(_prepared(request, chosen, task, settings, known, state, max_novelty, is_first=i == 0))
-        except (ValueError, OSError) as error:
+        except ValueError as error:
             if len(requests) == 1:
                 raise
             raise ValueError(f"skill {i + 1} of {len(requests)}: {error}") from error
@@ -164,7 +164,7 @@ def prepare(
 
 def _prepared(
     request: SkillRequest,
-    model: TPGMM,
+    model: LearnedMixture,
     task: Task,
     settings: Mapping[str, Any],
     known: Mapping[str, tuple[Frame, float]],
@@ -184,7 +184,12 @@ def _prepared(
 
 
 def _judged(
-    model: TPGMM, skill: QueuedSkill, frames: Mapping[str, Frame], state: Array | None, most: float, is_first: bool
+    model: LearnedMixture,
+    skill: QueuedSkill,
+    frames: Mapping[str, Frame],
+    state: Array | None,
+    most: float,
+    is_first: bool,
 ) -> Novelty | None:
     """How new a situation is. With a limit `most` above 0, ValueError beyond it, and where that cannot be told."""
     scale = NoveltyScale.of_model(model)

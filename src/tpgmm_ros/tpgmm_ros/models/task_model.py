@@ -5,19 +5,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from tpgmm_core import TPGMM, Frame
+from tpgmm_core import Frame, LearnedMixture
 from tpgmm_core.common.text import listed, one_line, shown
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.retrieval.methods import load_model, make_retrieval
-from tpgmm_ros.messages.conversions import TaskFrameState
 from tpgmm_ros.task.task_file import Task
 
+if TYPE_CHECKING:  # messages need rclpy, and models do not
+    from tpgmm_ros.messages.conversions import TaskFrameState
 
-def load_task_model(path: str | Path, task: Task) -> TPGMM:
+
+def load_task_model(path: str | Path, task: Task) -> LearnedMixture:
     """A model that fits a task, whatever it encodes of the task's movements.
 
     Parameters
@@ -29,7 +31,7 @@ def load_task_model(path: str | Path, task: Task) -> TPGMM:
 
     Returns
     -------
-    TPGMM
+    LearnedMixture
         a fitted model
 
     Raises
@@ -64,7 +66,7 @@ def load_task_model(path: str | Path, task: Task) -> TPGMM:
     return model
 
 
-def make_task_retrieval(model: TPGMM, task: Task, method: str | None = None, **settings: Any) -> Retrieval:
+def make_task_retrieval(model: LearnedMixture, task: Task, method: str | None = None, **settings: Any) -> Retrieval:
     """A movement of a model that fits the task.
 
     Parameters

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Demonstration
+from tpgmm_core import Demonstration, LearnedMixture
 from tpgmm_core.choice.baselines import BASELINES, Learner
 from tpgmm_core.choice.calibration import knows_time, squared_distances_of
 from tpgmm_core.choice.novelty import novelty_of
@@ -67,6 +67,8 @@ class Fold:
         of what was shown from the reproduction, in units of its covariances, at each sample, (T,)
     novelty
         contradiction and distance: see `tpgmm_core.retrieval.novelty`
+    path
+        the reproduction, poses (T, 7)
     """
 
     recording: Recording
@@ -76,11 +78,12 @@ class Fold:
     iterations: int
     squared_distances: Array
     novelty: tuple[float, float]
+    path: Array
 
 
 def cross_validate(
     recordings: Sequence[Recording],
-    learn: Callable[[list[Demonstration]], TPGMM],
+    learn: Callable[[list[Demonstration]], LearnedMixture],
     anchor: str,
     baselines: Learner | None = None,
 ) -> Iterator[Fold]:
@@ -126,6 +129,7 @@ def cross_validate(
             int(model.n_iter_),
             squared_distances_of(path, covariances, left_out.movement, POSE, knows_time(model)),
             novelty_of(model, demonstrations, situation, POSE),
+            path,
         )
 
 

@@ -16,7 +16,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from tpgmm_core import TPGMM, Frame
+from tpgmm_core import Frame, LearnedMixture
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.common.types import Array
 from tpgmm_core.model.reference import Reference
@@ -72,7 +72,7 @@ class Movements:
         self,
         node: Node,
         task: Task,
-        model: TPGMM | None,
+        model: LearnedMixture | None,
         parameters: Parameters,
         why_silent: Callable[[], str],
         controller: ControllerWords,

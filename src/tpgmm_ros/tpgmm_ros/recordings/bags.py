@@ -107,15 +107,7 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
 def _thinned(recording: Recording, every: int) -> Recording:
     """Every n-th sample, and the last one."""
     last = len(recording.times) - 1
-    kept = np.unique(np.append(np.arange(0, last + 1, every), last))
-    return replace(
-        recording,
-        times=recording.times[kept],
-        movement=recording.movement[kept],
-        frames={name: poses[kept] for name, poses in recording.frames.items()},
-        visible={name: seen[kept] for name, seen in recording.visible.items()},
-        configurations=None if recording.configurations is None else recording.configurations[kept],
-    )
+    return recording.at(np.unique(np.append(np.arange(0, last + 1, every), last)))
 
 
 def _from_pose_array(path: Path, task: Task, spec: PoseArraySpec) -> Recording:

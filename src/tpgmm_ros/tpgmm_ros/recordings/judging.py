@@ -28,8 +28,7 @@ def doubts_about(recordings: Sequence[Recording], task: Task) -> list[Doubt]:
         each with the paths of the bags that it is about
     """
     own = [replace(doubt, about=(str(one.path),)) for one in recordings for doubt in one.doubts]
-    fixed = {name for name, frame in task.frames.items() if frame.pose is not None}
-    return _together([*own, *judged([_shown(recording, fixed) for recording in recordings])])
+    return _together([*own, *judged([shown_in(recording, task) for recording in recordings])])
 
 
 def _together(doubts: Sequence[Doubt]) -> list[Doubt]:
@@ -41,7 +40,8 @@ def _together(doubts: Sequence[Doubt]) -> list[Doubt]:
     return sorted(merged, key=lambda doubt: not doubt.refuses)
 
 
-def _shown(recording: Recording, fixed: set[str]) -> Shown:
-    frames = {name: poses for name, poses in recording.frames.items() if name not in fixed}
+def shown_in(recording: Recording, task: Task) -> Shown:
+    """A recording as doubts are about it: with the frames that were observed."""
+    frames = {name: poses for name, poses in recording.frames.items() if task.frames[name].pose is None}
     visible = {name: recording.visible[name] for name in frames}
     return Shown(str(recording.path), recording.times, recording.movement, frames, visible)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +56,29 @@ class Recording:
     def duration(self) -> float:
         """Time from the first to the last sample in s."""
         return float(self.times[-1])
+
+    def at(self, samples: NDArray[np.intp]) -> Recording:
+        """The same recording with some of its samples only.
+
+        Parameters
+        ----------
+        samples
+            their numbers, increasing
+
+        Returns
+        -------
+        Recording
+            its times begin at 0 with the first of them
+        """
+        times = self.times[samples]
+        return replace(
+            self,
+            times=times - times[0],
+            movement=self.movement[samples],
+            frames={name: poses[samples] for name, poses in self.frames.items()},
+            visible={name: seen[samples] for name, seen in self.visible.items()},
+            configurations=None if self.configurations is None else self.configurations[samples],
+        )
 
     def to_demonstration(self, duration: float | None = None) -> Demonstration:
         """Demonstration of [time, pose], and of configurations where there are some, which frames leave as they are.

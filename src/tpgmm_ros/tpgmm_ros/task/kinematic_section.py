@@ -29,7 +29,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from tpgmm_core import TPGMM
+from tpgmm_core import TPGMM, LearnedMixture
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.common.yaml_sections import Section
@@ -196,7 +196,7 @@ class KinematicSpec:
         arguments = {"n_components": 1, **settings}
         return Recipe(self.method(method), self._encoding(arguments["n_components"] > 1), arguments)
 
-    def encoding_of(self, model: TPGMM) -> Encoding:
+    def encoding_of(self, model: LearnedMixture) -> Encoding:
         """See `StateSpace`. Raises ValueError for a model of other kinematic frames."""
         self.method(None).check(model)
         return self._encoding((model.dimensions_ or ("",))[0] == "time")

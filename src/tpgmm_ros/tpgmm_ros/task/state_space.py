@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from tpgmm_core import TPGMM
+from tpgmm_core import LearnedMixture
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.retrieval.encodings import Encoding, encoding_of
@@ -104,7 +104,7 @@ class StateSpace(Protocol):
             settings or a method that a model of these states has not.
         """
 
-    def encoding_of(self, model: TPGMM) -> Encoding:
+    def encoding_of(self, model: LearnedMixture) -> Encoding:
         """What a model encodes. Raises ValueError for one that was not learned for this task."""
 
     def method(self, name: str | None) -> RetrievalMethod | None:
@@ -151,7 +151,7 @@ class PoseSpace:
         """See `StateSpace`."""
         return Recipe.of(settings, method)
 
-    def encoding_of(self, model: TPGMM) -> Encoding:
+    def encoding_of(self, model: LearnedMixture) -> Encoding:
         """What the model's own metadata say."""
         return encoding_of(model)
 

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Self
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,7 @@ from tpgmm_core.learning.estimation.iteration import Progress, iterate
 from tpgmm_core.learning.estimation.structured_em import start_emissions
 from tpgmm_core.learning.hidden_markov.chain import Chain
 from tpgmm_core.learning.hidden_markov.markov import MarkovChain
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.samples import Samples
@@ -84,6 +85,7 @@ def fit_chain(
     return ChainEstimate(parameters, *course, chain=chain, emissions=emissions)
 
 
+@dataclass(eq=False, repr=False)
 class TPHMM(TPGMM):
     """Hidden Markov model that is observed from several frames at once.
 
@@ -112,30 +114,10 @@ class TPHMM(TPGMM):
         shape (K,), the share of the samples in each state
     """
 
-    chain_: Chain
+    chain_: Chain = field(init=False)
 
-    def __init__(
-        self,
-        n_components: int = 3,
-        init: str | ArrayLike | TPGMM = "bins",
-        reg_covar: float = 1e-4,
-        tol: float = 1e-5,
-        max_iter: int = 100,
-        random_state: int | np.random.Generator | None = 0,
-        manifold: str | Manifold = "euclidean",
-        regularization: str = "add",
-        n_init: int = 1,
-        covariance: str = "full",
-        n_factors: int = 1,
-        covariance_options: Mapping[str, Any] | None = None,
-        transitions: str | ArrayLike = "left-right",
-        prior_strength: float = 0.0,
-    ) -> None:
-        super().__init__(
-            n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
-            covariance, n_factors, covariance_options, prior_strength,
-        )  # fmt: skip
-        self.transitions = transitions
+    init: str | ArrayLike | LearnedMixture = "bins"
+    transitions: str | ArrayLike = "left-right"
 
     def fit_projected(
         self,

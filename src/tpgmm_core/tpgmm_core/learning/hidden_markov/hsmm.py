@@ -4,18 +4,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.hidden_markov.hmm import TPHMM
 from tpgmm_core.learning.hidden_markov.markov import SemiMarkovChain
-from tpgmm_core.learning.tpgmm import TPGMM
 
 
+@dataclass(eq=False, repr=False)
 class TPHSMM(TPHMM):
     """Hidden semi-Markov model that is observed from several frames at once (Yu, 2010).
 
@@ -38,31 +37,9 @@ class TPHSMM(TPHMM):
         the `SemiMarkovChain`, whose `durations` are the whole distributions
     """
 
-    chain_: SemiMarkovChain
+    chain_: SemiMarkovChain = field(init=False)
 
-    def __init__(
-        self,
-        n_components: int = 3,
-        init: str | ArrayLike | TPGMM = "bins",
-        reg_covar: float = 1e-4,
-        tol: float = 1e-5,
-        max_iter: int = 100,
-        random_state: int | np.random.Generator | None = 0,
-        manifold: str | Manifold = "euclidean",
-        regularization: str = "add",
-        n_init: int = 1,
-        covariance: str = "full",
-        n_factors: int = 1,
-        covariance_options: Mapping[str, Any] | None = None,
-        transitions: str | ArrayLike = "left-right",
-        max_duration: int | None = None,
-        prior_strength: float = 0.0,
-    ) -> None:
-        super().__init__(
-            n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
-            covariance, n_factors, covariance_options, transitions, prior_strength,
-        )  # fmt: skip
-        self.max_duration = max_duration
+    max_duration: int | None = None
 
     @property
     def mean_durations_(self) -> Array:
@@ -113,9 +90,8 @@ class TPHSMM(TPHMM):
 
     def _check_parameters(self) -> None:
         super()._check_parameters()
-        L = self.max_duration
-        if L is not None and (not isinstance(L, int | np.integer) or isinstance(L, bool) or L < 1):
-            raise ValueError(f"max_duration is a number of samples from 1, or None, got {L!r}")
+        if self.max_duration is not None:
+            self._check_integers("max_duration")
 
     def _new_chain(self, mean_durations: Array, longest: int) -> SemiMarkovChain:
         return SemiMarkovChain.of(self.transitions, mean_durations, int(self.max_duration or longest))

@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any, Self
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation import initialization
 from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
 from tpgmm_core.learning.estimation.em import MixtureEstimate, expectation
@@ -26,6 +24,7 @@ from tpgmm_core.model.samples import Samples
 HALVINGS = 30  # of the weight of demonstrations that contradict the others, until they are left out
 
 
+@dataclass(eq=False, repr=False)
 class OnlineTPGMM(TPGMM):
     """TP-GMM that keeps sufficient statistics, so that learning goes on without the old data.
 
@@ -64,7 +63,6 @@ class OnlineTPGMM(TPGMM):
         that contradict it get less weight. None: no limit; a few old demonstrations then yield to new ones, as they do
         in learning from all at once. As long as each call starts anew there is no limit: what so few agreed in is not
         yet known
-
     prior_strength
         as for `TPGMM`; with 3, ten demonstrations that came one by one are learned from as well as all at once
 
@@ -83,39 +81,15 @@ class OnlineTPGMM(TPGMM):
         of the last call, per sample; old samples enter `partial_fit` by their bound
     """
 
-    cells_: SufficientStatistics
-    retained_: float
-    influence_: float
-    began_with_: int
+    cells_: SufficientStatistics = field(init=False)
+    retained_: float = field(init=False)
+    influence_: float = field(init=False)
+    began_with_: int = field(init=False)
 
-    def __init__(
-        self,
-        n_components: int = 3,
-        init: str | ArrayLike | TPGMM = "time",
-        reg_covar: float = 1e-4,
-        tol: float = 1e-5,
-        max_iter: int = 100,
-        random_state: int | np.random.Generator | None = 0,
-        manifold: str | Manifold = "euclidean",
-        regularization: str = "add",
-        n_init: int = 1,
-        covariance: str = "full",
-        n_factors: int = 1,
-        covariance_options: Mapping[str, Any] | None = None,
-        cell_size: int = 5,
-        max_cells: int = 2000,
-        growth_threshold: float | None = 16.0,
-        max_loss: float | None = None,
-        prior_strength: float = 0.0,
-    ) -> None:
-        super().__init__(
-            n_components, init, reg_covar, tol, max_iter, random_state, manifold, regularization, n_init,
-            covariance, n_factors, covariance_options, prior_strength,
-        )  # fmt: skip
-        self.cell_size = cell_size
-        self.max_cells = max_cells
-        self.growth_threshold = growth_threshold
-        self.max_loss = max_loss
+    cell_size: int = 5
+    max_cells: int = 2000
+    growth_threshold: float | None = 16.0
+    max_loss: float | None = None
 
     def partial_fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
         """Learn from new demonstrations in addition; the first call is `fit`.
@@ -263,10 +237,7 @@ class OnlineTPGMM(TPGMM):
             raise ValueError(
                 '"deep_mfa" components are not Gaussians, so moments are not sufficient: learn from all data'
             )
-        for name in ("cell_size", "max_cells"):
-            value = getattr(self, name)
-            if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
-                raise ValueError(f"{name} is an integer from 1, got {value!r}")
+        self._check_integers("cell_size", "max_cells")
         for name in ("growth_threshold", "max_loss"):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, int | float | np.number) and value > 0.0):
