@@ -117,10 +117,10 @@ class Player:
         """Publish where the hand is."""
         self._poses.publish(conversions.pose_stamped(pose, self.stamp_ns, "base"))
 
-    def send(self, model: str = "", duration: float = DURATION) -> object:
+    def send(self, model: str = "", duration: float = DURATION, **more: object) -> object:
         self.references.clear()
         self.feedback.clear()
-        goal = Reproduce.Goal(model=model, duration=duration)
+        goal = Reproduce.Goal(model=model, duration=duration, **more)
         sent = self.client.send_goal_async(
             goal, feedback_callback=lambda message: self.feedback.append(message.feedback)
         )
@@ -161,9 +161,9 @@ class Player:
         spin_until(self.node, is_answered, message="a reference", processes=(self.process,))
         return self.references[-1] if self.references else None
 
-    def start(self, model: str = "", duration: float = DURATION) -> object:
-        """Send a goal and wait until it moves."""
-        handle = self.send(model, duration)
+    def start(self, model: str = "", duration: float = DURATION, **more: object) -> object:
+        """Send a goal, with more fields by name, and wait until it moves."""
+        handle = self.send(model, duration, **more)
 
         def moving() -> bool:
             self.show(PLACES)

@@ -110,11 +110,23 @@ def test_statuses_and_states_have_the_numbers_that_recordings_hold() -> None:
 def test_service_and_action_have_the_fields_of_the_contract() -> None:
     assert list(LoadModel.Request.get_fields_and_field_types()) == ["path"]
     assert list(LoadModel.Response.get_fields_and_field_types()) == ["success", "reason"]
-    assert list(Reproduce.Goal.get_fields_and_field_types()) == ["model", "duration"]
+    assert list(Reproduce.Goal.get_fields_and_field_types()) == [
+        "model",
+        "duration",
+        "models",
+        "durations",
+        "holds",
+    ]
     assert list(Reproduce.Result.get_fields_and_field_types()) == [
         "success",
         "reason",
         "final_position_error",
         "final_orientation_error",
     ]
-    assert list(Reproduce.Feedback.get_fields_and_field_types()) == ["phase", "frames"]
+    assert list(Reproduce.Feedback.get_fields_and_field_types()) == [
+        "phase",
+        "frames",
+        "skill",
+        "skills",
+        "skill_name",
+    ]

@@ -155,7 +155,7 @@ def prepare(
             if chosen is None:
                 raise ValueError("no model is loaded: name a model file in the goal, or set the parameter model_file")
             found.append(_prepared(request, chosen, task, settings, known, state, max_novelty, is_first=i == 0))
-        except ValueError as error:
+        except (ValueError, OSError) as error:
             if len(requests) == 1:
                 raise
             raise ValueError(f"skill {i + 1} of {len(requests)}: {error}") from error

@@ -120,7 +120,7 @@ class Teaching:
         if recording is None:
             return
         if lasted < SHORTEST or not recording.poses:
-            recording.leave("too little")
+            recording.leave()
             if recording.poses:
                 self._say(f"not kept: {lasted:.1f} s are too short for a demonstration")
             else:
@@ -130,7 +130,7 @@ class Teaching:
             return
         try:
             recording.keep()
-        except OSError as error:
+        except (OSError, ValueError) as error:
             self._say(f"the demonstration could not be kept: {one_line(error)}")
             return
         self._pending += 1
@@ -155,7 +155,10 @@ class Teaching:
         """Keep what is being recorded: the workbench ends."""
         recording, self._recording = self._recording, None
         if recording is not None:
-            recording.keep()
+            try:
+                recording.keep()
+            except (OSError, ValueError) as error:
+                self._say(f"the demonstration could not be kept: {one_line(error)}")
 
     def undo(self) -> None:
         """Take the last one back."""

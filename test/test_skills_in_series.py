@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""reproduction with a list of skills: reach, place and retreat, each learned from its part of the recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+
+from reproduction_player import PLACES, Player, means
+from ros_graph import ROOT, TASK_FILE
+from tpgmm_core import Demonstration
+from tpgmm_core.retrieval.recipe import Recipe
+from tpgmm_ros.recordings.bags import find_bags, read_recordings
+from tpgmm_ros.recordings.recording import Recording
+from tpgmm_ros.task.task_file import Task
+
+#: Each skill: its part of the recordings, in shares of their time, and whether it is shown backwards. The hand rests at
+#: the object and at the target; nobody was shown to retreat, so that this is the way down to the target, backwards.
+PARTS = {"reach": (0.0, 0.39, False), "place": (0.39, 0.95, False), "retreat": (0.76, 0.95, True)}
+SECONDS = 1.0
+
+
+def part_of(recording: Recording, first: float, last: float, backwards: bool) -> Demonstration:
+    """A part of a recording as a demonstration of SECONDS."""
+    whole = recording.to_demonstration()
+    shares = whole.times / whole.times[-1]
+    part = whole.at(np.flatnonzero((shares >= first) & (shares <= last)))
+    times = (part.times - part.times[0]) / (part.times[-1] - part.times[0]) * SECONDS
+    data = np.column_stack([times, part.data[::-1, 1:] if backwards else part.data[:, 1:]])
+    return Demonstration(times, data, part.frames, part.visible)
+
+
+@pytest.fixture(scope="module")
+def skills(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Model files by the name of the skill."""
+    task, directory = Task.load(TASK_FILE), tmp_path_factory.mktemp("skills")
+    recordings, bad = read_recordings(find_bags([ROOT / "bags" / "pick_place"])[:8], task, every=10)
+    assert not bad
+    files = {}
+    for name, (first, last, backwards) in PARTS.items():
+        shown = [part_of(recording, first, last, backwards) for recording in recordings]
+        space = task.space
+        model = Recipe.of({"n_components": 4, "reg_covar": 1e-5}).learn(shown, space.manifold(), space.dimensions())
+        model.metadata_ = {**model.metadata_, "duration_s": SECONDS}
+        files[name] = str(directory / f"{name}.tpgmm")
+        model.save(files[name])
+    return files
+
+
+def test_reach_place_and_retreat_follow_each_other_without_a_jump(player: Player, skills: dict[str, str]) -> None:
+    handle = player.start(duration=0.0, models=list(skills.values()), durations=[0.0, 1.5, 0.0], holds=[0.2, 0.0])
+    status, result = player.result(handle)
+    assert status == GoalStatus.STATUS_SUCCEEDED and result.success, result.reason
+    assert result.reason.startswith("skill 3 of 3 (retreat): ")
+    said = [(item.skill, item.skills, item.skill_name) for item in player.feedback]
+    assert list(dict.fromkeys(said)) == [(1, 3, "reach"), (2, 3, "place"), (3, 3, "retreat")]
+    path = means(player.references)[:, :3]
+    near = {name: np.linalg.norm(path - PLACES[name][:3], axis=1) for name in ("object", "target")}
+    assert near["object"].min() < 0.04 and near["target"].min() < 0.05
+    assert np.argmin(near["object"]) < np.argmin(near["target"])
+    assert path[-1, 2] > PLACES["target"][2] + 0.06, "up from the target"
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    phases = np.array([reference.phase for reference in player.references])
+    changes = np.flatnonzero(np.diff(phases) < -0.5)  # from the end of a skill to the beginning of the next one
+    assert len(changes) == 2 and steps[changes].max() < 2e-3 and steps[changes + 1].max() < 2e-3
+
+
+def test_a_skill_that_cannot_be_read_is_named_before_anything_moves(player: Player, skills: dict[str, str]) -> None:
+    models = [skills["reach"], str(Path(skills["reach"]).with_name("none.tpgmm"))]
+    status, result = player.result(player.send(duration=0.0, models=models), ticks=False)
+    assert status == GoalStatus.STATUS_ABORTED and result.reason.startswith("skill 2 of 2: ")
+    assert "none.tpgmm" in result.reason and not player.references
+
+
+@pytest.mark.parametrize(
+    ("fields", "complaint"),
+    [
+        ({"models": ["a", "b"], "model": "c"}, "both 'model' and 'models'"),
+        ({"models": ["a", "b"], "durations": [1.0]}, "1 durations for 2 models"),
+        ({"models": ["a", "b"], "holds": [1.0, 1.0]}, "2 holds for 2 models: give 1"),
+        ({"holds": [1.0]}, "'models', which is empty"),
+    ],
+)
+def test_goals_whose_fields_do_not_go_together_are_refused_with_the_reason(
+    player: Player, fields: dict[str, object], complaint: str
+) -> None:
+    status, result = player.result(player.send(**{"duration": 0.0, **fields}), ticks=False)
+    assert status == GoalStatus.STATUS_ABORTED and complaint in result.reason
