@@ -15,7 +15,8 @@ from reaching import frames_at, place, reaching_model
 from tpgmm_core import TPGMM
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.reference import Reference
-from tpgmm_core.retrieval.execution import Execution, ExecutionConfig, Outcome, Stage
+from tpgmm_core.retrieval.execution import Execution, Stage
+from tpgmm_core.retrieval.outcome import ExecutionConfig, Outcome
 from tpgmm_core.retrieval.phase import StatePhase
 from tpgmm_core.retrieval.regression import RegressThenProduct
 from tpgmm_core.retrieval.reproduction import Reproduction

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from ros_testing import spin_until
 from tpgmm_ros.recordings.bag_recorder import BagRecorder
 
-TOPICS = {"hand/pose": PoseStamped, "silent/pose": PoseStamped}
+TOPICS = {"hand/pose": "geometry_msgs/msg/PoseStamped", "silent/pose": "geometry_msgs/msg/PoseStamped"}
 
 
 def send(node: Node, recorder: BagRecorder, count: int) -> None:
@@ -39,7 +39,7 @@ def test_all_that_came_is_in_the_bag_and_the_bag_is_there_only_when_it_is_comple
     ros_node: Node, tmp_path: Path
 ) -> None:
     path = tmp_path / "bags" / "demo_01"
-    with BagRecorder(ros_node, path, TOPICS) as recorder:
+    with BagRecorder(ros_node, TOPICS).into(path) as recorder:
         send(ros_node, recorder, 20)
         assert not path.exists()
     assert recorder.counts == {"hand/pose": 20, "silent/pose": 0}
@@ -48,7 +48,7 @@ def test_all_that_came_is_in_the_bag_and_the_bag_is_there_only_when_it_is_comple
 
 
 def test_of_a_fast_topic_every_nth_message_is_kept(ros_node: Node, tmp_path: Path) -> None:
-    with BagRecorder(ros_node, tmp_path / "demo", TOPICS, keep_every={"hand/pose": 5}) as recorder:
+    with BagRecorder(ros_node, TOPICS, keep_every={"hand/pose": 5}).into(tmp_path / "demo") as recorder:
         send(ros_node, recorder, 20)
     assert recorded(tmp_path / "demo") == [0.0, 5.0, 10.0, 15.0]
 
@@ -57,11 +57,11 @@ def test_an_interrupted_recording_does_not_look_like_a_whole_one_and_the_next_on
     ros_node: Node, tmp_path: Path
 ) -> None:
     path = tmp_path / "demo_01"
-    with pytest.raises(RuntimeError, match="unplugged"), BagRecorder(ros_node, path, TOPICS) as recorder:
+    with pytest.raises(RuntimeError, match="unplugged"), BagRecorder(ros_node, TOPICS).into(path) as recorder:
         send(ros_node, recorder, 3)
         raise RuntimeError("unplugged")
     assert not path.exists() and (tmp_path / ".partial" / "demo_01").exists()
-    with BagRecorder(ros_node, path, TOPICS) as recorder:
+    with BagRecorder(ros_node, TOPICS).into(path) as recorder:
         send(ros_node, recorder, 2)
     assert recorded(path) == [0.0, 1.0]
 
@@ -70,5 +70,5 @@ def test_an_existing_bag_is_refused_before_anything_is_touched(ros_node: Node, t
     (tmp_path / "demo_01").mkdir()
     (tmp_path / "demo_01" / "precious").write_text("data")
     with pytest.raises(FileExistsError, match="demo_01 exists"):
-        BagRecorder(ros_node, tmp_path / "demo_01", TOPICS)
+        BagRecorder(ros_node, TOPICS).start(tmp_path, "demo_01")
     assert (tmp_path / "demo_01" / "precious").read_text() == "data"

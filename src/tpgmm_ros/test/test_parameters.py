@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from tpgmm_core.common.old_names import RENAMED_PARAMETERS
-from tpgmm_core.retrieval.execution import ExecutionConfig
+from tpgmm_core.retrieval.outcome import ExecutionConfig
 from tpgmm_ros.runtime.parameters import Declared, Parameters, declared_of
 
 DECLARED = [

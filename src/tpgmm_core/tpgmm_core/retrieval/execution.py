@@ -11,52 +11,21 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 
-import numpy as np
-
-from tpgmm_core.common.settings import check_settings, setting
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
-from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.model.reference import Reference
+from tpgmm_core.retrieval.approach import PEAK, Approach, way_time
 from tpgmm_core.retrieval.continued import Continued
 from tpgmm_core.retrieval.interface import Retrieval
+from tpgmm_core.retrieval.outcome import ExecutionConfig, Outcome, distance, judged
 
 _SECOND = 1_000_000_000
 _PROGRESS = 0.01
 """A movement stands still when it advances by less than this share of what its speed requires."""
-_HARDLY = 0.1
-"""A share of the way below this counts as none."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExecutionConfig:
-    """When an execution counts as begun and as done."""
-
-    start_timeout: float = setting(
-        5.0, 0.1, 600.0, "Time after a request within which all frames must have been seen, s"
-    )
-    settle_time: float = setting(
-        1.0, 0.01, 60.0, "Time that the robot has to settle before its error at the end is judged, s"
-    )
-    stall_timeout: float = setting(
-        10.0, 0.1, 600.0, "A movement that stalls for this long, although its speed is not 0, is aborted, s"
-    )
-    position_tolerance: float = setting(0.01, 1e-4, 1.0, "Largest position error at the end that counts as success, m")
-    orientation_tolerance: float = setting(
-        0.0873, 1e-3, 3.2, "Largest orientation error at the end that counts as success, rad"
-    )
-    joint_tolerance: float = setting(
-        0.05, 1e-3, 3.2, "Largest error of a joint at the end that counts as success, for movements of joints, rad or m"
-    )
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 class Stage(enum.Enum):
@@ -68,29 +37,6 @@ class Stage(enum.Enum):
     ENDED = "ended"
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """How an execution ended.
-
-    Parameters
-    ----------
-    success
-        whether the robot came to the end of the movement
-    reason
-        a sentence for users
-    position_error, orientation_error
-        of the robot's pose from the end of the reference, m and rad; NaN where not known, as for movements of joints
-    is_missed
-        whether the robot did not follow the references to their end; a caller who knows more may add why
-    """
-
-    success: bool
-    reason: str
-    position_error: float = math.nan
-    orientation_error: float = math.nan
-    is_missed: bool = False
-
-
 class Execution:
     """Steps a retrieval from the request to its end.
 
@@ -100,17 +46,23 @@ class Execution:
         a fresh one of the model that was requested
     config
         when it counts as begun and as done
+    hold
+        where another movement follows: the end counts as reached once the robot has been near it for so long, s; one
+        that is not near once `settle_time` has passed has not come to the end. None: it is judged then alone
     """
 
-    def __init__(self, retrieval: Retrieval, config: ExecutionConfig | None = None) -> None:
+    def __init__(self, retrieval: Retrieval, config: ExecutionConfig | None = None, hold: float | None = None) -> None:
         self.retrieval = retrieval
         self.config = config or ExecutionConfig()
+        self._hold = hold
+        self._former: tuple[Execution, float] | None = None
         self.stage = Stage.STARTING
         self.outcome: Outcome | None = None
         self.reference: Reference | None = None
         self._asked_ns: int | None = None
         self._reference_ns = 0
         self._settling_ns = 0
+        self._near_ns: int | None = None  # since when the robot is at the end
         self._first_pose: Array | None = None  # of the robot, since the movement began
         self._settling_pose: Array | None = None
         self._progress_phase = 0.0
@@ -144,7 +96,7 @@ class Execution:
         """
         if self._asked_ns is None:
             self._asked_ns = time_ns
-        if self.stage is Stage.STARTING and not self._begin(time_ns, frames, pose):
+        if self.stage is Stage.STARTING and not self._begin(time_ns, frames, pose, weights):
             return None
         if self.stage is Stage.ENDED and self.reference is None:
             return None
@@ -157,7 +109,7 @@ class Execution:
             self._first_pose = pose
         if self.stage is Stage.MOVING and self.reference.phase >= 1.0:
             self.stage = Stage.SETTLING
-            self._settling_ns, self._settling_pose = time_ns, pose
+            self._settling_ns, self._settling_pose, self._near_ns = time_ns, pose, None
         elif self.stage is Stage.SETTLING and self.reference.phase < 1.0:
             self.stage = Stage.MOVING  # it was told to go back
         if self.stage is Stage.SETTLING:
@@ -178,7 +130,7 @@ class Execution:
         """
         if self.stage is not Stage.ENDED:
             self._stopped_ns = time_ns
-            self._end(False, reason)
+            self._end(reason)
 
     def take_over(self, retrieval: Retrieval, pose: Array | None = None, blend_time: float = 0.15) -> None:
         """Continue with another retrieval, at the same share of the movement and without a jump of the reference.
@@ -204,21 +156,59 @@ class Execution:
         retrieval.speed = self.retrieval.speed
         self.retrieval = retrieval
 
-    def _begin(self, time_ns: int, frames: Collection[str], pose: Array | None) -> bool:
+    def follow(self, former: Execution, blend_time: float = 0.15) -> None:
+        """Begin where another movement has ended, without a jump of the reference or of its covariance.
+
+        Call it before the first step. The former one goes on giving references until this one has begun. Where this
+        movement begins elsewhere, the difference dies out with `blend_time`. Where that would be faster than
+        `transition_speed` or `transition_rate`, the reference goes to the beginning first: see `Approach`.
+
+        Parameters
+        ----------
+        former
+            of the same manifold; stepped before this one at each time
+        blend_time
+            time constant, s
+        """
+        self._former = former, blend_time
+
+    def _begin(
+        self, time_ns: int, frames: Mapping[str, Frame], pose: Array | None, weights: Mapping[str, float] | None
+    ) -> bool:
         assert self._asked_ns is not None
         missing = [name for name in self.retrieval.frame_names if name not in frames]
         if not missing:
             self.retrieval.start(time_ns, pose)
+            if self._former is not None:
+                first = self.retrieval.step(time_ns, frames, pose, weights).gaussian
+                self._continue(time_ns, pose, first, *self._former)
+                self._former = None
             self._reference_ns = time_ns
             self.stage = Stage.MOVING
             return True
         if time_ns - self._asked_ns > self.config.start_timeout * _SECOND:
             self._end(
-                False,
                 f"frames not seen within {self.config.start_timeout:g} s: {listed(missing)}; "
                 "check that their poses are published and accepted",
             )
         return False
+
+    def _continue(
+        self, time_ns: int, pose: Array | None, first: Gaussian, former: Execution, blend_time: float
+    ) -> None:
+        """Start from the last reference of another movement, and not from the own `first` one."""
+        last, config = former.reference, self.config
+        if last is None:
+            return
+        apart = first.manifold.log(first.mean, last.gaussian.mean)
+        time = way_time(first.manifold, apart, config.transition_speed, config.transition_rate)
+        if (
+            time > math.e * blend_time
+        ):  # a spring from rest is fastest after blend_time, at 1 / (e blend_time) of the way
+            seconds = PEAK * time
+            self.retrieval = Approach(self.retrieval, time_ns, seconds, apart, pose)
+            self._stalled_ns = -round(seconds * _SECOND)
+        self.retrieval = Continued(self.retrieval, last, former._reference_ns, blend_time)
 
     def _watch_progress(self, time_ns: int, phase: float, since_ns: int) -> None:
         """Abort a movement that has not advanced for too long, unless it is paused or back at its start."""
@@ -232,61 +222,24 @@ class Execution:
         if self._stalled_ns > timeout * _SECOND:
             self._stopped_ns = time_ns
             self._end(
-                False,
                 f"the movement has stalled for {timeout:g} s at phase {phase:.2f}: "
                 "is the robot held, or are the references out of its reach?",
                 is_missed=True,
             )
 
     def _judge(self, time_ns: int, reference: Reference, pose: Array | None) -> None:
-        config = self.config
-        if time_ns - self._settling_ns < config.settle_time * _SECOND:
-            return
-        if pose is None:
-            self._end(False, "the robot's pose is not known: no message came on the movement's topic")
-            return
         gaussian = reference.gaussian
-        near = self._off(gaussian.manifold, gaussian.mean, pose) <= 1.0
-        error = gaussian.manifold.log(gaussian.mean, pose)
-        if gaussian.manifold.is_euclidean:
-            position = orientation = math.nan
-            words = f"joints are {np.abs(error).max():.3f} rad or m"
+        near = pose is not None and distance(self.config, gaussian.manifold, gaussian.mean, pose) <= 1.0
+        waits = time_ns - self._settling_ns < self.config.settle_time * _SECOND
+        if self._hold is not None and near:
+            self._near_ns = time_ns if self._near_ns is None else self._near_ns
+            waits = time_ns - self._near_ns < self._hold * _SECOND
         else:
-            position, orientation = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
-            words = f"{1e3 * position:.1f} mm and {math.degrees(orientation):.1f} deg"
-        words += " from the model's end of the movement"
-        if not near:
-            words += f"; {self._cause(gaussian, pose)}"
-        self._end(near, words, position, orientation, is_missed=not near)
-
-    def _off(self, manifold: Manifold, end: Array, pose: Array) -> float:
-        """Distance of a pose or a configuration from another, in tolerances."""
-        config, error = self.config, manifold.log(end, pose)
-        if manifold.is_euclidean:
-            return float(np.abs(error).max()) / config.joint_tolerance
-        position, orientation = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
-        return max(position / config.position_tolerance, orientation / config.orientation_tolerance)
-
-    def _cause(self, end: Gaussian, pose: Array) -> str:
-        """Why the robot is not at the end, as far as its way shows, in words."""
-        if self._first_pose is None or self._settling_pose is None:
-            return "its pose came only at the end"
-        manifold = end.manifold
-        left, asked = self._off(manifold, end.mean, pose), self._off(manifold, end.mean, self._first_pose)
-        gone, late = self._off(manifold, self._first_pose, pose), self._off(manifold, end.mean, self._settling_pose)
-        if asked > 1.0 and gone < _HARDLY * asked:
-            return "the robot has hardly moved: is a controller active, and the robot free to move?"
-        if left < (1.0 - _HARDLY) * late:
-            return "the robot is late and still approaches: ask for a longer duration, or give it more settle_time"
-        return "the robot has stopped there: blocked, at its limits, too weak, or out of its reach"
-
-    def _end(
-        self,
-        success: bool,
-        reason: str,
-        position: float = math.nan,
-        orientation: float = math.nan,
-        is_missed: bool = False,
-    ) -> None:
+            self._near_ns = None
+        if waits:
+            return
         self.stage = Stage.ENDED
-        self.outcome = Outcome(success, reason, position, orientation, is_missed)
+        self.outcome = judged(self.config, gaussian, (self._first_pose, self._settling_pose, pose))
+
+    def _end(self, reason: str, is_missed: bool = False) -> None:
+        self.stage, self.outcome = Stage.ENDED, Outcome(False, reason, is_missed=is_missed)

@@ -6,16 +6,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
-from sensor_msgs.msg import JointState
 
 from tpgmm_core import TPGMM, Demonstration, Frame
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_demos.figure5.contacts import lesson_contacts, to_start
 from tpgmm_demos.figure5.lessons import HANDS, LESSON_TIME, LESSONS
 from tpgmm_demos.figure5.session import TOUCH_RATE, Session
+from tpgmm_ros.messages.sources import PoseStampedSource
 from tpgmm_ros.recordings.bag_recorder import BagRecorder
 from tpgmm_ros.recordings.bags import read_recording
+from tpgmm_ros.recordings.recorded_topics import JOINT_STATE
 from tpgmm_ros.task.task_file import Task
 
 #: Of the recorded poses, and of the joint states, one in so many is kept.
@@ -34,10 +34,10 @@ def record_lesson(session: Session, task: Task, bag: Path, random: np.random.Gen
     """
     to_start(session)
     poses = [f"endpoint/{hand}/pose" for hand in HANDS]
-    topics: dict[str, type] = {**dict.fromkeys(poses, PoseStamped), "joint_states": JointState}
+    topics = {**dict.fromkeys(poses, PoseStampedSource.message_type), "joint_states": JOINT_STATE}
     keep = {**dict.fromkeys(poses, KEEP_EVERY["poses"]), "joint_states": KEEP_EVERY["joint_states"]}
     contacts = lesson_contacts(session, LESSONS[task.name](random))
-    with BagRecorder(session.graph.node, bag, topics, keep):
+    with BagRecorder(session.graph.node, topics, keep, drop_repeated=True).into(bag):
         session.run(LESSON_TIME, contacts)
 
 

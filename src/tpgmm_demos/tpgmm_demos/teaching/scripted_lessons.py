@@ -26,7 +26,8 @@ from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_demos.teaching import bar_lesson
 from tpgmm_demos.teaching.bar_lesson import BarLesson
 from tpgmm_demos.teaching.pick_place_lesson import ScriptedLesson
-from tpgmm_ros.recordings.bag_recorder import BagRecorder, topics_of
+from tpgmm_ros.recordings.bag_recorder import BagRecorder
+from tpgmm_ros.recordings.recorded_topics import JOINT_STATE, needed_topics
 from tpgmm_ros.runtime.executor import StopFlag
 from tpgmm_ros.runtime.processes import GraphError, open_graph, own_domain
 from tpgmm_ros.runtime.resources import config_file
@@ -158,7 +159,8 @@ def _record_lesson(
         )
         graph.wait_for(lambda: node.count_publishers("joint_torques") > 0, 30.0, "the controller")
         keep_every = {"joint_states": round(kind.rate / JOINT_STATE_RATE), task.movement: kind.keep_every}
-        with BagRecorder(node, path, topics_of(task), keep_every=keep_every) as recorder:
+        topics = {**needed_topics(task), "joint_states": JOINT_STATE}
+        with BagRecorder(node, topics, keep_every, drop_repeated=True).into(path) as recorder:
             lesson = kind.make(node, task, robot_file, camera, random)
             graph.wait_for(lambda: lesson.done or stop.set, 300.0, "the end of the demonstration")
             lesson.close()

@@ -8,7 +8,6 @@ until the transforms of its time have come; whether it is too old by then is the
 from __future__ import annotations
 
 import functools
-import importlib
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -18,6 +17,7 @@ from rclpy.node import Node
 from tpgmm_core.geometry.pose import compose
 from tpgmm_core.observation.poses import Observation, check_pose, wrong_frame
 from tpgmm_core.observation.transforms import NO_TRANSFORM, TransformError, TransformTree, TransformWatch
+from tpgmm_ros.messages.classes import message_class
 from tpgmm_ros.messages.fields import time_to_ns, transform_numbers
 from tpgmm_ros.messages.qos import STREAM, TRANSFORMS, TRANSFORMS_STATIC
 from tpgmm_ros.messages.sources import TF, TF_MESSAGE, TF_STATIC, Source, TransformSource
@@ -155,31 +155,3 @@ class FrameSources:
                 self._observe(name, Observation(stamp, self._base_frame, pose))
         for name in self._waiting:
             self._work_off(name)
-
-
-def message_class(message_type: str) -> Any:
-    """The class of a type of messages.
-
-    Parameters
-    ----------
-    message_type
-        full name, such as geometry_msgs/msg/PoseStamped
-
-    Returns
-    -------
-    type
-        the class
-
-    Raises
-    ------
-    ModuleNotFoundError
-        its package is not installed.
-    """
-    package, _, name = message_type.split("/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError(
-            f"{message_type} is not installed: run 'make setup', or on a full installation 'apt install "
-            f"ros-jazzy-{package.replace('_', '-')}'"
-        ) from None

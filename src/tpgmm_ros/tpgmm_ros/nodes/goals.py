@@ -10,7 +10,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
 from tpgmm_core.common.text import one_line
-from tpgmm_core.retrieval.execution import Outcome
+from tpgmm_core.retrieval.outcome import Outcome
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.runtime.composition import guarded
 
@@ -49,10 +49,23 @@ class Goals:
         """Carry this one out from now on."""
         self._goal = goal
 
-    def tell(self, phase: float, frames: Sequence[str]) -> None:
-        """Feedback to the client of the goal that is being carried out, if one is."""
+    def tell(self, phase: float, frames: Sequence[str], skill: tuple[int, int, str]) -> None:
+        """Feedback to the client of the goal that is being carried out, if one is.
+
+        Parameters
+        ----------
+        phase
+            of the present skill
+        frames
+            names of those that take part
+        skill
+            its number, from 1, how many there are, and its name
+        """
         if self._goal is not None:
-            self._goal.publish_feedback(Reproduce.Feedback(phase=phase, frames=list(frames)))
+            number, of, name = skill
+            self._goal.publish_feedback(
+                Reproduce.Feedback(phase=phase, frames=list(frames), skill=number, skills=of, skill_name=name)
+            )
 
     def end(self, outcome: Outcome) -> None:
         """Give the client of the goal that is being carried out, if one is, the outcome."""

@@ -25,8 +25,8 @@ from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.observation.poses import check_pose
 from tpgmm_core.observation.streams import Beat, Stamp
-from tpgmm_core.retrieval.execution import ExecutionConfig
 from tpgmm_core.retrieval.methods import METHODS, method_named
+from tpgmm_core.retrieval.outcome import ExecutionConfig
 from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
@@ -275,7 +275,7 @@ class ReproductionNode(ManagedNode):
                 self._step(stamp_ns, is_tick=False)
 
     def _step(self, stamp_ns: int, is_tick: bool = True) -> None:
-        if self.movements is None or self.movements.execution is None:
+        if self.movements is None or self.movements.sequence is None:
             self._hide(stamp_ns)
             return
         start = time.perf_counter()
@@ -294,16 +294,18 @@ class ReproductionNode(ManagedNode):
     def _show(self, stamp_ns: int, movements: Movements, reference: Reference) -> None:
         """What is published more rarely, for people and for the action's client."""
         frame_id = self.task.base_frame
+        sequence = movements.sequence
+        assert sequence is not None
         if self._is_due("feedback", stamp_ns, FEEDBACK_PERIOD_NS):
-            movements.goals.tell(reference.phase, reference.frames)
+            skill = sequence.index + 1, len(sequence.skills), sequence.name
+            movements.goals.tell(reference.phase, reference.frames, skill)
         if reference.gaussian.manifold != POSE:  # what is shown are poses, and Gaussians of poses
             return
         if self._is_due("pose", stamp_ns, POSE_PERIOD_NS):
             self._reference_poses.publish(conversions.pose_with_covariance(reference.gaussian, stamp_ns, frame_id))
         if self._markers.get_subscription_count() and self._is_due("markers", stamp_ns, MARKER_PERIOD_NS):
-            assert movements.execution is not None
-            mixture = movements.execution.retrieval.mixture()
-            shown = self._scene.show(mixture, reference.activations, movements.frames, stamp_ns, frame_id)
+            mixture = sequence.execution.retrieval.mixture()
+            shown = self._scene.show(mixture, reference.activations, sequence.frames, stamp_ns, frame_id)
             self._markers.publish(shown)
 
     def _hide(self, stamp_ns: int) -> None:
@@ -318,11 +320,14 @@ class ReproductionNode(ManagedNode):
         return True
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
-        execution = None if self.movements is None else self.movements.execution
-        if self.movements is None or execution is None:
+        sequence = None if self.movements is None else self.movements.sequence
+        if self.movements is None or sequence is None:
             return DiagnosticStatus.OK, "waiting for a request", {}
+        execution, frames = sequence.execution, sequence.frames
         reference = execution.reference
-        values = {"stage": execution.stage.value, "frames": ", ".join(self.movements.frames)}
+        values = {"stage": execution.stage.value, "frames": ", ".join(frames)}
+        if len(sequence.skills) > 1:
+            values["skill"] = f"{sequence.index + 1} of {len(sequence.skills)}: {sequence.name}"
         if reference is not None:
             values["phase"] = f"{reference.phase:.3f}"
         if self.movements.novelty is not None:
@@ -331,7 +336,7 @@ class ReproductionNode(ManagedNode):
         silence = 1e-9 * (self._steady.now().nanoseconds - self._received_ns)
         if silence > TRACKER_TIMEOUT:
             return DiagnosticStatus.ERROR, f"no task parameters for {silence:.1f} s: is frame_tracker alive?", values
-        missing = [name for name in execution.retrieval.frame_names if name not in self.movements.frames]
+        missing = [name for name in execution.retrieval.frame_names if name not in frames]
         if missing:
             return DiagnosticStatus.WARN, f"reproducing without {listed(missing)}", values
         return DiagnosticStatus.OK, "reproducing", values

@@ -18,7 +18,8 @@ from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 
 from tpgmm_core.common.text import one_line
-from tpgmm_ros.recordings.bag_recorder import BagRecorder, topics_of
+from tpgmm_ros.recordings.bag_recorder import BagRecorder
+from tpgmm_ros.recordings.recorded_topics import needed_topics, topics_of
 from tpgmm_ros.runtime.entry import missing
 from tpgmm_ros.runtime.executor import StopFlag, init
 from tpgmm_ros.runtime.resources import config_file
@@ -29,28 +30,29 @@ DRAIN_TIME = 0.3
 
 
 def record_live(task: Task, output: Path) -> dict[str, int]:
-    """Record the task's topics until SIGINT or SIGTERM; returns the number of messages by topic."""
+    """Record the task's topics until SIGINT or SIGTERM; returns the number of messages by topic that it needs."""
     init([])
     stop = StopFlag()
     node = Node("teach")
     executor = EventsExecutor()
     executor.add_node(node)
     told = time.monotonic()
-    with BagRecorder(node, output, topics_of(task)) as recorder:
+    with BagRecorder(node, topics_of(task)).into(output) as recorder:
         print(f"recording {', '.join(topics_of(task))}\nCtrl-C ends the demonstration", file=sys.stderr)
         while not stop.set:
             executor.spin_once(timeout_sec=0.1)
             if time.monotonic() - told > 1.0:
                 told = time.monotonic()
-                counts = ", ".join(f"{topic} {count}" for topic, count in recorder.counts.items())
-                print(f"\r{counts} ", end="", file=sys.stderr, flush=True)
+                told_counts = ", ".join(f"{topic} {count}" for topic, count in recorder.counts.items())
+                print(f"\r{told_counts} ", end="", file=sys.stderr, flush=True)
         # On a busy machine the end is known before all that came earlier was looked at
         end = time.monotonic() + DRAIN_TIME
         while time.monotonic() < end:
             executor.spin_once(timeout_sec=0.01)
+        counts = recorder.counts
     print(file=sys.stderr)
     rclpy.shutdown()
-    return recorder.counts
+    return {topic: counts[topic] for topic in (*needed_topics(task), task.space.joint_states)}
 
 
 def _scripted() -> int:

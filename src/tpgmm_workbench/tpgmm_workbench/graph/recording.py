@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from rclpy.node import Node
 
 from tpgmm_ros.recordings.bag_recorder import BagRecorder
+from tpgmm_ros.recordings.recorded_topics import topics_of
 from tpgmm_ros.task.task_file import Task
 
 #: Joint states come at up to 1 kHz; a demonstration needs no more of them than of poses.
@@ -36,16 +35,9 @@ class Recording:
 
     def __init__(self, node: Node, path: Path, task: Task) -> None:
         self.path, self._movement = path, task.movement
-        make: Any = BagRecorder
-        if hasattr(BagRecorder, "into"):  # listens first, and records one bag after the other
-            topics = import_module("tpgmm_ros.recordings.recorded_topics").topics_of(task)
-            self._recorder = make(node, topics, KEEP_EVERY, drop_repeated=True)
-            self._bag = self._recorder.into(path)
-            self._bag.__enter__()
-        else:
-            topics = import_module("tpgmm_ros.recordings.bag_recorder").topics_of(task)
-            self._recorder = self._bag = make(node, path, topics, KEEP_EVERY)
-            self._bag.__enter__()
+        self._recorder = BagRecorder(node, topics_of(task), KEEP_EVERY, drop_repeated=True)
+        self._bag = self._recorder.into(path)
+        self._bag.__enter__()
 
     @property
     def poses(self) -> int:

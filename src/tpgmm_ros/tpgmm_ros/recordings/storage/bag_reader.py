@@ -106,6 +106,11 @@ def natural_order(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
 
+def unpacked(raw: bytes) -> bytes:
+    """A message as it was serialised, where rosbag2 has packed each for itself."""
+    return zstd.decompress(raw) if raw.startswith(_ZSTD) else raw
+
+
 def _in_order(folder: Path, files: list[StorageFile]) -> list[StorageFile]:
     """Files of a folder that does not say in which order they were recorded, and whether together."""
     ordered = sorted(files, key=lambda file: file.first_ns)
@@ -126,6 +131,8 @@ class BagReader:
     ----------
     path
         a bag: a rosbag2 folder, or one file; a `BagPath` for several that are parts of one recording
+    whole
+        MCAP files that were cut off are refused; else they are read as far as they go
 
     Attributes
     ----------
@@ -135,8 +142,8 @@ class BagReader:
         earliest and latest time of the recorder; 0 without a message
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, whole: bool = True) -> None:
+        self.path, self._whole = path, whole
 
     def __enter__(self) -> Self:
         announced: Counter[str] = Counter()
@@ -145,7 +152,7 @@ class BagReader:
             try:
                 for part in parts_of(self.path):
                     files, counts = files_of(part)
-                    opened = [open_storage(file, stack) for file in files]
+                    opened = [open_storage(file, stack, self._whole) for file in files]
                     self._files += opened if counts else _in_order(part, opened)
                     announced.update(counts)
             except BagError as error:
@@ -193,7 +200,7 @@ class BagReader:
             for key, at, raw in self._raw(file, mine) if mine else ():
                 topic, decode = mine[key]
                 try:
-                    message = decode(zstd.decompress(raw) if raw.startswith(_ZSTD) else raw)
+                    message = decode(unpacked(raw))
                 except Exception as error:  # of damaged bytes, deserialisers raise many things
                     raise BagError(
                         self.path,
@@ -211,6 +218,24 @@ class BagReader:
                     "the file is damaged, record it again",
                 )
 
+    def raw_messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
+        """The same as they were recorded, not deserialised and not counted.
+
+        Returns
+        -------
+        Iterator[tuple[BagTopic, int, bytes]]
+            topic, time of the recorder in ns, bytes
+
+        Raises
+        ------
+        BagError
+            a file is damaged.
+        """
+        for number, file in enumerate(self._files):
+            mine = {source.key: topic for topic in topics for at, source in topic.sources if at == number}
+            for key, at, raw in self._raw(file, mine) if mine else ():
+                yield mine[key], at, raw
+
     def _raw(self, file: StorageFile, keys: Collection[int]) -> Iterator[RawMessage]:
         try:
             yield from file.messages(keys)
@@ -219,5 +244,7 @@ class BagReader:
 
     def _announced_of(self, name: str) -> int:
         """Messages of a topic that metadata announce, where it has one type, so that they can be told apart."""
+        if not self._whole:
+            return 0
         same = [topic for topic in self.topics if topic.name == name]
         return self._announced[name] if len(same) == 1 else 0

@@ -48,7 +48,7 @@ def has_known_format(path: Path) -> bool:
     return head.startswith((*_FORMATS, _ZSTD))
 
 
-def open_storage(path: Path, stack: ExitStack) -> StorageFile:
+def open_storage(path: Path, stack: ExitStack, whole: bool = True) -> StorageFile:
     """Open a file of a bag.
 
     Parameters
@@ -57,6 +57,8 @@ def open_storage(path: Path, stack: ExitStack) -> StorageFile:
         the file; one that is packed by zstd is unpacked into a temporary folder
     stack
         closes it, and removes what was unpacked
+    whole
+        an MCAP file that was cut off is refused; else it is read as far as it goes
 
     Returns
     -------
@@ -78,7 +80,7 @@ def open_storage(path: Path, stack: ExitStack) -> StorageFile:
             path = _copied(path, stack)
         for magic, kind in _FORMATS.items():
             if head.startswith(magic):
-                file = kind(path, label)
+                file = mcap_file.McapFile(path, label, whole) if kind is mcap_file.McapFile else kind(path, label)
                 stack.callback(file.close)
                 return file
     except OSError as error:

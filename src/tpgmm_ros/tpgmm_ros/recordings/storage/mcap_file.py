@@ -24,7 +24,7 @@ from tpgmm_ros.recordings.storage.bag_error import BagError
 from tpgmm_ros.recordings.storage.storage_file import FileTopic, RawMessage
 
 MAGIC = b"\x89MCAP0\r\n"
-RECOVER = "'mcap recover' may save what is whole; else record it again"
+RECOVER = "'record --recover' or 'mcap recover' may save what is whole; else record it again"
 
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
 _CHUNK_INDEX, _STATISTICS = 0x08, 0x0B
@@ -85,6 +85,8 @@ class McapFile:
         the file, with MAGIC at its beginning
     label
         the file that errors name, where `path` is an unpacked copy
+    whole
+        a file that was cut off is refused; else it is read as far as it goes
 
     Raises
     ------
@@ -92,8 +94,8 @@ class McapFile:
         the file was cut off or is damaged.
     """
 
-    def __init__(self, path: Path, label: Path | None = None) -> None:
-        self._label = label or path
+    def __init__(self, path: Path, label: Path | None = None, whole: bool = True) -> None:
+        self._label, self._must_be_whole = label or path, whole
         self._file = path.open("rb")
         self._map = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
         self._data = memoryview(self._map)
@@ -118,6 +120,10 @@ class McapFile:
     def _open(self) -> None:
         size = len(self._data)
         if size < len(MAGIC) + _FOOTER_SIZE or bytes(self._data[-len(MAGIC) :]) != MAGIC:
+            if not self._must_be_whole:
+                self._end = _end_of_whole_records(self._data)
+                self._scan(self._end)
+                return
             raise BagError(
                 self._label,
                 f"cannot be read: it was cut off; its {size} bytes end without the footer that an MCAP file has, as "
@@ -267,6 +273,17 @@ def _messages(data: memoryview, wanted: frozenset[int]) -> Iterator[RawMessage]:
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
     for opcode, record, _ in _placed_records(data, 0):
         yield opcode, record
+
+
+def _end_of_whole_records(data: memoryview) -> int:
+    """Where the first record begins that was cut off."""
+    at = len(MAGIC)
+    while at + _RECORD.size <= len(data):
+        opcode, length = _RECORD.unpack_from(data, at)
+        if opcode == 0 or at + _RECORD.size + length > len(data):
+            break
+        at += _RECORD.size + length
+    return at
 
 
 def _placed_records(data: memoryview, at: int) -> Iterator[tuple[int, memoryview, int]]:

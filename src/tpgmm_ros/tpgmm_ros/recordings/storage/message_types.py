@@ -41,27 +41,49 @@ def decoder(path: Path, topic: FileTopic) -> Callable[[bytes], Any]:
     BagError
         the encoding or the type is not known.
     """
+    store, name = types_of(path, topic), topic.type
+    if topic.encoding == "ros1":
+        return lambda raw: store.deserialize_ros1(raw, name)
+    return lambda raw: store.deserialize_cdr(raw, name)
+
+
+def types_of(path: Path, topic: FileTopic) -> Typestore:
+    """What knows the type of a topic: see `decoder`.
+
+    Parameters
+    ----------
+    path
+        of the bag, for errors
+    topic
+        of a file
+
+    Returns
+    -------
+    Typestore
+        the type, and all that it is made of
+
+    Raises
+    ------
+    BagError
+        the encoding or the type is not known.
+    """
     if topic.encoding not in ("cdr", "ros1"):
         raise BagError(
             path,
             f"{one_line(topic.name, 60)} has messages in the encoding {shown(topic.encoding)}, expected cdr (ROS 2) or "
             "ros1; record it from ROS topics, or take another topic",
         )
-    is_ros1 = topic.encoding == "ros1"
     try:
-        store = _own_types(topic.type, topic.definition, topic.definition_format)
+        return _own_types(topic.type, topic.definition, topic.definition_format)
     except Exception as error:  # parsers of definitions raise many things
-        store = _standard_types(is_ros1)
+        store = _standard_types(topic.encoding == "ros1")
         if topic.type not in store.fielddefs:
             raise BagError(
                 path,
                 f"{one_line(topic.name, 60)} is of type {one_line(topic.type, 60)}, whose definition in the bag cannot "
                 f"be parsed ({one_line(error, 150)}), and which is no standard type",
             ) from None
-    name = topic.type
-    if is_ros1:
-        return lambda raw: store.deserialize_ros1(raw, name)
-    return lambda raw: store.deserialize_cdr(raw, name)
+        return store
 
 
 @cache

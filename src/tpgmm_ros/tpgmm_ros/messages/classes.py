@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Classes of messages by the names of their types."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+
+def message_class(message_type: str) -> Any:
+    """The class of a type of messages.
+
+    Parameters
+    ----------
+    message_type
+        full name, such as geometry_msgs/msg/PoseStamped
+
+    Returns
+    -------
+    type
+        the class
+
+    Raises
+    ------
+    ModuleNotFoundError
+        its package is not installed.
+    """
+    package, _, name = message_type.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError(
+            f"{message_type} is not installed: run 'make setup', or on a full installation 'apt install "
+            f"ros-jazzy-{package.replace('_', '-')}'"
+        ) from None

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags that programs learn from or judge by: read with progress, and refused with all reasons at once."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import asdict
+from typing import Any
+
+from tqdm import tqdm
+
+from tpgmm_core.common.text import one_line
+from tpgmm_ros.recordings.bags import Recording, find_bags, join_parts, read_recordings
+from tpgmm_ros.recordings.judging import doubts_about
+from tpgmm_ros.task.task_file import Task
+
+
+class TrainingError(Exception):
+    """Why no model was trained, in words for the user."""
+
+
+def read_bags(options: argparse.Namespace, task: Task, report: dict[str, Any]) -> list[Recording]:
+    """Read bags, and say what is wrong with them, and what makes no sense.
+
+    Parameters
+    ----------
+    options
+        bags, separate, every, verbose, skip_bad, strict
+    task
+        that they are of
+    report
+        what was found is written there: bags, bad_bags, doubts
+
+    Returns
+    -------
+    list[Recording]
+        one or more
+
+    Raises
+    ------
+    TrainingError
+        there is none, or some are bad, or doubts forbid to learn from them.
+    BagError
+        a path is no bag and holds none.
+    """
+    found = find_bags(options.bags)
+    bags = found if options.separate else join_parts(found, task.movement)
+    with progress_bar(total=len(bags), desc="reading bags", unit="bag") as bar:
+        good, bad = read_recordings(bags, task, options.every, progress=lambda _: bar.update())
+    report["bags"] = [
+        {"bag": str(r.path), "samples": len(r.times), "duration_s": r.duration, "notes": list(r.notes)} for r in good
+    ]
+    report["bad_bags"] = [{"bag": str(error.path), "error": str(error)} for error in bad]
+    for recording in good:
+        for note in recording.notes:
+            print(one_line(f"{recording.path}: {note}"), file=sys.stderr)
+        if options.verbose:
+            print(
+                f"{recording.path}: {len(recording.times)} samples, {recording.duration:.2f} s",
+                file=sys.stderr,
+            )
+    for error in bad:
+        print(f"bad bag: {error}", file=sys.stderr)
+    if bad and not options.skip_bad:
+        raise TrainingError(
+            f"{len(bad)} of {len(bags)} bags are bad, nothing was trained; repair or leave out the bags "
+            "named above, or train on the others with --skip-bad"
+        )
+    if good:
+        good = _without_doubt(good, task, options, report)
+    if not good:
+        raise TrainingError(f"none of the {len(bags)} bags could be used")
+    return good
+
+
+def _without_doubt(
+    recordings: list[Recording], task: Task, options: argparse.Namespace, report: dict[str, Any]
+) -> list[Recording]:
+    """Say what makes no sense; those recordings with which nothing can be learned are refused, or left out."""
+    doubts = doubts_about(recordings, task)
+    refusing = [doubt for doubt in doubts if doubt.refuses]
+    named = {name for doubt in refusing for name in doubt.about}
+    left = [recording for recording in recordings if str(recording.path) not in named]
+    if options.skip_bad and named and all(doubt.about for doubt in refusing):
+        for doubt in refusing:
+            print(f"left out: {doubt}", file=sys.stderr)
+        report["bad_bags"] += [{"bag": name, "error": d.text} for d in refusing for name in d.about]
+        return _without_doubt(left, task, options, report) if left else []
+    report["doubts"] = [asdict(doubt) for doubt in doubts]
+    for doubt in doubts:
+        print(f"doubt: {doubt}", file=sys.stderr)
+    if refusing:
+        raise TrainingError(
+            f"{len(refusing)} of the doubts above forbid to learn from these bags together, nothing was trained; put "
+            "them right, or leave out the bags that are named" + (", or use --skip-bad" if named else "")
+        )
+    if doubts and options.strict:
+        raise TrainingError(f"{len(doubts)} doubts, and --strict refuses all; nothing was trained")
+    return recordings
+
+
+def progress_bar(**settings: Any) -> tqdm[Any]:
+    """Progress bar on stderr; silent when that is no terminal."""
+    return tqdm(disable=None, file=sys.stderr, leave=True, **settings)

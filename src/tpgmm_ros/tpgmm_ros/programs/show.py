@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`show`: what a model file holds: its frames, when each of them counts, what it was learned from, how exact it is."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tpgmm_core import LearnedMixture
+from tpgmm_core.common.report import format_table
+from tpgmm_core.common.text import listed, one_line
+from tpgmm_core.kinematics.method import NAME as KINEMATIC
+from tpgmm_core.learning.time_steps import TimeStepTPGMM
+from tpgmm_core.model.derived_frames import DerivedFrames
+from tpgmm_core.retrieval.calibrated import scale_key
+from tpgmm_core.retrieval.methods import DEFAULT, KEY, METHODS, load_model
+from tpgmm_core.retrieval.novelty import NoveltyScale
+from tpgmm_core.retrieval.relevance import relevance
+from tpgmm_ros.models.training_record import expected_errors, learned_from
+
+EXAMPLES = """\
+examples:
+  show pick_place.tpgmm
+  show --json pick_place.tpgmm | jq .relevance
+
+exit status: 0 the file is a model; 1 it is not, the reason is on stderr; 2 wrong arguments
+"""
+PARTS = 10
+MOST_COMPONENTS = 30
+"""More are in the JSON alone."""
+BAR = 30
+"""Characters of a bar for a share of 1."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; returns its exit status."""
+    options = _parser().parse_args(arguments)
+    try:
+        found = described(load_model(options.model), options.model)
+    except (OSError, ValueError) as error:
+        print(f"error: {one_line(error)}", file=sys.stderr)
+        return 1
+    print(json.dumps(found, indent=2, allow_nan=False) if options.json else _text(found))
+    return 0
+
+
+def described(model: LearnedMixture, path: Path) -> dict[str, Any]:
+    """What a model says of itself, as JSON can hold it.
+
+    Parameters
+    ----------
+    model
+        a fitted model
+    path
+        its file
+
+    Returns
+    -------
+    dict[str, Any]
+        texts and numbers by name
+
+    Raises
+    ------
+    ValueError
+        metadata that are none of `train`.
+    """
+    said = model.metadata_
+    method = str(said.get(KEY, DEFAULT))
+    found: dict[str, Any] = {
+        "model": str(path),
+        "bytes": path.stat().st_size,
+        "kind": type(model).__name__,
+        "retrieval": method,
+        "encodes": _encodes(method),
+        "task": said.get("task"),
+        "base_frame": said.get("base_frame"),
+        "movement": said.get("movement"),
+        "endpoint": said.get("endpoint"),
+        "duration_s": said.get("duration_s"),
+        "demonstrations": said.get("demonstrations"),
+        "samples": said.get("samples"),
+        "learned_from": list(learned_from(model)),
+        "manifold": str(model.manifold_),
+        "dimensions": list(model.dimensions_ or ()),
+        "covariance": model.emissions_.structure.name,
+        "iterations": int(model.n_iter_),
+        "converged": bool(model.converged_),
+        "log_likelihood": float(model.log_likelihood_),
+        "exact": said.get("exact"),
+        "frames": _frames(model),
+        "components": _components(model),
+    }
+    if isinstance(model, TimeStepTPGMM) and model.modes_.any():
+        found["ways"] = model.modes_.tolist()
+    try:
+        shares = _relevance(model, method)
+        found["relevance"] = {"along": shares[0], "shares": shares[1]}
+    except ValueError as error:
+        found["no_relevance_because"] = str(error)
+    found["calibrated"] = {name: float(said[scale_key(name)]) for name in METHODS if scale_key(name) in said}
+    scale = NoveltyScale.of_model(model)
+    if scale is not None:
+        found["novelty"] = {"contradictions": list(scale.contradictions), "distances": list(scale.distances)}
+    found["expected_errors"] = expected_errors(model)
+    known = {KEY, "bags", "expected_errors", "novelty", "derived_frames", *map(scale_key, METHODS), *found}
+    found["other_metadata"] = {key: value for key, value in said.items() if key not in known}
+    return found
+
+
+def _encodes(method: str) -> str:
+    return METHODS[method].encoding.description if method in METHODS else "configurations of joints"
+
+
+def _frames(model: LearnedMixture) -> dict[str, str]:
+    """What each frame is."""
+    derived = DerivedFrames.of_metadata(model.metadata_).sources
+    return {name: str(derived[name]) if name in derived else "of the task" for name in model.frame_names_}
+
+
+def _components(model: LearnedMixture) -> list[dict[str, Any]]:
+    """Each component: its share of the samples, and its mean in each frame."""
+    names = model.dimensions_
+    has_time = names is not None and names[0] == "time"
+    rows = []
+    for k, prior in enumerate(model.priors_):
+        means = {name: [round(float(x), 6) for x in model.means_[name][k]] for name in model.frame_names_}
+        row: dict[str, Any] = {"prior": float(prior), "means": means}
+        if has_time:
+            first = model.frame_names_[0]
+            row["time_s"] = float(model.means_[first][k, 0])
+            row["time_deviation_s"] = float(np.sqrt(model.covariances_[first][k, 0, 0]))
+        rows.append(row)
+    return rows
+
+
+def _relevance(model: LearnedMixture, method: str) -> tuple[str, dict[str, list[float]]]:
+    if method == KINEMATIC:
+        raise ValueError("frames of the robot's joints: what each says depends on where the robot is")
+    shares = relevance(model, PARTS)
+    return shares.along, {name: [float(x) for x in values] for name, values in shares.shares.items()}
+
+
+def _text(found: Mapping[str, Any]) -> str:
+    learned = f"{found['demonstrations'] or '?'} demonstrations, {found['samples'] or '?'} samples"
+    if found["learned_from"]:
+        learned += f": {listed(found['learned_from'])}"
+    rows = {
+        "model": f"{found['kind']}, {len(found['components'])} components, {found['covariance']} covariances",
+        "retrieval": f"{found['retrieval']}, of {found['encodes']}",
+        "task": found["task"],
+        "hand": _of_hand(found),
+        "learned from": learned,
+        "duration": f"{found['duration_s']:.2f} s" if found["duration_s"] else None,
+        "log-likelihood": f"{found['log_likelihood']:.4f} per sample after {found['iterations']} iterations"
+        + ("" if found["converged"] else " (not converged)"),
+        "met exactly": found["exact"],
+        "file": f"{found['model']}, {found['bytes'] / 1000:.0f} kB",
+    }
+    parts = [format_table(("what", "value"), [row for row in rows.items() if row[1]])]
+    parts.append(format_table(("frame", "what it is"), found["frames"].items()))
+    parts.append(_bars(found))
+    if any("time_s" in row for row in found["components"]):
+        parts.append(_timeline(found))
+    parts.append(_exactness(found))
+    if found["other_metadata"]:
+        parts.append(
+            format_table(("also says", "value"), [(k, one_line(v, 80)) for k, v in found["other_metadata"].items()])
+        )
+    return "\n\n".join(parts)
+
+
+def _of_hand(found: Mapping[str, Any]) -> str | None:
+    if not found["endpoint"]:
+        return None
+    return f"{found['endpoint']}, from {found['movement']}, in {found['base_frame']}"
+
+
+def _bars(found: Mapping[str, Any]) -> str:
+    """When each frame counts, as bars of text."""
+    if "relevance" not in found:
+        return f"when each frame counts is not shown: {found['no_relevance_because']}"
+    along, shares = found["relevance"]["along"], found["relevance"]["shares"]
+    names = list(shares)
+    n = len(shares[names[0]])
+    words = "in each tenth of the movement" if along == "movement" else "in each component"
+    rows = []
+    for i in range(min(n, MOST_COMPONENTS)):
+        label = f"{100 * i // n} to {100 * (i + 1) // n} %" if along == "movement" else str(i)
+        rows.append(
+            (label, *(f"{'█' * round(shares[name][i] * BAR / len(names) * 2)} {shares[name][i]:.2f}" for name in names))
+        )
+    return f"what each frame says of where the hand is, {words} (shares):\n" + format_table(("", *names), rows)
+
+
+def _timeline(found: Mapping[str, Any]) -> str:
+    rows = [
+        (i, f"{row['time_s']:.2f}", f"{row['time_deviation_s']:.2f}", f"{row['prior']:.3f}")
+        for i, row in sorted(enumerate(found["components"]), key=lambda item: item[1]["time_s"])
+    ]
+    more = f"\nand {len(rows) - MOST_COMPONENTS} more: see --json" if len(rows) > MOST_COMPONENTS else ""
+    table = format_table(("component", "at s", "spread s", "share of samples"), rows[:MOST_COMPONENTS])
+    return f"components:\n{table}{more}"
+
+
+def _exactness(found: Mapping[str, Any]) -> str:
+    """What is known of how exact the model is."""
+    lines = [
+        f"calibrated for {name}: covariances are scaled by {scale:.2f}, standard deviations by {scale**0.5:.2f}"
+        for name, scale in found["calibrated"].items()
+    ] or ["not calibrated: 'train --leave-one-out --output' finds out how exact its covariances are"]
+    if errors := found["expected_errors"]:
+        lines.append(
+            f"expected error in new situations ({errors['from']}): {errors['position_rmse_m']:.3f} m over the path, "
+            f"{errors['position_end_m']:.3f} m at the end, {errors['orientation_mean_deg']:.1f} deg"
+        )
+    else:
+        lines.append("expected errors are not known: it was not tried on demonstrations that were left out")
+    if "novelty" in found:
+        usual = max(found["novelty"]["distances"])
+        lines.append(
+            f"novelty of situations is judged against {len(found['novelty']['distances'])} demonstrations that "
+            f"were left out, up to {usual:.2g} standard deviations from the others"
+        )
+    return "\n".join(lines)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="show",
+        description="Show what is in a model file: frames, when each counts, how it was learned, how exact it is.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("model", metavar="MODEL", type=Path, help="model file, such as task.tpgmm")
+    parser.add_argument("--json", action="store_true", help="print all of it as JSON")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The arguments of `train`."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+
+from tpgmm_core.common.old_names import current_name
+from tpgmm_core.retrieval.methods import METHODS
+
+EXAMPLES = """\
+examples:
+  train --task config/pick_place.yaml --output pick_place.tpgmm bags/
+  train --task config/pick_place.yaml --output pick_place.tpgmm --report out/train demo_1 demo_2 demo_3
+  train --task config/pick_place.yaml --leave-one-out bags/          (only measures, saves no model)
+  train --task config/pick_place.yaml --output best.tpgmm --auto --budget 60s bags/pick_place
+  train --task config/pick_place.yaml --output dmp.tpgmm --retrieval dmp bags/
+  train --task config/pick_place.yaml --output few.tpgmm --components 4 --every 5 --skip-bad bags/
+
+exit status: 0 the model was trained and saved; 1 it was not, the reason is on stderr; 2 wrong arguments;
+130 interrupted (with --auto, the best so far is saved then, and the status is 0)
+"""
+
+
+def parser_of_train() -> argparse.ArgumentParser:
+    """The parser of all arguments of `train`."""
+    parser = argparse.ArgumentParser(
+        prog="train",
+        description="Train a task-parameterized Gaussian mixture model from recorded demonstrations.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "bags",
+        metavar="BAG",
+        nargs="+",
+        type=Path,
+        help="rosbag2 (MCAP, sqlite3) or ROS 1 bag, or one of its files, or a directory with several of them",
+    )
+    parser.add_argument("--task", required=True, type=Path, help="task file: topics, frames and settings of the model")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="where the model is saved, such as task.tpgmm")
+    parser.add_argument(
+        "--components",
+        type=_positive,
+        metavar="K",
+        help="number of Gaussians, instead of n_components of the task file",
+    )
+    parser.add_argument(
+        "--retrieval",
+        type=current_name,
+        choices=METHODS,
+        metavar="METHOD",
+        help=f"what the model is for, instead of retrieval of the task file: {', '.join(METHODS)}",
+    )
+    parser.add_argument("--seed", type=int, help="seed of random choices, instead of random_state of the task file")
+    parser.add_argument(
+        "--every",
+        type=_positive,
+        default=1,
+        metavar="N",
+        help="use every N-th sample of the movement (default: all)",
+    )
+    parser.add_argument(
+        "--leave-one-out",
+        action="store_true",
+        help="reproduce each demonstration with a model of the others, and print the errors",
+    )
+    parser.add_argument(
+        "--auto",
+        action="store_true",
+        help="choose frames, method and settings by reproducing demonstrations that were left out; --retrieval, where "
+        "given, is not chosen",
+    )
+    parser.add_argument(
+        "--budget", type=_seconds, metavar="TIME", help="for --auto: time to choose, such as 60s (the default) or 5min"
+    )
+    parser.add_argument("--trials", type=_positive, metavar="N", help="for --auto: try at most N ways of learning")
+    parser.add_argument(
+        "--workers", type=_positive, metavar="N", help="for --auto: processes (default: one for each core)"
+    )
+    parser.add_argument("--report", type=Path, metavar="DIR", help="write report.json into this directory")
+    parser.add_argument(
+        "--separate",
+        action="store_true",
+        help="bags that go on where another one ends are demonstrations of their own, not parts of one recording",
+    )
+    parser.add_argument(
+        "--strict", action="store_true", help="refuse recordings about which there is any doubt, where it is only said"
+    )
+    parser.add_argument("--skip-bad", action="store_true", help="train on the good bags when some are bad")
+    parser.add_argument("-v", "--verbose", action="store_true", help="say what each bag holds")
+    return parser
+
+
+def _seconds(text: str) -> float:
+    found = re.fullmatch(r"(\d+(?:\.\d*)?)(s|min|)", text.strip())
+    if found is None or float(found[1]) == 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is not a time such as 60s or 5min")
+    return float(found[1]) * (60.0 if found[2] == "min" else 1.0)
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least 1")
+    return number
