@@ -46,7 +46,7 @@ class TeachPanel:
                         event.client_id, desk.lead_to, name, event.target.value.startswith("above ")
                     )
                 )
-                group = server.gui.add_button_group("hand", ("home", "let go"))
+            group = server.gui.add_button_group("hand", ("home", "let go"))
             group.on_click(
                 lambda event: (
                     ask(event.client_id, desk.let_go)
