@@ -36,6 +36,7 @@ PROGRAMS = {
     "inspect": [str(TASK_FILE.parents[1] / "bags" / "pick_place")],
     "train": ["--task", str(TASK_FILE), "--output", "m.tpgmm", str(TASK_FILE.parents[1] / "bags" / "pick_place")],
     "recognize": ["--task", str(TASK_FILE), "--skill", "a=a.tpgmm", str(TASK_FILE.parents[1] / "bags" / "pick_place")],
+    "evaluate": ["--task", str(TASK_FILE), str(TASK_FILE.parents[1] / "bags" / "pick_place")],
     "show": ["m.tpgmm"],
     "record": [str(TASK_FILE), "--to", "bags"],
     "teach": ["--task", str(TASK_FILE), "--output", "bag"],

@@ -40,6 +40,7 @@ setup(
             "record = tpgmm_ros.executables:record",
             "teach = tpgmm_ros.executables:teach",
             "train = tpgmm_ros.executables:train",
+            "evaluate = tpgmm_ros.executables:evaluate",
             "show = tpgmm_ros.executables:show",
             "recognize = tpgmm_ros.executables:recognize",
             "demo = tpgmm_ros.executables:demo",

@@ -62,7 +62,7 @@ def relevance(model: LearnedMixture, parts: int = 10) -> Relevance:
         raise ValueError(f"the frames see different spaces ({listed(sorted(spaces))}): shares depend on the situation")
     encoding = encoding_of(model)
     has_time = not isinstance(encoding, VelocityEncoding)
-    places = _places(model, 1 if has_time else 0)
+    places, tangent = position_dimensions(model)
     if has_time:
         progress = (np.arange(parts) + 0.5) / parts
         if isinstance(encoding, DmpEncoding):
@@ -71,7 +71,6 @@ def relevance(model: LearnedMixture, parts: int = 10) -> Relevance:
             inputs = progress * float(model.metadata_.get("duration_s", 1.0))
         seen = {name: _over_time(model, name, places, inputs) for name in model.frame_names_}
     else:
-        tangent = _tangent(model, places)
         seen = {name: model.covariances_[name][:, tangent[:, None], tangent] for name in model.frame_names_}
     precisions = {name: np.linalg.inv(covariances) for name, covariances in seen.items()}
     total = np.sum(list(precisions.values()), axis=0)
@@ -82,14 +81,25 @@ def relevance(model: LearnedMixture, parts: int = 10) -> Relevance:
     return Relevance("movement" if has_time else "component", shares)
 
 
-def _places(model: LearnedMixture, first: int) -> list[int]:
-    """Ambient dimensions of the position: the first three Euclidean ones that are no time and no derivative."""
-    space = model.manifold_.subset(range(1, model.manifold_.dim)) if first else model.manifold_
-    flat = [int(i) + first for i in space.flat_ambient]
+def position_dimensions(model: LearnedMixture) -> tuple[list[int], Array]:
+    """Where a model's data hold the position: the first three Euclidean numbers that are no time and no derivative.
+
+    Parameters
+    ----------
+    model
+        a fitted model
+
+    Returns
+    -------
+    tuple[list[int], Array]
+        ambient dimensions, three or fewer, and tangent dimensions
+    """
+    first = 0 if isinstance(encoding_of(model), VelocityEncoding) else 1
+    flat = [int(i) for i in model.manifold_.flat_ambient if i >= first]
     names = model.dimensions_
     if names is not None:
         flat = [i for i in flat if not names[i].startswith(("v_", "a_"))]
-    return flat[:3]
+    return flat[:3], _tangent(model, flat[:3])
 
 
 def _tangent(model: LearnedMixture, places: Sequence[int]) -> Array:

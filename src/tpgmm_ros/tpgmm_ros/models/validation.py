@@ -54,8 +54,10 @@ class Fold:
     ----------
     recording
         what was left out
+    path
+        (T, 7), the reproduction by a model of the others
     model
-        errors of the reproduction by a model of the others
+        its errors
     nearest
         errors of replaying the most similar of the others, as seen from the anchor; for comparison
     baselines
@@ -67,18 +69,16 @@ class Fold:
         of what was shown from the reproduction, in units of its covariances, at each sample, (T,)
     novelty
         contradiction and distance: see `tpgmm_core.retrieval.novelty`
-    path
-        the reproduction, poses (T, 7)
     """
 
     recording: Recording
+    path: Array
     model: PathErrors
     nearest: PathErrors
     baselines: dict[str, PathErrors]
     iterations: int
     squared_distances: Array
     novelty: tuple[float, float]
-    path: Array
 
 
 def cross_validate(
@@ -107,6 +107,81 @@ def cross_validate(
     ------
     Fold
         errors of the recording that was left out
+    """
+    for found, model, others, demonstrations, situation in tried_by_others(recordings, learn):
+        left_out = found.recording
+        yield Fold(
+            left_out,
+            found.path,
+            found.errors,
+            path_errors(replay_nearest(others, left_out, anchor), left_out.movement),
+            {} if baselines is None else baseline_errors(demonstrations, situation, left_out, baselines),
+            int(model.n_iter_),
+            found.squared_distances,
+            novelty_of(model, demonstrations, situation, POSE),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """A model tried on a recording that it has not learned from.
+
+    Attributes
+    ----------
+    recording
+        the recording
+    path
+        (T, 7), what the model does in its situation
+    errors
+        of that
+    squared_distances
+        as of `Fold`
+    """
+
+    recording: Recording
+    path: Array
+    errors: PathErrors
+    squared_distances: Array
+
+
+def tried(model: LearnedMixture, recording: Recording, duration: float) -> Tried:
+    """Reproduce a recording by a model, whose movements take a duration, s.
+
+    Parameters
+    ----------
+    model
+        a fitted model
+    recording
+        that it has not learned from
+    duration
+        of its demonstrations, s
+
+    Returns
+    -------
+    Tried
+        what came of it
+    """
+    path, covariances = reproduce_gaussians(model, recording.to_demonstration(duration))
+    distances = squared_distances_of(path, covariances, recording.movement, POSE, knows_time(model))
+    return Tried(recording, path, path_errors(path, recording.movement), distances)
+
+
+def tried_by_others(
+    recordings: Sequence[Recording], learn: Callable[[list[Demonstration]], LearnedMixture]
+) -> Iterator[tuple[Tried, LearnedMixture, list[Recording], list[Demonstration], Demonstration]]:
+    """Reproduce each recording by a model of the others.
+
+    Parameters
+    ----------
+    recordings
+        at least two
+    learn
+        a model of demonstrations
+
+    Yields
+    ------
+    tuple[Tried, LearnedMixture, list[Recording], list[Demonstration], Demonstration]
+        what came of it, the model, the others, their demonstrations, and the situation of the recording left out
 
     Raises
     ------
@@ -119,18 +194,7 @@ def cross_validate(
         others = [recording for recording in recordings if recording is not left_out]
         demonstrations, duration = align(others)
         model = learn(demonstrations)
-        situation = left_out.to_demonstration(duration)
-        path, covariances = reproduce_gaussians(model, situation)
-        yield Fold(
-            left_out,
-            path_errors(path, left_out.movement),
-            path_errors(replay_nearest(others, left_out, anchor), left_out.movement),
-            {} if baselines is None else baseline_errors(demonstrations, situation, left_out, baselines),
-            int(model.n_iter_),
-            squared_distances_of(path, covariances, left_out.movement, POSE, knows_time(model)),
-            novelty_of(model, demonstrations, situation, POSE),
-            path,
-        )
+        yield tried(model, left_out, duration), model, others, demonstrations, left_out.to_demonstration(duration)
 
 
 def replay_nearest(others: Sequence[Recording], situation: Recording, anchor: str) -> Array:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -143,11 +144,12 @@ def _novelty(folds: list[Fold], demonstrations: list[Demonstration], trained: Le
     return correlation
 
 
-def cells_of(errors: PathErrors) -> tuple[str, ...]:
-    """Cells of a table: RMSE m, end m, mean deg, end deg."""
+def cells_of(errors: PathErrors | Mapping[str, float]) -> tuple[str, ...]:
+    """Cells of a table of errors, as they are or by name: RMSE m, end m, mean deg, end deg."""
+    found = errors if isinstance(errors, Mapping) else asdict(errors)
     return (
-        f"{errors.position_rmse_m:.3f}",
-        f"{errors.position_end_m:.3f}",
-        f"{errors.orientation_mean_deg:.1f}",
-        f"{errors.orientation_end_deg:.1f}",
+        f"{found['position_rmse_m']:.3f}",
+        f"{found['position_end_m']:.3f}",
+        f"{found['orientation_mean_deg']:.1f}",
+        f"{found['orientation_end_deg']:.1f}",
     )

@@ -193,7 +193,7 @@ def _bars(found: Mapping[str, Any]) -> str:
     for i in range(min(n, MOST_COMPONENTS)):
         label = f"{100 * i // n} to {100 * (i + 1) // n} %" if along == "movement" else str(i)
         rows.append(
-            (label, *(f"{'█' * round(shares[name][i] * BAR / len(names) * 2)} {shares[name][i]:.2f}" for name in names))
+            (label, *(f"{shares[name][i]:.2f} {'█' * round(shares[name][i] * BAR / len(names) * 2)}" for name in names))
         )
     return f"what each frame says of where the hand is, {words} (shares):\n" + format_table(("", *names), rows)
 

@@ -18,11 +18,13 @@ from tpgmm_core.learning.situations import demonstrated_situations
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_ros.models.training_record import keep_errors, keep_recordings
+from tpgmm_ros.models.validation import Fold
 from tpgmm_ros.programs.leave_one_out import validate
 from tpgmm_ros.programs.reading import TrainingError, progress_bar, read_bags
 from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.programs.train_auto import choose_for, words
 from tpgmm_ros.programs.train_options import parser_of_train
+from tpgmm_ros.programs.training_page import write_page
 from tpgmm_ros.recordings.bags import Recording, align
 from tpgmm_ros.runtime.entry import INTERRUPTED
 from tpgmm_ros.task.task_file import Task
@@ -49,9 +51,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.output is None and not options.leave_one_out:
         parser.error("nothing to do: give --output to save a model, --leave-one-out to measure one, or both")
     report: dict[str, Any] = {"passed": False}
+    learned: list[Training] = []
+    folds: list[Fold] = []
     status = 1
     try:
-        _run(options, report)
+        _run(options, report, learned, folds)
         report["passed"], status = True, 0
     except (TrainingError, OSError, ValueError, np.linalg.LinAlgError) as error:
         report["error"] = one_line(error)
@@ -62,14 +66,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.report is not None:
         # Written after a failure too: a report of an earlier success must not stand beside it.
         try:
-            print(f"report: {write_report(options.report, report)}")
+            if options.report.suffix == ".html":
+                command = sys.argv[1:] if arguments is None else arguments
+                model, recordings = (learned[0].model, learned[0].recordings) if learned else (None, [])
+                write_page(options.report, command, report, model, recordings, folds)
+                print(f"report: {options.report}")
+            else:
+                print(f"report: {write_report(options.report, report)}")
         except OSError as error:
             print(f"error: the report could not be written: {one_line(error)}", file=sys.stderr)
             return 1
     return status
 
 
-def _run(options: argparse.Namespace, report: dict[str, Any]) -> None:
+def _run(options: argparse.Namespace, report: dict[str, Any], learned: list[Training], folds: list[Fold]) -> None:
     if options.output is not None and options.output.is_dir():
         raise TrainingError(f"{options.output} is a directory; give the name of a model file, such as model.tpgmm")
     task = Task.load(options.task)
@@ -79,9 +89,11 @@ def _run(options: argparse.Namespace, report: dict[str, Any]) -> None:
         training = _choose_and_train(task, options, recordings, report)
     else:
         training = _train(task, recipe, recordings)
+    learned.append(training)
     _summarize(training, task, report)
     if options.leave_one_out:
-        _, report["leave_one_out"] = validate(task, recipe, recordings, training.model)
+        reproduced, report["leave_one_out"] = validate(task, recipe, recordings, training.model)
+        folds += reproduced
     if options.output is not None:
         options.output.parent.mkdir(parents=True, exist_ok=True)
         training.model.save(options.output)
@@ -185,7 +197,7 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
         print(_ways(model, training.recordings))
     if not task.space.joints():
         situations = demonstrated_situations(align(training.recordings)[0], task.space.manifold())
-        report["situations"] = asdict(situations)
+        report["situations"], report["situations_text"] = asdict(situations), str(situations)
         print(f"situations: {situations}")
 
 

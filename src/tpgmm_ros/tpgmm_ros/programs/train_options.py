@@ -14,6 +14,7 @@ EXAMPLES = """\
 examples:
   train --task config/pick_place.yaml --output pick_place.tpgmm bags/
   train --task config/pick_place.yaml --output pick_place.tpgmm --report out/train demo_1 demo_2 demo_3
+  train --task config/pick_place.yaml --output pick_place.tpgmm --leave-one-out --report training.html bags/
   train --task config/pick_place.yaml --leave-one-out bags/          (only measures, saves no model)
   train --task config/pick_place.yaml --output best.tpgmm --auto --budget 60s bags/pick_place
   train --task config/pick_place.yaml --output dmp.tpgmm --retrieval dmp bags/
@@ -32,14 +33,6 @@ def parser_of_train() -> argparse.ArgumentParser:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "bags",
-        metavar="BAG",
-        nargs="+",
-        type=Path,
-        help="rosbag2 (MCAP, sqlite3) or ROS 1 bag, or one of its files, or a directory with several of them",
-    )
-    parser.add_argument("--task", required=True, type=Path, help="task file: topics, frames and settings of the model")
     parser.add_argument("--output", type=Path, metavar="FILE", help="where the model is saved, such as task.tpgmm")
     parser.add_argument(
         "--components",
@@ -55,13 +48,6 @@ def parser_of_train() -> argparse.ArgumentParser:
         help=f"what the model is for, instead of retrieval of the task file: {', '.join(METHODS)}",
     )
     parser.add_argument("--seed", type=int, help="seed of random choices, instead of random_state of the task file")
-    parser.add_argument(
-        "--every",
-        type=_positive,
-        default=1,
-        metavar="N",
-        help="use every N-th sample of the movement (default: all)",
-    )
     parser.add_argument(
         "--leave-one-out",
         action="store_true",
@@ -80,7 +66,33 @@ def parser_of_train() -> argparse.ArgumentParser:
     parser.add_argument(
         "--workers", type=_positive, metavar="N", help="for --auto: processes (default: one for each core)"
     )
-    parser.add_argument("--report", type=Path, metavar="DIR", help="write report.json into this directory")
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="WHERE",
+        help="write what was found: FILE.html is a page with pictures, anything else the directory of report.json",
+    )
+    add_reading_options(parser)
+    return parser
+
+
+def add_reading_options(parser: argparse.ArgumentParser) -> None:
+    """Add what says which bags are read, by which task file, and how strictly: see `reading.read_bags`."""
+    parser.add_argument(
+        "bags",
+        metavar="BAG",
+        nargs="+",
+        type=Path,
+        help="rosbag2 (MCAP, sqlite3) or ROS 1 bag, or one of its files, or a directory with several of them",
+    )
+    parser.add_argument("--task", required=True, type=Path, help="task file: topics, frames and settings of the model")
+    parser.add_argument(
+        "--every",
+        type=_positive,
+        default=1,
+        metavar="N",
+        help="use every N-th sample of the movement (default: all)",
+    )
     parser.add_argument(
         "--separate",
         action="store_true",
@@ -89,9 +101,8 @@ def parser_of_train() -> argparse.ArgumentParser:
     parser.add_argument(
         "--strict", action="store_true", help="refuse recordings about which there is any doubt, where it is only said"
     )
-    parser.add_argument("--skip-bad", action="store_true", help="train on the good bags when some are bad")
+    parser.add_argument("--skip-bad", action="store_true", help="go on with the good bags when some are bad")
     parser.add_argument("-v", "--verbose", action="store_true", help="say what each bag holds")
-    return parser
 
 
 def _seconds(text: str) -> float:

@@ -19,6 +19,7 @@ from tpgmm_core.observation.streams import SECOND
 from tpgmm_core.observation.tracking import TrackingConfig
 from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
 from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds, Stream
+from tpgmm_ros.recordings.edits import SUFFIX, Edits
 from tpgmm_ros.recordings.finding import find_bags, join_parts
 from tpgmm_ros.recordings.joint_movement import read_link_stream
 from tpgmm_ros.recordings.joint_streams import read_joint_stream
@@ -68,7 +69,7 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
     dropped, and counted in a note. A frame holds its latest pose, however long ago that was seen. Before its first
     observation a frame is not visible, unless that observation comes within 0.5 s of the first sample: then the frame
     counts as seen from the start. Joints are interpolated between their messages. Of a PoseArray, times are the numbers
-    of the poses times `period`, and frames stand still.
+    of the poses times `period`, and frames stand still. Edits beside the bag cut it (see `edits`).
 
     Parameters
     ----------
@@ -91,6 +92,7 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
     """
     path = path if isinstance(path, Path) else Path(path)
     recording = _from_streams(path, task) if task.recordings is None else _from_pose_array(path, task, task.recordings)
+    recording = _edited(recording, Edits.of(path))
     if len(recording.times) < MIN_SAMPLES:
         raise BagError(
             path,
@@ -102,6 +104,23 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
         note = f"goes on in {listed([part.name for part in others])}: parts of one recording, read as one"
         recording = replace(recording, notes=(note, *recording.notes))
     return recording if every == 1 else _thinned(recording, every)
+
+
+def _edited(recording: Recording, edits: Edits) -> Recording:
+    """What the file beside the bag says that counts."""
+    kept = np.flatnonzero((recording.times >= edits.begin_s) & (recording.times <= edits.end_s))
+    if len(kept) == len(recording.times):
+        return recording
+    if not len(kept):
+        raise BagError(
+            recording.path,
+            f"its edits begin at {edits.begin_s:g} s, and its movement ends after {recording.duration:.2f} s: correct "
+            f"{recording.path.name}{SUFFIX}",
+        )
+    left = recording.at(kept)
+    first, last = edits.begin_s, min(edits.end_s, recording.duration)
+    note = f"cut to {first:.2f} to {last:.2f} s of {recording.duration:.2f} s, as its edits say"
+    return replace(left, notes=(*left.notes, note))
 
 
 def _thinned(recording: Recording, every: int) -> Recording:

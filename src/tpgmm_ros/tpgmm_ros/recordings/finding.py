@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from tpgmm_core.common.types import Array
+from tpgmm_ros.recordings.edits import SUFFIX, Edits
 from tpgmm_ros.recordings.storage import metadata
 from tpgmm_ros.recordings.storage.bag_error import BagError
 from tpgmm_ros.recordings.storage.bag_reader import BagPath, BagReader, BagTopic
@@ -47,7 +48,10 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
         if not path.exists():
             raise BagError(path, "does not exist; expected a bag, or a directory of bags")
         if path.is_dir() and not (path / metadata.NAME).exists():
-            found = [bag for child in sorted(path.iterdir()) for bag in _bags_of(child)]
+            there = [bag for child in sorted(path.iterdir()) for bag in _bags_of(child)]
+            found = [bag for bag in there if not Edits.of(bag).leave_out]
+            if there and not found:
+                raise BagError(path, f"all of its bags are left out by their edits (NAME{SUFFIX}): keep one at least")
         else:
             found = [path] if path.is_dir() or has_known_format(path) else _bags_of(path)
         if not found:
