@@ -103,6 +103,7 @@ class LearnedMixture(StoredMixture):
         frames: Mapping[str, Frame],
         state: ArrayLike | None = None,
         weights: Mapping[str, float] | None = None,
+        uncertainties: Mapping[str, ArrayLike] | None = None,
     ) -> GaussianMixture:
         """The mixture in a new situation, by Eqs. (5) and (6).
 
@@ -112,7 +113,7 @@ class LearnedMixture(StoredMixture):
 
         Parameters
         ----------
-        frames, state, weights
+        frames, state, weights, uncertainties
             as for `Adapter.adapt`
 
         Returns
@@ -134,7 +135,7 @@ class LearnedMixture(StoredMixture):
         if not adapter.learned.is_of(self):
             adapter = Adapter(self)
         try:
-            return adapter.adapt(frames, state, weights)
+            return adapter.adapt(frames, state, weights, uncertainties)
         finally:
             idle.append(adapter)
 
