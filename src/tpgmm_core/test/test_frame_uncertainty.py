@@ -9,6 +9,7 @@ import pytest
 from random_problems import random_covariance, random_quaternion
 from reaching import frames_at, place, reaching_demonstrations
 from tpgmm_core import TPGMM, Frame
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import POSE, Manifold
 from tpgmm_core.model.frame_uncertainty import uncertain_precisions
@@ -16,7 +17,7 @@ from tpgmm_core.model.frame_uncertainty import uncertain_precisions
 MANIFOLD = Manifold.parse("R1 x R3 x S3")
 
 
-def random_pose(rng: np.random.Generator) -> np.ndarray:
+def random_pose(rng: np.random.Generator) -> Array:
     return np.concatenate([rng.normal(size=3), random_quaternion(rng)])
 
 
@@ -26,7 +27,7 @@ def test_the_pose_error_reaches_a_component_as_numerical_derivatives_say() -> No
     P, covariance = random_covariance(rng, 6), random_covariance(rng, 6)
     frame = Frame.from_pose(pose[:3], pose[3:])
 
-    def seen(error: np.ndarray) -> np.ndarray:
+    def seen(error: Array) -> Array:
         turned = quaternion.multiply(quaternion.exp(error[3:]), pose[3:])
         other = Frame.from_pose(pose[:3] + error[:3], turned)
         return POSE.log(frame.A @ mean + frame.b, other.A @ mean + other.b)
@@ -73,7 +74,7 @@ def test_a_later_call_without_uncertainty_is_bit_by_bit_as_before(model: TPGMM) 
 
 
 @pytest.mark.parametrize("wrong", [np.eye(3), -np.eye(6), np.full((6, 6), np.nan), np.triu(np.ones((6, 6)))])
-def test_what_is_no_covariance_is_refused(model: TPGMM, wrong: np.ndarray) -> None:
+def test_what_is_no_covariance_is_refused(model: TPGMM, wrong: Array) -> None:
     with pytest.raises(ValueError, match="covariance \\(6, 6\\) of its pose"):
         model.adapt(frames_of(model), uncertainties={model.frame_names_[1]: wrong})
 
