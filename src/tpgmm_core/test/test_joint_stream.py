@@ -65,3 +65,9 @@ def test_what_matters_little_gives_way_out_of_reach(robot):
 def test_start_outside_the_limits_is_refused(robot):
     with pytest.raises(ValueError, match="outside the joint limits: shoulder_pan_joint"):
         JointStream(robot, "tool", robot.home + np.array([7.0, 0, 0, 0, 0, 0]))
+
+
+@pytest.mark.parametrize("covariance", [np.zeros((6, 6)), np.full((6, 6), np.nan)])
+def test_a_reference_that_cannot_be_used_is_not_followed(robot, covariance):
+    step = JointStream(robot, "tool", robot.home).step(PoseReference(moved(robot, [0.1, 0, 0]), covariance), 0.0, DT)
+    assert step.q == pytest.approx(robot.home) and step.state.startswith("holds: the reference is not finite")

@@ -10,6 +10,7 @@ from scipy.optimize import lsq_linear
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.pose_target import PoseReference
+from tpgmm_core.geometry.gaussian import is_positive_definite
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.robot.model import RobotModel
 
@@ -107,6 +108,9 @@ class JointStream:
         elif age > self._max_age:
             v = np.clip(np.zeros_like(here), low, high)
             state = f"holds: the reference is {age:.2f} s old, more than {self._max_age:.2f} s"
+        elif not _usable(reference):
+            v = np.clip(np.zeros_like(here), low, high)
+            state = "holds: the reference is not finite, or its covariance is not positive definite"
         else:
             v, state = self._follow(reference, low, high)
         moved = np.clip(here + dt * v, self._lower, self._upper)
@@ -127,3 +131,8 @@ class JointStream:
         wide = high + 1e-9  # the solver wants room between the bounds
         v = np.clip(lsq_linear(A, b, (low, wide), method="bvls").x, low, high)
         return v, "follows as far as the joints' limits allow"
+
+
+def _usable(reference: PoseReference) -> bool:
+    finite = all(np.isfinite(x).all() for x in (reference.pose, reference.twist, reference.covariance))
+    return finite and is_positive_definite(reference.covariance)
