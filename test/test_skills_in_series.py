@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -85,7 +86,7 @@ def test_a_skill_that_cannot_be_read_is_named_before_anything_moves(player: Play
     ],
 )
 def test_goals_whose_fields_do_not_go_together_are_refused_with_the_reason(
-    player: Player, fields: dict[str, object], complaint: str
+    player: Player, fields: dict[str, Any], complaint: str
 ) -> None:
     status, result = player.result(player.send(**{"duration": 0.0, **fields}), ticks=False)
     assert status == GoalStatus.STATUS_ABORTED and complaint in result.reason

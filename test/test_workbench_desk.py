@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,10 @@ def bench(ros_node: Node, tmp_path: Path) -> Iterator[Bench]:
             desk.close()
 
 
+def has_taught(count: int, view: DeskView) -> bool:
+    return len(view.taught) == count
+
+
 def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(bench: Bench) -> None:
     desk = bench.desk
     bench.until(lambda view: not view.reasons[Action.RECORD], "the robot and all frames to be seen")
@@ -76,7 +81,7 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
         assert view.graph.hand is not None
         grasps.append(compose(inverse(view.places["target"]), view.graph.hand))
         desk.end_recording()
-        view = bench.until(lambda view, n=number: len(view.taught) == n, f"demonstration {number}")
+        view = bench.until(partial(has_taught, number), f"demonstration {number}")
         assert view.taught[-1].level in ("good", "look"), view.taught[-1]
         desk.shuffle()
 
@@ -90,7 +95,8 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
     desk.set_duration(12.0)
     desk.preview()
     view = bench.until(lambda view: view.preview is not None, "a preview")
-    assert view.preview is not None and view.preview.may_run, view.preview.words
+    assert view.preview is not None
+    assert view.preview.may_run, view.preview.words
     desk.run()
     bench.until(lambda view: view.run.stage == "running" and view.run.phase > 0.1, "the movement")
     desk.move_object("target", compose(view.places["target"], np.array([0.02, 0.02, 0.0, 0.0, 0.0, 0.0, 1.0])))

@@ -52,11 +52,15 @@ class Button:
     ) -> None:
         self._key = "" if key is None else f"  [{'Esc' if key == 'escape' else str(key).title()}]"
         self._button = server.gui.add_button(label + self._key, **options)
-        self._button.on_click(lambda event: do(event.client_id))
+
+        def asked(event: Any) -> None:
+            do(event.client_id)
+
+        self._button.on_click(asked)
         self._command = None
         if key is not None:
             self._command = server.gui.add_command(label, hotkey=key)
-            self._command.on_trigger(lambda event: do(event.client_id))
+            self._command.on_trigger(asked)
 
     def show(self, reason: str = "", label: str | None = None) -> None:
         """Show whether it may be pressed: not where there is a reason; and another label."""

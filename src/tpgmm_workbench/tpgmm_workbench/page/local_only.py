@@ -49,7 +49,7 @@ def local_only() -> Iterator[None]:
         async def check(connection: Any, request: Any) -> Any:
             if not is_of_this_machine(request.headers.get("Host"), request.headers.get("Origin")):
                 return Response(HTTPStatus.FORBIDDEN, "FORBIDDEN", Headers(), b"this page answers this machine alone\n")
-            answer = None if process_request is None else process_request(connection, request)
+            answer: Any = None if process_request is None else process_request(connection, request)
             return await answer if hasattr(answer, "__await__") else answer
 
         return serve(*arguments, process_request=check, **options)

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
-from viser import ViserServer
+from viser import GuiEvent, ViserServer
 
 from tpgmm_workbench.desk.desk import Desk, DeskView
 from tpgmm_workbench.page import words
@@ -24,7 +26,7 @@ class TeachPanel:
         self._desk, self._ask = desk, ask
         self._record = Button(server, "Record", self._begin_or_end, "R", color="red")
         self._length = Text(server)
-        self._hide = {}
+        self._hide: dict[str, Any] = {}
         self._led: Text | None = None
         if desk.simulated:
             self._lead(server)
@@ -41,11 +43,7 @@ class TeachPanel:
             self._led = Text(server)
             for name in desk.project.task.topics:
                 group = server.gui.add_button_group(name, (f"above {name}", f"to {name}"))
-                group.on_click(
-                    lambda event, name=name: ask(
-                        event.client_id, desk.lead_to, name, event.target.value.startswith("above ")
-                    )
-                )
+                group.on_click(partial(self._lead_to, name))
             group = server.gui.add_button_group("hand", ("home", "let go"))
             group.on_click(
                 lambda event: (
@@ -61,14 +59,15 @@ class TeachPanel:
             Button(server, "Lay them elsewhere", lambda page: ask(page, desk.shuffle), "N")
             for name in desk.project.task.topics:
                 box = server.gui.add_checkbox(f"hide {name}", False)
-                box.on_update(
-                    lambda event, name=name: (
-                        None
-                        if event.client_id is None
-                        else ask(event.client_id, desk.hide_object, name, bool(event.target.value))
-                    )
-                )
+                box.on_update(partial(self._hide_or_show, name))
                 self._hide[name] = box
+
+    def _lead_to(self, name: str, event: GuiEvent[Any]) -> None:
+        self._ask(event.client_id, self._desk.lead_to, name, event.target.value.startswith("above "))
+
+    def _hide_or_show(self, name: str, event: GuiEvent[Any]) -> None:
+        if event.client_id is not None:  # none: this program has set the box
+            self._ask(event.client_id, self._desk.hide_object, name, bool(event.target.value))
 
     def show(self, view: DeskView) -> None:
         """Show what is known."""
@@ -96,7 +95,7 @@ class TrainPanel:
             server, "Train", lambda page: ask(page, desk.train, bool(self._choose.value)), "T", color="blue"
         )
         self._cancel = Button(server, "Cancel training", lambda page: ask(page, desk.cancel_training))
-        self._bar = server.gui.add_progress_bar(0.0, visible=False)
+        self._bar: Any = server.gui.add_progress_bar(0.0, visible=False)
         self._words, self._model = Text(server), Text(server)
 
     def show(self, view: DeskView) -> None:
@@ -133,7 +132,7 @@ class RunPanel:
                 None if event.client_id is None else ask(event.client_id, desk.set_speed, float(event.target.value))
             )
         )
-        self._bar = server.gui.add_progress_bar(0.0)
+        self._bar: Any = server.gui.add_progress_bar(0.0)
         self._state = Text(server)
 
     def show(self, view: DeskView) -> None:

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 
 import numpy as np
-from viser import SceneApi, TransformControlsEvent
+from viser import LineSegmentsHandle, SceneApi, TransformControlsEvent
 
 from tpgmm_core.common.types import Array
 from tpgmm_workbench.scene.colors import TRAIL
@@ -34,7 +34,7 @@ class HandView:
         self._points: deque[Array] = deque(maxlen=LONGEST)
         self._drawn = 0
         self._count = 0
-        self._trail = None
+        self._trail: LineSegmentsHandle | None = None
         self._gizmo = None
         self._held = False
         if lead is not None:

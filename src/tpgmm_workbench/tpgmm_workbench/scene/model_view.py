@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from viser import SceneApi
+from viser import MeshHandle, SceneApi
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
@@ -27,8 +28,8 @@ class ModelView:
         self._reference = scene.add_icosphere(
             "/reference", 0.5, REFERENCE, subdivisions=2, opacity=0.55, cast_shadow=False, visible=False
         )
-        self._components: list = []
-        self._tube = None
+        self._components: list[Any] = []
+        self._tube: MeshHandle | None = None
 
     def show(self, reference: ReferenceView | None, components: Sequence[ComponentView]) -> None:
         """Show the reference of now, and the model's Gaussians."""

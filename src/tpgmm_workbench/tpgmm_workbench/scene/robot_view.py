@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from viser import SceneApi
 
@@ -43,7 +45,7 @@ class RobotView:
     ) -> None:
         self._data = robot.create_data()
         self._root = scene.add_frame(name, show_axes=False)
-        self._links = {}
+        self._links: dict[str, Any] = {}
         for number, part in enumerate(shapes.parts):
             link = part.link
             if not robot.pinocchio.existFrame(link):

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -139,7 +140,10 @@ def _read_mesh(path: Path) -> list[tuple[trimesh.Trimesh, tuple[int, int, int]]]
             by_color.setdefault(_color(solid), []).append(solid)
     if not by_color:
         raise RobotFileError(f"{path.name} holds no triangles")
-    return [(coarse(trimesh.util.concatenate(same)), color) for color, same in by_color.items()]
+    joined: dict[tuple[int, int, int], Any] = {
+        color: trimesh.util.concatenate(same) for color, same in by_color.items()
+    }
+    return [(coarse(solid), color) for color, solid in joined.items()]
 
 
 def coarse(solid: trimesh.Trimesh, most: int = MAX_TRIANGLES, cell: float = CELL) -> trimesh.Trimesh:
@@ -179,7 +183,7 @@ def _clustered(vertices: Array, faces: NDArray[np.int64], cell: float) -> tuple[
 
 def _color(solid: trimesh.Trimesh) -> tuple[int, int, int]:
     material = getattr(solid.visual, "material", None)
-    found = getattr(material, "main_color", None)
+    found: Any = getattr(material, "main_color", None)
     if found is None:
         found = getattr(solid.visual, "main_color", (*GREY, 255))
     red, green, blue = (int(value) for value in list(found)[:3])
