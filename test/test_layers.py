@@ -13,7 +13,17 @@ SOURCES = Path(__file__).resolve().parents[1] / "src"
 LAYERS = {
     "tpgmm_ros": ("messages", "runtime", "task", "recordings", "models", "nodes", "programs", "executables"),
     "tpgmm_demos": ("scene", "teaching", "demo", "figure5", "executables"),
-    "tpgmm_workbench": ("project", "session", "graph", "desk", "scene", "page", "node", "simulated", "executables"),
+    "tpgmm_workbench": (
+        "project",
+        "session",
+        "graph",
+        "desk",
+        "scene",
+        "page",
+        "workbench",
+        "simulated",
+        "executables",
+    ),
 }
 #: Package -> the packages of the workspace that it may import.
 PACKAGES = {

@@ -3,5 +3,5 @@
 
 from tpgmm_ros.runtime.entry import node
 
-workbench = node("tpgmm_workbench.node")
+workbench = node("tpgmm_workbench.workbench")
 simulated_workbench = node("tpgmm_workbench.simulated")

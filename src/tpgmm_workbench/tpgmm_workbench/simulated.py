@@ -21,9 +21,9 @@ from tpgmm_core.common.text import one_line
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.processes import GraphError, NodeProcesses, Value
 from tpgmm_ros.runtime.resources import config_file
-from tpgmm_workbench.node import WorkbenchNode
 from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.project import Project
+from tpgmm_workbench.workbench import WorkbenchNode
 
 #: Of the simulated robot at least, Hz: its dynamics are the same for controllers of all rates.
 PHYSICS_RATE = 1000.0
