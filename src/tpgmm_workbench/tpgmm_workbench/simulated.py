@@ -47,7 +47,7 @@ def main() -> int:
     with ExitStack() as stack:
         domain = arguments.domain if arguments.domain is not None else stack.enter_context(domain_id())
         os.environ |= {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(log)}
-        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
         processes = stack.enter_context(NodeProcesses(log))
         print(f"starting the nodes (logs: {log})")
         start_nodes(processes, project, arguments.rate)
