@@ -156,7 +156,7 @@ class Tree:
         command = [sys.executable, "-m", "pytest", "-q", "-x", "--no-header", "-p", "no:cacheprovider", *tests]
         try:
             run = subprocess.run(
-                command, cwd=self.path, env={**os.environ, "PYTHONPATH": paths}, timeout=TIMEOUT,
+                command, cwd=self.path, env={**os.environ, "PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1"}, timeout=TIMEOUT,
                 capture_output=True, text=True,
             )  # fmt: skip
         except subprocess.TimeoutExpired as error:
