@@ -50,7 +50,9 @@ def frames_of(model: TPGMM) -> dict[str, Frame]:
     return frames_at(**{start: place(0.0, 0.0, 0.0), end: place(0.3, 0.1, 0.4)})
 
 
-def test_a_frame_known_badly_along_x_leaves_x_to_the_other_frame(model: TPGMM) -> None:
+def test_a_frame_that_is_known_badly_counts_less_and_one_that_is_not_known_leaves_all_to_the_other(
+    model: TPGMM,
+) -> None:
     frames = frames_of(model)
     exact = model.adapt(frames)
     other, end = frames
