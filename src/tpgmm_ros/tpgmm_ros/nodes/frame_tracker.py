@@ -74,6 +74,7 @@ class FrameTrackerNode(Node):
             self.task.sources,
             fixed={name: spec.pose for name, spec in self.task.frames.items() if spec.pose is not None},
             config=TrackingConfig(**(self.task.tracking | given)),
+            unknown_after=self.task.unknown_after,
         )
         self._uses_covariances = parameters["use_covariances"]
         self._loop_clock = loop_clock(self)

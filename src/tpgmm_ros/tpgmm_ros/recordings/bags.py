@@ -66,7 +66,8 @@ def read_recording(path: str | Path, task: Task, every: int = 1) -> Recording:
     Poses that are none, or that leap, are left out and counted in a note. Of streams, times are the header stamps when
     those of all topics are sane (not zero, never backwards), else the times of the recorder for all topics; a note
     says when, and doubts say what was put right (see `tpgmm_core.doubt.clocks`). Messages that repeat a stamp are
-    dropped, and counted in a note. A frame holds its latest pose, however long ago that was seen. Before its first
+    dropped, and counted in a note. A frame holds its latest pose, however long ago that was seen, unless the task says
+    after which time it is not known any more. Before its first
     observation a frame is not visible, unless that observation comes within 0.5 s of the first sample: then the frame
     counts as seen from the start. Joints are interpolated between their messages. Of a PoseArray, times are the numbers
     of the poses times `period`, and frames stand still. Edits beside the bag cut it (see `edits`).
@@ -177,16 +178,21 @@ def _from_streams(path: Path, task: Task) -> Recording:
             pose = fixed[name] if spec.pose is None else np.array(spec.pose)
             frames[name], visible[name] = np.tile(pose, (len(ns), 1)), np.ones(len(ns), bool)
             continue
-        frames[name], visible[name] = _hold(*series[name], ns)
+        frames[name], visible[name] = _hold(*series[name], ns, spec.unknown_after)
         if not visible[name].any():
             raise BagError(
                 path,
                 f"{streams[name].topic} was first seen after the movement had ended; publish the "
                 f"frame {name!r} before the demonstration starts",
             )
-        unseen = np.count_nonzero(~visible[name])
-        if unseen:
-            notes.append(f"{name}: not seen in the first {unseen} of {len(ns)} samples")
+        unseen, first = np.count_nonzero(~visible[name]), int(np.argmax(visible[name]))
+        if first:
+            notes.append(f"{name}: not seen in the first {first} of {len(ns)} samples")
+        if unseen > first:
+            notes.append(
+                f"{name}: not known in {unseen - first} of {len(ns)} samples, {spec.unknown_after:g} s after it was "
+                "last seen"
+            )
     configurations = None
     if joints is not None:
         configurations = _configurations(path, joints, joints.values[clock.kept[JOINTS]], clock.times[JOINTS], ns)
@@ -235,12 +241,19 @@ def _configurations(path: Path, joints: Stream, values: Array, seen: Nanoseconds
     return np.column_stack([np.interp(at, seen, column) for column in values.T])
 
 
-def _hold(seen: Nanoseconds, poses: Array, at: Nanoseconds) -> tuple[Array, NDArray[np.bool_]]:
-    """Latest of the poses (S, 7) seen (S,) at or before each time (T,): poses (T, 7), and mask (T,) where."""
+def _hold(
+    seen: Nanoseconds, poses: Array, at: Nanoseconds, unknown_after: float | None
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Latest of the poses (S, 7) seen (S,) at or before each time (T,): poses (T, 7), and mask (T,) where.
+
+    Later than `unknown_after`, s, the pose is not known any more; None: it is for ever.
+    """
     latest = np.searchsorted(seen, at, side="right") - 1
     visible = latest >= 0
     if seen[0] - at[0] <= START_TOLERANCE_S * 1e9:
         visible[:] = True
+    if unknown_after is not None:
+        visible &= (at - seen[np.maximum(latest, 0)]) * 1e-9 <= unknown_after
     return poses[np.maximum(latest, 0)], visible
 
 
