@@ -16,7 +16,8 @@ import numpy as np
 from viser import ClientHandle, Icon, ViserServer
 
 from tpgmm_core.common.types import Array
-from tpgmm_workbench.desk.desk import Desk, DeskView
+from tpgmm_workbench.desk.desk import Desk
+from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page import words
 from tpgmm_workbench.page.camera import camera_for
 from tpgmm_workbench.page.controls import Button, Text
@@ -137,7 +138,7 @@ class Page:
 
     def _go(self, client: ClientHandle) -> None:
         if self.driver.go(client.client_id):  # the person who held the hand is gone
-            self._give(self._desk.let_go)
+            self._give(self._desk.table.let_go)
 
     def ask(self, page: int | None, method: Callable[..., object], *arguments: Any) -> None:
         """Ask for something, as the page of a number; the pages that do not drive are told so."""
@@ -151,10 +152,10 @@ class Page:
             )
 
     def _move(self, name: str, pose: Array, page: int | None) -> None:
-        self.ask(page, self._desk.move_object, name, pose)
+        self.ask(page, self._desk.table.move_object, name, pose)
 
     def _lead(self, pose: Array, is_held: bool, page: int | None) -> None:
-        self.ask(page, self._desk.lead_hand, pose, is_held)
+        self.ask(page, self._desk.table.lead_hand, pose, is_held)
 
     # -- what is shown ------------------------------------------------------------------------------------------------
 

@@ -9,7 +9,8 @@ from typing import Any
 
 from viser import GuiEvent, ViserServer
 
-from tpgmm_workbench.desk.desk import Desk, DeskView
+from tpgmm_workbench.desk.desk import Desk
+from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page import words
 from tpgmm_workbench.page.controls import Button, Text
 from tpgmm_workbench.project.activities import Action, Activity
@@ -47,27 +48,27 @@ class TeachPanel:
             group = server.gui.add_button_group("hand", ("home", "let go"))
             group.on_click(
                 lambda event: (
-                    ask(event.client_id, desk.let_go)
+                    ask(event.client_id, desk.table.let_go)
                     if event.target.value == "let go"
-                    else ask(event.client_id, desk.lead_to, "home", False)
+                    else ask(event.client_id, desk.table.lead_to, "home", False)
                 )
             )
 
     def _objects(self, server: ViserServer) -> None:
         desk, ask = self._desk, self._ask
         with server.gui.add_folder("Objects (or drag their gizmos)"):
-            Button(server, "Lay them elsewhere", lambda page: ask(page, desk.shuffle), "N")
+            Button(server, "Lay them elsewhere", lambda page: ask(page, desk.table.shuffle), "N")
             for name in desk.project.task.topics:
                 box = server.gui.add_checkbox(f"hide {name}", False)
                 box.on_update(partial(self._hide_or_show, name))
                 self._hide[name] = box
 
     def _lead_to(self, name: str, event: GuiEvent[Any]) -> None:
-        self._ask(event.client_id, self._desk.lead_to, name, event.target.value.startswith("above "))
+        self._ask(event.client_id, self._desk.table.lead_to, name, event.target.value.startswith("above "))
 
     def _hide_or_show(self, name: str, event: GuiEvent[Any]) -> None:
         if event.client_id is not None:  # none: this program has set the box
-            self._ask(event.client_id, self._desk.hide_object, name, bool(event.target.value))
+            self._ask(event.client_id, self._desk.table.hide_object, name, bool(event.target.value))
 
     def show(self, view: DeskView) -> None:
         """Show what is known."""

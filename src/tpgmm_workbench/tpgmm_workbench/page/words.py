@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from html import escape
 
-from tpgmm_workbench.desk.desk import DeskView
+from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.project.activities import LEAST, Action, Activity
 from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SKY, YELLOW, Color, css
 
