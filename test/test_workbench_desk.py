@@ -84,7 +84,32 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
         desk.end_recording()
         view = bench.until(partial(has_taught, number), f"demonstration {number}")
         assert view.taught[-1].level in ("good", "look"), view.taught[-1]
-        desk.table.shuffle()
+        if number == 2:  # the third one is shown where it tells most
+            desk.teaching.suggest()
+            view = bench.until(lambda view: view.suggested is not None, "the suggestion")
+            assert view.suggested is not None and view.suggested.novelty > 1.0
+            desk.lay_as_suggested()
+            assert set(view.suggested.frames) == {"object", "target"}
+            for name, pose in desk.table.places.items():
+                assert pose_error(pose, view.suggested.frames[name])[0] < 1e-9
+        else:
+            desk.table.shuffle()
+    assert desk.look().suggested is None
+
+    # what is noted of a demonstration is kept, or refused in words
+    length = desk.look().taught[0].length
+    desk.teaching.note(1, "begins late", (0.2, length), True)
+    view = bench.until(lambda view: view.taught[0].comment, "the comment")
+    assert view.taught[0].part == (0.2, length) and desk.project.demonstration(1).notes.trim == (0.2, length)
+    desk.teaching.note(1, "begins late", (0.2, 0.21), True)
+    bench.until(
+        lambda view: any("trim less" in words for words in view.words), "the refusal of a part that is too short"
+    )
+    desk.teaching.note(2, "", (0.0, desk.look().taught[1].length), False)
+    bench.until(lambda view: not view.taught[1].is_used, "the second one to be left out")
+    assert desk.facts().demonstrations == 2 and desk.project.demonstration(2).notes.trim is None
+    desk.teaching.note(2, "", (0.0, desk.look().taught[1].length), True)
+    bench.until(lambda view: view.taught[1].is_used, "the second one to be used again")
 
     desk.train(is_automatic=False)
     assert desk.look().reasons[Action.TRAIN]

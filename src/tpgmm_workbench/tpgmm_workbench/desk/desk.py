@@ -56,6 +56,8 @@ class Desk:
         (7,) the hand's pose at the robot's home
     table
         what only a simulation lets a user do
+    teaching
+        the demonstrations, what is noted about them, and where to show the next one
     """
 
     def __init__(self, node: Node, project: Project, simulated: bool, seed: int | None = None) -> None:
@@ -64,7 +66,7 @@ class Desk:
         self._background, self._judge = Background(node), Background(node)
         self._watcher = Watcher(node, project.task, self.robot.joint_names)
         self._movement = MovementClient(node, self.say)
-        self._teaching = Teaching(node, project, self._judge, self.say, lambda: None)
+        self.teaching = Teaching(node, project, self._judge, self.say, lambda: None)
         self._learning = Learning(project, self._background, self.say)
         data = self.robot.create_data()
         data.update(self.robot.home)
@@ -82,7 +84,7 @@ class Desk:
     def close(self) -> None:
         """End what goes on, in order; what was recorded is kept."""
         self._movement.stop()
-        self._teaching.close()
+        self.teaching.close()
         self._learning.close()
         self._background.close()
         self._judge.close()
@@ -103,7 +105,7 @@ class Desk:
     @property
     def activity(self) -> Activity:
         """What is going on."""
-        if self._teaching.is_recording or self._release_until is not None:
+        if self.teaching.is_recording or self._release_until is not None:
             return Activity.TEACHING
         if self._movement.view.goes_on:
             return Activity.PAUSED if self._is_paused else Activity.RUNNING
@@ -114,10 +116,10 @@ class Desk:
         graph, controller = self._graph, self._graph.controller
         return Facts(
             activity=self.activity,
-            demonstrations=self._teaching.used,
+            demonstrations=self.teaching.used,
             has_model=self._learning.model is not None,
             is_training=self._learning.is_training,
-            can_undo=self._teaching.can_undo,
+            can_undo=self.teaching.can_undo,
             has_robot=graph.joints is not None,
             missing_frames=tuple(frame.name for frame in graph.frames if frame.pose is None),
             is_simulated=self.simulated,
@@ -138,8 +140,9 @@ class Desk:
             graph=self._graph,
             run=self._movement.view,
             activity=facts.activity,
-            taught=self._teaching.shown,
-            lasted=self._teaching.lasted,
+            taught=self.teaching.shown,
+            suggested=self.teaching.suggested,
+            lasted=self.teaching.lasted,
             progress=self._learning.progress,
             model=self._learning.model,
             preview=self._learning.shown,
@@ -170,7 +173,7 @@ class Desk:
             self._movement.let_go()
             self._release_until = time.monotonic() + RELEASE
         else:
-            self._teaching.begin()
+            self.teaching.begin()
 
     def _begin_when_free(self) -> None:
         if self._release_until is None:
@@ -179,18 +182,23 @@ class Desk:
         held = controller is not None and controller.state in ("ACTIVE", "HOLD")
         if not held or time.monotonic() > self._release_until:
             self._release_until = None
-            self._teaching.begin()
+            self.teaching.begin()
 
     def end_recording(self) -> None:
         """End the demonstration, and keep it."""
         if not self._refused(Action.END_RECORDING):
             self._release_until = None
-            self._teaching.end()
+            self.teaching.end()
 
     def undo(self) -> None:
         """Take the last demonstration back."""
         if not self._refused(Action.UNDO):
-            self._teaching.undo()
+            self.teaching.undo()
+
+    def lay_as_suggested(self) -> None:
+        """Lay a simulation's objects where the next demonstration should be."""
+        if self.teaching.suggested is not None:
+            self.table.lay(self.teaching.suggested.frames)
 
     # -- learn, look ahead, run ---------------------------------------------------------------------------------------
 

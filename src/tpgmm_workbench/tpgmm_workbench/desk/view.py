@@ -11,6 +11,7 @@ from tpgmm_workbench.desk.teaching import TaughtView
 from tpgmm_workbench.graph.movement import RunView
 from tpgmm_workbench.project.activities import Action, Activity
 from tpgmm_workbench.project.preview import Preview
+from tpgmm_workbench.project.suggestion import Suggestion
 from tpgmm_workbench.project.training import Progress
 from tpgmm_workbench.session.view import GraphView
 
@@ -29,6 +30,8 @@ class DeskView:
         what is going on
     taught
         the demonstrations that were not undone
+    suggested
+        where the objects should be for the next one
     lasted
         how long the present recording has been going on, s
     progress
@@ -57,6 +60,7 @@ class DeskView:
     run: RunView = field(default_factory=RunView)
     activity: Activity = Activity.IDLE
     taught: tuple[TaughtView, ...] = ()
+    suggested: Suggestion | None = None
     lasted: float = 0.0
     progress: Progress | None = None
     model: ModelView | None = None

@@ -31,6 +31,7 @@ from tpgmm_workbench.scene.hand_view import HandView
 from tpgmm_workbench.scene.model_view import ModelView
 from tpgmm_workbench.scene.robot_view import RobotView
 from tpgmm_workbench.scene.shapes import Shapes
+from tpgmm_workbench.scene.suggested_view import SuggestedView
 
 #: This machine alone: whoever else wants to see it makes a tunnel, as with ssh -L.
 HOST = "127.0.0.1"
@@ -95,6 +96,7 @@ class Page:
         self._frames = FramesView(scene, list(desk.project.task.frames), draggable, self._move)
         self._hand = HandView(scene, self._lead if desk.simulated else None)
         self._model = ModelView(scene)
+        self._suggested = SuggestedView(scene, list(desk.project.task.sources))
 
     def _lowest(self) -> float:
         """Where the floor is: below all of the robot, m."""
@@ -169,6 +171,7 @@ class Page:
             self._frames.show(graph.frames, view.places)
             self._hand.show(graph.hand, view.aim)
             self._model.show(graph.reference, graph.components)
+            self._suggested.show({} if view.suggested is None else view.suggested.frames)
             self._show_preview(view, now)
         if now >= self._text_due:
             self._text_due = now + TEXT_PERIOD

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -12,11 +11,9 @@ from viser import GuiEvent, ViserServer
 from tpgmm_workbench.desk.desk import Desk
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page import words
-from tpgmm_workbench.page.controls import Button, Text
+from tpgmm_workbench.page.controls import Ask, Button, Text
+from tpgmm_workbench.page.notes_panel import NotesPanel
 from tpgmm_workbench.project.activities import Action, Activity
-
-type Ask = Callable[..., None]
-"""Called with the number of the page, a method of the desk, and its arguments."""
 
 
 class TeachPanel:
@@ -33,7 +30,13 @@ class TeachPanel:
             self._lead(server)
             self._objects(server)
         self._undo = Button(server, "Undo the last one", lambda page: ask(page, desk.undo), "U")
+        Button(server, "Where next?", lambda page: ask(page, desk.teaching.suggest))
+        self._next = Text(server)
+        self._lay = None
+        if desk.simulated:
+            self._lay = Button(server, "Lay the objects there", lambda page: ask(page, desk.lay_as_suggested))
         self._list = Text(server)
+        self._notes = NotesPanel(server, desk, ask)
 
     def _begin_or_end(self, page: int | None) -> None:
         self._ask(page, self._desk.end_recording if self._is_recording else self._desk.record)
@@ -77,7 +80,11 @@ class TeachPanel:
         self._record.show(view.reasons.get(action, ""), "Finish" if self._is_recording else "Record")
         self._undo.show(view.reasons.get(Action.UNDO, ""))
         self._length.show(words.recording(view))
+        self._next.show(words.suggestion(view))
+        if self._lay is not None:
+            self._lay.show("" if view.suggested is not None else "press “Where next?” first")
         self._list.show(words.demonstrations(view))
+        self._notes.show(view)
         if self._led is not None:
             self._led.show(words.led(view))
         for name, box in self._hide.items():
