@@ -22,7 +22,7 @@ from tpgmm_workbench.page.camera import camera_for
 from tpgmm_workbench.page.controls import Button, Text
 from tpgmm_workbench.page.driver import Driver
 from tpgmm_workbench.page.local_only import local_only
-from tpgmm_workbench.page.panels import NodesPanel, RunPanel, TeachPanel, TrainPanel
+from tpgmm_workbench.page.panels import NodesPanel, RobotPanel, RunPanel, TeachPanel, TrainPanel
 from tpgmm_workbench.project.preview import Preview
 from tpgmm_workbench.scene.colors import PREVIEW
 from tpgmm_workbench.scene.frames_view import FramesView
@@ -30,6 +30,7 @@ from tpgmm_workbench.scene.hand_view import HandView
 from tpgmm_workbench.scene.model_view import ModelView
 from tpgmm_workbench.scene.robot_view import RobotView
 from tpgmm_workbench.scene.shapes import Shapes
+from tpgmm_workbench.scene.stiffness_view import StiffnessView
 
 #: This machine alone: whoever else wants to see it makes a tunnel, as with ssh -L.
 HOST = "127.0.0.1"
@@ -94,6 +95,7 @@ class Page:
         self._frames = FramesView(scene, list(desk.project.task.frames), draggable, self._move)
         self._hand = HandView(scene, self._lead if desk.simulated else None)
         self._model = ModelView(scene)
+        self._stiffness = StiffnessView(scene)
 
     def _lowest(self) -> float:
         """Where the floor is: below all of the robot, m."""
@@ -119,6 +121,8 @@ class Page:
             train = TrainPanel(server, desk, self.ask)
         with tabs.add_tab("Run"):
             run = RunPanel(server, desk, self.ask)
+        with tabs.add_tab("Robot"):
+            robot = RobotPanel(server)
         with tabs.add_tab("Nodes"):
             nodes = NodesPanel(server)
         with tabs.add_tab("Look"):
@@ -128,7 +132,7 @@ class Page:
                     show_logo=False, show_share_button=False, control_width="large", dark_mode=bool(event.target.value)
                 )
             )
-        self._panels = (teach, train, run, nodes)
+        self._panels = (teach, train, run, robot, nodes)
 
     # -- who asks -----------------------------------------------------------------------------------------------------
 
@@ -168,6 +172,7 @@ class Page:
             self._frames.show(graph.frames, view.places)
             self._hand.show(graph.hand, view.aim)
             self._model.show(graph.reference, graph.components)
+            self._stiffness.show(graph.hand, graph.stiffness)
             self._show_preview(view, now)
         if now >= self._text_due:
             self._text_due = now + TEXT_PERIOD
