@@ -187,8 +187,13 @@ def nodes(view: DeskView) -> str:
     return _block(lines or ["No node says anything."])
 
 
-def pages(count: int) -> str:
-    """That the page is not heard yet, or that several pages are open."""
+def pages(count: int, is_open: bool = False) -> str:
+    """That the page is not heard yet, that several pages are open, or that other machines may open more."""
+    lines = []
+    if is_open:
+        lines.append(chip("open to other machines", YELLOW) + " who has the token may move the robot")
     if count == 0:
-        return _block([chip("connecting", GREY) + " what you press is heard in a moment"])
-    return _block([f"{count} pages show this; one of them drives."]) if count > 1 else ""
+        lines.append(chip("connecting", GREY) + " what you press is heard in a moment")
+    elif count > 1:
+        lines.append(f"{count} pages show this; one of them drives.")
+    return _block(lines) if lines else ""
