@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tpgmm_workbench.desk.desk import DeskView
 from tpgmm_workbench.desk.learning import ModelView
 from tpgmm_workbench.desk.teaching import TaughtView
+from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.graph.movement import RunView
 from tpgmm_workbench.page import words
 from tpgmm_workbench.page.driver import Driver

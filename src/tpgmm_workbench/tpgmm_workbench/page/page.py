@@ -16,7 +16,8 @@ import numpy as np
 from viser import ClientHandle, Icon, ViserServer
 
 from tpgmm_core.common.types import Array
-from tpgmm_workbench.desk.desk import Desk, DeskView
+from tpgmm_workbench.desk.desk import Desk
+from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page import words
 from tpgmm_workbench.page.access import Access, guarded
 from tpgmm_workbench.page.camera import camera_for
@@ -31,6 +32,7 @@ from tpgmm_workbench.scene.model_view import ModelView
 from tpgmm_workbench.scene.robot_view import RobotView
 from tpgmm_workbench.scene.shapes import Shapes
 from tpgmm_workbench.scene.stiffness_view import StiffnessView
+from tpgmm_workbench.scene.suggested_view import SuggestedView
 
 #: Texts and trail are renewed this often, s; a ghost moves through its movement in this time, s.
 TEXT_PERIOD, GHOST_TIME = 0.2, 4.0
@@ -97,6 +99,7 @@ class Page:
         self._hand = HandView(scene, self._lead if desk.simulated else None)
         self._model = ModelView(scene)
         self._stiffness = StiffnessView(scene)
+        self._suggested = SuggestedView(scene, list(desk.project.task.sources))
 
     def _lowest(self) -> float:
         """Where the floor is: below all of the robot, m."""
@@ -142,7 +145,7 @@ class Page:
 
     def _go(self, client: ClientHandle) -> None:
         if self.driver.go(client.client_id):  # the person who held the hand is gone
-            self._give(self._desk.let_go)
+            self._give(self._desk.table.let_go)
 
     def ask(self, page: int | None, method: Callable[..., object], *arguments: Any) -> None:
         """Ask for something, as the page of a number; the pages that do not drive are told so."""
@@ -156,10 +159,10 @@ class Page:
             )
 
     def _move(self, name: str, pose: Array, page: int | None) -> None:
-        self.ask(page, self._desk.move_object, name, pose)
+        self.ask(page, self._desk.table.move_object, name, pose)
 
     def _lead(self, pose: Array, is_held: bool, page: int | None) -> None:
-        self.ask(page, self._desk.lead_hand, pose, is_held)
+        self.ask(page, self._desk.table.lead_hand, pose, is_held)
 
     # -- what is shown ------------------------------------------------------------------------------------------------
 
@@ -174,6 +177,7 @@ class Page:
             self._hand.show(graph.hand, view.aim)
             self._model.show(graph.reference, graph.components)
             self._stiffness.show(graph.hand, graph.stiffness)
+            self._suggested.show({} if view.suggested is None else view.suggested.frames)
             self._show_preview(view, now)
         if now >= self._text_due:
             self._text_due = now + TEXT_PERIOD

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from html import escape
 
-from tpgmm_workbench.desk.desk import DeskView
+from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.project.activities import LEAST, Action, Activity
 from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SKY, YELLOW, Color, css
 
@@ -94,6 +94,17 @@ def recording(view: DeskView) -> str:
     return _block([chip("recording", RED) + f" {view.lasted:.0f} s"])
 
 
+def suggestion(view: DeskView) -> str:
+    """Where to show it next, and why there."""
+    if view.suggested is None:
+        return ""
+    places = "; ".join(
+        f"{escape(name)} at " + ", ".join(f"{value:.2f}" for value in pose[:3]) + " m"
+        for name, pose in view.suggested.frames.items()
+    )
+    return _block([f"{chip('next', GREEN)} {places}", escape(view.suggested.words)])
+
+
 def demonstrations(view: DeskView) -> str:
     """The demonstrations, newest first, each with its verdict."""
     if not view.taught:
@@ -103,8 +114,10 @@ def demonstrations(view: DeskView) -> str:
         color, word = _LEVELS.get(one.level, (GREY, one.level))
         fits = view.model.misfits.get(one.number, "") if view.model is not None else ""
         words = "; ".join(part for part in (one.words, fits) if part)
-        used = "" if one.is_used else " (not used)"
-        lines.append(f"<b>{one.number}</b>{used} {chip(word, color)} {escape(words)}")
+        used = "" if one.is_used else " (left out)"
+        kind = f" corrects model {one.corrects};" if one.corrects else ""
+        comment = f" <i>{escape(one.comment)}</i>;" if one.comment else ""
+        lines.append(f"<b>{one.number}</b>{used} {chip(word, color)}{kind}{comment} {escape(words)}")
     return _block(lines)
 
 
