@@ -98,8 +98,8 @@ class Page:
         self._frames = FramesView(scene, list(desk.project.task.frames), draggable, self._move)
         self._hand = HandView(scene, self._lead if desk.simulated else None)
         self._model = ModelView(scene)
-        self._stiffness = StiffnessView(scene)
         self._suggested = SuggestedView(scene, list(desk.project.task.sources))
+        self._stiffness = StiffnessView(scene)
 
     def _lowest(self) -> float:
         """Where the floor is: below all of the robot, m."""
@@ -176,8 +176,8 @@ class Page:
             self._frames.show(graph.frames, view.places)
             self._hand.show(graph.hand, view.aim)
             self._model.show(graph.reference, graph.components)
-            self._stiffness.show(graph.hand, graph.stiffness)
             self._suggested.show({} if view.suggested is None else view.suggested.frames)
+            self._stiffness.show(graph.hand, graph.stiffness)
             self._show_preview(view, now)
         if now >= self._text_due:
             self._text_due = now + TEXT_PERIOD
