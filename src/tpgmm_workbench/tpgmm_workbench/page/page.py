@@ -24,6 +24,7 @@ from tpgmm_workbench.page.controls import Button, Text
 from tpgmm_workbench.page.driver import Driver
 from tpgmm_workbench.page.local_only import local_only
 from tpgmm_workbench.page.panels import NodesPanel, RunPanel, TeachPanel, TrainPanel
+from tpgmm_workbench.page.share_panel import SharePanel
 from tpgmm_workbench.project.preview import Preview
 from tpgmm_workbench.scene.colors import PREVIEW
 from tpgmm_workbench.scene.frames_view import FramesView
@@ -122,6 +123,8 @@ class Page:
             train = TrainPanel(server, desk, self.ask)
         with tabs.add_tab("Run"):
             run = RunPanel(server, desk, self.ask)
+        with tabs.add_tab("Share"):
+            share = SharePanel(server, desk, self.ask, self._give)
         with tabs.add_tab("Nodes"):
             nodes = NodesPanel(server)
         with tabs.add_tab("Look"):
@@ -131,7 +134,7 @@ class Page:
                     show_logo=False, show_share_button=False, control_width="large", dark_mode=bool(event.target.value)
                 )
             )
-        self._panels = (teach, train, run, nodes)
+        self._panels = (teach, train, run, share, nodes)
 
     # -- who asks -----------------------------------------------------------------------------------------------------
 
