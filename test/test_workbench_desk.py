@@ -137,6 +137,10 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
     assert view.preview.may_run, view.preview.words
     desk.run()
     bench.until(lambda view: view.run.stage == "running" and view.run.phase > 0.1, "the movement")
+    view = bench.until(lambda view: view.graph.torques and view.graph.stiffness, "torques and stiffness")
+    assert {one.joint for one in view.graph.torques} >= {"left_s0", "left_w2"}
+    assert any(0.02 < one.share <= 1.0 for one in view.graph.torques), view.graph.torques
+    assert "step" in view.graph.nodes["impedance_controller"].figures
     desk.table.move_object("target", compose(view.places["target"], np.array([0.02, 0.02, 0.0, 0.0, 0.0, 0.0, 1.0])))
     view = bench.until(lambda view: not view.run.goes_on, "the end of the movement")
     # three hasty demonstrations leave a model soft: that the hand gets there counts, not the tolerance of the action

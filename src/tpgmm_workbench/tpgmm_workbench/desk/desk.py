@@ -67,7 +67,7 @@ class Desk:
         self._node, self.project, self.simulated = node, project, simulated
         self.robot = project.robot()
         self._background, self._judge = Background(node), Background(node)
-        self._watcher = Watcher(node, project.task, self.robot.joint_names)
+        self._watcher = Watcher(node, project.task, self.robot)
         self._movement = MovementClient(node, self.say)
         self.teaching = Teaching(node, project, self._judge, self.say, lambda: None)
         self._learning = Learning(project, self._background, self.say)

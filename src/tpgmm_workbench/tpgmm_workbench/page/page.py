@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page: a scene and panels that show a `DeskView`, served by viser on this machine alone.
+"""The page: a scene and panels that show a `DeskView`, served by viser, to this machine alone if not told otherwise.
 
 What a user asks for is put in a queue, which the node works off: a page never calls ROS, and never waits for it.
 """
@@ -19,11 +19,11 @@ from tpgmm_core.common.types import Array
 from tpgmm_workbench.desk.desk import Desk
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page import words
+from tpgmm_workbench.page.access import Access, guarded
 from tpgmm_workbench.page.camera import camera_for
 from tpgmm_workbench.page.controls import Button, Text
 from tpgmm_workbench.page.driver import Driver
-from tpgmm_workbench.page.local_only import local_only
-from tpgmm_workbench.page.panels import NodesPanel, RunPanel, TeachPanel, TrainPanel
+from tpgmm_workbench.page.panels import NodesPanel, RobotPanel, RunPanel, TeachPanel, TrainPanel
 from tpgmm_workbench.page.share_panel import SharePanel
 from tpgmm_workbench.project.preview import Preview
 from tpgmm_workbench.scene.colors import PREVIEW
@@ -32,10 +32,9 @@ from tpgmm_workbench.scene.hand_view import HandView
 from tpgmm_workbench.scene.model_view import ModelView
 from tpgmm_workbench.scene.robot_view import RobotView
 from tpgmm_workbench.scene.shapes import Shapes
+from tpgmm_workbench.scene.stiffness_view import StiffnessView
 from tpgmm_workbench.scene.suggested_view import SuggestedView
 
-#: This machine alone: whoever else wants to see it makes a tunnel, as with ssh -L.
-HOST = "127.0.0.1"
 #: Texts and trail are renewed this often, s; a ghost moves through its movement in this time, s.
 TEXT_PERIOD, GHOST_TIME = 0.2, 4.0
 
@@ -53,24 +52,27 @@ class Page:
         what the robot looks like
     port
         where it is served; the next free one where it is taken
+    access
+        at which address it is served, and who may see it
 
     Attributes
     ----------
     address
-        where it is
+        where it is; with a token where one is needed: for the user's eyes alone
     """
 
-    def __init__(self, desk: Desk, ask: Callable[..., object], shapes: Shapes, port: int) -> None:
+    def __init__(self, desk: Desk, ask: Callable[..., object], shapes: Shapes, port: int, access: Access) -> None:
+        self._access = access
         self._desk, self._give, self._shapes = desk, ask, shapes
         self.driver = Driver()
         with (
-            local_only(),
+            guarded(access),
             contextlib.redirect_stdout(io.StringIO()),
         ):  # viser draws a box with an address; ours is said by the node
-            self._server = server = ViserServer(HOST, port, label="tpgmm workbench", verbose=False)
+            self._server = server = ViserServer(access.host, port, label="tpgmm workbench", verbose=False)
         # nothing of this page goes to another machine, whatever a client asks for
         server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
-        self.address = f"http://{HOST}:{server.get_port()}"
+        self.address = access.address(server.get_port())
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self._make_scene(server)
         self._make_panels(server)
@@ -98,6 +100,7 @@ class Page:
         self._hand = HandView(scene, self._lead if desk.simulated else None)
         self._model = ModelView(scene)
         self._suggested = SuggestedView(scene, list(desk.project.task.sources))
+        self._stiffness = StiffnessView(scene)
 
     def _lowest(self) -> float:
         """Where the floor is: below all of the robot, m."""
@@ -123,6 +126,8 @@ class Page:
             train = TrainPanel(server, desk, self.ask)
         with tabs.add_tab("Run"):
             run = RunPanel(server, desk, self.ask)
+        with tabs.add_tab("Robot"):
+            robot = RobotPanel(server)
         with tabs.add_tab("Share"):
             share = SharePanel(server, desk, self.ask, self._give)
         with tabs.add_tab("Nodes"):
@@ -134,7 +139,7 @@ class Page:
                     show_logo=False, show_share_button=False, control_width="large", dark_mode=bool(event.target.value)
                 )
             )
-        self._panels = (teach, train, run, share, nodes)
+        self._panels = (teach, train, run, robot, share, nodes)
 
     # -- who asks -----------------------------------------------------------------------------------------------------
 
@@ -175,6 +180,7 @@ class Page:
             self._hand.show(graph.hand, view.aim)
             self._model.show(graph.reference, graph.components)
             self._suggested.show({} if view.suggested is None else view.suggested.frames)
+            self._stiffness.show(graph.hand, graph.stiffness)
             self._show_preview(view, now)
         if now >= self._text_due:
             self._text_due = now + TEXT_PERIOD
@@ -184,7 +190,7 @@ class Page:
         self._hand.draw_trail()
         self._status.show(words.status(view))
         several = self.driver.pages > 1
-        self._pages.show(words.pages(self.driver.pages))
+        self._pages.show(words.pages(self.driver.pages, is_open=bool(self._access.token)))
         if self._take_over.visible != several:
             self._take_over.visible = several
         for panel in self._panels:

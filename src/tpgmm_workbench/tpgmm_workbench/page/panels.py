@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The panels of the page: teach, train, run, and what the nodes say. They show a view and ask for things."""
+"""The panels of the page: teach, train, run, torques, and what the nodes say. They show a view and ask for things."""
 
 from __future__ import annotations
 
@@ -154,6 +154,18 @@ class RunPanel:
         share = round(100.0 * min(1.0, max(0.0, view.run.phase)))
         if self._bar.value != share:
             self._bar.value = share
+
+
+class RobotPanel:
+    """The torques that are sent, and how stiff the hand is held."""
+
+    def __init__(self, server: ViserServer) -> None:
+        self._torques, self._stiffness = Text(server), Text(server)
+
+    def show(self, view: DeskView) -> None:
+        """Show what is known."""
+        self._torques.show(words.torques(view))
+        self._stiffness.show(words.stiffness(view))
 
 
 class NodesPanel:
