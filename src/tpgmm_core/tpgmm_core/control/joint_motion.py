@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from tpgmm_core.common.settings import check_settings, setting
@@ -104,7 +105,9 @@ class JointMotion:
         no joints, one named twice, or one without a speed limit
     """
 
-    def __init__(self, robot: RobotModel, joints: Sequence[int], config: MotionConfig | None = None) -> None:
+    def __init__(
+        self, robot: RobotModel, joints: Sequence[int] | NDArray[np.intp], config: MotionConfig | None = None
+    ) -> None:
         self.robot, self.joints = robot, np.array(joints, dtype=np.intp)
         self.names = tuple(robot.joint_names[i] for i in self.joints)
         if not len(self.joints) or len(set(self.names)) != len(self.names):

@@ -110,6 +110,11 @@ class Aim:
         if not (np.isfinite(self.mean).all() and np.isfinite(self.velocity).all()):
             raise ValueError("the reference's mean or velocity is not finite")
 
+    @property
+    def covariance(self) -> Array:
+        """(m, m), of the mean."""
+        return self.spread @ self.spread.T
+
     def jacobian(self, data: RobotData, nv: int) -> Array:
         """(m, nv), with `velocity = J v`."""
         return data.jacobian(self.endpoint) if self.endpoint else np.eye(nv)[self.joints]

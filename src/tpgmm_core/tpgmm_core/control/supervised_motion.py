@@ -10,10 +10,11 @@ that does not jump (steady, or the simulation's), `clock_ns` of the clock of the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tpgmm_core.common.settings import check_settings, setting
 from tpgmm_core.common.types import Array
@@ -72,7 +73,7 @@ class SupervisedMotion:
         self,
         robot: RobotModel,
         endpoint: str,
-        joints: Sequence[int],
+        joints: Sequence[int] | NDArray[np.intp],
         config: MotionConfig | None = None,
         timeouts: MotionTimeouts | None = None,
     ) -> None:
@@ -86,8 +87,10 @@ class SupervisedMotion:
         self._states, self._references = StreamWatch(), StreamWatch()
         self._aims: tuple[Aim, ...] = ()
         self._state_fault = self._reference_fault = ""
+        self._state_missing: Callable[[], str] | None = None
         self._q = self._anchor = np.zeros(0)
-        self._anchor_ns = self._stepped_ns = self._held_ns = 0
+        self._lags = np.zeros(len(self.motion.joints))
+        self._anchor_ns = self._heard_ns = self._stepped_ns = self._held_ns = 0
         self._moving = False
         self._lost = ""
         self._progress = Progress()
@@ -105,12 +108,9 @@ class SupervisedMotion:
 
     @property
     def lag(self) -> tuple[float, str]:
-        """How far a joint is from what it was told at most, rad (m), and which; 0 where nothing is sent."""
-        if not self._moving:
-            return 0.0, ""
-        lags = np.abs(self._q - self.motion.q)[self.motion.joints]
-        worst = int(np.argmax(lags))
-        return float(lags[worst]), self.motion.names[worst]
+        """How far a joint was from what it was told when it was measured last, rad (m), and which; 0 before that."""
+        worst = int(np.argmax(self._lags))
+        return float(self._lags[worst]), self.motion.names[worst]
 
     # -- inputs --------------------------------------------------------------------------------------------------------
 
@@ -167,22 +167,32 @@ class SupervisedMotion:
         kind = self._states.judge(stamp_ns, now_ns, clock_ns, after, timeouts.max_future)
         if kind is Stamp.OLD:
             return
-        self._state_fault = self._why_refused(kind, stamp_ns, clock_ns)
+        self.refuse_state(self._why_refused(kind, stamp_ns, clock_ns))
         if self._state_fault:
             return
         if kind is Stamp.RESTARTED:
             self._references.forget()
             self._aims = ()
+        age = self._states.age(now_ns)
         self._states.accept(stamp_ns, now_ns)
         known = self.motion.q if self._moving else self._q
         self._q = self.robot.unwound(q, known if len(known) else self.robot.home)
         joints = self.motion.joints
-        if not len(self._anchor) or np.abs(self._q - self._anchor)[joints].max() > RESTS_WITHIN:
+        # what has come to a joint meanwhile is nothing that an older measurement could show
+        if self._moving:
+            self._lags = np.abs(self._q - self.motion.q)[joints]
+        is_new = age is None or age > timeouts.joint_state_timeout
+        if is_new or np.abs(self._q - self._anchor)[joints].max() > RESTS_WITHIN:
             self._anchor, self._anchor_ns = self._q, now_ns
+        self._heard_ns = now_ns
 
     def refuse_state(self, reason: str) -> None:
-        """Note that a joint state came that cannot be used, or only a part of one; the last good one ages."""
-        self._state_fault = reason
+        """Note that a joint state came that cannot be used; the last good one ages."""
+        self._state_fault, self._state_missing = reason, None
+
+    def miss_state(self, trouble: Callable[[], str]) -> None:
+        """Note that a message came that is no whole joint state; `trouble` says what is missing, should none come."""
+        self._state_fault, self._state_missing = "", trouble
 
     # -- one step ------------------------------------------------------------------------------------------------------
 
@@ -205,10 +215,11 @@ class SupervisedMotion:
             return None
         why = self._why_not(now_ns)
         if not self._moving:
-            if why := why or self._why_not_begun(now_ns):
+            if why := why or self._why_not_begun():
                 self.mode, self.reason = ControllerMode.WAITING, f"{why}: nothing is sent"
                 return None
             self._moving, self._held_ns, self._progress = True, 0, Progress()
+            self._lags = 0.0 * self._lags
         return self._stay(why, dt, now_ns) if why else self._follow(dt)
 
     def release(self, now_ns: int) -> JointStep | None:
@@ -240,9 +251,12 @@ class SupervisedMotion:
             self.mode, self.reason = ControllerMode.WAITING, f"{why}: nothing is sent"
             return None
         self.mode, self.reason = ControllerMode.HOLD, f"{why}: holds"
-        if self._lost and self._rests(now_ns) and self.lag[0] > RESTS_WITHIN:
+        age = self._states.age(now_ns)
+        is_known = age is not None and age <= self.timeouts.joint_state_timeout
+        if self._lost and is_known and self._rests and self.lag[0] > RESTS_WITHIN:
             # what it is told is where it is: it does not jump, whenever it is let go
             self.motion.start(self._q)
+            self._lags = 0.0 * self._lags
             return self.motion.step((), dt, self._q)
         return step
 
@@ -252,7 +266,8 @@ class SupervisedMotion:
         """Why the reference cannot be followed at present; empty where it can."""
         timeouts = self.timeouts
         state_age, reference_age = self._states.age(now_ns), self._references.age(now_ns)
-        refused = f" ({self._state_fault})" if self._state_fault else ""
+        fault = self._state_fault if self._state_missing is None else self._state_missing()
+        refused = f" ({fault})" if fault else ""
         if state_age is None:
             return "no joint state yet" + refused
         if state_age > timeouts.joint_state_timeout:
@@ -271,17 +286,19 @@ class SupervisedMotion:
             return f"no reference for {timeouts.reference_timeout:g} s{refused}"
         return ""
 
-    def _why_not_begun(self, now_ns: int) -> str:
-        if not self._rests(now_ns):
-            return f"the robot moves: it begins once its joints rest for {RESTS_FOR:g} s"
+    def _why_not_begun(self) -> str:
+        if not self._rests:
+            return f"the robot has not been at rest for {RESTS_FOR:g} s yet, which it has to be to begin"
         try:
             self.motion.start(self._q)
         except ValueError as error:
             return str(error)
         return ""
 
-    def _rests(self, now_ns: int) -> bool:
-        return now_ns - self._anchor_ns > RESTS_FOR * SECOND
+    @property
+    def _rests(self) -> bool:
+        """Whether the robot was seen to rest."""
+        return self._heard_ns - self._anchor_ns > RESTS_FOR * SECOND
 
     def _why_refused(self, kind: Stamp, stamp_ns: int, clock_ns: int) -> str:
         timeouts = self.timeouts
