@@ -156,7 +156,18 @@ class MotionOutputs:
 
 
 def check_outputs(outputs: Sequence[str]) -> None:
-    """Raises ValueError: no output, an unknown or doubled one."""
+    """Check names of outputs.
+
+    Parameters
+    ----------
+    outputs
+        some of `OUTPUTS`
+
+    Raises
+    ------
+    ValueError
+        no output, an unknown or doubled one.
+    """
     unknown = [name for name in outputs if name not in OUTPUTS]
     if unknown:
         raise ValueError(f"outputs names {shown(unknown[0])}; expected some of {', '.join(OUTPUTS)}")
