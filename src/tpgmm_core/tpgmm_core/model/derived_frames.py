@@ -197,10 +197,14 @@ def unturned(frame: Frame) -> Frame:
     Returns
     -------
     Frame
-        with the same origin
+        with the same origin, known as well as that of the frame
     """
     b = frame.b[0] if frame.is_time_varying and (frame.b == frame.b[0]).all() else frame.b
-    return Frame(np.eye(b.shape[-1]), b)
+    covariance = None
+    if frame.pose_covariance is not None:
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = frame.pose_covariance[:3, :3]
+    return Frame(np.eye(b.shape[-1]), b, pose_covariance=covariance)
 
 
 def with_frames(demonstration: Demonstration, names: Collection[str]) -> Demonstration:

@@ -197,14 +197,19 @@ class ReproductionNode(ManagedNode):
 
     def _take_task_parameters(self, message: TaskParameters) -> None:
         """What a tracker in another process says."""
-        received = [(item.name, item.status, item.confidence, item.a, item.b) for item in message.frames]
+        received = [
+            (item.name, item.status, item.confidence, item.a, item.b, item.pose_covariance) for item in message.frames
+        ]
         stamp_ns = conversions.time_to_ns(message.header.stamp)
         self._take_frames(received, lambda: conversions.task_parameters(message), stamp_ns)
 
     def _take_tracked_frames(self, item: StampedFrames) -> None:
         """What a tracker in this process says."""
         received = [
-            (frame.name, frame.status, frame.confidence, None if frame.pose is None else frame.pose.tolist())
+            (
+                *(frame.name, frame.status, frame.confidence, None if frame.pose is None else frame.pose.tolist()),
+                None if frame.covariance is None else frame.covariance.tolist(),
+            )
             for frame in item.frames
         ]
         self._take_frames(received, item.states, item.stamp_ns)

@@ -7,6 +7,7 @@
     endpoint: left                           # the end point of the robot that follows it
     frames:
       object: {topic: object/pose}           # observed: PoseStamped; for other sources see `source_entries`
+      table: {tf: table, unseen: stays}      # observed; out of sight it is where it was last seen
       robot: {pose: [0, 0, 0, 0, 0, 0, 1]}   # fixed: x y z (m), qx qy qz qw, in base_frame
       place: {frame: object, turned: false}  # derived: where `object` is, with the axes of base_frame
       begin: {hand: start, turned: false}    # derived: where the hand is when the movement begins
@@ -17,6 +18,7 @@
 Reading a task file executes nothing and needs no ROS.
 """
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -47,6 +49,10 @@ from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Sour
 from tpgmm_ros.task.kinematic_section import KinematicSpec
 from tpgmm_ros.task.source_entries import KEYS, a_frame_id, read_movement, read_source
 from tpgmm_ros.task.state_space import PoseSpace, StateSpace
+from tpgmm_ros.task.takes_section import TakesRule, TopicTakes, read_takes
+
+UNSEEN = "unseen"
+"""Key of what is known of an observed frame that is out of sight."""
 
 
 class TaskError(ValueError):
@@ -65,11 +71,15 @@ class TaskFrameSpec:
         what it is observed by, or None
     pose
         fixed pose (x, y, z in m, qx, qy, qz, qw, unit quaternion) in the base frame, or None
+    unknown_after
+        how long an observed frame that is out of sight is where it was last seen, s; infinite: it stays there. None:
+        as recordings and the tracker have it where nothing is said
     """
 
     name: str
     source: Source | None = None
     pose: tuple[float, ...] | None = None
+    unknown_after: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +127,8 @@ class Task:
         how demonstrations were recorded where each is one PoseArray.
     recorded_movement
         where recordings have the movement, if not as PoseStamped on the topic `movement`.
+    takes
+        how each recording is cut into several demonstrations; None: each is one.
     space
         what states are: poses of the end point, or configurations where the file has the part `kinematic`.
     """
@@ -131,6 +143,7 @@ class Task:
     model: dict[str, Any] = field(default_factory=dict)
     recordings: PoseArraySpec | None = None
     recorded_movement: Source | JointStateSource | None = None
+    takes: TakesRule | None = None
     derived: DerivedFrames = field(default_factory=DerivedFrames)
 
     @classmethod
@@ -197,9 +210,13 @@ class Task:
                     "has derived frames and 'kinematic'; movements of joints have none: leave one of them out"
                 )
             space = KinematicSpec.of(top.section("kinematic"), frames)
-        recordings, recorded_movement = _recordings(top.section("recordings", optional=True), base_frame)
+        recorded = top.section("recordings", optional=True)
+        recordings, recorded_movement = _recordings(recorded, base_frame)
         if "kinematic" in top.values and recordings is not None:
             raise top.error("has 'recordings' and 'kinematic'; a PoseArray holds no joints: leave one of them out")
+        takes = read_takes(recorded.section("takes")) if "takes" in recorded.values else None
+        if recordings is not None and isinstance(takes, TopicTakes):
+            raise recorded.error("has takes by a topic; a PoseArray has no times to cut it by: use 'still'")
         return cls(
             name=top.required("name", a_name),
             base_frame=base_frame,
@@ -211,6 +228,7 @@ class Task:
             model=_model(top.section("model", optional=True), space),
             recordings=recordings,
             recorded_movement=recorded_movement,
+            takes=takes,
             derived=derived,
         )
 
@@ -218,6 +236,12 @@ class Task:
     def sources(self) -> dict[str, Source]:
         """What the observed frames are observed by, by frame name."""
         return {name: spec.source for name, spec in self.frames.items() if spec.source is not None}
+
+    @property
+    def unknown_after(self) -> dict[str, float]:
+        """How long observed frames are where they were last seen, s, by frame name, where the file says it."""
+        specs = self.frames.values()
+        return {spec.name: spec.unknown_after for spec in specs if spec.unknown_after is not None}
 
     @property
     def topics(self) -> dict[str, str]:
@@ -235,19 +259,19 @@ def _frames(section: Section, movement: str, base_frame: str) -> tuple[dict[str,
         if not is_name(name):
             raise section.error(f"has the frame name {shown(name)}: use letters, digits and underscores")
         entry = section.section(name)
-        entry.refuse_others(*KEYS, "pose", "frame", "hand", "turned")
+        entry.refuse_others(*KEYS, UNSEEN, "pose", "frame", "hand", "turned")
         if len(entry.values.keys() & {"topic", "tf", "pose", "frame", "hand"}) != 1:
             raise entry.error(
                 "needs one of 'topic' or 'tf' (observed), 'pose' (fixed), 'frame' (derived from another frame) and "
                 "'hand' (derived from where the hand starts), and not several"
             )
         if "frame" in entry.values or "hand" in entry.values:
-            _refuse(entry, KEYS, "observed frames")
+            _refuse(entry, (*KEYS, UNSEEN), "observed frames")
             derived[name] = _source(entry)
             continue
         _refuse(entry, ("turned",), "frames with 'frame' or 'hand'")
         if "pose" in entry.values:
-            _refuse(entry, KEYS, "observed frames")
+            _refuse(entry, (*KEYS, UNSEEN), "observed frames")
             frames[name] = TaskFrameSpec(name, pose=entry.required("pose", _pose))
             continue
         source = read_source(entry, base_frame)
@@ -258,7 +282,8 @@ def _frames(section: Section, movement: str, base_frame: str) -> tuple[dict[str,
                 f"{taken[source]}: each frame has one of its own"
             )
         taken[source] = f"the frame {name!r}"
-        frames[name] = TaskFrameSpec(name, source)
+        unknown_after = entry.required(UNSEEN, _unseen) if UNSEEN in entry.values else None
+        frames[name] = TaskFrameSpec(name, source, unknown_after=unknown_after)
     for name, made_of in derived.items():
         if made_of.of not in (*frames, HAND):
             raise section.error(
@@ -282,6 +307,18 @@ def _source(entry: Section) -> FrameSource:
     return FrameSource(entry.required("frame", a_name), turned)
 
 
+def _unseen(value: Any) -> float:
+    """The time after which it is not known where a frame is, s."""
+    if value == "stays":
+        return math.inf
+    try:
+        return a_number(0.0)(value)
+    except ValueError:
+        raise ValueError(
+            "'stays' (out of sight it is where it was last seen), or the time in s after which that is not known"
+        ) from None
+
+
 def _truth(value: Any) -> bool:
     if not isinstance(value, bool):
         raise ValueError("true or false")
@@ -289,12 +326,12 @@ def _truth(value: Any) -> bool:
 
 
 def _recordings(section: Section, base_frame: str) -> tuple[PoseArraySpec | None, Source | JointStateSource | None]:
-    if not section.values:
+    section.refuse_others("pose_array", "period", "frames", "movement", "takes")
+    if not section.values.keys() - {"takes"}:
         return None, None
     if "movement" in section.values:
-        section.refuse_others("movement")
+        section.refuse_others("movement", "takes")
         return None, read_movement(section.section("movement"), base_frame)
-    section.refuse_others("pose_array", "period", "frames", "movement")
     spec = PoseArraySpec(
         pose_array=section.required("pose_array", a_topic),
         period=section.required("period", _period),
