@@ -148,6 +148,26 @@ def test_a_demonstration_is_taught_by_clicks_and_keys_and_nothing_comes_from_els
     user.sees("target: seen")
     user.shoot("taught")
 
+    # a comment is kept, whose letters are no keys; the project comes as a file
+    user.page.get_by_text("Notes of one demonstration").click(force=True)
+    user.page.get_by_label("comment").fill("")
+    user.page.get_by_label("comment").type("roundabout")
+    user.click("Keep these notes")
+    user.until(lambda: Project.open(folder).demonstration(1).notes.comment == "roundabout", "the comment on the disk")
+    assert len(Project.open(folder).used()) == 1
+    user.shoot("notes")
+    user.page.get_by_role("tab", name="Share").click(force=True)
+    with user.page.expect_download() as got:
+        user.click("Export this project")
+    archive = tmp_path / got.value.suggested_filename
+    got.value.save_as(archive)
+    with user.page.expect_file_chooser() as chooser:
+        user.click("Import a project")
+    chooser.value.set_files(archive)
+    user.sees("imported into")
+    user.shoot("share")
+    assert len(Project.open(folder.parent / "project_2").demonstrations()) == 1
+
     # the torques that carry the arm stand beside their limits
     user.page.get_by_role("tab", name="Robot").click(force=True)
     user.sees("left_s0:")

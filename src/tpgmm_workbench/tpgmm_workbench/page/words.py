@@ -121,6 +121,18 @@ def demonstrations(view: DeskView) -> str:
     return _block(lines)
 
 
+def sharing(view: DeskView) -> str:
+    """What came of the last export or import; before, what they are."""
+    if view.shared:
+        return _block([escape(view.shared)])
+    return _block(
+        [
+            "One file with bags, task file, robot file, models and a report.",
+            "A project of somebody else comes into a folder of its own, if it is sound.",
+        ]
+    )
+
+
 def model(view: DeskView) -> str:
     """How well the present model does."""
     if view.model is None:
