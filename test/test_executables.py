@@ -26,6 +26,7 @@ NODES: dict[str, dict[str, object]] = {
     "endpoint_poses": {"robot_file": ROBOT_FILE},
     "joint_reference": {"robot_file": ROBOT_FILE},
     "recognition": {"task_file": TASK_FILE},
+    "joint_motion": {"robot_file": ROBOT_FILE, "autostart": True},
     "workbench": {"task_file": TASK_FILE, "robot_file": ROBOT_FILE},
     "reproduction": {"task_file": TASK_FILE, "autostart": True},
     "impedance_controller": {"robot_file": ROBOT_FILE, "autostart": True},

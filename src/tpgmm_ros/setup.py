@@ -30,6 +30,7 @@ setup(
             "frame_tracker = tpgmm_ros.executables:frame_tracker",
             "reproduction = tpgmm_ros.executables:reproduction",
             "impedance_controller = tpgmm_ros.executables:impedance_controller",
+            "joint_motion = tpgmm_ros.executables:joint_motion",
             "joint_reference = tpgmm_ros.executables:joint_reference",
             "baxter_simulator = tpgmm_ros.executables:baxter_simulator",
             "endpoint_poses = tpgmm_ros.executables:endpoint_poses",

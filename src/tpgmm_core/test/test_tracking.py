@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tpgmm_core.geometry import quaternion
 from tpgmm_core.observation.poses import check_pose
 from tpgmm_core.observation.tracking import FrameStatus, FrameTracker, TrackingConfig
 
@@ -45,6 +48,46 @@ def test_a_lost_frame_is_held_at_its_last_pose_then_fades_then_is_missing():
     assert by_time[1.45].status is FrameStatus.HELD and 0.3 < by_time[1.45].confidence < 0.7
     assert by_time[2.0].status is FrameStatus.MISSING
     np.testing.assert_array_equal(by_time[2.0].pose, POSE)
+
+
+def test_a_frame_that_stays_is_held_for_ever_and_known_worse_only_where_it_was_seen_to_move():
+    frames = FrameTracker(["object", "cart"], config=CONFIG, unknown_after={"object": math.inf, "cart": math.inf})
+    for step in range(100):  # for 2 s; the cart goes 0.1 m/s and turns 0.2 rad/s
+        t = 0.02 * step
+        cart = [0.1 * t, 1.0, 0.0, 0.0, 0.0, math.sin(0.1 * t), math.cos(0.1 * t)]
+        assert see(frames, t) is None
+        assert frames.observe("cart", cart, ns(100 + t), ns(100 + t), ns(t)) is None
+    seen, held, later = (state(frames, t) for t in (1.99, 5.98, 600.0))
+    assert seen["cart"].covariance is None and seen["cart"].status is FrameStatus.VISIBLE
+    for now in (held, later):
+        assert all(now[name].status is FrameStatus.HELD and now[name].confidence == 1.0 for name in now)
+        assert now["object"].covariance is None, "at rest it is where it was"
+    np.testing.assert_allclose(np.diag(held["cart"].covariance), [0.4**2] * 3 + [0.8**2] * 3, rtol=1e-6)
+    assert np.all(np.diag(later["cart"].covariance) > np.diag(held["cart"].covariance))
+    see(frames, 600.1)
+    assert state(frames, 600.1)["object"].status is FrameStatus.VISIBLE
+
+
+def test_noise_of_a_frame_at_rest_is_no_motion():
+    rng = np.random.default_rng(0)
+    frames = FrameTracker(["object"], config=CONFIG, unknown_after={"object": math.inf})
+    for step in range(150):
+        turn = quaternion.exp(rng.normal(scale=0.01, size=3))
+        see(frames, step / 30.0, [*rng.normal(scale=0.002, size=3), *turn])
+    deviations = np.sqrt(np.diag(state(frames, 65.0)["object"].covariance or np.zeros((6, 6))))
+    assert deviations[0] < 0.06 and deviations[5] < 0.3, "in a minute"
+
+
+def test_a_frame_is_unknown_after_its_own_time():
+    frames = FrameTracker(["object", "cup"], config=CONFIG, unknown_after={"cup": 5.0})
+    for name in ("object", "cup"):
+        frames.observe(name, POSE, ns(100), ns(100), ns(0))
+    by_time = {t: state(frames, t) for t in (0.1, 3.0, 4.0, 5.15, 6.0)}
+    assert by_time[4.0]["object"].status is FrameStatus.MISSING
+    assert by_time[5.15]["cup"].status is FrameStatus.HELD and by_time[5.15]["cup"].confidence == 1.0
+    assert by_time[6.0]["cup"].status is FrameStatus.MISSING
+    with pytest.raises(ValueError, match="unknown_after"):
+        FrameTracker(["object"], unknown_after={"lamp": 1.0})
 
 
 def test_confidence_never_jumps_however_observations_come():

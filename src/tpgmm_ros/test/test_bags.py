@@ -57,6 +57,20 @@ def test_a_frame_holds_its_latest_pose(tmp_path: Path) -> None:
     assert recording.to_demonstration().frames["object"].is_time_varying
 
 
+@pytest.mark.parametrize(("unseen", "known"), [("stays", [1] * 11), ("0.25", [1, 1, 1, 1, 0, 0, 1, 1, 1, 0, 0])])
+def test_how_long_a_frame_out_of_sight_is_where_it_was_the_task_says(
+    unseen: str, known: list[int], tmp_path: Path
+) -> None:
+    topics = reach(0, samples=11, duration=1.0)
+    topics["/object/pose"] = Topic(np.tile([1.0, 0, 0, 0, 0, 0, 1], (3, 1)), [0.0, 0.1, 0.55])
+    task = Task.from_text(REACH_TASK.replace("{topic: object/pose", f"{{topic: object/pose, unseen: {unseen}"))
+    recording = read_recording(write_bag(tmp_path / "demo", topics), task)
+    assert recording.visible["object"].astype(int).tolist() == known
+    notes = [note for note in recording.notes if "object" in note]
+    lost = known.count(0)
+    assert notes == ([f"object: not known in {lost} of 11 samples, 0.25 s after it was last seen"] if lost else [])
+
+
 def test_a_pose_with_the_stamp_of_a_sample_belongs_to_it(tmp_path: Path) -> None:
     topics = reach(0)
     topics["/object/pose"].poses[:, 0] += 1e-3 * np.arange(100)

@@ -60,7 +60,7 @@ def test_a_gaussian_of_a_pose_has_the_covariance_of_pose_with_covariance() -> No
 def tracked(status: FrameStatus = FrameStatus.VISIBLE, confidence: float = 1.0) -> TaskParameters:
     pose = None if status is FrameStatus.MISSING else POSE
     frames = [
-        TrackedFrame("object", status, confidence, 42, pose),
+        TrackedFrame("object", status, confidence, 42, pose, None if pose is None else COVARIANCE),
         TrackedFrame("far", FrameStatus.MISSING, 0, 0, None),
     ]
     return conversions.task_parameters_message(frames, 7, "base")
@@ -72,10 +72,7 @@ def test_task_parameters_survive_both_ways() -> None:
     states = conversions.task_parameters(message)
     assert states["object"].weight == 0.5 and states["object"].status is FrameStatus.HELD
     assert states["far"].frame is None and states["far"].weight == 0.0
-    frame, expected = states["object"].frame, Frame.from_pose(POSE[:3], POSE[3:])
-    assert frame is not None
-    np.testing.assert_array_equal(frame.A, expected.A)
-    np.testing.assert_array_equal(frame.b, expected.b)
+    assert states["object"].frame == Frame.from_pose(POSE[:3], POSE[3:], COVARIANCE)
 
 
 def change(name: str, value: object) -> Callable[[TaskParameters], None]:
@@ -90,6 +87,9 @@ def change(name: str, value: object) -> Callable[[TaskParameters], None]:
         (change("rows", 6), "expected 42 and 6"),
         (change("b", array("d")), "0 in b"),
         (change("a", array("d", [np.nan] * 49)), "finite"),
+        (change("pose_covariance", array("d", [1.0])), "1 numbers in pose_covariance"),
+        (change("pose_covariance", array("d", [1e12] * 36)), "36 of 1e"),
+        (change("pose_covariance", array("d", -np.eye(6).ravel())), "no negative eigenvalue"),
         (change("status", 9), "status 9"),
         (change("confidence", 1.5), "confidence 1.5"),
         (change("confidence", -0.1), "confidence -0.1"),

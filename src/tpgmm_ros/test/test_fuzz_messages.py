@@ -56,6 +56,7 @@ def task_frames(draw: st.DrawFn) -> TaskFrame:
     frame = TaskFrame(name=draw(NAMES), status=status, rows=draw(side), cols=draw(side))
     frame.confidence = draw(st.sampled_from([1.0, 0.5, 0.0]) | NUMBERS)
     frame.a, frame.b = draw(arrays_of(49, 9, 1, 0)), draw(arrays_of(7, 3, 1, 0))
+    frame.pose_covariance = draw(arrays_of(0, 36))
     return frame
 
 

@@ -21,7 +21,8 @@ from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.methods import METHODS, method_of
 from tpgmm_core.retrieval.novelty import NoveltyScale
 from tpgmm_ros.models.task_model import load_task_model
-from tpgmm_ros.models.validation import path_errors, replay_nearest
+from tpgmm_ros.models.training_record import learned_from
+from tpgmm_ros.models.validation import path_errors, replay_nearest, tried
 from tpgmm_ros.programs.train import main
 from tpgmm_ros.recordings.bags import Recording, read_recording
 from tpgmm_ros.task.task_file import Task
@@ -108,6 +109,52 @@ def test_the_same_bags_and_seed_give_the_same_model(bags: Path, tmp_path: Path) 
     for frame in ("object", "robot"):
         np.testing.assert_array_equal(one.means_[frame], two.means_[frame])
         np.testing.assert_array_equal(one.covariances_[frame], two.covariances_[frame])
+
+
+def test_a_model_goes_on_to_learn_from_new_bags_about_as_well_as_from_all_at_once(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    demonstrations = [bags / f"demo_{i}" for i in range(COUNT)]
+    first, better, whole = (tmp_path / name for name in ("first.tpgmm", "better.tpgmm", "whole.tpgmm"))
+    assert train(bags, "--online", "--output", first, *demonstrations[:4]) == 0
+    before = first.read_bytes()
+    assert train(bags, "--update", first, "--output", better, "--report", tmp_path, *demonstrations[4:]) == 0
+    assert train(bags, "--output", whole, *demonstrations) == 0
+    said = json.loads((tmp_path / "report.json").read_text())["update"]
+    assert first.read_bytes() == before and set(said["position_rmse_m"]) == {f"demo_{i}" for i in range(4, COUNT)}
+    model, batch = TPGMM.load(better), TPGMM.load(whole)
+    assert learned_from(model) == learned_from(batch)
+    assert model.metadata_["demonstrations"] == COUNT and model.metadata_["samples"] == 60 * COUNT
+    task = Task.load(bags / "task.yaml")
+    recordings = [read_recording(path, task) for path in demonstrations]
+    errors = {
+        name: np.mean([tried(one, item, 5.0).errors.position_rmse_m for item in recordings])
+        for name, one in (("updated", model), ("batch", batch), ("first", TPGMM.load(first)))
+    }
+    assert errors["updated"] < 1.5 * errors["batch"] and errors["updated"] < errors["first"], errors
+
+    capsys.readouterr()
+    assert train(bags, "--update", better, "--output", tmp_path / "twice.tpgmm", demonstrations[0]) == 0
+    assert "demo_0: recordings of these names were learned from before" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("--update", "plain.tpgmm"), "keeps nothing of its demonstrations to go on from; train it with --online"),
+        (("--update", "none.tpgmm"), "No such file"),
+        (("--update", "plain.tpgmm", "--components", "3"), "--update goes on with a model as it was learned"),
+        (("--online", "--retrieval", "time_steps"), "leave out --online"),
+        (("--online", "--auto"), "leave one of them out"),
+    ],
+)
+def test_what_cannot_go_on_to_learn_says_why(
+    arguments: tuple[str, ...], reason: str, bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train(bags, "--output", tmp_path / "plain.tpgmm", "--components", "2", bags / "demo_0", bags / "demo_1") == 0
+    given = [str(tmp_path / text) if text.endswith(".tpgmm") else text for text in arguments]
+    assert train(bags, *given, "--output", tmp_path / "new.tpgmm", bags / "demo_2") == 1
+    assert reason in capsys.readouterr().err and not (tmp_path / "new.tpgmm").exists()
 
 
 def test_options_go_before_the_task_file(bags: Path, tmp_path: Path) -> None:

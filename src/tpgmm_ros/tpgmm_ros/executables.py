@@ -24,6 +24,7 @@ def _elsewhere(package: str, run: Callable[[], int], name: str) -> Callable[[], 
 frame_tracker = node("tpgmm_ros.nodes.frame_tracker")
 reproduction = node("tpgmm_ros.nodes.reproduction")
 impedance_controller = node("tpgmm_ros.nodes.impedance_controller")
+joint_motion = node("tpgmm_ros.nodes.joint_motion")
 joint_reference = node("tpgmm_ros.nodes.joint_reference")
 baxter_simulator = node("tpgmm_ros.nodes.baxter_simulator")
 endpoint_poses = node("tpgmm_ros.nodes.endpoint_poses")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.common.constants import RANK_TOLERANCE
+from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 
@@ -30,16 +31,20 @@ class Frame:
     inverse
         shape (D_j, D), or (T, D_j, D) as A: how the frame sees xi - b, where that is not A^+. A damped A (near
         singularities) has no bounded pseudo-inverse that is continuous, so it comes with the inverse that is meant
+    pose_covariance
+        shape (6, 6), how well the pose of a constant frame is known: displacement and turn about the fixed axes, m²,
+        m rad and rad², as in geometry_msgs/PoseWithCovariance; None: exactly
 
     Raises
     ------
     ValueError
-        for shapes that do not fit and for non-finite numbers
+        for shapes that do not fit, for non-finite numbers, and for what is no covariance
     """
 
     A: Array
     b: Array
     inverse: Array | None = None
+    pose_covariance: Array | None = None
 
     def __post_init__(self) -> None:
         A, b = np.array(self.A, dtype=float), np.array(self.b, dtype=float)
@@ -65,23 +70,26 @@ class Frame:
             )
         object.__setattr__(self, "A", A)
         object.__setattr__(self, "b", b)
+        if self.pose_covariance is not None:
+            object.__setattr__(self, "pose_covariance", _checked_covariance(self.pose_covariance, A.ndim == 3))
 
     def __eq__(self, other: object) -> bool:
         if self is other:
             return True
         if not isinstance(other, Frame):
             return NotImplemented
-        if self.inverse is None or other.inverse is None:
-            is_same = self.inverse is other.inverse
-        else:
-            is_same = _are_equal(self.inverse, other.inverse)
-        return is_same and _are_equal(self.b, other.b) and _are_equal(self.A, other.A)
+        return (
+            _are_equal(self.b, other.b)
+            and _are_equal(self.A, other.A)
+            and _are_equal(self.inverse, other.inverse)
+            and _are_equal(self.pose_covariance, other.pose_covariance)
+        )
 
     def __hash__(self) -> int:
         return hash((self.A.shape, (self.A + 0.0).tobytes(), (self.b + 0.0).tobytes()))  # -0 becomes 0, its equal
 
     @classmethod
-    def from_pose(cls, position: ArrayLike, orientation: ArrayLike) -> Frame:
+    def from_pose(cls, position: ArrayLike, orientation: ArrayLike, pose_covariance: ArrayLike | None = None) -> Frame:
         """Frame of an object, for poses [x, y, z, qx, qy, qz, qw].
 
         A = blkdiag(R, L(q)) and b = [position, 0]; the quaternion is normalised.
@@ -92,6 +100,8 @@ class Frame:
             of the object, (3,) or (T, 3), m
         orientation
             of the object, quaternion x, y, z, w, (4,) or (T, 4)
+        pose_covariance
+            (6, 6), how well they are known, see `Frame`; None: exactly
 
         Returns
         -------
@@ -101,7 +111,7 @@ class Frame:
         Raises
         ------
         ValueError
-            for shapes that do not fit, and for zero or non-finite quaternions
+            for shapes that do not fit, for zero or non-finite quaternions, and for what is no covariance
         """
         position, orientation = np.asarray(position, dtype=float), quaternion.normalize(orientation)
         if position.shape[-1:] != (3,) or orientation.shape[-1:] != (4,):
@@ -114,11 +124,13 @@ class Frame:
         A[..., 3:, 3:] = quaternion.left_matrix(orientation)
         b = np.zeros((*steps, 7))
         b[..., :3] = position
-        return cls(A, b)
+        return cls(A, b, pose_covariance=None if pose_covariance is None else np.asarray(pose_covariance, dtype=float))
 
     @classmethod
     def stacked(cls, frames: Sequence[Frame]) -> Frame:
         """One frame for data that lie side by side, each seen from its own frame: A = blkdiag(A_1, A_2, ...).
+
+        It counts as known exactly.
 
         For two hands, poses [left, right] on "R3 x S3 x R3 x S3", and an object that both are seen from:
         `Frame.stacked([pose, pose])` with `pose = Frame.from_pose(...)`.
@@ -153,7 +165,7 @@ class Frame:
         A, inverse = (None if M is None else block_diagonal(one, M) for M in (self.A, self.inverse))
         assert A is not None
         b = np.concatenate([np.zeros((*self.b.shape[:-1], 1)), self.b], axis=-1)
-        return Frame(A, b, inverse)
+        return Frame(A, b, inverse, self.pose_covariance)
 
     @property
     def is_time_varying(self) -> bool:
@@ -210,8 +222,21 @@ class Frame:
         return np.linalg.pinv(self.A, rcond=RANK_TOLERANCE) if self.inverse is None else self.inverse
 
 
-def _are_equal(one: Array, other: Array) -> bool:
+def _checked_covariance(covariance: ArrayLike, is_time_varying: bool) -> Array:
+    P = np.array(covariance, dtype=float)
+    is_covariance = P.shape == (6, 6) and bool(np.isfinite(P).all()) and np.allclose(P, P.T)
+    if is_time_varying or not is_covariance or np.linalg.eigvalsh(P)[0] < -1e-9 * np.trace(P):
+        raise ValueError(
+            f"a constant frame may have the covariance (6, 6) of its pose, finite, symmetric and with no negative "
+            f"eigenvalue, m² and rad²; got shape {P.shape}: {shown(P.tolist())}"
+        )
+    return P
+
+
+def _are_equal(one: Array | None, other: Array | None) -> bool:
     """Whether shapes and numbers are the same. Comparing bytes is five times as fast where nothing has changed."""
+    if one is None or other is None:
+        return one is other
     return one.shape == other.shape and (one.tobytes() == other.tobytes() or np.array_equal(one, other))
 
 

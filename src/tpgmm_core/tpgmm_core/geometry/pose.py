@@ -15,6 +15,26 @@ from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import POSE
 
 
+def turned_covariance(covariance: Array, orientation: Array) -> Array:
+    """Covariance of a pose about other fixed axes.
+
+    Parameters
+    ----------
+    covariance
+        (6, 6) of displacement and turn about the fixed axes of a frame, m² and rad²
+    orientation
+        of that frame, unit quaternion (4,)
+
+    Returns
+    -------
+    Array
+        (6, 6) about the axes in which the frame has that orientation
+    """
+    R = np.kron(np.eye(2), quaternion.rotation_matrix(orientation))
+    turned: Array = R @ covariance @ R.T
+    return turned
+
+
 def compose(pose: ArrayLike, relative: ArrayLike) -> Array:
     """Place a pose that is given in the axes of another one.
 

@@ -103,7 +103,6 @@ class LearnedMixture(StoredMixture):
         frames: Mapping[str, Frame],
         state: ArrayLike | None = None,
         weights: Mapping[str, float] | None = None,
-        uncertainties: Mapping[str, ArrayLike] | None = None,
     ) -> GaussianMixture:
         """The mixture in a new situation, by Eqs. (5) and (6).
 
@@ -113,7 +112,7 @@ class LearnedMixture(StoredMixture):
 
         Parameters
         ----------
-        frames, state, weights, uncertainties
+        frames, state, weights
             as for `Adapter.adapt`
 
         Returns
@@ -135,7 +134,7 @@ class LearnedMixture(StoredMixture):
         if not adapter.learned.is_of(self):
             adapter = Adapter(self)
         try:
-            return adapter.adapt(frames, state, weights, uncertainties)
+            return adapter.adapt(frames, state, weights)
         finally:
             idle.append(adapter)
 

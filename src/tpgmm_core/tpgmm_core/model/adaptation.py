@@ -18,7 +18,6 @@ from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.model import kernels_adapt, kernels_regress
 from tpgmm_core.model.fitted import FittedModel, check_fitted
 from tpgmm_core.model.frame_buffer import FrameBuffer
-from tpgmm_core.model.frame_uncertainty import uncertain_precisions
 from tpgmm_core.model.learned import Learned
 
 UNCONSTRAINED_VARIANCE = 1e6
@@ -90,21 +89,19 @@ class Adapter:
         frames: Mapping[str, Frame],
         state: ArrayLike | None = None,
         weights: Mapping[str, float] | None = None,
-        uncertainties: Mapping[str, ArrayLike] | None = None,
     ) -> GaussianMixture:
         """The mixture with means and covariances of Eq. (6), in the space that the frames map to.
 
         Parameters
         ----------
         frames
-            any of the model's frames by name, at least one; those that are missing contribute nothing
+            any of the model's frames by name, at least one; those that are missing contribute nothing, and those whose
+            pose is not known exactly (`Frame.pose_covariance`) less, in the directions in which it is not
         state
             shape (D,), where the robot is; zeros (and no turn) where None. A direction that no frame constrains stays
             there, with UNCONSTRAINED_VARIANCE
         weights
             how far each frame is trusted, 0 to 1; 1 where not named
-        uncertainties
-            covariance (6, 6) of a frame's pose by name, see `uncertain_precisions`; frames not named are exact
 
         Returns
         -------
@@ -115,15 +112,11 @@ class Adapter:
         ------
         ValueError
             for unknown names, matrices that do not fit, time-varying frames, weights outside 0..1, and orientations so
-            contradictory that their product does not converge (`kernels_product.fuse`);
-            for uncertainties of frames that are not given, or that `uncertain_precisions` refuses
+            contradictory that their product does not converge (`kernels_product.fuse`)
         """
         self._take(frames, state, weights)
         means, covariances = np.empty(self._means_out.shape), np.empty(self._covariances_out.shape)
-        inputs = self._inputs()
-        if uncertainties:
-            inputs = inputs[0], self._less_certain(frames, uncertainties), *inputs[2:]
-        self._check(kernels_adapt.adapt(*inputs, 1.0 / UNCONSTRAINED_VARIANCE, means, covariances))
+        self._check(kernels_adapt.adapt(*self._inputs(), 1.0 / UNCONSTRAINED_VARIANCE, means, covariances))
         return GaussianMixture._made(self.priors.copy(), means, covariances, self.buffer.manifold)
 
     def situate(
@@ -226,23 +219,9 @@ class Adapter:
     def _inputs(self) -> tuple[NDArray[Any], ...]:
         s = self.buffer
         if self._arrays is None or s.A is not self._arrays[5]:  # frames that map to another space have other arrays
-            frames = s.A, s.b, s.inverses, s.has_inverse, s.weights
+            frames = s.A, s.b, s.inverses, s.has_inverse, s.pose_covariances, s.weights
             self._arrays = self._means, self._precisions, s.sizes, *s.layout, *frames
         return *self._arrays, s.state
-
-    def _less_certain(self, frames: Mapping[str, Frame], uncertainties: Mapping[str, ArrayLike]) -> Array:
-        """The precisions, where some frames' poses are uncertain."""
-        K, precisions = len(self.priors), self._precisions.copy()
-        for name, uncertainty in uncertainties.items():
-            if name not in frames:
-                raise ValueError(f"an uncertainty is given of frame {name!r}; the known frames are {sorted(frames)}")
-            j = self.frame_names.index(name)
-            D_j, n_j = self.buffer.sizes[j]
-            block = precisions[j, :n_j, : n_j * K].reshape(n_j, n_j, K)
-            means, own = self._means[j, :D_j].T, np.moveaxis(block, -1, 0)
-            changed = uncertain_precisions(name, means, own, frames[name], self.manifold, uncertainty)
-            precisions[j, :n_j, : n_j * K] = np.moveaxis(changed, 0, -1).reshape(n_j, n_j * K)
-        return precisions
 
     def _result(self) -> tuple[float, Array, Array]:
         return 1.0 / UNCONSTRAINED_VARIANCE, self._means_out, self._covariances_out

@@ -9,7 +9,7 @@ reproduces with it needs the observed frames and the robot's state at the start,
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -100,6 +100,25 @@ class DerivedFrames:
                 f"the model's metadata say {KEY} = {shown(text)}; expected what 'train' writes, such as "
                 '{"object_unturned": ["object", false]}: train the model again'
             ) from None
+        return cls(sources)
+
+    @classmethod
+    def joined(cls, parts: Iterable[DerivedFrames]) -> Self:
+        """Those of several models that are used together.
+
+        Raises
+        ------
+        ValueError
+            for a name that means different frames
+        """
+        sources: dict[str, FrameSource] = {}
+        for part in parts:
+            for name, source in part.sources.items():
+                if sources.setdefault(name, source) != source:
+                    raise ValueError(
+                        f"frame {shown(name)} is derived from {shown(str(sources[name]))} in one model, from "
+                        f"{shown(str(source))} in another: name them differently"
+                    )
         return cls(sources)
 
     def metadata(self) -> dict[str, str]:
@@ -197,10 +216,14 @@ def unturned(frame: Frame) -> Frame:
     Returns
     -------
     Frame
-        with the same origin
+        with the same origin, known as well as that of the frame
     """
     b = frame.b[0] if frame.is_time_varying and (frame.b == frame.b[0]).all() else frame.b
-    return Frame(np.eye(b.shape[-1]), b)
+    covariance = None
+    if frame.pose_covariance is not None:
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = frame.pose_covariance[:3, :3]
+    return Frame(np.eye(b.shape[-1]), b, pose_covariance=covariance)
 
 
 def with_frames(demonstration: Demonstration, names: Collection[str]) -> Demonstration:

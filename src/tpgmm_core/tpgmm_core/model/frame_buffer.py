@@ -12,6 +12,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.model.fitted import FittedModel, check_fitted
+from tpgmm_core.model.kernels_uncertainty import position_start
 
 
 class FrameBuffer:
@@ -32,6 +33,8 @@ class FrameBuffer:
         (P, D, D_max), (P, D), (P,); a frame that is not known has the weight 0
     inverses, has_inverse
         (P, D_max, D), (P,); inverses that frames have in place of A^+, and which frames have one
+    pose_covariances
+        (P, 6, 6), how well the poses of the frames are known; 0: exactly
     state
         (D,), where the robot is; zeros (and no turn) where it is not known
     """
@@ -41,6 +44,7 @@ class FrameBuffer:
     b: Array
     inverses: Array
     has_inverse: NDArray[np.bool_]
+    pose_covariances: Array
     weights: Array
     state: Array
 
@@ -63,6 +67,7 @@ class FrameBuffer:
         self._b_of = list(self.b)
         self.inverses, self.has_inverse = np.zeros((P, D_max, manifold.dim)), np.zeros(P, dtype=np.bool_)
         self._inverse_of = [M[:D_j] for M, (D_j, _) in zip(self.inverses, self.sizes, strict=True)]
+        self.pose_covariances, self._has_covariance = np.zeros((P, 6, 6)), False
         self.weights = np.zeros(P)
         self.state = self._origin = manifold_origin(manifold)
 
@@ -89,11 +94,15 @@ class FrameBuffer:
         Raises
         ------
         ValueError
-            for unknown names, matrices and states that do not fit, time-varying frames, and weights outside 0..1
+            for unknown names, matrices and states that do not fit, time-varying frames, weights outside 0..1, and
+            covariances of the frames' poses where the data are neither positions nor poses
         """
         if not frames:
             raise ValueError(f"a situation needs at least one of the frames {list(self.frame_names)}")
         self.weights[:] = 0.0
+        if self._has_covariance:
+            self.pose_covariances[:] = 0.0
+            self._has_covariance = False
         for name, frame in frames.items():
             j = self._index.get(name)
             if j is None:
@@ -109,6 +118,9 @@ class FrameBuffer:
                         f"frame {name!r} has its own inverse, which only R^n permits, not {self.manifold}: leave it out"
                     )
                 self._inverse_of[j][...] = frame.inverse
+            if frame.pose_covariance is not None:
+                self._require_pose(name)
+                self.pose_covariances[j], self._has_covariance = frame.pose_covariance, True
             self.weights[j] = 1.0
         for name, weight in (weights or {}).items():
             if name not in self._index:
@@ -124,6 +136,14 @@ class FrameBuffer:
                 raise ValueError(f"the state has shape {self._origin.shape} and is finite, got {state!r}")
             self.state = where
 
+    def _require_pose(self, name: str) -> None:
+        layout = self.manifold.ambient_of_tangent, self.manifold.sphere_starts
+        if position_start(*layout) < 0:
+            raise ValueError(
+                f"frame {name!r} has a covariance of its pose, which needs data [time, position], pose or "
+                f"[time, pose], got {self.manifold}"
+            )
+
     def _reshape(self, name: str, frame: Frame, j: int) -> None:
         """Make place for frames that map to another R^D than the former ones, or say why this one does not fit."""
         if frame.is_time_varying:
@@ -138,7 +158,9 @@ class FrameBuffer:
     def frame(self, j: int) -> Frame:
         """Frame j as it was given last."""
         D_j = self.sizes[j, 0]
-        return Frame(self.A[j, :, :D_j], self.b[j], self.inverses[j, :D_j] if self.has_inverse[j] else None)
+        inverse = self.inverses[j, :D_j] if self.has_inverse[j] else None
+        covariance = self.pose_covariances[j] if self.pose_covariances[j].any() else None
+        return Frame(self.A[j, :, :D_j], self.b[j], inverse, covariance)
 
     def refuse(self, j: int) -> None:
         """Raise the error that says why the matrix of a frame does not fit the manifold.

@@ -17,6 +17,7 @@ from tpgmm_core.geometry.kernels import compiled, is_orthogonal, pseudo_inverse
 from tpgmm_core.geometry.kernels_product import fuse
 from tpgmm_core.geometry.kernels_rotation import rotation_of_left_matrix
 from tpgmm_core.geometry.kernels_terms import invert_precision, scratch_for
+from tpgmm_core.model.kernels_uncertainty import lessen
 
 
 @compiled
@@ -152,7 +153,8 @@ def view_frame(
 @compiled
 def adapt(
     means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, inverses: Array,
-    has_inverse: Array, weights: Array, state: Array, min_precision: float, out_means: Array, out_covariances: Array,
+    has_inverse: Array, pose_covariances: Array, weights: Array, state: Array, min_precision: float, out_means: Array,
+    out_covariances: Array,
 ) -> int:  # fmt: skip
     """Eqs. (5) and (6) for all components.
 
@@ -170,6 +172,8 @@ def adapt(
         of the frames, (P, D, D_max) and (P, D)
     inverses, has_inverse
         (P, D_max, D) and (P,)
+    pose_covariances
+        (P, 6, 6), how well the poses of the frames are known; 0: exactly
     weights
         (P,), how far each frame is trusted
     state
@@ -189,11 +193,15 @@ def adapt(
     half, turned = np.empty((n, precisions.shape[2])), np.empty((precisions.shape[1], n * K))
     targets, terms = np.empty((P, D, K)), np.empty((P, n, n * K))
     for j in range(P):
-        if weights[j] > 0.0 and not view_frame(
+        if not weights[j] > 0.0:
+            continue
+        if not view_frame(
             means[j], precisions[j], sizes[j], flat, spheres, A[j], b[j], inverses[j], has_inverse[j],
             weights[j], half, turned, targets[j], terms[j],
         ):  # fmt: skip
             return j
+        if np.trace(pose_covariances[j]) > 0.0:
+            lessen(pose_covariances[j], weights[j], targets[j], b[j], flat, spheres, terms[j])
     if len(spheres) == 0:
         add_up(weights, targets, terms, state, min_precision, flat, spheres, out_means, out_covariances)
         return -1

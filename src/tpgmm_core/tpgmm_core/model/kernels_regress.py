@@ -156,15 +156,17 @@ def regress_all(
 @compiled
 def adapt_and_regress(
     means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, inverses: Array,
-    has_inverse: Array, weights: Array, state: Array, min_precision: float, adapted_means: Array,
-    adapted_covariances: Array, log_priors: Array, times: Array, out_means: Array, out_covariances: Array,
-    out_activations: Array,
+    has_inverse: Array, pose_covariances: Array, weights: Array, state: Array, min_precision: float,
+    adapted_means: Array, adapted_covariances: Array, log_priors: Array, times: Array, out_means: Array,
+    out_covariances: Array, out_activations: Array,
 ) -> int:  # fmt: skip
     """`adapt`, then `regress_all`.
 
     Parameters
     ----------
-    means, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, weights, state, min_precision
+    means, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, pose_covariances, weights, state
+        as for `adapt`
+    min_precision
         as for `adapt`
     adapted_means, adapted_covariances
         (K, D) and (K, n, n), written
@@ -181,8 +183,8 @@ def adapt_and_regress(
         as of `adapt`
     """
     failed: int = adapt(
-        means, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, weights, state, min_precision,
-        adapted_means, adapted_covariances,
+        means, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, pose_covariances, weights, state,
+        min_precision, adapted_means, adapted_covariances,
     )  # fmt: skip
     if failed == -1:
         regress_all(
@@ -196,8 +198,8 @@ def adapt_and_regress(
 def regress_and_adapt(
     log_priors: Array, means: Array, covariances: Array, sizes: Array, view_flat: Array, spheres: Array,
     data_flat: Array, data_spheres: Array, A: Array, b: Array, inverses: Array, has_inverse: Array,
-    weights: Array, state: Array, min_precision: float, times: Array, out_means: Array, out_covariances: Array,
-    activations: Array,
+    pose_covariances: Array, weights: Array, state: Array, min_precision: float, times: Array, out_means: Array,
+    out_covariances: Array, activations: Array,
 ) -> int:  # fmt: skip
     """Regression in each frame at all times, then `adapt`, as if the times were components.
 
@@ -211,7 +213,7 @@ def regress_and_adapt(
         arrangement of the manifold with time
     data_flat, data_spheres
         arrangement of the manifold without time
-    A, b, inverses, has_inverse, weights, state, min_precision
+    A, b, inverses, has_inverse, pose_covariances, weights, state, min_precision
         as for `adapt`, without time
     times
         (H,)
@@ -258,8 +260,8 @@ def regress_and_adapt(
     for k in range(len(h)):
         activations[k] = activations[k] / total if total > 0.0 else math.exp(log_priors[k])
     failed: int = adapt(
-        seen, precisions, data_sizes, data_flat, data_spheres, A, b, inverses, has_inverse, weights, state,
-        min_precision, out_means, out_covariances,
+        seen, precisions, data_sizes, data_flat, data_spheres, A, b, inverses, has_inverse, pose_covariances, weights,
+        state, min_precision, out_means, out_covariances,
     )  # fmt: skip
     return failed
 

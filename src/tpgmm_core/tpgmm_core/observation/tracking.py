@@ -3,8 +3,9 @@
 
 A frame that is not seen for a moment keeps its last pose. Its confidence, which scales its precision in the product
 of Gaussians (Eqs. 5, 6), falls to zero slowly and rises slowly, so that a frame that disappears or comes back never
-makes the movement jump. A noisy pose is averaged while the frame is at rest (`pose_filter`). What is no pose, lies
-about its time, or leaps is refused (`poses`, `clocks`, `gate`).
+makes the movement jump. A frame may also stay where it was last seen (`unknown_after`): then its pose is known worse
+with the time out of sight and the speed that it was seen to have (`motion`). A noisy pose is averaged while the frame
+is at rest (`pose_filter`). What is no pose, lies about its time, or leaps is refused (`poses`, `clocks`, `gate`).
 
 Two clocks enter, as arguments: the *stamp* of an observation (ROS time, when the camera saw it) and the *steady* time
 of its arrival. The status follows the steady clock, which no clock step can stall; stamps are checked when they come.
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,6 +26,7 @@ from tpgmm_core.geometry.pose import pose_error
 from tpgmm_core.observation.clocks import LeadMeter
 from tpgmm_core.observation.gate import NOISE_TURN, NOISE_WAY, Leap, LeapGate, MotionLimits
 from tpgmm_core.observation.health import FrameHealth, FrameRecord
+from tpgmm_core.observation.motion import SeenMotion
 from tpgmm_core.observation.pose_filter import PoseFilter
 from tpgmm_core.observation.poses import check_pose
 from tpgmm_core.observation.streams import SECOND
@@ -96,7 +98,8 @@ class TrackedFrame:
     pose
         ``[x, y, z, qx, qy, qz, qw]`` in the base frame, m, filtered; None as long as it was never seen
     covariance
-        (6, 6) of that observation, as its source says, m² and rad²; None where it says none
+        (6, 6) of the pose, m² and rad²: as the source says of that observation, and what the time out of sight adds
+        where that is asked for; None where nothing says that it is not known exactly
     """
 
     name: str
@@ -119,6 +122,8 @@ class _Track:
     confidence: float = 0.0
     covariance: NDArray[np.float64] | None = None
     record: FrameRecord = field(default_factory=FrameRecord)
+    motion: SeenMotion = field(default_factory=SeenMotion)
+    unknown_after: float | None = None
 
 
 class FrameTracker:
@@ -132,11 +137,14 @@ class FrameTracker:
         poses of the frames that never move and are never lost, e.g. the robot's own base
     config
         the timeouts
+    unknown_after
+        for some of the frames: out of sight they are where they were last seen, for so long, s; `math.inf`: for ever.
+        The others keep their weight for the time that `config` says
 
     Raises
     ------
     ValueError
-        for no frames, or a fixed pose that is invalid
+        for no frames, a fixed pose that is invalid, and times that are negative or of other frames
     """
 
     def __init__(
@@ -144,10 +152,17 @@ class FrameTracker:
         frames: Iterable[str],
         fixed: dict[str, ArrayLike] | None = None,
         config: TrackingConfig | None = None,
+        unknown_after: Mapping[str, float] | None = None,
     ) -> None:
         self.config = config or TrackingConfig()
         memory, motion = self.config.filter_time, self.config.motion
         self._tracks = {name: _Track(fixed=False, filter=PoseFilter(memory), gate=LeapGate(motion)) for name in frames}
+        for name, seconds in (unknown_after or {}).items():
+            if name not in self._tracks or not seconds >= 0.0:
+                raise ValueError(
+                    f"unknown_after is a time >= 0 s of one of {list(self._tracks)}, got {name}: {seconds}"
+                )
+            self._tracks[name].unknown_after = seconds
         for name, pose in (fixed or {}).items():
             self._tracks[name] = _Track(fixed=True, filter=PoseFilter(0.0), gate=LeapGate(motion))
             if reason := self.fix(name, pose):
@@ -241,6 +256,7 @@ class FrameTracker:
             return self.refuse(name, self._words(name, leap, checked))
         track.pose, track.stamp_ns, track.seen_ns = track.filter.observe(checked, stamp_ns), stamp_ns, steady_ns
         track.covariance = covariance
+        track.motion.take(track.pose, stamp_ns, track.filter.noise)
         track.record.take(pose, checked, stamp_ns, track.filter)
         return None
 
@@ -315,7 +331,7 @@ class FrameTracker:
             if not track.fixed:
                 track.pose, track.stamp_ns, track.seen_ns, track.confidence = None, 0, 0, 0.0
                 track.covariance = None
-                for part in (track.filter, track.gate, track.clock, track.record):
+                for part in (track.filter, track.gate, track.clock, track.record, track.motion):
                     part.forget()
         self._updated_ns = None
 
@@ -331,7 +347,8 @@ class FrameTracker:
             return TrackedFrame(name, FrameStatus.VISIBLE, 1.0, 0, track.pose)
         config = self.config
         unseen = math.inf if track.pose is None else (steady_ns - track.seen_ns) / SECOND
-        trusted = unseen <= config.visible_timeout + config.hold_time
+        hold_time = config.hold_time if track.unknown_after is None else track.unknown_after
+        trusted = track.pose is not None and unseen <= config.visible_timeout + hold_time
         # Before the first update no confidence was published, so there is nothing to be continuous with.
         change = 1.0 if first else elapsed / config.fade_time
         if trusted:
@@ -344,7 +361,10 @@ class FrameTracker:
             status = FrameStatus.HELD
         else:
             status = FrameStatus.MISSING
-        return TrackedFrame(name, status, track.confidence, track.stamp_ns, track.pose, track.covariance)
+        covariance = track.covariance
+        if status is FrameStatus.HELD and track.unknown_after is not None:
+            covariance = track.motion.covariance(covariance, unseen)
+        return TrackedFrame(name, status, track.confidence, track.stamp_ns, track.pose, covariance)
 
 
 def _are_near(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:

@@ -29,7 +29,7 @@ def frame_with_derivatives(frame: Frame, manifold: Manifold, orders: int = 1) ->
     Returns
     -------
     Frame
-        over [x, derivatives of x]
+        over [x, derivatives of x]; it counts as known exactly
 
     Raises
     ------

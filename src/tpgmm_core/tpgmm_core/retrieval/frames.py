@@ -51,7 +51,8 @@ def _without_time(name: str, frame: Frame) -> Frame:
     is_mixed = A[..., 0, 1:].any() or A[..., 1:, 0].any()
     if min(size, columns) < 2 or is_mixed or (A[..., 0, 0] != 1.0).any() or b[..., 0].any():
         raise _time_changed(name, A, b)
-    return Frame(A[..., 1:, 1:], b[..., 1:], None if frame.inverse is None else frame.inverse[..., 1:, 1:])
+    inverse = None if frame.inverse is None else frame.inverse[..., 1:, 1:]
+    return Frame(A[..., 1:, 1:], b[..., 1:], inverse, frame.pose_covariance)
 
 
 def _time_changed(name: str, A: Array, b: Array) -> ValueError:

@@ -230,7 +230,7 @@ class RegressThenProduct(_Regression):
         failed = kernels_regress.regress_and_adapt(
             *self._views,
             *(manifold.ambient_of_tangent, manifold.sphere_starts, self._A, self._b, self._inverses, s.has_inverse),
-            *(s.weights, s.state[1:].copy()),
+            *(s.pose_covariances, s.weights, s.state[1:].copy()),
             *(1.0 / UNCONSTRAINED_VARIANCE, times, means, covariances, activations),
         )
         if failed >= len(self.frame_names):

@@ -114,8 +114,8 @@ class TimeSteps(RegressThenProduct):
         failed = product_at(
             self._grid, self._points, self._velocities, self._within, self._sizes,
             self._view(manifold)[0], manifold.ambient_of_tangent, manifold.sphere_starts, self._A, self._b,
-            self._inverses, s.has_inverse, s.weights, s.state[1:].copy(), 1.0 / UNCONSTRAINED_VARIANCE, times, means,
-            covariances,
+            self._inverses, s.has_inverse, s.pose_covariances, s.weights, s.state[1:].copy(),
+            1.0 / UNCONSTRAINED_VARIANCE, times, means, covariances,
         )  # fmt: skip
         if failed < -1:
             raise no_product(f"the time {times[-2 - failed]:.3g} s", self._views_at(times[-2 - failed]))
@@ -128,8 +128,8 @@ class TimeSteps(RegressThenProduct):
 @compiled
 def product_at(
     grid: Array, points: Array, velocities: Array, within: Array, sizes: Array, view_flat: Array, flat: Array,
-    spheres: Array, A: Array, b: Array, inverses: Array, has_inverse: Array, weights: Array, state: Array,
-    min_precision: float, times: Array, out_means: Array, out_covariances: Array,
+    spheres: Array, A: Array, b: Array, inverses: Array, has_inverse: Array, pose_covariances: Array, weights: Array,
+    state: Array, min_precision: float, times: Array, out_means: Array, out_covariances: Array,
 ) -> int:  # fmt: skip
     """Each frame's Gaussian at times (H,) within the grid (T,), then `adapt`, as if the times were components.
 
@@ -143,7 +143,7 @@ def product_at(
         (P, 2), ambient and tangent dimensions of each frame, without time
     view_flat
         (n_max,), the layout of what a frame sees, without time
-    flat, spheres, A, b, inverses, has_inverse, weights, state, min_precision
+    flat, spheres, A, b, inverses, has_inverse, pose_covariances, weights, state, min_precision
         of the common space, without time, as for `adapt`
     times
         (H,), s
@@ -181,7 +181,7 @@ def product_at(
                 for m in range(n):
                     precisions[j, o, m * H + h] = L[o, m]
     failed: int = adapt(
-        seen, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, weights, state, min_precision,
-        out_means, out_covariances,
+        seen, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, pose_covariances, weights, state,
+        min_precision, out_means, out_covariances,
     )  # fmt: skip
     return failed

@@ -39,9 +39,18 @@ def pose_to_array(pose: Any) -> Array:
     return np.array(pose_numbers(pose))
 
 
+#: Variances beyond this say nothing more, m² and rad².
+LARGEST_VARIANCE = 1e9
+
+
 def covariance_array(pose: Any) -> Array | None:
-    """(6, 6) of a PoseWithCovariance; None where it is all zero, or no covariance: the publisher knows none."""
+    """(6, 6) of a PoseWithCovariance; None where it is all zero, or no covariance: the publisher knows none.
+
+    What is larger than `LARGEST_VARIANCE` is scaled down to it.
+    """
     covariance = np.array(pose.covariance, dtype=np.float64).reshape(6, 6)
     if not np.isfinite(covariance).all() or not (np.diag(covariance) > 0.0).all():
         return None
-    return covariance
+    covariance /= max(1.0, float(np.abs(covariance).max()) / LARGEST_VARIANCE)
+    is_one = np.allclose(covariance, covariance.T) and np.linalg.eigvalsh(covariance)[0] >= -1e-9 * np.trace(covariance)
+    return covariance if is_one else None

@@ -15,6 +15,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import TaskFrame, TaskParameters
 from tpgmm_ros.messages.basic_messages import MessageError, floats, header_at, time_from_ns
+from tpgmm_ros.messages.fields import LARGEST_VARIANCE
 
 #: No task has frames of more dimensions than this; a message that says so lies.
 MAX_DIMENSION = 256
@@ -72,6 +73,8 @@ def task_parameters_message(frames: Iterable[TrackedFrame], nanoseconds: int, fr
             item.rows, item.cols = frame.A.shape
             item.a = floats(frame.A)
             item.b = floats(frame.b)
+            if tracked.covariance is not None:
+                item.pose_covariance = floats(tracked.covariance)
         message.frames.append(item)
     return message
 
@@ -124,7 +127,14 @@ def _frame(item: TaskFrame) -> Frame:
             f"frame {shown(item.name)} says {rows} x {cols} but holds {len(item.a)} numbers in a and {len(item.b)} in "
             f"b; expected {rows * cols} and {rows}"
         )
+    covariance = np.array(item.pose_covariance)
+    if len(covariance) not in (0, 36) or np.any(np.abs(covariance) > LARGEST_VARIANCE):
+        raise MessageError(
+            f"frame {shown(item.name)} holds {len(covariance)} numbers in pose_covariance; expected none, or 36 of "
+            f"{LARGEST_VARIANCE:g} at most"
+        )
     try:
-        return Frame(np.array(item.a).reshape(rows, cols), np.array(item.b))
+        P = covariance.reshape(6, 6) if len(covariance) else None
+        return Frame(np.array(item.a).reshape(rows, cols), np.array(item.b), pose_covariance=P)
     except ValueError as error:
         raise MessageError(f"frame {shown(item.name)}: {error}") from error

@@ -6,7 +6,7 @@ Nodes that share a process hand them on as they are (`runtime.local_topics`); a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
@@ -97,5 +97,8 @@ class StampedFrames:
             if item.pose is None or item.status is FrameStatus.MISSING or item.confidence == 0.0:
                 states[item.name] = TaskFrameState(None, 0.0, item.status)
             else:
-                states[item.name] = TaskFrameState(frame_of(item.pose), item.confidence, item.status)
+                frame = frame_of(item.pose)
+                if item.covariance is not None:
+                    frame = replace(frame, pose_covariance=item.covariance)
+                states[item.name] = TaskFrameState(frame, item.confidence, item.status)
         return states

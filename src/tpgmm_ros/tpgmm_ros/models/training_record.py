@@ -42,6 +42,11 @@ def keep_errors(model: LearnedMixture, source: str, path_m: float, end_m: float,
     model.metadata_[ERRORS] = json.dumps({"from": source, **errors})
 
 
+def forget_errors(model: LearnedMixture) -> None:
+    """Take back what `keep_errors` wrote: the model has changed since."""
+    model.metadata_.pop(ERRORS, None)
+
+
 def learned_from(model: LearnedMixture) -> tuple[str, ...]:
     """Names of the recordings that a model was learned from; none where it does not say them.
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from rclpy.node import Node
 
-from tpgmm_core.geometry.pose import compose
+from tpgmm_core.geometry.pose import compose, turned_covariance
 from tpgmm_core.observation.poses import Observation, check_pose, wrong_frame
 from tpgmm_core.observation.transforms import NO_TRANSFORM, TransformError, TransformTree, TransformWatch
 from tpgmm_ros.messages.classes import message_class
@@ -120,7 +120,10 @@ class FrameSources:
                 unknown = reason.startswith(NO_TRANSFORM)
                 self._refuse(name, wrong_frame(observation.frame_id, self._base_frame) if unknown else reason)
             return not error.may_come
-        self._observe(name, observation._replace(pose=compose(place, pose), frame_id=self._base_frame))
+        covariance = observation.covariance
+        if covariance is not None:
+            covariance = turned_covariance(covariance, place[3:])
+        self._observe(name, Observation(observation.stamp_ns, self._base_frame, compose(place, pose), covariance))
         return True
 
     def _try_to_listen(self) -> bool:

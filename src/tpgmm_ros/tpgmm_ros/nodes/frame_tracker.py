@@ -44,6 +44,12 @@ PARAMETERS = [
         fixed=True,
     ),
     Declared(
+        "use_covariances",
+        True,
+        "A pose that comes with a covariance counts less where that is large; otherwise as if it was exact",
+        fixed=True,
+    ),
+    Declared(
         "lockstep",
         False,
         "Lockstep: answer each pose of the hand once perception has answered it for all frames",
@@ -68,7 +74,9 @@ class FrameTrackerNode(Node):
             self.task.sources,
             fixed={name: spec.pose for name, spec in self.task.frames.items() if spec.pose is not None},
             config=TrackingConfig(**(self.task.tracking | given)),
+            unknown_after=self.task.unknown_after,
         )
+        self._uses_covariances = parameters["use_covariances"]
         self._loop_clock = loop_clock(self)
         self._known: list[TrackedFrame] = []
         self._changes = 0
@@ -137,6 +145,7 @@ class FrameTrackerNode(Node):
     def _take(self, name: str, observation: Observation, now_ns: int, steady_ns: int) -> bool:
         """Whether the observation was taken."""
         stamp_ns, _, pose, covariance = observation
+        covariance = covariance if self._uses_covariances else None
         refusal = self.tracker.observe(name, pose, stamp_ns, now_ns, steady_ns, covariance)
         if refusal:
             self._warn(refusal)

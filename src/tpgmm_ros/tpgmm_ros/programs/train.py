@@ -2,10 +2,11 @@
 """`train`: recorded demonstrations in, a model file and its figures out. Needs no running ROS."""
 
 import argparse
+import contextlib
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,8 +15,11 @@ import numpy as np
 from tpgmm_core import LearnedMixture
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
+from tpgmm_core.learning.estimation.iteration import Progress
 from tpgmm_core.learning.situations import demonstrated_situations
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
+from tpgmm_core.retrieval.interface import demonstrated_duration
+from tpgmm_core.retrieval.methods import KEY
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_ros.models.training_record import keep_errors, keep_recordings
 from tpgmm_ros.models.validation import Fold
@@ -24,6 +28,7 @@ from tpgmm_ros.programs.reading import TrainingError, progress_bar, read_bags
 from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.programs.train_auto import choose_for, words
 from tpgmm_ros.programs.train_options import parser_of_train
+from tpgmm_ros.programs.train_update import load_online, online, said_twice, update
 from tpgmm_ros.programs.training_page import write_page
 from tpgmm_ros.recordings.bags import Recording, align
 from tpgmm_ros.runtime.entry import INTERRUPTED
@@ -85,7 +90,9 @@ def _run(options: argparse.Namespace, report: dict[str, Any], learned: list[Trai
     task = Task.load(options.task)
     recipe = _recipe(task, options)
     recordings = read_bags(options, task, report)
-    if options.auto:
+    if options.update is not None:
+        training = _update(task, options, recordings, report)
+    elif options.auto:
         training = _choose_and_train(task, options, recordings, report)
     else:
         training = _train(task, recipe, recordings)
@@ -116,7 +123,17 @@ def _recipe(task: Task, options: argparse.Namespace) -> Recipe:
         raise TrainingError("--budget, --trials and --workers are for --auto: add it, or leave them out")
     if options.auto and options.budget is None and options.trials is None:
         options.budget = 60.0
-    return task.space.recipe(settings, options.retrieval)
+    if options.update is not None:
+        fixed = (options.auto, options.leave_one_out, options.online, options.components, options.retrieval)
+        if any(fixed) or options.seed is not None:
+            raise TrainingError(
+                "--update goes on with a model as it was learned: leave out --auto, --leave-one-out, --online, "
+                "--components, --retrieval and --seed"
+            )
+    if options.online and options.auto:
+        raise TrainingError("--auto chooses how the model is learned, and --online says it: leave one of them out")
+    recipe = task.space.recipe(settings, options.retrieval)
+    return online(recipe) if options.online else recipe
 
 
 def _choose_and_train(
@@ -132,15 +149,32 @@ def _choose_and_train(
     return training
 
 
-def _train(task: Task, recipe: Recipe, recordings: list[Recording], learn: Learn | None = None) -> Training:
-    demonstrations, duration = align(recordings)
+def _update(task: Task, options: argparse.Namespace, recordings: list[Recording], report: dict[str, Any]) -> Training:
+    model = load_online(options.update, task)
     start = time.perf_counter()
-    with progress_bar(total=recipe.max_iter, desc="EM", unit="iteration") as bar:
+    with _em_progress(model.max_iter) as progress:
+        report["update"], twice = update(model, task, recordings, progress)
+    if twice:
+        print(f"warning: {said_twice(twice)}", file=sys.stderr)
+    method = str(model.metadata_[KEY])
+    return Training(model, method, recordings, demonstrated_duration(model), time.perf_counter() - start)
+
+
+@contextlib.contextmanager
+def _em_progress(max_iter: int) -> Iterator[Progress]:
+    with progress_bar(total=max_iter, desc="EM", unit="iteration") as bar:
 
         def progress(iteration: int, log_likelihood: float) -> None:
             bar.set_postfix_str(f"log-likelihood {log_likelihood:.4f}", refresh=False)
             bar.update()
 
+        yield progress
+
+
+def _train(task: Task, recipe: Recipe, recordings: list[Recording], learn: Learn | None = None) -> Training:
+    demonstrations, duration = align(recordings)
+    start = time.perf_counter()
+    with _em_progress(recipe.max_iter) as progress:
         learned = recipe.learn if learn is None else learn
         model = learned(demonstrations, task.space.manifold(), task.space.dimensions(), progress)
     elapsed = time.perf_counter() - start

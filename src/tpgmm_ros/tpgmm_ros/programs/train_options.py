@@ -18,6 +18,8 @@ examples:
   train --task config/pick_place.yaml --leave-one-out bags/          (only measures, saves no model)
   train --task config/pick_place.yaml --output best.tpgmm --auto --budget 60s bags/pick_place
   train --task config/pick_place.yaml --output dmp.tpgmm --retrieval dmp bags/
+  train --task config/pick_place.yaml --output first.tpgmm --online bags/monday
+  train --task config/pick_place.yaml --output better.tpgmm --update first.tpgmm bags/tuesday
   train --task config/pick_place.yaml --output few.tpgmm --components 4 --every 5 --skip-bad bags/
 
 exit status: 0 the model was trained and saved; 1 it was not, the reason is on stderr; 2 wrong arguments;
@@ -66,6 +68,17 @@ def parser_of_train() -> argparse.ArgumentParser:
     parser.add_argument("--trials", type=_positive, metavar="N", help="for --auto: try at most N ways of learning")
     parser.add_argument(
         "--workers", type=_positive, metavar="N", help="for --auto: processes (default: one for each core)"
+    )
+    parser.add_argument(
+        "--online",
+        action="store_true",
+        help="learn a model that keeps what it needs to learn from more bags later, without these (--update)",
+    )
+    parser.add_argument(
+        "--update",
+        type=Path,
+        metavar="MODEL",
+        help="go on to learn with this model, which was learned with --online, from the BAGs in addition",
     )
     parser.add_argument(
         "--report",

@@ -103,7 +103,7 @@ class BagStreams:
     def recording(self, begin_s: float, end_s: float) -> Recording:
         """One part of it as a recording, with the doubts of this part.
 
-        Poses that leap are left out. A frame holds its latest pose, however long ago that was seen. Before its first
+        Poses that leap are left out. A frame holds its latest pose while the task says so (`unseen`). Before its first
         observation a frame is not visible, unless that comes within 0.5 s of the first sample: then the frame counts
         as seen from the start. Joints are interpolated between their messages.
 
@@ -154,10 +154,16 @@ class BagStreams:
                     f"{self.topics[name]} was first seen after the movement had ended; publish the "
                     f"frame {name!r} before the demonstration starts",
                 )
-            frames[name], visible[name] = _hold(*series[name], at)
-            unseen = np.count_nonzero(~visible[name])
-            if unseen:
-                notes.append(f"{name}: not seen in the first {unseen} of {len(at)} samples")
+            unknown_after = self.task.frames[name].unknown_after
+            frames[name], visible[name] = _hold(*series[name], at, unknown_after)
+            unseen, first = np.count_nonzero(~visible[name]), int(np.argmax(visible[name]))
+            if first:
+                notes.append(f"{name}: not seen in the first {first} of {len(at)} samples")
+            if unseen > first:
+                notes.append(
+                    f"{name}: not known in {unseen - first} of {len(at)} samples, {unknown_after:g} s after it was "
+                    "last seen"
+                )
         return Recording(
             self.path,
             (at - at[0]) * 1e-9,
@@ -262,10 +268,17 @@ def _doubts_of_rate(topic: str, series: tuple[Nanoseconds, Array], moves: bool) 
     return found[:3]
 
 
-def _hold(seen: Nanoseconds, poses: Array, at: Nanoseconds) -> tuple[Array, NDArray[np.bool_]]:
-    """Latest of the poses (S, 7) seen (S,) at or before each time (T,): poses (T, 7), and mask (T,) where."""
+def _hold(
+    seen: Nanoseconds, poses: Array, at: Nanoseconds, unknown_after: float | None
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Latest of the poses (S, 7) seen (S,) at or before each time (T,): poses (T, 7), and mask (T,) where.
+
+    Later than `unknown_after`, s, the pose is not known any more; None: it is for ever.
+    """
     latest = np.searchsorted(seen, at, side="right") - 1
     visible = latest >= 0
     if seen[0] - at[0] <= START_TOLERANCE_S * SECOND:
         visible[:] = True
+    if unknown_after is not None:
+        visible &= at - seen[np.maximum(latest, 0)] <= unknown_after * SECOND
     return poses[np.maximum(latest, 0)], visible

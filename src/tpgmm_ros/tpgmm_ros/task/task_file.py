@@ -7,6 +7,7 @@
     endpoint: left                           # the end point of the robot that follows it
     frames:
       object: {topic: object/pose}           # observed: PoseStamped; for other sources see `source_entries`
+      table: {tf: table, unseen: stays}      # observed; out of sight it is where it was last seen
       robot: {pose: [0, 0, 0, 0, 0, 0, 1]}   # fixed: x y z (m), qx qy qz qw, in base_frame
       place: {frame: object, turned: false}  # derived: where `object` is, with the axes of base_frame
       begin: {hand: start, turned: false}    # derived: where the hand is when the movement begins
@@ -17,6 +18,7 @@
 Reading a task file executes nothing and needs no ROS.
 """
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -49,6 +51,9 @@ from tpgmm_ros.task.source_entries import KEYS, a_frame_id, read_movement, read_
 from tpgmm_ros.task.state_space import PoseSpace, StateSpace
 from tpgmm_ros.task.takes_section import TakesRule, TopicTakes, read_takes
 
+UNSEEN = "unseen"
+"""Key of what is known of an observed frame that is out of sight."""
+
 
 class TaskError(ValueError):
     """A task file that cannot be used; the text names the file, the key, and what was expected."""
@@ -66,11 +71,15 @@ class TaskFrameSpec:
         what it is observed by, or None
     pose
         fixed pose (x, y, z in m, qx, qy, qz, qw, unit quaternion) in the base frame, or None
+    unknown_after
+        how long an observed frame that is out of sight is where it was last seen, s; infinite: it stays there. None:
+        as recordings and the tracker have it where nothing is said
     """
 
     name: str
     source: Source | None = None
     pose: tuple[float, ...] | None = None
+    unknown_after: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,6 +238,12 @@ class Task:
         return {name: spec.source for name, spec in self.frames.items() if spec.source is not None}
 
     @property
+    def unknown_after(self) -> dict[str, float]:
+        """How long observed frames are where they were last seen, s, by frame name, where the file says it."""
+        specs = self.frames.values()
+        return {spec.name: spec.unknown_after for spec in specs if spec.unknown_after is not None}
+
+    @property
     def topics(self) -> dict[str, str]:
         """Topics of the frames that are observed as PoseStamped, by frame name."""
         return {name: source.topic for name, source in self.sources.items() if isinstance(source, PoseStampedSource)}
@@ -244,19 +259,19 @@ def _frames(section: Section, movement: str, base_frame: str) -> tuple[dict[str,
         if not is_name(name):
             raise section.error(f"has the frame name {shown(name)}: use letters, digits and underscores")
         entry = section.section(name)
-        entry.refuse_others(*KEYS, "pose", "frame", "hand", "turned")
+        entry.refuse_others(*KEYS, UNSEEN, "pose", "frame", "hand", "turned")
         if len(entry.values.keys() & {"topic", "tf", "pose", "frame", "hand"}) != 1:
             raise entry.error(
                 "needs one of 'topic' or 'tf' (observed), 'pose' (fixed), 'frame' (derived from another frame) and "
                 "'hand' (derived from where the hand starts), and not several"
             )
         if "frame" in entry.values or "hand" in entry.values:
-            _refuse(entry, KEYS, "observed frames")
+            _refuse(entry, (*KEYS, UNSEEN), "observed frames")
             derived[name] = _source(entry)
             continue
         _refuse(entry, ("turned",), "frames with 'frame' or 'hand'")
         if "pose" in entry.values:
-            _refuse(entry, KEYS, "observed frames")
+            _refuse(entry, (*KEYS, UNSEEN), "observed frames")
             frames[name] = TaskFrameSpec(name, pose=entry.required("pose", _pose))
             continue
         source = read_source(entry, base_frame)
@@ -267,7 +282,8 @@ def _frames(section: Section, movement: str, base_frame: str) -> tuple[dict[str,
                 f"{taken[source]}: each frame has one of its own"
             )
         taken[source] = f"the frame {name!r}"
-        frames[name] = TaskFrameSpec(name, source)
+        unknown_after = entry.required(UNSEEN, _unseen) if UNSEEN in entry.values else None
+        frames[name] = TaskFrameSpec(name, source, unknown_after=unknown_after)
     for name, made_of in derived.items():
         if made_of.of not in (*frames, HAND):
             raise section.error(
@@ -289,6 +305,18 @@ def _source(entry: Section) -> FrameSource:
         entry.required("hand", a_choice("start"))
         return FrameSource(HAND, turned)
     return FrameSource(entry.required("frame", a_name), turned)
+
+
+def _unseen(value: Any) -> float:
+    """The time after which it is not known where a frame is, s."""
+    if value == "stays":
+        return math.inf
+    try:
+        return a_number(0.0)(value)
+    except ValueError:
+        raise ValueError(
+            "'stays' (out of sight it is where it was last seen), or the time in s after which that is not known"
+        ) from None
 
 
 def _truth(value: Any) -> bool:

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is not known of a frame's pose, carried into what the frame says: one that is known badly counts less there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import compiled
+
+
+@compiled
+def position_start(flat: Array, spheres: Array) -> int:
+    """Where the position starts among the tangent dimensions; -1 for data that are neither positions nor poses.
+
+    Parameters
+    ----------
+    flat, spheres
+        arrangement of the manifold, see `kernels_manifold`: [time, position], position, pose or [time, pose]
+    """
+    n = len(flat)
+    if len(spheres) == 0:
+        return n - 3 if n == 3 or n == 4 else -1
+    turn = spheres[0, 1]
+    return turn - 3 if len(spheres) == 1 and turn + 3 == n and (turn == 3 or turn == 4) else -1
+
+
+@compiled
+def lessen(
+    P: Array, weight: float, targets: Array, b: Array, flat: Array, spheres: Array, terms: Array
+) -> None:  # fmt: skip
+    """Precisions of a frame's components, in the common frame, when its own pose is uncertain, to first order.
+
+    A frame that is displaced by d and turned by r about the fixed axes moves the point A mu + b by d + r x (A mu), and
+    turns the orientation there by r. With J = [I, -[A mu]x; 0, I], which maps the pose's error to that of the
+    component, the covariance A Sigma A^T of Eq. (5) becomes A Sigma A^T + J P J^T.
+
+    Parameters
+    ----------
+    P
+        (6, 6), covariance of the frame's pose: displacement and turn about the fixed axes
+    weight
+        how far the frame is trusted, by which the terms are scaled
+    targets
+        (D, K), A mu + b
+    b
+        (D,), of the frame
+    flat, spheres
+        arrangement of the manifold, see `kernels_manifold`
+    terms
+        (n, n K), precisions; changed
+    """
+    n, K = len(flat), targets.shape[1]
+    p = position_start(flat, spheres)
+    J, T, P = np.zeros((n, 6)), np.empty((n, n)), np.ascontiguousarray(P)
+    for i in range(3):
+        J[p + i, i] = 1.0
+        if len(spheres) > 0:
+            J[p + 3 + i, 3 + i] = 1.0
+    x = np.empty(3)
+    for k in range(K):
+        for i in range(3):
+            x[i] = targets[flat[p + i], k] - b[flat[p + i]]
+        J[p, 4], J[p, 5] = x[2], -x[1]
+        J[p + 1, 3], J[p + 1, 5] = -x[2], x[0]
+        J[p + 2, 3], J[p + 2, 4] = x[1], -x[0]
+        for o in range(n):
+            for i in range(n):
+                T[o, i] = terms[o, i * K + k] / weight
+        # (T^-1 + S)^-1 without an inverse of T, which may be singular
+        M = T @ (J @ P @ J.T)
+        for i in range(n):
+            M[i, i] += 1.0
+        T = np.linalg.solve(M, T)
+        for o in range(n):
+            for i in range(n):
+                terms[o, i * K + k] = 0.5 * weight * (T[o, i] + T[i, o])
