@@ -106,6 +106,11 @@ class DerivedFrames:
     def joined(cls, parts: Iterable[DerivedFrames]) -> Self:
         """Those of several models that are used together.
 
+        Returns
+        -------
+        Self
+            all of them, each once
+
         Raises
         ------
         ValueError
