@@ -161,11 +161,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rows: list[dict[str, Any]] = json.loads(path.read_text()) if path.exists() else []
         done = {row["left_out"] for row in rows}
         for left_out in tqdm(recordings, desc=task.name, disable=None, file=sys.stderr):
-            if left_out.path.name in done:
+            if left_out.name in done:
                 continue
             others = [recording for recording in recordings if recording is not left_out]
             for way, poses, more in ways(task, others, left_out, options):
-                rows.append({"left_out": left_out.path.name, "way": way, **errors(poses, left_out), **more})
+                rows.append({"left_out": left_out.name, "way": way, **errors(poses, left_out), **more})
             text = json.dumps(rows, indent=1)
             write_atomically(path, lambda draft, text=text: draft.write_text(text))  # type: ignore[misc]
         show(task.name, rows)

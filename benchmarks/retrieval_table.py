@@ -119,7 +119,7 @@ def measure(data: DataSet) -> Iterator[dict[str, Any]]:
         duration = float(np.mean([recording.duration for recording in others]))
         training = [data.demonstration(recording, duration) for recording in others]
         situation = data.demonstration(left_out, duration)
-        row = {"left_out": left_out.path.name}
+        row = {"left_out": left_out.name}
         for methods in learners.values():
             for candidate, chosen, model in learned(settings, methods[0], training, data.space):
                 for method in methods:

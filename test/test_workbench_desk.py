@@ -16,7 +16,8 @@ from rclpy.parameter import Parameter
 from ros_graph import ROBOT_FILE, TASK_FILE
 from tpgmm_core.geometry.pose import compose, inverse, pose_error
 from tpgmm_ros.runtime.processes import NodeProcesses
-from tpgmm_workbench.desk.desk import Desk, DeskView
+from tpgmm_workbench.desk.desk import Desk
+from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.project.activities import Action, Activity
 from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.simulated import start_nodes
@@ -45,7 +46,7 @@ class Bench:
             assert time.monotonic() < deadline, f"not within {timeout} s: {what}; said: {view.words}, {view.run}"
 
     def lead(self, name: str, above: bool = False) -> DeskView:
-        self.desk.lead_to(name, above)
+        self.desk.table.lead_to(name, above)
         return self.until(lambda view: view.to_go is not None and view.to_go < 0.008, f"the hand to be at {name}")
 
 
@@ -83,7 +84,44 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
         desk.end_recording()
         view = bench.until(partial(has_taught, number), f"demonstration {number}")
         assert view.taught[-1].level in ("good", "look"), view.taught[-1]
-        desk.shuffle()
+        if number == 2:  # the third one is shown where it tells most
+            desk.teaching.suggest()
+            view = bench.until(lambda view: view.suggested is not None, "the suggestion")
+            assert view.suggested is not None and view.suggested.novelty > 1.0
+            desk.lay_as_suggested()
+            assert set(view.suggested.frames) == {"object", "target"}
+            for name, pose in desk.table.places.items():
+                assert pose_error(pose, view.suggested.frames[name])[0] < 1e-9
+        else:
+            desk.table.shuffle()
+    assert desk.look().suggested is None
+
+    # what is noted of a demonstration is kept, or refused in words
+    length = desk.look().taught[0].length
+    desk.teaching.note(1, "begins late", (0.2, length), True)
+    view = bench.until(lambda view: view.taught[0].comment, "the comment")
+    assert view.taught[0].part == (0.2, length) and desk.project.demonstration(1).notes.trim == (0.2, length)
+    desk.teaching.note(1, "begins late", (0.2, 0.21), True)
+    bench.until(
+        lambda view: any("trim less" in words for words in view.words), "the refusal of a part that is too short"
+    )
+    desk.teaching.note(2, "", (0.0, desk.look().taught[1].length), False)
+    bench.until(lambda view: not view.taught[1].is_used, "the second one to be left out")
+    assert desk.facts().demonstrations == 2 and desk.project.demonstration(2).notes.trim is None
+    desk.teaching.note(2, "", (0.0, desk.look().taught[1].length), True)
+    bench.until(lambda view: view.taught[1].is_used, "the second one to be used again")
+
+    # the project goes out as a file, and comes back into a folder of its own; what is no project is refused
+    files: list[tuple[str, bytes]] = []
+    desk.sharing.give(lambda name, content: files.append((name, content)))
+    bench.until(lambda view: view.shared.startswith("exported as project.zip: 3 demonstrations"), "the export")
+    desk.sharing.take("../../of a friend.zip", files[0][1])
+    bench.until(lambda view: view.shared.startswith("imported into"), "the import")
+    friend = Project.open(desk.project.folder.parent / "of_a_friend")
+    assert friend.demonstration(1).notes == desk.project.demonstration(1).notes
+    desk.sharing.take("broken.zip", files[0][1][:-100])
+    bench.until(lambda view: "broken.zip is not imported" in view.shared, "the refusal of a broken archive")
+    assert not list(desk.project.folder.parent.glob("broken*"))
 
     desk.train(is_automatic=False)
     assert desk.look().reasons[Action.TRAIN]
@@ -99,7 +137,11 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
     assert view.preview.may_run, view.preview.words
     desk.run()
     bench.until(lambda view: view.run.stage == "running" and view.run.phase > 0.1, "the movement")
-    desk.move_object("target", compose(view.places["target"], np.array([0.02, 0.02, 0.0, 0.0, 0.0, 0.0, 1.0])))
+    view = bench.until(lambda view: view.graph.torques and view.graph.stiffness, "torques and stiffness")
+    assert {one.joint for one in view.graph.torques} >= {"left_s0", "left_w2"}
+    assert any(0.02 < one.share <= 1.0 for one in view.graph.torques), view.graph.torques
+    assert "step" in view.graph.nodes["impedance_controller"].figures
+    desk.table.move_object("target", compose(view.places["target"], np.array([0.02, 0.02, 0.0, 0.0, 0.0, 0.0, 1.0])))
     view = bench.until(lambda view: not view.run.goes_on, "the end of the movement")
     # three hasty demonstrations leave a model soft: that the hand gets there counts, not the tolerance of the action
     assert view.run.stage == "done" or "from the model's end" in view.run.words, view.run
@@ -107,10 +149,10 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
     assert view.graph.hand is not None and pose_error(view.graph.hand, wanted)[0] < 0.03
 
     # a frame that is hidden is missing; a run that is stopped stands still; what was undone is not used any more
-    desk.hide_object("target", True)
+    desk.table.hide_object("target", True)
     view = bench.until(lambda view: view.graph.frames[1].state == "missing", "the target to be missing")
     assert "target" in view.reasons[Action.RUN]
-    desk.hide_object("target", False)
+    desk.table.hide_object("target", False)
     bench.until(lambda view: not view.reasons[Action.RUN], "the target to be seen again")
     desk.run()
     bench.until(lambda view: view.run.stage == "running", "the second movement")

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from tpgmm_core.geometry import quaternion
+from tpgmm_workbench.scene import stiffness_view
 from tpgmm_workbench.scene.tube import SIDES, THINNEST, tube
 from tpgmm_workbench.session.arrangement import Arrangement, hand_over, regions_of
 from tpgmm_workbench.session.refusals import LASTS, Refusals
-from tpgmm_workbench.session.view import FrameView
+from tpgmm_workbench.session.view import FrameView, NodeView, StiffnessView
 
 HOME = np.array([0.6, 0.2, 0.1, 0.0, 1.0, 0.0, 0.0])
 
@@ -81,3 +82,22 @@ def test_a_tube_along_a_path_that_rests_and_turns_is_finite_and_never_thinner_th
     np.testing.assert_allclose(away, THINNEST)
     with pytest.raises(ValueError, match="two points or more"):
         tube(path[:1], np.zeros((1, 3, 3)))
+
+
+def test_the_ellipsoid_of_a_hand_is_long_where_it_is_stiff_and_stands_at_the_hand() -> None:
+    turn = quaternion.rotation_matrix(quaternion.exp([0.3, -0.2, 0.9]))
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = turn @ np.diag([900.0, 300.0, 100.0]) @ turn.T
+    pose, size = stiffness_view.ellipsoid(HOME[:3], StiffnessView(matrix))
+    np.testing.assert_allclose(pose[:3], HOME[:3])
+    np.testing.assert_allclose(size[2] / size[:2], [9.0, 3.0], rtol=1e-9)
+    axes = quaternion.rotation_matrix(pose[3:])
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    assert abs(axes[:, 2] @ turn[:, 0]) == pytest.approx(1.0)
+
+
+def test_figures_of_a_node_say_how_long_steps_take_and_may_take_and_nothing_that_is_no_number() -> None:
+    steps = {"step_p50_ms": "0.2", "step_p99_ms": "0.5", "step_max_ms": "1.3"}
+    told = NodeView(True, "", {"tick_rate_hz": "1000.0", **steps}).figures
+    assert told == "1000 Hz, step 0.20 ms, 1 of 100 over 0.50 ms, longest 1.30 ms of 1.0 ms"
+    assert NodeView(True, "", {"tick_rate_hz": "many", "step_p50_ms": "nan"}).figures == ""

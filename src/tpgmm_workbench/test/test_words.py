@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from tpgmm_workbench.desk.desk import DeskView
 from tpgmm_workbench.desk.learning import ModelView
 from tpgmm_workbench.desk.teaching import TaughtView
+from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.graph.movement import RunView
 from tpgmm_workbench.page import words
 from tpgmm_workbench.page.driver import Driver
 from tpgmm_workbench.project.activities import Action, Activity, Facts, may
 from tpgmm_workbench.project.preview import Check, Preview
 from tpgmm_workbench.project.training import Progress
-from tpgmm_workbench.session.view import ControllerView, FrameView, GraphView, NodeView
+from tpgmm_workbench.session.view import ControllerView, FrameView, GraphView, NodeView, StiffnessView, TorqueView
 
 READY = DeskView(graph=GraphView(joints=np.zeros(2), controller=ControllerView("DAMPING", "no reference yet")))
 
@@ -55,6 +55,7 @@ def test_what_others_wrote_is_text_and_never_a_part_of_the_page() -> None:
     graph = GraphView(
         frames=(FrameView(evil, "refused", 0.1, why=evil),),
         controller=ControllerView(evil, evil),
+        torques=(TorqueView(evil, 1.0, 2.0, evil),),
         nodes={evil: NodeView(False, evil, {"tick_rate_hz": "10"})},
     )
     view = DeskView(
@@ -68,7 +69,8 @@ def test_what_others_wrote_is_text_and_never_a_part_of_the_page() -> None:
             np.zeros(1), np.zeros((1, 7)), np.zeros((1, 6, 6)), np.zeros((1, 2)), (Check(evil, None, evil),)
         ),
     )
-    for say in (words.status, words.demonstrations, words.model, words.training, words.verdict, words.run, words.nodes):
+    panels = (words.status, words.demonstrations, words.model, words.training, words.verdict, words.run)
+    for say in (*panels, words.torques, words.nodes):
         assert "<img" not in say(view), say.__name__
 
 
@@ -78,6 +80,19 @@ def test_each_state_has_its_word_beside_its_colour() -> None:
     assert all(f"{name}: {name}" in text for name in ("seen", "held", "missing", "refused", "fixed"))
     assert "DAMPING" in text and "no reference yet" in text
     assert "no controller" in words.status(DeskView())
+
+
+def test_torques_are_told_against_their_limits_and_what_is_near_one_says_so() -> None:
+    graph = GraphView(
+        torques=(TorqueView("s0", 10.0, 50.0), TorqueView("s1", -40.0, 50.0), TorqueView("lift", 60.0, 60.0, "N")),
+        stiffness=StiffnessView(np.diag([500.0, 100.0, 300.0, 20.0, 5.0, 10.0])),
+    )
+    rows = words.torques(DeskView(graph=graph)).split("</div></div>")
+    assert "s0: 10.0 of 50 N m" in rows[0] and "width:20%" in rows[0] and "near" not in rows[0]
+    assert "s1: -40.0 of 50 N m" in rows[1] and "width:80%" in rows[1] and "near" in rows[1]
+    assert "lift: 60.0 of 60 N " in rows[2] and "width:100%" in rows[2] and "at its limit" in rows[2]
+    assert "100 to 500 N/m, turning 5.0 to 20.0 N m/rad" in words.stiffness(DeskView(graph=graph))
+    assert "No torques" in words.torques(DeskView()) and "nothing is tracked" in words.stiffness(DeskView())
 
 
 def test_of_several_pages_one_drives_and_another_may_take_over() -> None:

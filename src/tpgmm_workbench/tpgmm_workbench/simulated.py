@@ -55,6 +55,7 @@ def main() -> int:
             "project": project.folder,
             "simulated": True,
             "use_sim_time": True,
+            "host": arguments.host,
             "port": arguments.port,
             "meshes": not arguments.no_meshes,
             "seed": arguments.seed,
@@ -148,7 +149,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--task", type=Path, help="task file of a new project (default: config/pick_place.yaml)")
     parser.add_argument("--robot", type=Path, help="robot file of a new project (default: config/baxter.yaml)")
-    parser.add_argument("--port", type=int, default=8080, help=f"of the page, on this machine alone {shown}")
+    parser.add_argument(
+        "--host", default="127.0.0.1", help=f"address of the page; 0.0.0.0: for other machines too, by a token {shown}"
+    )
+    parser.add_argument("--port", type=int, default=8080, help=f"of the page {shown}")
     parser.add_argument("--rate", type=float, default=FEW_CORES_RATE if few else RATE, help=f"joint states, Hz {shown}")
     parser.add_argument("--seed", type=int, default=-1, help=f"of the objects' places; -1: others each time {shown}")
     parser.add_argument("--no-meshes", action="store_true", help="draw simple shapes, which is faster")

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """workbench: a page on which a robot is taught a skill, and runs it: teach, train, preview, run.
 
-It talks to the running nodes by topics, services and actions alone, and serves a page for this machine. Beside a real
+It talks to the running nodes by topics, services and actions alone, and serves a page: for this machine, or for others
+whose users have a token. Beside a real
 robot it records what is led by hand; beside a simulation, the hand and the objects can be dragged, too.
 """
 
@@ -21,6 +22,7 @@ from tpgmm_core.common.text import one_line
 from tpgmm_ros.runtime.executor import StopFlag, run
 from tpgmm_ros.runtime.parameters import Declared, Parameters
 from tpgmm_workbench.desk.desk import Desk
+from tpgmm_workbench.page.access import Access
 from tpgmm_workbench.page.page import Page
 from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.scene.shapes import read_shapes
@@ -33,6 +35,13 @@ PARAMETERS = [
         "simulated",
         False,
         "The robot is a simulation: its hand may be dragged, and its objects are moved on the page",
+        fixed=True,
+    ),
+    Declared(
+        "host",
+        "127.0.0.1",
+        "Address at which the page is served; another one than this machine's own lets users of other machines in who "
+        "have the token that is printed",
         fixed=True,
     ),
     Declared("port", 8080, "Port of the page; the next free one where it is taken", 1024, 65535, fixed=True),
@@ -56,8 +65,14 @@ class WorkbenchNode(Node):
         shapes = read_shapes(self.desk.robot_urdf, meshes=parameters["meshes"])
         for note in shapes.notes:
             self.get_logger().warning(note)
-        self.page = Page(self.desk, self.ask, shapes, parameters["port"])
-        self.get_logger().info(f"project {one_line(project.folder)}; the page is at {self.page.address}")
+        access = Access(parameters["host"])
+        self.page = Page(self.desk, self.ask, shapes, parameters["port"], access)
+        # the log goes to files and to other nodes: a token does not
+        address = self.page.address.partition("/?")[0]
+        self.get_logger().info(f"project {one_line(project.folder)}; the page is at {address}")
+        if access.token:
+            print(f"the page is open to other machines; who has this address may move the robot: {self.page.address}")
+            sys.stdout.flush()
 
     @staticmethod
     def _project(parameters: Parameters) -> Project:

@@ -106,10 +106,15 @@ class DerivedFrames:
     def joined(cls, parts: Iterable[DerivedFrames]) -> Self:
         """Those of several models that are used together.
 
+        Parameters
+        ----------
+        parts
+            of each model
+
         Returns
         -------
         Self
-            all of them, each once
+            all of them
 
         Raises
         ------

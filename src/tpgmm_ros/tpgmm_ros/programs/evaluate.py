@@ -105,7 +105,7 @@ def _of(found: Sequence[Tried]) -> dict[str, Any]:
     return {
         **asdict(mean_errors([item.errors for item in found])),
         "coverage": coverage(known, POSE.tangent_dim)[LEVEL] if known else None,
-        "demonstrations": {str(item.recording.path): asdict(item.errors) for item in found},
+        "demonstrations": {item.recording.place: asdict(item.errors) for item in found},
     }
 
 

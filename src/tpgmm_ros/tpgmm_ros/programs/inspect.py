@@ -15,9 +15,10 @@ from tpgmm_core.common.atomic_file import write_atomically
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.doubt.doubts import Doubt
-from tpgmm_ros.recordings.bags import BagError, find_bags, join_parts, read_recordings
+from tpgmm_ros.recordings.bags import BagError, Recording, find_bags, join_parts, read_recordings
 from tpgmm_ros.recordings.judging import doubts_about
 from tpgmm_ros.recordings.overview import BagOverview, overview_of, suggested_task
+from tpgmm_ros.recordings.proposed_takes import several_movements
 from tpgmm_ros.task.task_file import Task
 
 EXAMPLES = """\
@@ -59,11 +60,18 @@ def _inspect(options: argparse.Namespace) -> dict[str, Any]:
     suggestion = suggested_task(good) if good else None
     text = suggestion.text if suggestion else ""
     task = given or (Task.from_text(text, "the suggested task") if text else None)
-    doubts, notes = [], []
+    doubts: list[Doubt] = []
+    recordings: list[Recording] = []
+    hints = list(suggestion.hints) if suggestion else []
     if task is not None:
         recordings, refused = read_recordings([bag.path for bag in good], task)
+        if task.takes is None and recordings:
+            found = several_movements(recordings)
+            hints += found.hints
+            if found.entry and given is None:
+                text += found.line
+                recordings, refused = read_recordings([bag.path for bag in good], Task.from_text(text, "suggestion"))
         doubts = doubts_about(recordings, task) if recordings else []
-        notes = [f"{r.path}: {note}" for r in recordings for note in r.notes]
         bad += [{"bag": str(error.path), "error": str(error)} for error in refused]
     written = None
     if options.write is not None:
@@ -78,11 +86,14 @@ def _inspect(options: argparse.Namespace) -> dict[str, Any]:
         "passed": not stops,
         "bags": [_of_bag(bag) for bag in good],
         "bad_bags": bad,
-        "notes": notes,
+        "demonstrations": [
+            {"name": one.place, "duration_s": one.duration, "samples": len(one.times)} for one in recordings
+        ],
+        "notes": [f"{one.place}: {note}" for one in recordings for note in one.notes],
         "doubts": [asdict(doubt) for doubt in doubts],
         "suggested_task": text,
         "no_task_because": suggestion.reason if suggestion else "no bag could be read",
-        "hints": list(suggestion.hints) if suggestion else [],
+        "hints": hints,
         "written": written,
     }
 
@@ -121,6 +132,9 @@ def _text(found: dict[str, Any]) -> str:
         ]
         head = ("topic", "type", "messages", "Hz", "gap s", "frame", "moves m")
         parts.append(f"{bag['bag']}: {bag['duration_s']:.2f} s\n{format_table(head, rows)}")
+    if len(found["demonstrations"]) > len(found["bags"]):
+        takes = [(one["name"], f"{one['duration_s']:.2f}", one["samples"]) for one in found["demonstrations"]]
+        parts.append(format_table(("demonstration", "s", "samples"), takes))
     parts += [one_line(note) for note in found["notes"]]
     parts += [f"{'refused' if doubt['refuses'] else 'doubt'}: {Doubt(**doubt)}" for doubt in found["doubts"]]
     if not found["doubts"] and not found["bad_bags"]:

@@ -63,7 +63,7 @@ def validate(
     mean_nearest = mean_errors([fold.nearest for fold in folds])
 
     columns = ("RMSE m", "end m", "mean deg", "end deg")
-    rows = [(fold.recording.path.name, *cells_of(fold.model), *cells_of(fold.nearest)) for fold in folds]
+    rows = [(fold.recording.name, *cells_of(fold.model), *cells_of(fold.nearest)) for fold in folds]
     rows.append(("mean", *cells_of(mean), *cells_of(mean_nearest)))
     print(f"\nleave one out: the model, and the nearest demonstration moved with the frame {anchor!r} (n.)")
     print(format_table(("left out", *columns, *(f"n. {column}" for column in columns)), rows))
@@ -99,7 +99,7 @@ def validate(
         "mean_baselines": {name: asdict(errors) for name, (errors, _) in baselines.items()},
         "folds": [
             {
-                "bag": str(fold.recording.path),
+                "bag": fold.recording.place,
                 "iterations": fold.iterations,
                 **asdict(fold.model),
                 "nearest": asdict(fold.nearest),

@@ -49,22 +49,23 @@ def read_bags(options: argparse.Namespace, task: Task, report: dict[str, Any]) -
     with progress_bar(total=len(bags), desc="reading bags", unit="bag") as bar:
         good, bad = read_recordings(bags, task, options.every, progress=lambda _: bar.update())
     report["bags"] = [
-        {"bag": str(r.path), "samples": len(r.times), "duration_s": r.duration, "notes": list(r.notes)} for r in good
+        {"bag": r.place, "samples": len(r.times), "duration_s": r.duration, "notes": list(r.notes)} for r in good
     ]
     report["bad_bags"] = [{"bag": str(error.path), "error": str(error)} for error in bad]
     for recording in good:
         for note in recording.notes:
-            print(one_line(f"{recording.path}: {note}"), file=sys.stderr)
+            print(one_line(f"{recording.place}: {note}"), file=sys.stderr)
         if options.verbose:
             print(
-                f"{recording.path}: {len(recording.times)} samples, {recording.duration:.2f} s",
+                f"{recording.place}: {len(recording.times)} samples, {recording.duration:.2f} s",
                 file=sys.stderr,
             )
     for error in bad:
         print(f"bad bag: {error}", file=sys.stderr)
     if bad and not options.skip_bad:
+        count = len({error.path for error in bad})
         raise TrainingError(
-            f"{len(bad)} of {len(bags)} bags are bad, nothing was trained; repair or leave out the bags "
+            f"{count} of {len(bags)} bags are bad, nothing was trained; repair or leave out the bags "
             "named above, or train on the others with --skip-bad"
         )
     if good:
@@ -81,7 +82,7 @@ def _without_doubt(
     doubts = doubts_about(recordings, task)
     refusing = [doubt for doubt in doubts if doubt.refuses]
     named = {name for doubt in refusing for name in doubt.about}
-    left = [recording for recording in recordings if str(recording.path) not in named]
+    left = [recording for recording in recordings if recording.place not in named]
     if options.skip_bad and named and all(doubt.about for doubt in refusing):
         for doubt in refusing:
             print(f"left out: {doubt}", file=sys.stderr)

@@ -64,8 +64,8 @@ def classify(recognizer: Recognizer, recordings: Sequence[Recording], expected: 
     for recording in recordings:
         course = watched(recognizer, recording)
         best = [max(row, key=row.__getitem__) for row in course]
-        rows.append((recording.path.name, *(f"{name} {row[name]:.2f}" for name, row in zip(best, course, strict=True))))
-        report.append({"bag": str(recording.path), "found": best[-1], "shares": list(SHARES), "probabilities": course})
+        rows.append((recording.name, *(f"{name} {row[name]:.2f}" for name, row in zip(best, course, strict=True))))
+        report.append({"bag": recording.place, "found": best[-1], "shares": list(SHARES), "probabilities": course})
     print("most probable, after so much of each recording")
     print(format_table(("recording", *(f"{share:.0%}" for share in SHARES)), rows))
     counts = {name: sum(item["found"] == name for item in report) for name in names}
@@ -99,8 +99,8 @@ def take_apart(recognizer: Recognizer, recordings: Sequence[Recording], config: 
         times = np.append(recording.times, recording.times[-1])
         for part in segment(skills, recording.to_demonstration(), config):
             first, end = float(times[part.first]), float(times[part.end])
-            rows.append((recording.path.name, part.name, f"{first:.2f}", f"{end:.2f}"))
-            report.append({"bag": str(recording.path), "skill": part.name, "from_s": first, "to_s": end})
+            rows.append((recording.name, part.name, f"{first:.2f}", f"{end:.2f}"))
+            report.append({"bag": recording.place, "skill": part.name, "from_s": first, "to_s": end})
     print(format_table(("recording", "skill", "from s", "to s"), rows))
     return {"passed": True, "segments": report}
 

@@ -140,7 +140,7 @@ def _choose_and_train(
     task: Task, options: argparse.Namespace, recordings: list[Recording], report: dict[str, Any]
 ) -> Training:
     choice = choose_for(task, recordings, options.retrieval, options.trials, options.budget, options.workers)
-    names = [recording.path.name for recording in recordings]
+    names = [recording.name for recording in recordings]
     print(f"{words(choice, names)}\n")
     report["auto"] = {"demonstrations": names, **choice.to_dict()}
     training = _train(task, choice.best.trial.recipe, recordings, choice.learn)
@@ -190,7 +190,7 @@ def _train(task: Task, recipe: Recipe, recordings: list[Recording], learn: Learn
         "demonstrations": len(recordings),
         "samples": sum(len(recording.times) for recording in recordings),
     }
-    keep_recordings(model, [recording.path.name for recording in recordings])
+    keep_recordings(model, [recording.name for recording in recordings])
     if learn is None:
         model.metadata_ |= task.derived.metadata()
     return Training(model, recipe.method.name, recordings, duration, elapsed)
@@ -237,7 +237,7 @@ def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
 
 def _ways(model: TimeStepTPGMM, recordings: list[Recording]) -> str:
     """Which demonstrations do the same thing in which way."""
-    names = [recording.path.name for recording in recordings]
+    names = [recording.name for recording in recordings]
     groups = [
         listed([n for n, way in zip(names, model.modes_, strict=True) if way == k]) for k in np.unique(model.modes_)
     ]

@@ -177,7 +177,7 @@ def _left_out(folds: Sequence[Fold], found: Mapping[str, Any] | None) -> str:
         )
     rows, pictures = [], []
     for fold in folds:
-        errors, name = fold.model, fold.recording.path.name
+        errors, name = fold.model, fold.recording.name
         rows.append(_errors(name, errors.position_rmse_m, errors.position_end_m, errors.orientation_mean_deg))
         for across, up, i, j in PLANES:
             plane = Plane(name, across, up)

@@ -17,7 +17,7 @@ from tpgmm_core.common.text import listed, one_line
 from tpgmm_ros.recordings.storage.bag_error import BagError
 from tpgmm_ros.recordings.storage.bag_reader import BagReader, BagTopic
 
-__all__ = ["BagError", "Messages", "Stream", "read_messages", "topics_of_type"]
+__all__ = ["BagError", "Messages", "Stream", "read_messages", "topics_named", "topics_of_type"]
 
 Array = NDArray[np.float64]
 Nanoseconds = NDArray[np.int64]
@@ -93,7 +93,7 @@ def read_messages(path: Path, topics: Iterable[str], message_type: str) -> dict[
         the bag is damaged or incomplete, or a topic is absent, empty or of another type.
     """
     with BagReader(path) as reader:
-        chosen = _topics(path, list(topics), reader.topics, message_type)
+        chosen = topics_named(path, list(topics), reader.topics, message_type)
         names = {topic.name: name for name, topic in chosen.items()}
         messages: dict[str, list[tuple[int, Any]]] = {name: [] for name in chosen}
         for topic, recorded, message in reader.messages(list(chosen.values())):
@@ -130,14 +130,38 @@ def topics_of_type(path: Path, message_type: str) -> set[str]:
         return {topic.name.strip("/") for topic in reader.topics if topic.type == message_type}
 
 
-def _topics(path: Path, topics: list[str], there: list[BagTopic], message_type: str) -> dict[str, BagTopic]:
-    """The bag's topic of each name that is asked for."""
-    kind = message_type.rsplit("/", 1)[-1]
+def topics_named(
+    path: Path, topics: list[str], there: list[BagTopic], message_type: str | None = None
+) -> dict[str, BagTopic]:
+    """The bag's topic of each name that is asked for; in the one namespace that has them all.
+
+    Parameters
+    ----------
+    path
+        of the bag, for errors
+    topics
+        relative names
+    there
+        topics of the bag
+    message_type
+        of all of them; None: of any type
+
+    Returns
+    -------
+    dict[str, BagTopic]
+        by name, as given
+
+    Raises
+    ------
+    BagError
+        a topic is absent, empty or of another type, or in several namespaces.
+    """
+    kind = f"{message_type.rsplit('/', 1)[-1]} " if message_type else ""
     by_name: dict[str, list[BagTopic]] = {}
     for topic in there:
         by_name.setdefault(topic.name.strip("/"), []).append(topic)
-    same = sorted(topic.name for topic in there if topic.type == message_type)
-    others = (f"its {kind} topics are " + listed(dict.fromkeys(same))) if same else f"it has no {kind} topics"
+    same = sorted(topic.name for topic in there if message_type in (None, topic.type))
+    others = (f"its {kind}topics are " + listed(dict.fromkeys(same))) if same else f"it has no {kind}topics"
 
     prefixes = {name.removesuffix(topics[0]) for name in by_name if f"/{name}".endswith(f"/{topics[0]}")}
     complete = sorted(prefix for prefix in prefixes if all(prefix + topic in by_name for topic in topics))
@@ -156,7 +180,7 @@ def _topics(path: Path, topics: list[str], there: list[BagTopic], message_type: 
     chosen: dict[str, BagTopic] = {}
     for name in topics:
         for topic in by_name[prefix + name]:
-            if topic.type != message_type:
+            if message_type not in (None, topic.type):
                 raise BagError(
                     path,
                     f"{one_line(topic.name, 60)} is of type {one_line(topic.type, 60)}, expected "

@@ -25,9 +25,9 @@ def doubts_about(recordings: Sequence[Recording], task: Task) -> list[Doubt]:
     Returns
     -------
     list[Doubt]
-        each with the paths of the bags that it is about
+        each with the places of the recordings that it is about
     """
-    own = [replace(doubt, about=(str(one.path),)) for one in recordings for doubt in one.doubts]
+    own = [replace(doubt, about=(one.place,)) for one in recordings for doubt in one.doubts]
     return _together([*own, *judged([shown_in(recording, task) for recording in recordings])])
 
 
@@ -44,4 +44,4 @@ def shown_in(recording: Recording, task: Task) -> Shown:
     """A recording as doubts are about it: with the frames that were observed."""
     frames = {name: poses for name, poses in recording.frames.items() if task.frames[name].pose is None}
     visible = {name: recording.visible[name] for name in frames}
-    return Shown(str(recording.path), recording.times, recording.movement, frames, visible)
+    return Shown(recording.place, recording.times, recording.movement, frames, visible)

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 
 from tpgmm_ros.messages.sources import TF, TF_MESSAGE, TF_STATIC, JointStateSource, Source, TransformSource
 from tpgmm_ros.recordings.joint_streams import JOINT_STATE
+from tpgmm_ros.task.takes_section import TopicTakes
 from tpgmm_ros.task.task_file import Task
 
 __all__ = ["JOINT_STATE", "needed_topics", "topics_of"]
@@ -47,8 +48,8 @@ def needed_topics(task: Task) -> dict[str, str]:
 def topics_of(task: Task, further: Iterable[str] = ()) -> dict[str, str | None]:
     """Topics that a recording of a task holds.
 
-    Beside those that the task needs, they are the joint states and what draws the robot elsewhere: its description
-    and the transforms.
+    Beside those that the task needs, they are the joint states, what draws the robot elsewhere (its description and
+    the transforms), and what cuts the recording into takes.
 
     Parameters
     ----------
@@ -62,5 +63,6 @@ def topics_of(task: Task, further: Iterable[str] = ()) -> dict[str, str | None]:
     dict[str, str | None]
         types by topic; None: as it is published
     """
-    others = (ROBOT_DESCRIPTION, f"/{TF}", f"/{TF_STATIC}", *further)
+    cuts = (task.takes.topic,) if isinstance(task.takes, TopicTakes) else ()
+    others = (ROBOT_DESCRIPTION, f"/{TF}", f"/{TF_STATIC}", *cuts, *further)
     return {**dict.fromkeys(others), task.space.joint_states: JOINT_STATE, **needed_topics(task)}

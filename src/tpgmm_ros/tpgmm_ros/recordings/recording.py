@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Recording`: what one bag holds of a task, and demonstrations of one duration from several."""
+"""`Recording`: what one bag, or one take of it, holds of a task; demonstrations of one duration from several."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tpgmm_ros.recordings.bag_messages import Array
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What one bag holds of a task, sampled where the movement was.
+    """What one bag, or one take of it, holds of a task, sampled where the movement was.
 
     Attributes
     ----------
@@ -40,6 +40,8 @@ class Recording:
         the task's frames that are made of those above, and of the first pose of the movement
     doubts
         what makes no sense in this bag
+    take
+        number of the demonstration among those of its bag, from 1; 0: the bag holds no other
     """
 
     path: Path
@@ -51,6 +53,17 @@ class Recording:
     configurations: Array | None = None
     derived: DerivedFrames = field(default_factory=DerivedFrames)
     doubts: tuple[Doubt, ...] = ()
+    take: int = 0
+
+    @property
+    def name(self) -> str:
+        """The bag's name, and which of its takes this is: demo_01, or demo_01#2."""
+        return self.path.name + (f"#{self.take}" if self.take else "")
+
+    @property
+    def place(self) -> str:
+        """The same with the whole path."""
+        return str(self.path) + (f"#{self.take}" if self.take else "")
 
     @property
     def duration(self) -> float:

@@ -49,6 +49,7 @@ from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Sour
 from tpgmm_ros.task.kinematic_section import KinematicSpec
 from tpgmm_ros.task.source_entries import KEYS, a_frame_id, read_movement, read_source
 from tpgmm_ros.task.state_space import PoseSpace, StateSpace
+from tpgmm_ros.task.takes_section import TakesRule, TopicTakes, read_takes
 
 UNSEEN = "unseen"
 """Key of what is known of an observed frame that is out of sight."""
@@ -126,6 +127,8 @@ class Task:
         how demonstrations were recorded where each is one PoseArray.
     recorded_movement
         where recordings have the movement, if not as PoseStamped on the topic `movement`.
+    takes
+        how each recording is cut into several demonstrations; None: each is one.
     space
         what states are: poses of the end point, or configurations where the file has the part `kinematic`.
     """
@@ -140,6 +143,7 @@ class Task:
     model: dict[str, Any] = field(default_factory=dict)
     recordings: PoseArraySpec | None = None
     recorded_movement: Source | JointStateSource | None = None
+    takes: TakesRule | None = None
     derived: DerivedFrames = field(default_factory=DerivedFrames)
 
     @classmethod
@@ -206,9 +210,13 @@ class Task:
                     "has derived frames and 'kinematic'; movements of joints have none: leave one of them out"
                 )
             space = KinematicSpec.of(top.section("kinematic"), frames)
-        recordings, recorded_movement = _recordings(top.section("recordings", optional=True), base_frame)
+        recorded = top.section("recordings", optional=True)
+        recordings, recorded_movement = _recordings(recorded, base_frame)
         if "kinematic" in top.values and recordings is not None:
             raise top.error("has 'recordings' and 'kinematic'; a PoseArray holds no joints: leave one of them out")
+        takes = read_takes(recorded.section("takes")) if "takes" in recorded.values else None
+        if recordings is not None and isinstance(takes, TopicTakes):
+            raise recorded.error("has takes by a topic; a PoseArray has no times to cut it by: use 'still'")
         return cls(
             name=top.required("name", a_name),
             base_frame=base_frame,
@@ -220,6 +228,7 @@ class Task:
             model=_model(top.section("model", optional=True), space),
             recordings=recordings,
             recorded_movement=recorded_movement,
+            takes=takes,
             derived=derived,
         )
 
@@ -317,12 +326,12 @@ def _truth(value: Any) -> bool:
 
 
 def _recordings(section: Section, base_frame: str) -> tuple[PoseArraySpec | None, Source | JointStateSource | None]:
-    if not section.values:
+    section.refuse_others("pose_array", "period", "frames", "movement", "takes")
+    if not section.values.keys() - {"takes"}:
         return None, None
     if "movement" in section.values:
-        section.refuse_others("movement")
+        section.refuse_others("movement", "takes")
         return None, read_movement(section.section("movement"), base_frame)
-    section.refuse_others("pose_array", "period", "frames", "movement")
     spec = PoseArraySpec(
         pose_array=section.required("pose_array", a_topic),
         period=section.required("period", _period),

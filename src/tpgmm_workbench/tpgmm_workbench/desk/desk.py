@@ -8,87 +8,31 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
 from rclpy.node import Node
 
-from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.pose import pose_error
 from tpgmm_core.robot.description import RobotDescription
 from tpgmm_ros.runtime.background import Background
-from tpgmm_workbench.desk.learning import Learning, ModelView
-from tpgmm_workbench.desk.teaching import TaughtView, Teaching
-from tpgmm_workbench.graph.movement import MovementClient, RunView
+from tpgmm_workbench.desk.learning import Learning
+from tpgmm_workbench.desk.sharing import Sharing
+from tpgmm_workbench.desk.table import Table
+from tpgmm_workbench.desk.teaching import Teaching
+from tpgmm_workbench.desk.view import DeskView
+from tpgmm_workbench.graph.movement import MovementClient
 from tpgmm_workbench.graph.simulated_world import SimulatedWorld
 from tpgmm_workbench.graph.watching import Watcher
 from tpgmm_workbench.project.activities import Action, Activity, Facts, may
 from tpgmm_workbench.project.preview import Preview
 from tpgmm_workbench.project.project import Project
-from tpgmm_workbench.project.training import Progress, TrainingOptions
-from tpgmm_workbench.session.arrangement import Arrangement, hand_over, regions_of
+from tpgmm_workbench.project.training import TrainingOptions
+from tpgmm_workbench.session.arrangement import Arrangement, regions_of
 from tpgmm_workbench.session.view import GraphView
 
 #: What was said is shown for so long, s; and how much of it at once.
 WORDS_STAY, MOST_WORDS = 12.0, 3
 #: An arm that is held is given so long to become free before a recording begins anyway, s.
 RELEASE = 4.0
-
-
-@dataclass(frozen=True, slots=True)
-class DeskView:
-    """All that a page shows of one moment.
-
-    Parameters
-    ----------
-    graph
-        what the nodes say
-    run
-        how far the movement is
-    activity
-        what is going on
-    taught
-        the demonstrations that were not undone
-    lasted
-        how long the present recording has been going on, s
-    progress
-        of a training
-    model
-        the present one
-    preview
-        of the present model, where one was made
-    reasons
-        action -> why it may not be done now, or nothing
-    words
-        what was said last, newest first
-    places
-        where a simulation's objects are, (7,) by name
-    hidden
-        those of them that nobody sees
-    aim
-        (7,) to which the hand is led
-    to_go
-        how far it still is from there, m; None while nobody leads it
-    speed
-        of the movement; 1: as learned
-    """
-
-    graph: GraphView = field(default_factory=GraphView)
-    run: RunView = field(default_factory=RunView)
-    activity: Activity = Activity.IDLE
-    taught: tuple[TaughtView, ...] = ()
-    lasted: float = 0.0
-    progress: Progress | None = None
-    model: ModelView | None = None
-    preview: Preview | None = None
-    reasons: dict[Action, str] = field(default_factory=dict)
-    words: tuple[str, ...] = ()
-    places: dict[str, Array] = field(default_factory=dict)
-    hidden: frozenset[str] = frozenset()
-    aim: Array | None = None
-    to_go: float | None = None
-    speed: float = 1.0
 
 
 class Desk:
@@ -111,23 +55,31 @@ class Desk:
         its kinematics
     home
         (7,) the hand's pose at the robot's home
+    table
+        what only a simulation lets a user do
+    sharing
+        exports, imports
+    teaching
+        the demonstrations, what is noted about them, and where to show the next one
     """
 
     def __init__(self, node: Node, project: Project, simulated: bool, seed: int | None = None) -> None:
         self._node, self.project, self.simulated = node, project, simulated
         self.robot = project.robot()
         self._background, self._judge = Background(node), Background(node)
-        self._watcher = Watcher(node, project.task, self.robot.joint_names)
+        self._watcher = Watcher(node, project.task, self.robot)
         self._movement = MovementClient(node, self.say)
-        self._teaching = Teaching(node, project, self._judge, self.say, lambda: None)
+        self.teaching = Teaching(node, project, self._judge, self.say, lambda: None)
         self._learning = Learning(project, self._background, self.say)
+        self.sharing = Sharing(project, self._background, self._refused, self.say)
         data = self.robot.create_data()
         data.update(self.robot.home)
         self.home = data.pose(project.task.endpoint).copy()
-        self._world: SimulatedWorld | None = None
+        world: SimulatedWorld | None = None
         if simulated:
             regions = regions_of(project.task.name, project.task.topics, self.home)
-            self._world = SimulatedWorld(node, project.task, Arrangement(regions, seed))
+            world = SimulatedWorld(node, project.task, Arrangement(regions, seed))
+        self.table = Table(world, self.home, self._movement, self._refused, self.say)
         self._said: list[tuple[float, str]] = []
         self._graph = GraphView()
         self._speed, self._is_paused, self._duration = 1.0, False, 0.0
@@ -136,7 +88,7 @@ class Desk:
     def close(self) -> None:
         """End what goes on, in order; what was recorded is kept."""
         self._movement.stop()
-        self._teaching.close()
+        self.teaching.close()
         self._learning.close()
         self._background.close()
         self._judge.close()
@@ -157,7 +109,7 @@ class Desk:
     @property
     def activity(self) -> Activity:
         """What is going on."""
-        if self._teaching.is_recording or self._release_until is not None:
+        if self.teaching.is_recording or self._release_until is not None:
             return Activity.TEACHING
         if self._movement.view.goes_on:
             return Activity.PAUSED if self._is_paused else Activity.RUNNING
@@ -168,10 +120,10 @@ class Desk:
         graph, controller = self._graph, self._graph.controller
         return Facts(
             activity=self.activity,
-            demonstrations=self._teaching.used,
+            demonstrations=self.teaching.used,
             has_model=self._learning.model is not None,
             is_training=self._learning.is_training,
-            can_undo=self._teaching.can_undo,
+            can_undo=self.teaching.can_undo,
             has_robot=graph.joints is not None,
             missing_frames=tuple(frame.name for frame in graph.frames if frame.pose is None),
             is_simulated=self.simulated,
@@ -184,34 +136,29 @@ class Desk:
         self._graph = self._watcher.look()
         self._learning.look()
         self._begin_when_free()
-        if self._world is not None:
-            self._world.tell()
+        self.table.tell(self._graph)
         now = time.monotonic()
         self._said = [(when, words) for when, words in self._said[-MOST_WORDS:] if now - when < WORDS_STAY]
         facts = self.facts()
-        world = self._world
         return DeskView(
             graph=self._graph,
             run=self._movement.view,
             activity=facts.activity,
-            taught=self._teaching.shown,
-            lasted=self._teaching.lasted,
+            taught=self.teaching.shown,
+            suggested=self.teaching.suggested,
+            lasted=self.teaching.lasted,
             progress=self._learning.progress,
             model=self._learning.model,
             preview=self._learning.shown,
             reasons={action: may(action, facts) for action in Action},
             words=tuple(words for _, words in reversed(self._said)),
-            places={} if world is None else dict(world.arrangement.places),
-            hidden=frozenset() if world is None else frozenset(world.arrangement.hidden),
-            aim=None if world is None else world.aim,
-            to_go=self._to_go(),
+            shared=self.sharing.words,
+            places=self.table.places,
+            hidden=self.table.hidden,
+            aim=self.table.aim,
+            to_go=self.table.to_go,
             speed=self._speed,
         )
-
-    def _to_go(self) -> float | None:
-        if self._world is None or self._world.aim is None or self._graph.hand is None:
-            return None
-        return pose_error(self._graph.hand, self._world.aim)[0]
 
     def _refused(self, action: Action) -> bool:
         """Whether something may not be done now; then the user is told why."""
@@ -231,7 +178,7 @@ class Desk:
             self._movement.let_go()
             self._release_until = time.monotonic() + RELEASE
         else:
-            self._teaching.begin()
+            self.teaching.begin()
 
     def _begin_when_free(self) -> None:
         if self._release_until is None:
@@ -240,75 +187,23 @@ class Desk:
         held = controller is not None and controller.state in ("ACTIVE", "HOLD")
         if not held or time.monotonic() > self._release_until:
             self._release_until = None
-            self._teaching.begin()
+            self.teaching.begin()
 
     def end_recording(self) -> None:
         """End the demonstration, and keep it."""
         if not self._refused(Action.END_RECORDING):
             self._release_until = None
-            self._teaching.end()
+            self.teaching.end()
 
     def undo(self) -> None:
         """Take the last demonstration back."""
         if not self._refused(Action.UNDO):
-            self._teaching.undo()
+            self.teaching.undo()
 
-    # -- a simulation's hand and objects ------------------------------------------------------------------------------
-
-    def lead_hand(self, aim: Array, is_held: bool = False) -> None:
-        """Lead the simulated hand.
-
-        Parameters
-        ----------
-        aim
-            (7,) to there
-        is_held
-            whether the mouse holds it; a hand that is pushed while the skill runs is let go of with the mouse
-        """
-        if self._world is None or (is_held and self._refused(Action.DRAG_HAND)):
-            return
-        if self._movement.view.goes_on:
-            if is_held:
-                self._world.aim = np.array(aim)
-            else:
-                self._world.aim = None
-            return
-        controller = self._graph.controller
-        if controller is not None and controller.state == "ACTIVE":
-            self._movement.let_go()
-        self._world.aim = np.array(aim)
-
-    def lead_to(self, name: str, above: bool) -> None:
-        """Lead the simulated hand to an object, or above it; "home": to where it is at home."""
-        if self._world is None or self._refused(Action.DRAG_HAND):
-            return
-        if self._movement.view.goes_on:
-            self.say("the skill runs: stop it before the hand is led")
-            return
-        if name == "home":
-            self.lead_hand(self.home)
-        elif name in self._world.arrangement.places:
-            self.lead_hand(hand_over(self._world.arrangement.places[name], self.home, above))
-
-    def let_go(self) -> None:
-        """Give the simulated hand no more force."""
-        if self._world is not None:
-            self._world.aim = None
-
-    def move_object(self, name: str, pose: Array) -> None:
-        """Lay a simulation's object at a pose (7,)."""
-        if self._world is not None and name in self._world.arrangement.places:
-            self._world.arrangement.move(name, pose)
-
-    def hide_object(self, name: str, hidden: bool) -> None:
-        """Hide a simulation's object from its sensors, or show it again."""
-        if self._world is not None:
-            self._world.arrangement.hide(name, hidden)
-
-    def shuffle(self) -> None:
-        """Lay a simulation's objects elsewhere."""
-        if self._world is not None:
-            self._world.arrangement.shuffle()
+    def lay_as_suggested(self) -> None:
+        """Lay a simulation's objects where the next demonstration should be."""
+        if self.teaching.suggested is not None:
+            self.table.lay(self.teaching.suggested.frames)
 
     # -- learn, look ahead, run ---------------------------------------------------------------------------------------
 
@@ -340,7 +235,7 @@ class Desk:
         if self.activity is Activity.PAUSED:
             self.set_speed(self._speed)
             return
-        self.let_go()
+        self.table.let_go()
         self._look_ahead(self._run_if_good)
 
     def _run_if_good(self, shown: Preview) -> None:
@@ -370,5 +265,5 @@ class Desk:
     def stop(self) -> None:
         """Stop the robot where it is; may always be asked for. A recording goes on until it is ended."""
         self._movement.stop()
-        self.let_go()
+        self.table.let_go()
         self._is_paused = False

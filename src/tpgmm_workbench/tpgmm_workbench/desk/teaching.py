@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Demonstrations: recorded into the project, judged in the background, taken back."""
+"""Demonstrations: recorded into the project, judged in the background, noted about, taken back."""
 
 from __future__ import annotations
 
@@ -14,12 +14,20 @@ from rclpy.node import Node
 from tpgmm_core.common.text import one_line
 from tpgmm_ros.runtime.background import Background
 from tpgmm_workbench.graph.recording import Recording
+from tpgmm_workbench.project.notes import MAX_COMMENT
 from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.project.quality import Quality, quality_of
+from tpgmm_workbench.project.suggestion import Suggestion, suggest
 from tpgmm_workbench.project.taught import TaughtDemonstration
 
 #: A shorter recording is a click by mistake and is not kept, s.
 SHORTEST = 0.5
+#: A part that ends so near to the end of the recording is not trimmed there, s: sliders have steps.
+END_STEP = 0.1
+
+
+type _Part = tuple[int, tuple[float, float] | None]
+"""What was judged: a demonstration's number, and which part of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +44,24 @@ class TaughtView:
         "good", "look", "bad", or "" as long as it is judged
     words
         what is to be known about it
+    comment
+        of the user
+    length
+        of all that was recorded, s; 0 where it cannot be read
+    part
+        begin and end of what is used of it, s
+    corrects
+        number of the model that it corrects; 0 for what was shown from the beginning
     """
 
     number: int
     is_used: bool
     level: str
     words: str
+    comment: str = ""
+    length: float = 0.0
+    part: tuple[float, float] = (0.0, 0.0)
+    corrects: int = 0
 
 
 class Teaching:
@@ -58,7 +78,14 @@ class Teaching:
     say
         gets what went wrong, or is to be known, in words
     changed
-        called when there is one more, or one less
+        called when they were read again: there is one more, one less, or another note
+
+    Attributes
+    ----------
+    shown
+        those that were not undone
+    suggested
+        where the objects should be for the next one; None where nobody asked, or one was shown since
     """
 
     def __init__(
@@ -74,8 +101,9 @@ class Teaching:
         self._recording: Recording | None = None
         self._began = 0.0
         self._pending = 0
-        self._qualities: dict[int, Quality] = {}
+        self._qualities: dict[_Part, Quality] = {}
         self.shown: tuple[TaughtView, ...] = ()
+        self.suggested: Suggestion | None = None
         self._all: tuple[TaughtDemonstration, ...] = ()
         self.refresh()
 
@@ -96,8 +124,8 @@ class Teaching:
 
     @property
     def used(self) -> int:
-        """Number of demonstrations that a model learns from."""
-        return sum(one.is_used for one in self._all)
+        """Number of demonstrations that a model learns from; corrections are none."""
+        return sum(one.is_used and one.notes.correction is None for one in self._all)
 
     @property
     def can_undo(self) -> bool:
@@ -146,6 +174,7 @@ class Teaching:
         except (OSError, ValueError) as error:
             self._say(f"the demonstration could not be kept: {one_line(error)}")
             return
+        self.suggested = None
         if taught.problem:
             self._say(f"demonstration {taught.number} cannot be used: {taught.problem}")
         self.refresh()
@@ -176,16 +205,60 @@ class Teaching:
         """Read all of them again, in the background, and judge those that are not judged yet."""
         self._background.run(self._read, self._take)
 
-    def _read(self) -> tuple[tuple[TaughtDemonstration, ...], dict[int, Quality]]:
+    def note(self, number: int, comment: str, part: tuple[float, float], is_used: bool) -> None:
+        """Note something about a demonstration, in the background.
+
+        Parameters
+        ----------
+        number
+            of the demonstration
+        comment
+            of the user
+        part
+            begin and end of what is used of it, s; all of it where it is as long
+        is_used
+            whether models learn from it
+        """
+
+        def work() -> TaughtDemonstration:
+            one = self._project.demonstration(number)
+            whole = one.whole is None or (part[0] <= 0.0 and part[1] >= one.whole.duration - END_STEP)
+            text = one_line(comment, MAX_COMMENT)
+            return self._project.note(number, comment=text, trim=None if whole else part, is_used=is_used)
+
+        self._background.run(work, self._noted)
+
+    def _noted(self, job: Future[TaughtDemonstration]) -> None:
+        try:
+            one = job.result()
+        except (OSError, ValueError) as error:
+            self._say(f"not noted: {one_line(error)}")
+            return
+        trim = "all of it" if one.notes.trim is None else "{:.1f} to {:.1f} s".format(*one.notes.trim)
+        self._say(f"demonstration {one.number}: {trim if one.is_used else 'left out'}; the next training sees it")
+        self.refresh()
+
+    def suggest(self) -> None:
+        """Find out where the objects should be for the next demonstration, in the background."""
+        self._background.run(lambda: suggest(self._project), self._found)
+
+    def _found(self, job: Future[Suggestion]) -> None:
+        try:
+            self.suggested = job.result()
+            self._say(f"show it next {self.suggested.words}")
+        except (OSError, ValueError) as error:
+            self._say(f"no suggestion: {one_line(error)}")
+
+    def _read(self) -> tuple[tuple[TaughtDemonstration, ...], dict[_Part, Quality]]:
         taught = self._project.demonstrations()
         known = self._qualities
         return taught, known | {
-            one.number: quality_of(self._project, one.number)
+            _part_of(one): quality_of(self._project, one.number)
             for one in taught
-            if one.number not in known and not one.notes.is_undone
+            if _part_of(one) not in known and not one.notes.is_undone
         }
 
-    def _take(self, job: Future[tuple[tuple[TaughtDemonstration, ...], dict[int, Quality]]]) -> None:
+    def _take(self, job: Future[tuple[tuple[TaughtDemonstration, ...], dict[_Part, Quality]]]) -> None:
         try:
             self._all, self._qualities = job.result()
         except (OSError, ValueError) as error:
@@ -195,7 +268,23 @@ class Teaching:
         self._changed()
 
     def _view(self, one: TaughtDemonstration) -> TaughtView:
-        quality = self._qualities.get(one.number)
-        if one.problem or quality is None:
-            return TaughtView(one.number, one.is_used, "bad" if one.problem else "", one.problem)
-        return TaughtView(one.number, one.is_used, quality.level, "; ".join(quality.words))
+        quality = self._qualities.get(_part_of(one))
+        level, words = "bad" if one.problem else "", one.problem
+        if quality is not None and not one.problem:
+            level, words = quality.level, "; ".join(quality.words)
+        length = 0.0 if one.whole is None else one.whole.duration
+        correction = one.notes.correction
+        return TaughtView(
+            one.number,
+            one.is_used,
+            level,
+            words,
+            one.notes.comment,
+            length,
+            one.notes.trim or (0.0, length),
+            0 if correction is None else correction.model,
+        )
+
+
+def _part_of(one: TaughtDemonstration) -> _Part:
+    return one.number, one.notes.trim

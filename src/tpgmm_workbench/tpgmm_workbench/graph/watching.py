@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -19,6 +18,7 @@ from tpgmm_core.control.supervision import ControllerMode
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.observation.joint_states import MAX_SPREAD
 from tpgmm_core.observation.poses import check_pose
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.msg import ControllerState, TaskFrame, TaskParameters
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointStates, MessageError
@@ -34,6 +34,8 @@ from tpgmm_workbench.session.view import (
     GraphView,
     NodeView,
     ReferenceView,
+    StiffnessView,
+    TorqueView,
 )
 
 #: What was said longer ago is not shown any more, s: streams, and what comes once per second or when it changes.
@@ -50,17 +52,17 @@ class Watcher:
         whose topics are looked at
     task
         names the movement and the frames
-    joints
-        the robot's, in the order in which they are wanted
+    robot
+        whose joints they are
     """
 
-    def __init__(self, node: Node, task: Task, joints: Sequence[str]) -> None:
+    def __init__(self, node: Node, task: Task, robot: RobotModel) -> None:
         self._node, self._task = node, task
         self._looker = Looker(node)
         topic = self._looker.topic
         self._joints = topic(JointState, "joint_states", STATES, raw=True)
         self._decode = JointStateDecoder()
-        self._states = JointStates(joints, ("position",), MAX_SPREAD)
+        self._states = JointStates(robot.joint_names, ("position",), MAX_SPREAD)
         self._hand = topic(PoseStamped, task.movement, STREAM)
         self._frames = topic(TaskParameters, "task_parameters", LATCHED)
         self._controller = topic(ControllerState, "controller_state", LATCHED)
@@ -68,6 +70,10 @@ class Watcher:
         self._markers = topic(MarkerArray, "markers", STREAM)
         self._diagnostics = topic(DiagnosticArray, "/diagnostics", EVENTS)
         self._refusals = Refusals()
+        self._limits = {
+            name: (float(limit), "N" if unit == "m" else "N m")
+            for name, unit, limit in zip(robot.joint_names, robot.joint_units, robot.effort_limits, strict=True)
+        }
         self._q: Array | None = None
         self._components: dict[int, ComponentView] = {}
         self._nodes: dict[str, tuple[float, NodeView]] = {}
@@ -80,13 +86,16 @@ class Watcher:
         """What is known now."""
         self._take_joints()
         self._take_diagnostics()
+        controller = self._newest_of_controller()
         return GraphView(
             joints=self._q if self._joints.silence < WORDS_LAST else None,
             hand=self._pose_of_hand(),
             frames=self._known_frames(),
-            controller=self._words_of_controller(),
+            controller=None if controller is None else _words_in(controller),
             reference=self._known_reference(),
             components=self._known_components(),
+            torques=() if controller is None else self._torques_in(controller),
+            stiffness=None if controller is None else _stiffness_in(controller),
             nodes={name: view for name, (came, view) in self._nodes.items() if time.monotonic() - came < WORDS_LAST},
         )
 
@@ -127,12 +136,17 @@ class Watcher:
         state = "refused" if why is not None else _STATES.get(item.status, "missing")
         return FrameView(item.name, state, age, _pose_of(item), one_line(why or "", 100))
 
-    def _words_of_controller(self) -> ControllerView | None:
+    def _newest_of_controller(self) -> ControllerState | None:
         message = self._controller.newest()
-        if message is None or self._controller.silence > WORDS_LAST:
-            return None
-        modes = {int(mode): mode.name for mode in ControllerMode}
-        return ControllerView(modes.get(message.state, str(message.state)), one_line(message.reason, 300))
+        return None if self._controller.silence > WORDS_LAST else message
+
+    def _torques_in(self, message: ControllerState) -> tuple[TorqueView, ...]:
+        """The torques of those joints that the robot has; none where the message holds others than it says."""
+        parts = np.array(message.feedforward_torque), np.array(message.feedback_torque)
+        if any(part.shape != (len(message.joints),) or not np.isfinite(part).all() for part in parts):
+            return ()
+        sent = dict(zip(message.joints, (float(torque) for torque in parts[0] + parts[1]), strict=True))
+        return tuple(TorqueView(name, sent[name], *of) for name, of in self._limits.items() if name in sent)
 
     def _known_reference(self) -> ReferenceView | None:
         message = self._reference.newest()
@@ -165,6 +179,19 @@ class Watcher:
                 self._nodes[name] = now, NodeView(well, one_line(status.message, 300), values)
                 if name == "frame_tracker":
                     self._refusals.take(values, now)
+
+
+def _words_in(message: ControllerState) -> ControllerView:
+    modes = {int(mode): mode.name for mode in ControllerMode}
+    return ControllerView(modes.get(message.state, str(message.state)), one_line(message.reason, 300))
+
+
+def _stiffness_in(message: ControllerState) -> StiffnessView | None:
+    """That of the hand; None where nothing is tracked, or what is tracked is no pose."""
+    if len(message.stiffness) != 36:
+        return None
+    matrix = np.array(message.stiffness).reshape(6, 6)
+    return StiffnessView(matrix) if np.isfinite(matrix).all() and matrix.any() else None
 
 
 def _pose_of(item: TaskFrame) -> Array | None:

@@ -8,6 +8,9 @@ from typing import Any
 
 from viser import ViserServer
 
+type Ask = Callable[..., None]
+"""Called with the number of the page, a method of the desk, and its arguments."""
+
 
 class Text:
     """HTML in a panel."""

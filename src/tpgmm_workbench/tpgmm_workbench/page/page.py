@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page: a scene and panels that show a `DeskView`, served by viser on this machine alone.
+"""The page: a scene and panels that show a `DeskView`, served by viser, to this machine alone if not told otherwise.
 
 What a user asks for is put in a queue, which the node works off: a page never calls ROS, and never waits for it.
 """
@@ -16,13 +16,15 @@ import numpy as np
 from viser import ClientHandle, Icon, ViserServer
 
 from tpgmm_core.common.types import Array
-from tpgmm_workbench.desk.desk import Desk, DeskView
+from tpgmm_workbench.desk.desk import Desk
+from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page import words
+from tpgmm_workbench.page.access import Access, guarded
 from tpgmm_workbench.page.camera import camera_for
 from tpgmm_workbench.page.controls import Button, Text
 from tpgmm_workbench.page.driver import Driver
-from tpgmm_workbench.page.local_only import local_only
-from tpgmm_workbench.page.panels import NodesPanel, RunPanel, TeachPanel, TrainPanel
+from tpgmm_workbench.page.panels import NodesPanel, RobotPanel, RunPanel, TeachPanel, TrainPanel
+from tpgmm_workbench.page.share_panel import SharePanel
 from tpgmm_workbench.project.preview import Preview
 from tpgmm_workbench.scene.colors import PREVIEW
 from tpgmm_workbench.scene.frames_view import FramesView
@@ -30,9 +32,9 @@ from tpgmm_workbench.scene.hand_view import HandView
 from tpgmm_workbench.scene.model_view import ModelView
 from tpgmm_workbench.scene.robot_view import RobotView
 from tpgmm_workbench.scene.shapes import Shapes
+from tpgmm_workbench.scene.stiffness_view import StiffnessView
+from tpgmm_workbench.scene.suggested_view import SuggestedView
 
-#: This machine alone: whoever else wants to see it makes a tunnel, as with ssh -L.
-HOST = "127.0.0.1"
 #: Texts and trail are renewed this often, s; a ghost moves through its movement in this time, s.
 TEXT_PERIOD, GHOST_TIME = 0.2, 4.0
 
@@ -50,24 +52,27 @@ class Page:
         what the robot looks like
     port
         where it is served; the next free one where it is taken
+    access
+        at which address it is served, and who may see it
 
     Attributes
     ----------
     address
-        where it is
+        where it is; with a token where one is needed: for the user's eyes alone
     """
 
-    def __init__(self, desk: Desk, ask: Callable[..., object], shapes: Shapes, port: int) -> None:
+    def __init__(self, desk: Desk, ask: Callable[..., object], shapes: Shapes, port: int, access: Access) -> None:
+        self._access = access
         self._desk, self._give, self._shapes = desk, ask, shapes
         self.driver = Driver()
         with (
-            local_only(),
+            guarded(access),
             contextlib.redirect_stdout(io.StringIO()),
         ):  # viser draws a box with an address; ours is said by the node
-            self._server = server = ViserServer(HOST, port, label="tpgmm workbench", verbose=False)
+            self._server = server = ViserServer(access.host, port, label="tpgmm workbench", verbose=False)
         # nothing of this page goes to another machine, whatever a client asks for
         server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
-        self.address = f"http://{HOST}:{server.get_port()}"
+        self.address = access.address(server.get_port())
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self._make_scene(server)
         self._make_panels(server)
@@ -94,6 +99,8 @@ class Page:
         self._frames = FramesView(scene, list(desk.project.task.frames), draggable, self._move)
         self._hand = HandView(scene, self._lead if desk.simulated else None)
         self._model = ModelView(scene)
+        self._suggested = SuggestedView(scene, list(desk.project.task.sources))
+        self._stiffness = StiffnessView(scene)
 
     def _lowest(self) -> float:
         """Where the floor is: below all of the robot, m."""
@@ -119,6 +126,10 @@ class Page:
             train = TrainPanel(server, desk, self.ask)
         with tabs.add_tab("Run"):
             run = RunPanel(server, desk, self.ask)
+        with tabs.add_tab("Robot"):
+            robot = RobotPanel(server)
+        with tabs.add_tab("Share"):
+            share = SharePanel(server, desk, self.ask, self._give)
         with tabs.add_tab("Nodes"):
             nodes = NodesPanel(server)
         with tabs.add_tab("Look"):
@@ -128,7 +139,7 @@ class Page:
                     show_logo=False, show_share_button=False, control_width="large", dark_mode=bool(event.target.value)
                 )
             )
-        self._panels = (teach, train, run, nodes)
+        self._panels = (teach, train, run, robot, share, nodes)
 
     # -- who asks -----------------------------------------------------------------------------------------------------
 
@@ -137,7 +148,7 @@ class Page:
 
     def _go(self, client: ClientHandle) -> None:
         if self.driver.go(client.client_id):  # the person who held the hand is gone
-            self._give(self._desk.let_go)
+            self._give(self._desk.table.let_go)
 
     def ask(self, page: int | None, method: Callable[..., object], *arguments: Any) -> None:
         """Ask for something, as the page of a number; the pages that do not drive are told so."""
@@ -151,10 +162,10 @@ class Page:
             )
 
     def _move(self, name: str, pose: Array, page: int | None) -> None:
-        self.ask(page, self._desk.move_object, name, pose)
+        self.ask(page, self._desk.table.move_object, name, pose)
 
     def _lead(self, pose: Array, is_held: bool, page: int | None) -> None:
-        self.ask(page, self._desk.lead_hand, pose, is_held)
+        self.ask(page, self._desk.table.lead_hand, pose, is_held)
 
     # -- what is shown ------------------------------------------------------------------------------------------------
 
@@ -168,6 +179,8 @@ class Page:
             self._frames.show(graph.frames, view.places)
             self._hand.show(graph.hand, view.aim)
             self._model.show(graph.reference, graph.components)
+            self._suggested.show({} if view.suggested is None else view.suggested.frames)
+            self._stiffness.show(graph.hand, graph.stiffness)
             self._show_preview(view, now)
         if now >= self._text_due:
             self._text_due = now + TEXT_PERIOD
@@ -177,7 +190,7 @@ class Page:
         self._hand.draw_trail()
         self._status.show(words.status(view))
         several = self.driver.pages > 1
-        self._pages.show(words.pages(self.driver.pages))
+        self._pages.show(words.pages(self.driver.pages, is_open=bool(self._access.token)))
         if self._take_over.visible != several:
             self._take_over.visible = several
         for panel in self._panels:

@@ -1,21 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The panels of the page: teach, train, run, and what the nodes say. They show a view and ask for things."""
+"""The panels of the page: teach, train, run, torques, and what the nodes say. They show a view and ask for things."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from viser import GuiEvent, ViserServer
 
-from tpgmm_workbench.desk.desk import Desk, DeskView
+from tpgmm_workbench.desk.desk import Desk
+from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page import words
-from tpgmm_workbench.page.controls import Button, Text
+from tpgmm_workbench.page.controls import Ask, Button, Text
+from tpgmm_workbench.page.notes_panel import NotesPanel
 from tpgmm_workbench.project.activities import Action, Activity
-
-type Ask = Callable[..., None]
-"""Called with the number of the page, a method of the desk, and its arguments."""
 
 
 class TeachPanel:
@@ -32,7 +30,13 @@ class TeachPanel:
             self._lead(server)
             self._objects(server)
         self._undo = Button(server, "Undo the last one", lambda page: ask(page, desk.undo), "U")
+        Button(server, "Where next?", lambda page: ask(page, desk.teaching.suggest))
+        self._next = Text(server)
+        self._lay = None
+        if desk.simulated:
+            self._lay = Button(server, "Lay the objects there", lambda page: ask(page, desk.lay_as_suggested))
         self._list = Text(server)
+        self._notes = NotesPanel(server, desk, ask)
 
     def _begin_or_end(self, page: int | None) -> None:
         self._ask(page, self._desk.end_recording if self._is_recording else self._desk.record)
@@ -47,27 +51,27 @@ class TeachPanel:
             group = server.gui.add_button_group("hand", ("home", "let go"))
             group.on_click(
                 lambda event: (
-                    ask(event.client_id, desk.let_go)
+                    ask(event.client_id, desk.table.let_go)
                     if event.target.value == "let go"
-                    else ask(event.client_id, desk.lead_to, "home", False)
+                    else ask(event.client_id, desk.table.lead_to, "home", False)
                 )
             )
 
     def _objects(self, server: ViserServer) -> None:
         desk, ask = self._desk, self._ask
         with server.gui.add_folder("Objects (or drag their gizmos)"):
-            Button(server, "Lay them elsewhere", lambda page: ask(page, desk.shuffle), "N")
+            Button(server, "Lay them elsewhere", lambda page: ask(page, desk.table.shuffle), "N")
             for name in desk.project.task.topics:
                 box = server.gui.add_checkbox(f"hide {name}", False)
                 box.on_update(partial(self._hide_or_show, name))
                 self._hide[name] = box
 
     def _lead_to(self, name: str, event: GuiEvent[Any]) -> None:
-        self._ask(event.client_id, self._desk.lead_to, name, event.target.value.startswith("above "))
+        self._ask(event.client_id, self._desk.table.lead_to, name, event.target.value.startswith("above "))
 
     def _hide_or_show(self, name: str, event: GuiEvent[Any]) -> None:
         if event.client_id is not None:  # none: this program has set the box
-            self._ask(event.client_id, self._desk.hide_object, name, bool(event.target.value))
+            self._ask(event.client_id, self._desk.table.hide_object, name, bool(event.target.value))
 
     def show(self, view: DeskView) -> None:
         """Show what is known."""
@@ -76,7 +80,11 @@ class TeachPanel:
         self._record.show(view.reasons.get(action, ""), "Finish" if self._is_recording else "Record")
         self._undo.show(view.reasons.get(Action.UNDO, ""))
         self._length.show(words.recording(view))
+        self._next.show(words.suggestion(view))
+        if self._lay is not None:
+            self._lay.show("" if view.suggested is not None else "press “Where next?” first")
         self._list.show(words.demonstrations(view))
+        self._notes.show(view)
         if self._led is not None:
             self._led.show(words.led(view))
         for name, box in self._hide.items():
@@ -146,6 +154,18 @@ class RunPanel:
         share = round(100.0 * min(1.0, max(0.0, view.run.phase)))
         if self._bar.value != share:
             self._bar.value = share
+
+
+class RobotPanel:
+    """The torques that are sent, and how stiff the hand is held."""
+
+    def __init__(self, server: ViserServer) -> None:
+        self._torques, self._stiffness = Text(server), Text(server)
+
+    def show(self, view: DeskView) -> None:
+        """Show what is known."""
+        self._torques.show(words.torques(view))
+        self._stiffness.show(words.stiffness(view))
 
 
 class NodesPanel:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from html import escape
 
-from tpgmm_workbench.desk.desk import DeskView
+from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.project.activities import LEAST, Action, Activity
 from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SKY, YELLOW, Color, css
 
@@ -15,6 +15,8 @@ SUGGESTED = 4
 #: A hand that is led is there when it is so near, m.
 THERE = 0.012
 _CONTROLLER = {"WAITING": GREY, "ACTIVE": GREEN, "HOLD": YELLOW, "DAMPING": SKY, "FAULT": RED}
+#: Shares of a torque limit from which on a joint is near it, and at it.
+NEAR_LIMIT, AT_LIMIT = 0.7, 0.98
 _LEVELS: dict[str, tuple[Color, str]] = {
     "good": (GREEN, "good"),
     "look": (YELLOW, "look"),
@@ -92,6 +94,17 @@ def recording(view: DeskView) -> str:
     return _block([chip("recording", RED) + f" {view.lasted:.0f} s"])
 
 
+def suggestion(view: DeskView) -> str:
+    """Where to show it next, and why there."""
+    if view.suggested is None:
+        return ""
+    places = "; ".join(
+        f"{escape(name)} at " + ", ".join(f"{value:.2f}" for value in pose[:3]) + " m"
+        for name, pose in view.suggested.frames.items()
+    )
+    return _block([f"{chip('next', GREEN)} {places}", escape(view.suggested.words)])
+
+
 def demonstrations(view: DeskView) -> str:
     """The demonstrations, newest first, each with its verdict."""
     if not view.taught:
@@ -101,9 +114,23 @@ def demonstrations(view: DeskView) -> str:
         color, word = _LEVELS.get(one.level, (GREY, one.level))
         fits = view.model.misfits.get(one.number, "") if view.model is not None else ""
         words = "; ".join(part for part in (one.words, fits) if part)
-        used = "" if one.is_used else " (not used)"
-        lines.append(f"<b>{one.number}</b>{used} {chip(word, color)} {escape(words)}")
+        used = "" if one.is_used else " (left out)"
+        kind = f" corrects model {one.corrects};" if one.corrects else ""
+        comment = f" <i>{escape(one.comment)}</i>;" if one.comment else ""
+        lines.append(f"<b>{one.number}</b>{used} {chip(word, color)}{kind}{comment} {escape(words)}")
     return _block(lines)
+
+
+def sharing(view: DeskView) -> str:
+    """What came of the last export or import; before, what they are."""
+    if view.shared:
+        return _block([escape(view.shared)])
+    return _block(
+        [
+            "One file with bags, task file, robot file, models and a report.",
+            "A project of somebody else comes into a folder of its own, if it is sound.",
+        ]
+    )
 
 
 def model(view: DeskView) -> str:
@@ -141,8 +168,41 @@ def run(view: DeskView) -> str:
     return _block([f"{chip(stage, colors.get(view.run.stage, GREY))}{share} {escape(view.run.words)}"])
 
 
+def torques(view: DeskView) -> str:
+    """The torque of each joint against its limit: a bar, a word, and numbers."""
+    if not view.graph.torques:
+        return _block(["No torques are sent now."])
+    lines = ["<b>Torques</b>, and their limits"]
+    for one in view.graph.torques:
+        color, word = GREEN, ""
+        if one.share >= NEAR_LIMIT:
+            color, word = (RED, chip("at its limit", RED)) if one.share >= AT_LIMIT else (YELLOW, chip("near", YELLOW))
+        lines.append(
+            f"{escape(one.joint)}: {one.torque:.1f} of {one.limit:.0f} {escape(one.unit)} {word}"
+            f'<div style="background:rgba(130,130,130,0.3);height:0.4em;border-radius:0.2em">'
+            f'<div style="background:{css(color)};height:100%;border-radius:0.2em;'
+            f'width:{100.0 * min(1.0, one.share):.0f}%"></div></div>'
+        )
+    return _block(lines)
+
+
+def stiffness(view: DeskView) -> str:
+    """How stiff the hand is held, from its softest direction to its stiffest one."""
+    known = view.graph.stiffness
+    if known is None:
+        return _block(["<b>Stiffness</b> of the hand: none, nothing is tracked now"])
+    along, about = known.along[0], known.about[0]
+    return _block(
+        [
+            f"<b>Stiffness</b> of the hand: {along[0]:.0f} to {along[2]:.0f} N/m, "
+            f"turning {about[0]:.1f} to {about[2]:.1f} N m/rad",
+            "The ellipsoid at the hand is long where it is stiff.",
+        ]
+    )
+
+
 def nodes(view: DeskView) -> str:
-    """What each node says, its rate and its time of a step; when each frame was seen."""
+    """What each node says, its rate and its times of steps; when each frame was seen."""
     lines = [
         f"{chip('well' if node.well else 'look', GREEN if node.well else YELLOW)} <b>{escape(name)}</b> "
         f"{escape(node.figures)}<br>{escape(node.words)}"
@@ -152,8 +212,13 @@ def nodes(view: DeskView) -> str:
     return _block(lines or ["No node says anything."])
 
 
-def pages(count: int) -> str:
-    """That the page is not heard yet, or that several pages are open."""
+def pages(count: int, is_open: bool = False) -> str:
+    """That the page is not heard yet, that several pages are open, or that other machines may open more."""
+    lines = []
+    if is_open:
+        lines.append(chip("open to other machines", YELLOW) + " who has the token may move the robot")
     if count == 0:
-        return _block([chip("connecting", GREY) + " what you press is heard in a moment"])
-    return _block([f"{count} pages show this; one of them drives."]) if count > 1 else ""
+        lines.append(chip("connecting", GREY) + " what you press is heard in a moment")
+    elif count > 1:
+        lines.append(f"{count} pages show this; one of them drives.")
+    return _block(lines) if lines else ""

@@ -114,7 +114,7 @@ def trimmed(recording: Recording, begin: float, end: float) -> Recording:
     kept = np.flatnonzero((recording.times >= begin) & (recording.times <= end))
     if len(kept) < MIN_SAMPLES:
         raise ProjectError(
-            f"between {begin:.2f} and {end:.2f} s are {len(kept)} samples of {recording.path.name}, which lasts "
+            f"between {begin:.2f} and {end:.2f} s are {len(kept)} samples of {recording.name}, which lasts "
             f"{recording.duration:.2f} s; expected at least {MIN_SAMPLES}: trim less"
         )
     return recording.at(kept)

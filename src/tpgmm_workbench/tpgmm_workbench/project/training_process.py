@@ -141,7 +141,7 @@ def learn(project: Project, options: TrainingOptions, tell: Tell) -> tuple[Learn
     model = learned_as.learn_recordings(recordings, task)
     judge_itself(model, recordings, found)
     misfits = {numbers[i]: why for i, why in found.misfits().items()}
-    by_path = {str(recording.path): number for recording, number in zip(recordings, numbers, strict=True)}
+    by_path = {recording.place: number for recording, number in zip(recordings, numbers, strict=True)}
     for doubt in doubts:
         if doubt.kind == "misfit":
             misfits |= {by_path[name]: doubt.text for name in doubt.about if name in by_path}

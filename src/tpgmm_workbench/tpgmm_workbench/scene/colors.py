@@ -14,8 +14,10 @@ RED: Color = (213, 94, 0)
 PINK: Color = (204, 121, 167)
 GREY: Color = (130, 130, 130)
 
-#: Where the hand was, where it is to be, where it would go; the parts of a model.
-TRAIL, REFERENCE, PREVIEW, COMPONENT = BLUE, ORANGE, GREEN, PINK
+#: Where the hand was, where it is to be, where it would go; the parts of a model; where objects should be.
+TRAIL, REFERENCE, PREVIEW, COMPONENT, SUGGESTED = BLUE, ORANGE, GREEN, PINK, SKY
+#: How stiff the hand is held.
+STIFFNESS = YELLOW
 #: What is known of a frame: each has a word of its own beside the colour.
 FRAME: dict[str, Color] = {"seen": GREEN, "held": YELLOW, "missing": RED, "refused": PINK, "fixed": GREY}
 

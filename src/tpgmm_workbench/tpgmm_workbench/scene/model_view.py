@@ -12,12 +12,12 @@ from viser import MeshHandle, SceneApi
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_workbench.scene.colors import COMPONENT, PREVIEW, REFERENCE, Color
-from tpgmm_workbench.scene.placing import place
+from tpgmm_workbench.scene.placing import place, resize
 from tpgmm_workbench.scene.tube import tube
 from tpgmm_workbench.session.view import ComponentView, ReferenceView
 
-#: Smaller ellipsoids are drawn as large as this, m; changes of size and opacity below these are not seen.
-SMALLEST, SIZE_SEEN, OPACITY_SEEN = 0.003, 0.001, 0.04
+#: Smaller ellipsoids are drawn as large as this, m; changes of opacity below this are not seen.
+SMALLEST, OPACITY_SEEN = 0.003, 0.04
 
 
 class ModelView:
@@ -38,7 +38,7 @@ class ModelView:
         if reference is not None:
             pose, size = ellipsoid(reference.pose[:3], reference.covariance[:3, :3])
             place(self._reference, pose)
-            _resize(self._reference, size)
+            resize(self._reference, size)
         self._show_components(components)
 
     def _show_components(self, components: Sequence[ComponentView]) -> None:
@@ -55,7 +55,7 @@ class ModelView:
                 continue
             component = components[i]
             place(node, component.pose)
-            _resize(node, np.maximum(component.size, SMALLEST))
+            resize(node, np.maximum(component.size, SMALLEST))
             if abs(node.opacity - component.opacity) > OPACITY_SEEN:
                 node.opacity = component.opacity
 
@@ -108,8 +108,3 @@ def ellipsoid(mean: Array, covariance: Array) -> tuple[Array, Array]:
     vectors[:, 0] *= np.sign(np.linalg.det(vectors))
     size = np.maximum(4.0 * np.sqrt(np.maximum(values, 0.0)), SMALLEST)
     return np.concatenate([mean, quaternion.from_matrix(vectors)]), size
-
-
-def _resize(node: object, size: Array) -> None:
-    if np.abs(np.asarray(node.scale) - size).max() > SIZE_SEEN:  # type: ignore[attr-defined]
-        node.scale = tuple(float(value) for value in size)  # type: ignore[attr-defined]

@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 
-#: Smaller changes are not seen, m and of a quaternion.
-SEEN = 2e-4
+#: Smaller changes are not seen: of a position, m, and a quaternion; of a size, m.
+SEEN, SIZE_SEEN = 2e-4, 1e-3
 
 
 class Placed(Protocol):
@@ -43,3 +43,9 @@ def place(node: Placed, pose: Array) -> bool:
         node.wxyz = turn
         moved = True
     return moved
+
+
+def resize(node: Any, size: Array) -> None:
+    """Give a node a size (3,), m, where it does not have it yet."""
+    if np.abs(np.asarray(node.scale) - size).max() > SIZE_SEEN:
+        node.scale = tuple(float(value) for value in size)

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from tpgmm_core.common.types import Array
 
 
@@ -53,6 +55,38 @@ class ControllerView:
 
 
 @dataclass(frozen=True, slots=True)
+class TorqueView:
+    """The torque that was sent to a joint, and the largest one that it may have, in its unit: "N m", or "N"."""
+
+    joint: str
+    torque: float
+    limit: float
+    unit: str = "N m"
+
+    @property
+    def share(self) -> float:
+        """How much of the limit is used, 0 to 1 and more."""
+        return abs(self.torque) / self.limit if self.limit > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class StiffnessView:
+    """How stiff the hand is held: (6, 6) force per deviation, of x, y, z and the rotation vector, N/m and N m/rad."""
+
+    matrix: Array
+
+    @property
+    def along(self) -> tuple[Array, Array]:
+        """Principal stiffness of positions (3,), N/m, smallest first, and its directions: columns of (3, 3)."""
+        return _principal(self.matrix[:3, :3])
+
+    @property
+    def about(self) -> tuple[Array, Array]:
+        """Principal stiffness of turns (3,), N m/rad, smallest first, and its axes: columns of (3, 3)."""
+        return _principal(self.matrix[3:, 3:])
+
+
+@dataclass(frozen=True, slots=True)
 class ReferenceView:
     """Where the hand is to be: mean (7,), and covariance (6, 6) of position and rotation vector, m and rad."""
 
@@ -89,13 +123,23 @@ class NodeView:
 
     @property
     def figures(self) -> str:
-        """Rate and time of a step, where it says so."""
+        """Rate and times of steps, and how long a step may take, where it says so."""
         parts = []
-        if rate := self.values.get("tick_rate_hz"):
-            parts.append(f"{float(rate):.0f} Hz")
-        if float(self.values.get("step_p50_ms", 0.0)) > 0.0:
-            parts.append(f"step {float(self.values['step_p50_ms']):.2f} ms")
+        if (rate := self._number("tick_rate_hz")) > 0.0:
+            parts.append(f"{rate:.0f} Hz")
+        if (step := self._number("step_p50_ms")) > 0.0:
+            room = f" of {1e3 / rate:.1f} ms" if rate > 0.0 else ""
+            slow, longest = self._number("step_p99_ms"), self._number("step_max_ms")
+            parts.append(f"step {step:.2f} ms, 1 of 100 over {slow:.2f} ms, longest {longest:.2f} ms{room}")
         return ", ".join(parts)
+
+    def _number(self, key: str) -> float:
+        """A figure; 0 where there is none."""
+        try:
+            value = float(self.values.get(key, ""))
+        except ValueError:
+            return 0.0
+        return value if np.isfinite(value) else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +160,10 @@ class GraphView:
         None where none came for a while
     components
         of the model that is reproduced
+    torques
+        sent to the joints; empty where no controller says so
+    stiffness
+        of the hand; None while nothing is tracked
     nodes
         by name
     """
@@ -126,7 +174,14 @@ class GraphView:
     controller: ControllerView | None = None
     reference: ReferenceView | None = None
     components: tuple[ComponentView, ...] = ()
+    torques: tuple[TorqueView, ...] = ()
+    stiffness: StiffnessView | None = None
     nodes: dict[str, NodeView] = field(default_factory=dict)
+
+
+def _principal(block: Array) -> tuple[Array, Array]:
+    values, vectors = np.linalg.eigh(0.5 * (block + block.T))
+    return np.maximum(values, 0.0), vectors
 
 
 def _seconds(age: float) -> str:

@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`BagStreams`: all that one bag says of a task, on one clock; any part of it becomes a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tpgmm_core.doubt.clocks import ClockError, CommonClock, TopicTimes, common_clock, gaps
+from tpgmm_core.doubt.doubts import Doubt
+from tpgmm_core.doubt.values import LARGEST_M
+from tpgmm_core.geometry import quaternion
+from tpgmm_core.observation.gate import MotionLimits
+from tpgmm_core.observation.streams import SECOND
+from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
+from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds, Stream
+from tpgmm_ros.recordings.joint_movement import read_link_stream
+from tpgmm_ros.recordings.joint_streams import read_joint_stream
+from tpgmm_ros.recordings.pose_arrays import read_pose_array
+from tpgmm_ros.recordings.pose_streams import read_pose_streams, without_leaps
+from tpgmm_ros.recordings.recording import Recording
+from tpgmm_ros.task.task_file import PoseArraySpec, Task
+
+MOVEMENT = "the movement"
+JOINTS = "the joints"
+"""Names of the movement and of the joints among the streams; no frame's name has a space."""
+
+START_TOLERANCE_S = 0.5
+"""Topics start in any order when a recorder is switched on: a frame seen so soon was there all along."""
+
+GAP_S = 0.5
+FRAME_GAP_S = 1.0
+GAP_PERIODS = 10.0
+"""A pause of a topic is said where it is longer than this time, and than so many of its periods."""
+
+ROUNDING_S = 1e-6
+"""Times that people write down are those of a sample where they differ by less."""
+
+MOVED = 0.005
+"""A frame whose numbers change by less has not moved, m."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BagStreams:
+    """What a bag says of a task, on one clock.
+
+    Attributes
+    ----------
+    path
+        the bag
+    task
+        that it is of
+    times
+        of the movement, of the joints and of each frame that moves, (S,) ns, increasing; those of joints may repeat
+    values
+        poses (S, 7), or positions of joints (S, n), by the same names
+    topics
+        by the same names
+    fixed
+        poses (7,) of the other frames
+    recorded
+        (S,) times of the recorder for the movement's samples, ns; none where nobody knows them
+    notes, doubts
+        of the whole bag
+    """
+
+    path: Path
+    task: Task
+    times: Mapping[str, Nanoseconds]
+    values: Mapping[str, Array]
+    topics: Mapping[str, str]
+    fixed: Mapping[str, Array]
+    recorded: Nanoseconds = field(default_factory=lambda: np.empty(0, np.int64))
+    notes: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
+
+    @classmethod
+    def of(cls, path: Path, task: Task) -> BagStreams:
+        """Read a bag: streams of poses, or one PoseArray, as the task says; raises BagError."""
+        return _poses_of_array(path, task, task.recordings) if task.recordings is not None else _on_topics(path, task)
+
+    @property
+    def seconds(self) -> Array:
+        """Times of the movement from its first sample, (S,) s."""
+        return 1e-9 * (self.times[MOVEMENT] - self.times[MOVEMENT][0]).astype(float)
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last sample of the movement, s."""
+        return float(self.seconds[-1])
+
+    def seconds_of(self, recorded: Nanoseconds) -> Array:
+        """When what the recorder received at its times (N,), ns, was true: s from the first sample, as the movement."""
+        order = np.argsort(self.recorded, kind="stable")
+        first = self.recorded[order[0]]
+        return np.interp(recorded - first, self.recorded[order] - first, self.seconds[order])
+
+    def recording(self, begin_s: float, end_s: float) -> Recording:
+        """One part of it as a recording, with the doubts of this part.
+
+        Poses that leap are left out. A frame holds its latest pose while the task says so (`unseen`). Before its first
+        observation a frame is not visible, unless that comes within 0.5 s of the first sample: then the frame counts
+        as seen from the start. Joints are interpolated between their messages.
+
+        Parameters
+        ----------
+        begin_s, end_s
+            its first and last time, s from the first sample of the movement
+
+        Returns
+        -------
+        Recording
+            its times begin at 0 with its first sample
+
+        Raises
+        ------
+        BagError
+            there is no sample in it, most of its poses leap, a frame is seen too late, or joints do not cover it.
+        """
+        first, stop = np.searchsorted(self.seconds, [begin_s - ROUNDING_S, end_s + ROUNDING_S])
+        if first == stop:
+            raise BagError(self.path, f"the movement has no samples from {begin_s:.2f} to {end_s:.2f} s")
+        begin, end = self.times[MOVEMENT][first], self.times[MOVEMENT][stop - 1]
+        notes, doubts = [], []
+        series: dict[str, tuple[Nanoseconds, Array]] = {}
+        is_timed = bool(len(self.recorded))
+        limits = TrackingConfig(**self.task.tracking).motion
+        for name, ns in self.times.items():
+            if name == JOINTS:
+                continue
+            ns, values = _within(ns, self.values[name], begin, end, name == MOVEMENT)
+            if is_timed:
+                topic = self.topics[name]
+                doubts += _doubts_of_rate(topic, (ns, values), name == MOVEMENT)
+                if len(ns):
+                    ns, values, leaps = without_leaps(self.path, topic, ns, values, _in_its_unit(limits, values))
+                    notes += leaps
+            series[name] = ns, values
+        at, movement = series[MOVEMENT]
+        frames: dict[str, Array] = {}
+        visible: dict[str, NDArray[np.bool_]] = {}
+        for name in self.task.frames:
+            if name in self.fixed:
+                frames[name], visible[name] = np.tile(self.fixed[name], (len(at), 1)), np.ones(len(at), bool)
+                continue
+            if not len(series[name][0]):
+                raise BagError(
+                    self.path,
+                    f"{self.topics[name]} was first seen after the movement had ended; publish the "
+                    f"frame {name!r} before the demonstration starts",
+                )
+            unknown_after = self.task.frames[name].unknown_after
+            frames[name], visible[name] = _hold(*series[name], at, unknown_after)
+            unseen, first = np.count_nonzero(~visible[name]), int(np.argmax(visible[name]))
+            if first:
+                notes.append(f"{name}: not seen in the first {first} of {len(at)} samples")
+            if unseen > first:
+                notes.append(
+                    f"{name}: not known in {unseen - first} of {len(at)} samples, {unknown_after:g} s after it was "
+                    "last seen"
+                )
+        return Recording(
+            self.path,
+            (at - at[0]) * 1e-9,
+            movement,
+            frames,
+            visible,
+            tuple(notes),
+            self._configurations(at),
+            self.task.derived,
+            tuple(doubts),
+        )
+
+    def _configurations(self, at: Nanoseconds) -> Array | None:
+        """Positions (T, n) of the joints at these times (T,), ns; None for tasks without joints."""
+        if JOINTS not in self.times:
+            return None
+        seen = self.times[JOINTS]
+        missed = 1e-9 * max(seen[0] - at[0], at[-1] - seen[-1])
+        if missed > START_TOLERANCE_S:
+            raise BagError(
+                self.path,
+                f"{self.topics[JOINTS]} does not cover the movement, by {missed:.1f} s; record both all the time",
+            )
+        return np.column_stack([np.interp(at, seen, column) for column in self.values[JOINTS].T])
+
+
+def _on_topics(path: Path, task: Task) -> BagStreams:
+    streams, fixed = read_pose_streams(path, _sources(task), task.base_frame)
+    if isinstance(task.recorded_movement, JointStateSource):
+        streams[MOVEMENT] = read_link_stream(path, task.recorded_movement, task.base_frame)
+    if names := task.space.joints():
+        streams[JOINTS] = read_joint_stream(path, task.space.joint_states, names)
+    clock = _clock(path, streams)
+    times, values, notes = dict(clock.times), {}, list(clock.notes)
+    recorded = streams[MOVEMENT].recorded[clock.kept[MOVEMENT]]
+    for name, stream in streams.items():
+        values[name] = stream.values[clock.kept[name]]
+        if name == JOINTS:
+            continue
+        notes += stream.notes
+        fresh = np.diff(times[name], prepend=times[name][0] - 1) > 0
+        if not fresh.all():
+            notes.append(f"{stream.topic}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
+        recorded = recorded[fresh] if name == MOVEMENT else recorded
+        times[name], values[name] = times[name][fresh], values[name][fresh]
+    topics = {name: stream.topic for name, stream in streams.items()}
+    poses = {name: np.array(frame.pose) for name, frame in task.frames.items() if frame.pose is not None}
+    return BagStreams(path, task, times, values, topics, {**fixed, **poses}, recorded, tuple(notes), clock.doubts)
+
+
+def _poses_of_array(path: Path, task: Task, spec: PoseArraySpec) -> BagStreams:
+    """Times are the numbers of the poses times `period`; frames stand still."""
+    stream, places = read_pose_array(path, spec, list(task.sources), task.base_frame)
+    places |= {name: np.array(frame.pose) for name, frame in task.frames.items() if frame.pose is not None}
+    notes = list(stream.notes)
+    if len(stream.values) > 1 and (stream.values[:, 3:] == quaternion.IDENTITY).all():
+        notes.append("every orientation is 0 0 0 1: none was recorded; what a model says of it means nothing")
+    times = {MOVEMENT: stream.stamps}
+    return BagStreams(
+        path, task, times, {MOVEMENT: stream.values}, {MOVEMENT: stream.topic}, places, notes=tuple(notes)
+    )
+
+
+def _sources(task: Task) -> dict[str, Source]:
+    """Where the movement and the frames are in a recording, but for a movement of joints."""
+    movement = task.recorded_movement or PoseStampedSource(task.movement)
+    return ({} if isinstance(movement, JointStateSource) else {MOVEMENT: movement}) | task.sources
+
+
+def _clock(path: Path, streams: Mapping[str, Stream]) -> CommonClock:
+    """When all that is in these streams was true."""
+    times = {name: TopicTimes(name, s.topic, s.stamps, s.recorded) for name, s in streams.items()}
+    try:
+        return common_clock(times.pop(MOVEMENT), list(times.values()))
+    except ClockError as error:
+        raise BagError(path, str(error)) from None
+
+
+def _within(ns: Nanoseconds, values: Array, begin: int, end: int, moves: bool) -> tuple[Nanoseconds, Array]:
+    """What was seen between two times; of a frame also the last before, which stands for where it was then."""
+    first, stop = int(np.searchsorted(ns, begin)), int(np.searchsorted(ns, end, side="right"))
+    if not moves and (first == len(ns) or ns[first] > begin):
+        first = max(0, first - 1)
+    return ns[first:stop], values[first:stop]
+
+
+def _in_its_unit(limits: MotionLimits, poses: Array) -> MotionLimits:
+    """Limits for poses (T, 7) that look like millimetres: these are doubted as such, and do not leap."""
+    low, high = np.quantile(poses[:, :3], (0.05, 0.95), axis=0)
+    return limits if np.linalg.norm(high - low) <= LARGEST_M else replace(limits, speed=1000.0 * limits.speed)
+
+
+def _doubts_of_rate(topic: str, series: tuple[Nanoseconds, Array], moves: bool) -> list[Doubt]:
+    """Pauses of a topic: of the movement, and of frames that are elsewhere after the pause."""
+    ns, values = series
+    found = []
+    for begin, length in gaps(ns, GAP_S if moves else FRAME_GAP_S, GAP_PERIODS):
+        k = int(np.searchsorted(ns, ns[0] + round(SECOND * begin)))
+        if moves or not np.allclose(values[k], values[k + 1], atol=MOVED):
+            where = f"{topic} pauses for {length:.2f} s, {begin:.2f} s after its first message"
+            found.append(Doubt("gap", (), f"{where}; what happened there is not known"))
+    return found[:3]
+
+
+def _hold(
+    seen: Nanoseconds, poses: Array, at: Nanoseconds, unknown_after: float | None
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Latest of the poses (S, 7) seen (S,) at or before each time (T,): poses (T, 7), and mask (T,) where.
+
+    Later than `unknown_after`, s, the pose is not known any more; None: it is for ever.
+    """
+    latest = np.searchsorted(seen, at, side="right") - 1
+    visible = latest >= 0
+    if seen[0] - at[0] <= START_TOLERANCE_S * SECOND:
+        visible[:] = True
+    if unknown_after is not None:
+        visible &= at - seen[np.maximum(latest, 0)] <= unknown_after * SECOND
+    return poses[np.maximum(latest, 0)], visible

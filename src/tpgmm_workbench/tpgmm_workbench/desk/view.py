@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`DeskView`: all that a page shows of one moment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from tpgmm_core.common.types import Array
+from tpgmm_workbench.desk.learning import ModelView
+from tpgmm_workbench.desk.teaching import TaughtView
+from tpgmm_workbench.graph.movement import RunView
+from tpgmm_workbench.project.activities import Action, Activity
+from tpgmm_workbench.project.preview import Preview
+from tpgmm_workbench.project.suggestion import Suggestion
+from tpgmm_workbench.project.training import Progress
+from tpgmm_workbench.session.view import GraphView
+
+
+@dataclass(frozen=True, slots=True)
+class DeskView:
+    """All that a page shows of one moment.
+
+    Parameters
+    ----------
+    graph
+        what the nodes say
+    run
+        how far the movement is
+    activity
+        what is going on
+    taught
+        the demonstrations that were not undone
+    suggested
+        where the objects should be for the next one
+    lasted
+        how long the present recording has been going on, s
+    progress
+        of a training
+    model
+        the present one
+    preview
+        of the present model, where one was made
+    reasons
+        action -> why it may not be done now, or nothing
+    words
+        what was said last, newest first
+    shared
+        what came of the last export or import
+    places
+        where a simulation's objects are, (7,) by name
+    hidden
+        those of them that nobody sees
+    aim
+        (7,) to which the hand is led
+    to_go
+        how far it still is from there, m; None while nobody leads it
+    speed
+        of the movement; 1: as learned
+    """
+
+    graph: GraphView = field(default_factory=GraphView)
+    run: RunView = field(default_factory=RunView)
+    activity: Activity = Activity.IDLE
+    taught: tuple[TaughtView, ...] = ()
+    suggested: Suggestion | None = None
+    lasted: float = 0.0
+    progress: Progress | None = None
+    model: ModelView | None = None
+    preview: Preview | None = None
+    reasons: dict[Action, str] = field(default_factory=dict)
+    words: tuple[str, ...] = ()
+    shared: str = ""
+    places: dict[str, Array] = field(default_factory=dict)
+    hidden: frozenset[str] = frozenset()
+    aim: Array | None = None
+    to_go: float | None = None
+    speed: float = 1.0
