@@ -35,6 +35,7 @@ NODES: dict[str, dict[str, object]] = {
 PROGRAMS = {
     "compose": ["frame_tracker", *ros_arguments(task_file=TASK_FILE)],
     "check_robot": [str(ROBOT_FILE)],
+    "convert": ["--to", "bags", "--rate", "10", "--movement", "[0:3]", "none.npy"],
     "inspect": [str(TASK_FILE.parents[1] / "bags" / "pick_place")],
     "train": ["--task", str(TASK_FILE), "--output", "m.tpgmm", str(TASK_FILE.parents[1] / "bags" / "pick_place")],
     "recognize": ["--task", str(TASK_FILE), "--skill", "a=a.tpgmm", str(TASK_FILE.parents[1] / "bags" / "pick_place")],

@@ -111,6 +111,18 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
     desk.teaching.note(2, "", (0.0, desk.look().taught[1].length), True)
     bench.until(lambda view: view.taught[1].is_used, "the second one to be used again")
 
+    # the project goes out as a file, and comes back into a folder of its own; what is no project is refused
+    files: list[tuple[str, bytes]] = []
+    desk.sharing.give(lambda name, content: files.append((name, content)))
+    bench.until(lambda view: view.shared.startswith("exported as project.zip: 3 demonstrations"), "the export")
+    desk.sharing.take("../../of a friend.zip", files[0][1])
+    bench.until(lambda view: view.shared.startswith("imported into"), "the import")
+    friend = Project.open(desk.project.folder.parent / "of_a_friend")
+    assert friend.demonstration(1).notes == desk.project.demonstration(1).notes
+    desk.sharing.take("broken.zip", files[0][1][:-100])
+    bench.until(lambda view: "broken.zip is not imported" in view.shared, "the refusal of a broken archive")
+    assert not list(desk.project.folder.parent.glob("broken*"))
+
     desk.train(is_automatic=False)
     assert desk.look().reasons[Action.TRAIN]
     view = bench.until(lambda view: view.model is not None, "a model", 200.0)

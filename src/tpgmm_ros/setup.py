@@ -37,6 +37,7 @@ setup(
             "recognition = tpgmm_ros.executables:recognition",
             "compose = tpgmm_ros.executables:compose",
             "check_robot = tpgmm_ros.executables:check_robot",
+            "convert = tpgmm_ros.executables:convert",
             "inspect = tpgmm_ros.executables:inspect",
             "record = tpgmm_ros.executables:record",
             "teach = tpgmm_ros.executables:teach",

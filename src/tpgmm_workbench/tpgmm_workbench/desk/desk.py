@@ -15,6 +15,7 @@ from rclpy.node import Node
 from tpgmm_core.robot.description import RobotDescription
 from tpgmm_ros.runtime.background import Background
 from tpgmm_workbench.desk.learning import Learning
+from tpgmm_workbench.desk.sharing import Sharing
 from tpgmm_workbench.desk.table import Table
 from tpgmm_workbench.desk.teaching import Teaching
 from tpgmm_workbench.desk.view import DeskView
@@ -56,6 +57,8 @@ class Desk:
         (7,) the hand's pose at the robot's home
     table
         what only a simulation lets a user do
+    sharing
+        exports, imports
     teaching
         the demonstrations, what is noted about them, and where to show the next one
     """
@@ -68,6 +71,7 @@ class Desk:
         self._movement = MovementClient(node, self.say)
         self.teaching = Teaching(node, project, self._judge, self.say, lambda: None)
         self._learning = Learning(project, self._background, self.say)
+        self.sharing = Sharing(project, self._background, self._refused, self.say)
         data = self.robot.create_data()
         data.update(self.robot.home)
         self.home = data.pose(project.task.endpoint).copy()
@@ -148,6 +152,7 @@ class Desk:
             preview=self._learning.shown,
             reasons={action: may(action, facts) for action in Action},
             words=tuple(words for _, words in reversed(self._said)),
+            shared=self.sharing.words,
             places=self.table.places,
             hidden=self.table.hidden,
             aim=self.table.aim,

@@ -44,6 +44,8 @@ class DeskView:
         action -> why it may not be done now, or nothing
     words
         what was said last, newest first
+    shared
+        what came of the last export or import
     places
         where a simulation's objects are, (7,) by name
     hidden
@@ -67,6 +69,7 @@ class DeskView:
     preview: Preview | None = None
     reasons: dict[Action, str] = field(default_factory=dict)
     words: tuple[str, ...] = ()
+    shared: str = ""
     places: dict[str, Array] = field(default_factory=dict)
     hidden: frozenset[str] = frozenset()
     aim: Array | None = None

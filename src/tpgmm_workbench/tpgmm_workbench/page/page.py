@@ -24,6 +24,7 @@ from tpgmm_workbench.page.camera import camera_for
 from tpgmm_workbench.page.controls import Button, Text
 from tpgmm_workbench.page.driver import Driver
 from tpgmm_workbench.page.panels import NodesPanel, RobotPanel, RunPanel, TeachPanel, TrainPanel
+from tpgmm_workbench.page.share_panel import SharePanel
 from tpgmm_workbench.project.preview import Preview
 from tpgmm_workbench.scene.colors import PREVIEW
 from tpgmm_workbench.scene.frames_view import FramesView
@@ -127,16 +128,17 @@ class Page:
             run = RunPanel(server, desk, self.ask)
         with tabs.add_tab("Robot"):
             robot = RobotPanel(server)
+        with tabs.add_tab("Share"):
+            share = SharePanel(server, desk, self.ask, self._give)
         with tabs.add_tab("Nodes"):
             nodes = NodesPanel(server)
-        with tabs.add_tab("Look"):
             dark = server.gui.add_checkbox("dark", False)
             dark.on_update(
                 lambda event: server.gui.configure_theme(
                     show_logo=False, show_share_button=False, control_width="large", dark_mode=bool(event.target.value)
                 )
             )
-        self._panels = (teach, train, run, robot, nodes)
+        self._panels = (teach, train, run, robot, share, nodes)
 
     # -- who asks -----------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A project as a file: the browser gets it, or gives one of somebody else's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from viser import GuiEvent, Icon, ViserServer
+
+from tpgmm_workbench.desk.desk import Desk
+from tpgmm_workbench.desk.view import DeskView
+from tpgmm_workbench.page import words
+from tpgmm_workbench.page.controls import Ask, Button, Text
+from tpgmm_workbench.project.activities import Action
+
+
+class SharePanel:
+    """Export and import.
+
+    Parameters
+    ----------
+    server
+        of the page
+    desk
+        what the user may ask for
+    ask
+        for what only the page that drives may do
+    give
+        for what every page may ask for
+    """
+
+    def __init__(self, server: ViserServer, desk: Desk, ask: Ask, give: Callable[..., object]) -> None:
+        self._server, self._desk, self._ask, self._give = server, desk, ask, give
+        self._export = Button(server, "Export this project", self._send, icon=Icon.DOWNLOAD)
+        self._import = server.gui.add_upload_button(
+            "Import a project", mime_type="application/zip,.zip", icon=Icon.UPLOAD
+        )
+        self._import.on_upload(self._take)
+        self._text = Text(server)
+
+    def _send(self, page: int | None) -> None:
+        client = self._server.get_clients().get(page) if page is not None else None
+        if client is not None:
+            self._give(
+                self._desk.sharing.give,
+                lambda name, content: client.send_file_download(name, content, save_immediately=True),
+            )
+
+    def _take(self, event: GuiEvent[Any]) -> None:
+        self._ask(event.client_id, self._desk.sharing.take, event.target.value.name, event.target.value.content)
+
+    def show(self, view: DeskView) -> None:
+        """Show what is known."""
+        self._export.show(view.reasons.get(Action.EXPORT, ""))
+        reason = view.reasons.get(Action.IMPORT, "")
+        if self._import.disabled != bool(reason):
+            self._import.disabled = bool(reason)
+        self._text.show(words.sharing(view))
