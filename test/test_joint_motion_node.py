@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped
+from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -28,14 +29,17 @@ from ros_graph import (
     Diagnostics,
     Inbox,
     change_state,
+    result_of,
     ros_arguments,
 )
 from ros_testing import RunningProcess, StartProcess, spin_until
-from tpgmm_core import Gaussian
+from tpgmm_core import Demonstration, Frame, Gaussian
 from tpgmm_core.control.supervision import ControllerMode
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.reference import Reference
+from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros.messages import conversions
@@ -132,7 +136,7 @@ def graph(module_node: Node, start_module_process: StartProcess) -> Bench:
             robot_file=UR5_FILE,
             endpoint="tool",
             outputs=OUTPUTS,
-            rate=RATE,
+            command_rate=RATE,
             horizon=0.06,
             reference_timeout=0.5,
             joint_state_timeout=0.5,
@@ -244,6 +248,63 @@ def test_references_that_cannot_be_used_are_named(bench: Bench) -> None:
     bench.until_it_says(ControllerMode.ACTIVE, "following the reference")
     bench.covariance = np.zeros((6, 6))
     bench.until_it_says(ControllerMode.HOLD, "the newest was refused: the reference's covariance")
+
+
+def reach(folder: Path) -> tuple[Path, Path]:
+    """A task and a model: the flange goes from home to an object, which was in another place each time."""
+    task = folder / "reach.yaml"
+    task.write_text(
+        "name: reach\nbase_frame: base_link\nmovement: endpoint/tool/pose\nendpoint: tool\n"
+        "frames: {robot: {pose: [0, 0, 0, 0, 0, 0, 1]}, object: {topic: object/pose}}\n"
+    )
+    rng, times, begin = np.random.default_rng(0), np.linspace(0.0, 2.0, 50), hand(UR5.home)
+    share = (times / 2.0) ** 3 * (10.0 - 15.0 * times / 2.0 + 6.0 * (times / 2.0) ** 2)
+    demonstrations = []
+    for _ in range(8):
+        goal = begin + [*(np.array([0.05, 0.15, 0.1]) + rng.uniform(-0.05, 0.05, 3)), 0, 0, 0, 0]
+        places = begin + share[:, None] * (goal - begin)
+        places[:, :3] += 0.002 * rng.normal(size=(len(times), 3))
+        frames = {"robot": Frame.from_pose(np.zeros(3), [0, 0, 0, 1]), "object": Frame.from_pose(goal[:3], goal[3:])}
+        timed = {name: frame.with_time() for name, frame in frames.items()}
+        demonstrations.append(Demonstration(times, np.column_stack([times, places]), timed))
+    recipe = Recipe.of({"n_components": 4, "reg_covar": 1e-5})
+    model = recipe.learn(demonstrations, "R1 x R3 x S3", ("time", "x", "y", "z", "qx", "qy", "qz", "qw"))
+    model.save(folder / "reach.tpgmm")
+    return task, folder / "reach.tpgmm"
+
+
+def test_a_learned_movement_gets_a_robot_without_torques_to_an_object(
+    tmp_path: Path, ros_node: Node, start_process: StartProcess
+) -> None:
+    """All nodes of the launch file, with a robot that publishes joint states alone."""
+    task, model = reach(tmp_path)
+    there = hand(UR5.home) + np.array([0.08, 0.12, 0.13, 0, 0, 0, 0])
+    program = Path(__file__).with_name("position_robot.py")
+    robot = start_process(sys.executable, str(program), str(UR5_FILE), *ARM)
+    poses = start_process("endpoint_poses", *ros_arguments(robot_file=UR5_FILE))
+    values = {"robot_file": UR5_FILE, "task_file": task, "model_file": model, "endpoint": "tool", "autostart": True}
+    nodes = ["frame_tracker", "reproduction", "joint_motion"]
+    loop = start_process("compose", *nodes, *ros_arguments(**values, start_timeout=30.0))
+    processes = (robot, poses, loop)
+    seen = ros_node.create_publisher(PoseStamped, "object/pose", STREAM)
+    hands = Inbox(ros_node, PoseStamped, "endpoint/tool/pose")
+    violations = Inbox(ros_node, String, "violations", ALL_LATCHED)
+    ros_node.create_timer(
+        0.03,
+        lambda: seen.publish(conversions.pose_stamped(there, ros_node.get_clock().now().nanoseconds, UR5.base_frame)),
+    )
+    client = ActionClient(ros_node, Reproduce, "reproduce")
+    spin_until(ros_node, client.server_is_ready, 60.0, "the action", processes)
+    goal = result_of(ros_node, client.send_goal_async(Reproduce.Goal()), "the goal to be accepted")
+    asked = goal.get_result_async()
+    spin_until(ros_node, asked.done, 60.0, "the end of the movement", processes)
+    answer = asked.result().result
+    print(answer.reason)
+    assert answer.success, answer.reason
+    error = np.linalg.norm(conversions.pose_to_array(hands.last.pose)[:3] - there[:3])
+    print(f"{1e3 * error:.1f} mm from the object")
+    assert error < 0.01
+    assert not [message.data for message in violations.messages]
 
 
 def test_outputs_that_make_no_sense_are_refused() -> None:

@@ -86,7 +86,7 @@ def at_once(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
             goal = place[held] + ([HEIGHT] if name == "height" else [0.0, 0.0])
             data[:, held] = goal - 0.2 * (1.0 - times / seconds)[:, None]
             data[:, :3] += random.normal(0.0, 0.002, (30, 3))
-            frames = {frame: Frame(np.eye(7), [*place[:3], 0.0, 0.0, 0.0, 0.0]).with_time()}
+            frames = {frame: Frame(np.eye(7), np.array([*place[:3], 0.0, 0.0, 0.0, 0.0])).with_time()}
             shown.append(Demonstration(times, np.column_stack([times, data]), frames))
         model = Recipe.of({"n_components": 3, "reg_covar": 1e-5}).learn(shown, space.manifold(), space.dimensions())
         model.metadata_ = {**model.metadata_, "duration_s": seconds}

@@ -106,6 +106,16 @@ class DerivedFrames:
     def joined(cls, parts: Iterable[DerivedFrames]) -> Self:
         """Those of several models that are used together.
 
+        Parameters
+        ----------
+        parts
+            of each model
+
+        Returns
+        -------
+        Self
+            all of them
+
         Raises
         ------
         ValueError

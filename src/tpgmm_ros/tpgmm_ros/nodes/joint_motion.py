@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """joint_motion: references and joint states in; positions of joints, or poses and velocities of a hand, out.
 
-For robots without torques. At its `rate` it sends what `outputs` name, within limits of position, speed and
+For robots without torques. At its `command_rate` it sends what `outputs` name, within limits of position, speed and
 acceleration; where these act, what the reference is less sure of gives way. It begins at the measured joints of a robot
 that rests, and never jumps: where references or joint states stop, or the robot does not follow, the joints slow
 down and stay, and the reason is on `/diagnostics`. A lifecycle node: while it is not active, nothing is sent.
@@ -49,11 +49,11 @@ PARAMETERS = [
         "joints", "", "Joint group that moves, in the order of the positions; empty: that of the end point", fixed=True
     ),
     Declared("outputs", ["joint_trajectory"], f"What is sent, any of {', '.join(OUTPUTS)}", fixed=True),
-    Declared("rate", 100.0, "Rate at which it is sent, Hz", 1.0, 1000.0, fixed=True),
+    Declared("command_rate", 100.0, "Rate at which it is sent, Hz", 1.0, 1000.0, fixed=True),
     Declared(
         "horizon",
         0.03,
-        "Time that the robot has to get to the first point of a trajectory, s: two to four periods of `rate`",
+        "Time that the robot has to get to the first point of a trajectory, s: two to four periods of `command_rate`",
         0.001,
         1.0,
     ),
@@ -79,7 +79,7 @@ class JointMotionNode(ManagedNode):
         self._active = False
         self._mode, self._reason, self._told_ns = ControllerMode.WAITING, "not active", 0
         self.parameters = Parameters(self, PARAMETERS, check=self._check, changed=self._reconfigure)
-        self.monitor = Monitor(self, self._status, self.parameters["rate"])
+        self.monitor = Monitor(self, self._status, self.parameters["command_rate"])
         if self.parameters["autostart"]:
             self.start_itself()
 
@@ -112,7 +112,7 @@ class JointMotionNode(ManagedNode):
         references = self.create_subscription(ReferenceMessage, "reference", self._take_reference, STREAM)
         receive_values(references, self._take_stamped_reference)
         Batches(self, JointState, "joint_states", self._take_states, STATES, JointStateDecoder())
-        self.create_timer(1.0 / self.parameters["rate"], self._step, clock=self._loop_clock)
+        self.create_timer(1.0 / self.parameters["command_rate"], self._step, clock=self._loop_clock)
         return TransitionCallbackReturn.SUCCESS
 
     def _make_motion(self, robot: RobotModel) -> SupervisedMotion:
@@ -155,7 +155,7 @@ class JointMotionNode(ManagedNode):
     def _let_go(self) -> None:
         if not self._active or self.motion is None:
             return
-        period = 1.0 / self.parameters["rate"]
+        period = 1.0 / self.parameters["command_rate"]
         begin = time.monotonic()
         end = begin + self.motion.motion.stop_point()[1] + RELEASE_TIME
         now_ns = self._loop_clock.now().nanoseconds

@@ -54,7 +54,7 @@ def columns_of(table: Table, text: str) -> Array:
     parts = []
     for item in text.split(","):
         found = _ITEM.fullmatch(item.strip())
-        name = "" if found is None else found[1].strip()
+        name = "" if found is None else str(found[1]).strip()
         if found is None or name not in table:
             there = [f"{key or '(no name)'} {_upright(value).shape}" for key, value in table.items()]
             raise ConversionError(f"has no column or array {shown(item.strip())}; there are {listed(there, 12)}")
