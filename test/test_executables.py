@@ -26,6 +26,7 @@ NODES: dict[str, dict[str, object]] = {
     "endpoint_poses": {"robot_file": ROBOT_FILE},
     "joint_reference": {"robot_file": ROBOT_FILE},
     "recognition": {"task_file": TASK_FILE},
+    "joint_motion": {"robot_file": ROBOT_FILE, "autostart": True},
     "workbench": {"task_file": TASK_FILE, "robot_file": ROBOT_FILE},
     "reproduction": {"task_file": TASK_FILE, "autostart": True},
     "impedance_controller": {"robot_file": ROBOT_FILE, "autostart": True},
@@ -34,6 +35,7 @@ NODES: dict[str, dict[str, object]] = {
 PROGRAMS = {
     "compose": ["frame_tracker", *ros_arguments(task_file=TASK_FILE)],
     "check_robot": [str(ROBOT_FILE)],
+    "convert": ["--to", "bags", "--rate", "10", "--movement", "[0:3]", "none.npy"],
     "inspect": [str(TASK_FILE.parents[1] / "bags" / "pick_place")],
     "train": ["--task", str(TASK_FILE), "--output", "m.tpgmm", str(TASK_FILE.parents[1] / "bags" / "pick_place")],
     "recognize": ["--task", str(TASK_FILE), "--skill", "a=a.tpgmm", str(TASK_FILE.parents[1] / "bags" / "pick_place")],

@@ -26,6 +26,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
 
 from faults.graph_bench import trained
 from message_fuzz import Fuzz, subscriptions
@@ -49,6 +50,8 @@ NODES: dict[str, dict[str, object]] = {
     "frame_tracker": {"task_file": TASK_FILE},
     "reproduction": {"task_file": TASK_FILE, "autostart": True, "start_timeout": 600.0},
     "impedance_controller": {**ROBOT_ARGUMENTS, "autostart": True},
+    # states and references come in bursts, each of which is a movement: what was spoiled ends with it
+    "joint_motion": {**ROBOT_ARGUMENTS, "autostart": True, "joint_state_timeout": 10.0, "reference_timeout": 0.05},
     "baxter_simulator": ROBOT_ARGUMENTS,
     "joint_reference": ROBOT_ARGUMENTS,
     "endpoint_poses": ROBOT_ARGUMENTS,
@@ -133,10 +136,20 @@ def goes_on(bench: Bench, sent: dict[str, Any]) -> bool:
     )
 
 
+def tells_joints(bench: Bench, sent: dict[str, Any]) -> bool:
+    """Trajectories that begin after good inputs, of finite numbers."""
+    inbox = bench.inboxes["joint_trajectory_controller/joint_trajectory"]
+    told = [point for message in inbox.messages for point in message.points]
+    inbox.clear()
+    assert all(np.isfinite([*point.positions, *point.velocities]).all() for point in told)
+    return bool(told)
+
+
 ANSWERED: dict[str, Callable[[Bench, dict[str, Any]], bool]] = {
     "frame_tracker": frames_are_seen,
     "reproduction": answers_with_the_stamp("reference", "/joint_states"),
     "impedance_controller": answers_with_the_stamp("joint_torques", "/joint_states"),
+    "joint_motion": tells_joints,
     "baxter_simulator": goes_on,
     "joint_reference": answers_with_the_stamp("reference", "/joint_states"),
     "endpoint_poses": answers_with_the_stamp("endpoint/left/pose", "/joint_states"),
@@ -145,6 +158,7 @@ OUTPUTS: dict[str, tuple[type, str, QoSProfile]] = {
     "frame_tracker": (TaskParameters, "task_parameters", ALL_LATCHED),
     "reproduction": (Reference, "reference", ALL),
     "impedance_controller": (JointState, "joint_torques", ALL),
+    "joint_motion": (JointTrajectory, "joint_trajectory_controller/joint_trajectory", ALL),
     "baxter_simulator": (JointState, "joint_states", ALL),
     "joint_reference": (Reference, "reference", ALL),
     "endpoint_poses": (PoseStamped, "endpoint/left/pose", ALL),

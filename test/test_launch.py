@@ -18,8 +18,11 @@ FILES = {
         {"model", "task", "robot", "use_sim_time"},
     ),
     "loop": (
-        {"compose"},
-        {"robot", "task", "model", "endpoint", "namespace", "joint_state_rate", "autostart", "realtime_priority"},
+        {"compose", "endpoint_poses"},
+        {
+            *("robot", "task", "model", "endpoint", "namespace", "joint_state_rate", "autostart", "realtime_priority"),
+            *("controller", "outputs", "command_rate", "poses"),
+        },
     ),
     "figure5": ({"joint_reference", "impedance_controller", "baxter_simulator"}, {"models", "active", "robot"}),
 }

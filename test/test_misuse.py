@@ -79,6 +79,7 @@ FILES: dict[str, dict[str, Arguments]] = {
         "model_file": node("model_file", task_file=TASK_FILE, **AUTOSTART),
     },
     "impedance_controller": {"robot_file": node("robot_file", **AUTOSTART)},
+    "joint_motion": {"robot_file": node("robot_file", **AUTOSTART)},
     "joint_reference": {
         "robot_file": node("robot_file"),
         "task_files": node("task_files", robot_file=ROBOT_FILE, model_files="[none.tpgmm]"),

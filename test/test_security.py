@@ -20,7 +20,7 @@ from tpgmm_ros.task.task_file import Task
 
 POLICIES = ROOT / "config" / "security" / "policies.xml"
 THIS_MACHINE = ROOT / "config" / "security" / "this_machine.xml"
-NODES = ("frame_tracker", "reproduction", "impedance_controller", "baxter_simulator")
+NODES = ("frame_tracker", "reproduction", "impedance_controller", "joint_motion", "baxter_simulator")
 #: Topics and services that an action is made of.
 ACTION = "/_action/"
 
@@ -65,6 +65,7 @@ def test_the_policies_name_exactly_what_the_running_nodes_have(ros_node: Node, s
     start_process("frame_tracker", *ros_arguments(task_file=TASK_FILE, lockstep=True, use_sim_time=True))
     start_process("reproduction", *ros_arguments(task_file=TASK_FILE, lockstep_rate=100.0, **both))
     start_process("impedance_controller", *ros_arguments(robot_file=ROBOT_FILE, lockstep=True, **both))
+    start_process("joint_motion", *ros_arguments(robot_file=ROBOT_FILE, **both))
     start_process("baxter_simulator", *ros_arguments(robot_file=ROBOT_FILE, lockstep=True))
     different: dict[str, tuple[Names, Names]] = {}
 

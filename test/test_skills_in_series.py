@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""reproduction with a list of skills: reach, place and retreat, each learned from its part of the recordings."""
+"""reproduction with several skills: one after another, each learned from its part of the recordings, or together."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 
-from reproduction_player import PLACES, Player, means
+from reproduction_player import PLACES, POSE, TICK_NS, Player, means
 from ros_graph import ROOT, TASK_FILE
-from tpgmm_core import Demonstration
+from tpgmm_core import Demonstration, Frame
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_ros.recordings.bags import find_bags, read_recordings
 from tpgmm_ros.recordings.recording import Recording
@@ -22,6 +22,7 @@ from tpgmm_ros.task.task_file import Task
 #: the object and at the target; nobody was shown to retreat, so that this is the way down to the target, backwards.
 PARTS = {"reach": (0.0, 0.39, False), "place": (0.39, 0.95, False), "retreat": (0.76, 0.95, True)}
 SECONDS = 1.0
+HEIGHT = 0.3  # m above the base
 
 
 def part_of(recording: Recording, first: float, last: float, backwards: bool) -> Demonstration:
@@ -67,6 +68,45 @@ def test_reach_place_and_retreat_follow_each_other_without_a_jump(player: Player
     phases = np.array([reference.phase for reference in player.references])
     changes = np.flatnonzero(np.diff(phases) < -0.5)  # from the end of a skill to the beginning of the next one
     assert len(changes) == 2 and steps[changes].max() < 2e-3 and steps[changes + 1].max() < 2e-3
+
+
+@pytest.fixture(scope="module")
+def at_once(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Two movements that leave each other free: over the object, at any height, and to a height, wherever it is."""
+    task, directory, files = Task.load(TASK_FILE), tmp_path_factory.mktemp("at_once"), {}
+    space, random = task.space, np.random.default_rng(0)
+    for name, frame, held, seconds in (("over", "object", [0, 1], 1.0), ("height", "robot", [2], 0.5)):
+        times, shown = np.linspace(0.0, seconds, 30), []
+        for _ in range(6):
+            place = PLACES[frame].copy()
+            place[held] += random.uniform(-0.1, 0.1, len(held))
+            data = np.tile(PLACES["robot"], (30, 1))
+            data[:, 3:] = POSE.exp(data[0], np.concatenate([np.zeros(3), random.normal(0.0, 0.05, 3)]))[3:]
+            data[:, :3] = place[:3] + random.uniform(-0.3, 0.3, 3)
+            goal = place[held] + ([HEIGHT] if name == "height" else [0.0, 0.0])
+            data[:, held] = goal - 0.2 * (1.0 - times / seconds)[:, None]
+            data[:, :3] += random.normal(0.0, 0.002, (30, 3))
+            frames = {frame: Frame(np.eye(7), np.array([*place[:3], 0.0, 0.0, 0.0, 0.0])).with_time()}
+            shown.append(Demonstration(times, np.column_stack([times, data]), frames))
+        model = Recipe.of({"n_components": 3, "reg_covar": 1e-5}).learn(shown, space.manifold(), space.dimensions())
+        model.metadata_ = {**model.metadata_, "duration_s": seconds}
+        files[name] = str(directory / f"{name}.tpgmm")
+        model.save(files[name])
+    return files
+
+
+def test_two_skills_at_the_same_time_each_do_their_part(player: Player, at_once: dict[str, str]) -> None:
+    goal = [PLACES["object"][0], PLACES["object"][1], PLACES["robot"][2] + HEIGHT]
+    ends = {}
+    for models in ([at_once["over"]], [at_once["height"]], [" + ".join(at_once.values())]):
+        handle = player.start(duration=0.0, models=models)
+        status, result = player.result(handle)
+        assert status == GoalStatus.STATUS_SUCCEEDED and result.success, result.reason
+        ends[player.feedback[-1].skill_name] = means(player.references)[-1, :3]
+        seconds = TICK_NS * 1e-9 * sum(reference.phase < 1.0 for reference in player.references)
+        assert seconds == pytest.approx(0.5 if models == [at_once["height"]] else 1.0, abs=0.05)
+    np.testing.assert_allclose(ends["over + height"], goal, atol=0.02)
+    assert abs(ends["over"][2] - goal[2]) > 0.1 and np.linalg.norm((ends["height"] - goal)[:2]) > 0.1
 
 
 def test_a_skill_that_cannot_be_read_is_named_before_anything_moves(player: Player, skills: dict[str, str]) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import viser
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
@@ -23,6 +24,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.pose import pose_error
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
+from tpgmm_workbench.page.access import Access, guarded
 from tpgmm_workbench.project.project import Project
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="no Playwright: `make dev` installs it")
@@ -174,3 +176,28 @@ def test_a_demonstration_is_taught_by_clicks_and_keys_and_nothing_comes_from_els
     user.page.close()
     again = User(browser, ros_node, process, address())
     again.sees("Show the movement 3 more times")
+
+
+def test_a_page_that_is_open_to_other_machines_is_seen_with_its_token_alone_which_leaves_the_address(
+    browser: Any,
+) -> None:
+    access = Access("127.0.0.2")  # an address of this machine that counts as one of a network
+    with guarded(access):
+        server = viser.ViserServer(access.host, 18280, verbose=False)
+    try:
+        server.gui.add_button("Record")
+        address = access.address(server.get_port())
+        plain = address.partition("?")[0]
+        page = browser.new_page()
+        page.goto(plain)
+        page.get_by_text("needs its token").wait_for()
+        page.goto(address)
+        page.get_by_role("button", name="Record").wait_for()  # it comes by the web socket
+        assert page.url == plain
+        page.goto(plain)
+        page.get_by_role("button", name="Record").wait_for()
+        stranger = browser.new_context().new_page()
+        stranger.goto(plain)
+        stranger.get_by_text("needs its token").wait_for()
+    finally:
+        server.stop()

@@ -71,6 +71,10 @@ def test_positions_alone_have_derived_frames_too() -> None:
 
 def test_metadata_keep_them_and_a_model_without_any_is_as_before() -> None:
     assert DerivedFrames.of_metadata(DERIVED.metadata()) == DERIVED
+    assert DerivedFrames.joined([DERIVED, DerivedFrames(), DERIVED]) == DERIVED
+    other = DerivedFrames({next(iter(DERIVED.sources)): FrameSource("elsewhere")})
+    with pytest.raises(ValueError, match="in one model, from 'elsewhere' in another: name them differently"):
+        DerivedFrames.joined([DERIVED, other])
     assert DerivedFrames().metadata() == {} and DerivedFrames.of_metadata({}) == DerivedFrames()
 
 

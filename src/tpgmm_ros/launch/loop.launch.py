@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From object poses to joint torques on a robot of your own: the loop in one process, started again where it ends.
+"""From object poses to a robot of your own: the loop in one process, started again where it ends.
 
-ros2 launch tpgmm_ros loop.launch.py robot:=ROBOT.yaml task:=TASK.yaml model:=MODEL.tpgmm
+By torques: ros2 launch tpgmm_ros loop.launch.py robot:=ROBOT.yaml task:=TASK.yaml model:=MODEL.tpgmm endpoint:=HAND
+By positions: the same with controller:=joint_motion poses:=true, and outputs:="[positions]" or others
 """
 
 from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -27,6 +29,22 @@ def generate_launch_description() -> LaunchDescription:
             description="joint states per second that the robot publishes, Hz",
         ),
         DeclareLaunchArgument(
+            "controller",
+            default_value="impedance_controller",
+            choices=["impedance_controller", "joint_motion"],
+            description="joint_motion for a robot that takes positions or poses instead of torques",
+        ),
+        DeclareLaunchArgument(
+            "outputs", default_value="[joint_trajectory]", description="what joint_motion sends, a list of its outputs"
+        ),
+        DeclareLaunchArgument("command_rate", default_value="100.0", description="how often joint_motion sends it, Hz"),
+        DeclareLaunchArgument(
+            "poses",
+            default_value="false",
+            choices=["true", "false"],
+            description="compute the poses of the end points, for a robot whose driver publishes joint states alone",
+        ),
+        DeclareLaunchArgument(
             "autostart",
             default_value="true",
             description="configure and activate the nodes; false: leave that to a lifecycle manager",
@@ -44,7 +62,7 @@ def generate_launch_description() -> LaunchDescription:
     loop = Node(
         package="tpgmm_ros",
         executable="compose",
-        arguments=["frame_tracker", "reproduction", "impedance_controller"],
+        arguments=["frame_tracker", "reproduction", LaunchConfiguration("controller")],
         namespace=LaunchConfiguration("namespace"),
         output="screen",
         # The robot's own watchdog acts meanwhile; what comes back waits for a new goal
@@ -57,9 +75,21 @@ def generate_launch_description() -> LaunchDescription:
                 "model_file": given("model", str),
                 "endpoint": given("endpoint", str),
                 "joint_state_rate": given("joint_state_rate", float),
+                "outputs": LaunchConfiguration("outputs"),  # read as YAML: a list
+                "command_rate": given("command_rate", float),
                 "autostart": given("autostart", bool),
                 "realtime_priority": given("realtime_priority", int),
             }
         ],
     )
-    return LaunchDescription([*arguments, loop])
+    endpoint_poses = Node(
+        package="tpgmm_ros",
+        executable="endpoint_poses",
+        namespace=LaunchConfiguration("namespace"),
+        output="screen",
+        respawn=True,
+        respawn_delay=2.0,
+        condition=IfCondition(LaunchConfiguration("poses")),
+        parameters=[{"robot_file": given("robot", str)}],
+    )
+    return LaunchDescription([*arguments, loop, endpoint_poses])

@@ -19,6 +19,7 @@ NODES = [
     "frame_tracker",
     "reproduction",
     "impedance_controller",
+    "joint_motion",
     "joint_reference",
     "baxter_simulator",
     "endpoint_poses",

@@ -9,7 +9,7 @@ reproduces with it needs the observed frames and the robot's state at the start,
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -100,6 +100,35 @@ class DerivedFrames:
                 f"the model's metadata say {KEY} = {shown(text)}; expected what 'train' writes, such as "
                 '{"object_unturned": ["object", false]}: train the model again'
             ) from None
+        return cls(sources)
+
+    @classmethod
+    def joined(cls, parts: Iterable[DerivedFrames]) -> Self:
+        """Those of several models that are used together.
+
+        Parameters
+        ----------
+        parts
+            of each model
+
+        Returns
+        -------
+        Self
+            all of them
+
+        Raises
+        ------
+        ValueError
+            for a name that means different frames
+        """
+        sources: dict[str, FrameSource] = {}
+        for part in parts:
+            for name, source in part.sources.items():
+                if sources.setdefault(name, source) != source:
+                    raise ValueError(
+                        f"frame {shown(name)} is derived from {shown(str(sources[name]))} in one model, from "
+                        f"{shown(str(source))} in another: name them differently"
+                    )
         return cls(sources)
 
     def metadata(self) -> dict[str, str]:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,11 @@ from tpgmm_core import Frame, LearnedMixture
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.model.derived_frames import DerivedFrames
+from tpgmm_core.retrieval.interface import Retrieval, demonstrated_duration
 from tpgmm_core.retrieval.novelty import Novelty, NoveltyScale
+from tpgmm_core.retrieval.parallel import Parallel
 from tpgmm_core.retrieval.skill_sequence import QueuedSkill
-from tpgmm_ros.models.task_model import load_task_model, make_task_retrieval
+from tpgmm_ros.models.task_model import TOGETHER, load_task_models, make_task_retrieval
 from tpgmm_ros.task.task_file import Task
 
 MAX_SKILLS = 100
@@ -28,7 +30,8 @@ class SkillRequest:
     Parameters
     ----------
     path
-        of the model file; empty: the model in use
+        of the model file, or of several with " + " between them, whose movements go on at the same time; empty: what is
+        in use
     duration
         s; 0: as demonstrated
     hold
@@ -89,22 +92,22 @@ class Prepared:
 
     Parameters
     ----------
-    model
-        what it was learned as
+    models
+        what it was learned as; several where movements go on at the same time
     skill
-        a movement of it that has not begun yet
+        a movement of them that has not begun yet
     novelty
-        how new the situation is to it; None where that cannot be told
+        how new the situation is to it, the largest of its models; None where that cannot be told
     """
 
-    model: LearnedMixture
+    models: tuple[LearnedMixture, ...]
     skill: QueuedSkill
     novelty: Novelty | None
 
 
 def prepare(
     requests: Sequence[SkillRequest],
-    model: LearnedMixture | None,
+    models: Sequence[LearnedMixture],
     task: Task,
     settings: Mapping[str, Any],
     known: Mapping[str, tuple[Frame, float]],
@@ -120,8 +123,8 @@ def prepare(
     ----------
     requests
         one or more
-    model
-        the one in use, for a request that names no file
+    models
+        in use, for a request that names no file; none: there are none
     task
         what the models have to fit
     settings
@@ -145,14 +148,14 @@ def prepare(
     OSError
         for a file that cannot be read
     """
-    read: dict[str, LearnedMixture] = {}
+    read: dict[str, tuple[LearnedMixture, ...]] = {}
     found = []
     for i, request in enumerate(requests):
         try:
             if request.path and request.path not in read:
-                read[request.path] = load_task_model(request.path, task)
-            chosen = read[request.path] if request.path else model
-            if chosen is None:
+                read[request.path] = load_task_models(request.path, task)
+            chosen = read[request.path] if request.path else tuple(models)
+            if not chosen:
                 raise ValueError("no model is loaded: name a model file in the goal, or set the parameter model_file")
             found.append(_prepared(request, chosen, task, settings, known, state, max_novelty, is_first=i == 0))
         except (ValueError, OSError) as error:
@@ -164,7 +167,7 @@ def prepare(
 
 def _prepared(
     request: SkillRequest,
-    model: LearnedMixture,
+    models: tuple[LearnedMixture, ...],
     task: Task,
     settings: Mapping[str, Any],
     known: Mapping[str, tuple[Frame, float]],
@@ -173,19 +176,43 @@ def _prepared(
     *,
     is_first: bool,
 ) -> Prepared:
-    retrieval = make_task_retrieval(model, task, duration=request.duration or None, **settings)
-    derived = DerivedFrames.of_metadata(model.metadata_)
-    skill = QueuedSkill(Path(request.path).stem, retrieval, derived, request.hold)
+    movements = [
+        make_task_retrieval(model, task, duration=duration, **settings)
+        for model, duration in zip(models, _durations(models, request.duration), strict=True)
+    ]
+    retrieval = movements[0] if len(movements) == 1 else Parallel(movements)
+    derived = DerivedFrames.joined(DerivedFrames.of_metadata(model.metadata_) for model in models)
+    name = TOGETHER.join(Path(path).stem for path in request.path.split(TOGETHER))
+    skill = QueuedSkill(name, retrieval, derived, request.hold)
     frames, weights = skill.frames(known, state)
     if frames and not (state is None and task.space.needs_state):
         retrieval.start(0, state)
         retrieval.step(0, frames, state, weights)
-    return Prepared(model, skill, _judged(model, skill, frames, state, max_novelty, is_first))
+    judged = [
+        _judged(model, movement, frames, state, max_novelty, is_first)
+        for model, movement in zip(models, movements, strict=True)
+    ]
+    return Prepared(models, skill, newest(judged))
+
+
+def newest(judged: Iterable[Novelty | None]) -> Novelty | None:
+    """The largest of those that could be told."""
+    return max((one for one in judged if one is not None), key=lambda one: one.score, default=None)
+
+
+def _durations(models: Sequence[LearnedMixture], asked: float) -> list[float | None]:
+    """How long each movement takes, s; None: as demonstrated. The longest takes what is asked; ratios are kept."""
+    if not asked:
+        return [None] * len(models)
+    if len(models) == 1:
+        return [asked]
+    shown = [demonstrated_duration(model) for model in models]
+    return [asked * one / max(shown) for one in shown]
 
 
 def _judged(
     model: LearnedMixture,
-    skill: QueuedSkill,
+    movement: Retrieval,
     frames: Mapping[str, Frame],
     state: Array | None,
     most: float,
@@ -193,7 +220,8 @@ def _judged(
 ) -> Novelty | None:
     """How new a situation is. With a limit `most` above 0, ValueError beyond it, and where that cannot be told."""
     scale = NoveltyScale.of_model(model)
-    unseen = [name for name in skill.retrieval.frame_names if name not in frames]
+    frames = {name: frames[name] for name in movement.frame_names if name in frames}
+    unseen = [name for name in movement.frame_names if name not in frames]
     if scale is None or unseen:
         if most > 0.0 and scale is None:
             raise ValueError(
@@ -202,7 +230,7 @@ def _judged(
         if most > 0.0 and is_first:
             raise ValueError(f"max_novelty is set, but how new the situation is needs the frames {listed(unseen)}")
         return None
-    novelty = scale.judge(skill.retrieval, frames, state)
+    novelty = scale.judge(movement, frames, state)
     if 0.0 < most < novelty.score:
         raise ValueError(
             f"the situation is too new to the model: novelty {novelty.score:.2g}, max_novelty is {most:.2g}; {novelty}"

@@ -18,6 +18,9 @@ from tpgmm_ros.task.task_file import Task
 if TYPE_CHECKING:  # messages need rclpy, and models do not
     from tpgmm_ros.messages.conversions import TaskFrameState
 
+TOGETHER = " + "
+"""Between the paths of models whose movements go on at the same time."""
+
 
 def load_task_model(path: str | Path, task: Task) -> LearnedMixture:
     """A model that fits a task, whatever it encodes of the task's movements.
@@ -64,6 +67,29 @@ def load_task_model(path: str | Path, task: Task) -> LearnedMixture:
             f"names {listed(space.frame_names)} and lacks {listed(unknown)}"
         )
     return model
+
+
+def load_task_models(path: str | Path, task: Task) -> tuple[LearnedMixture, ...]:
+    """Models that fit a task, for movements at the same time.
+
+    Parameters
+    ----------
+    path
+        of a model file, or of several with `TOGETHER` between them
+    task
+        what the models are for
+
+    Returns
+    -------
+    tuple[LearnedMixture, ...]
+        in their order
+
+    Raises
+    ------
+    ValueError, OSError
+        like `load_task_model`
+    """
+    return tuple(load_task_model(one, task) for one in str(path).split(TOGETHER))
 
 
 def make_task_retrieval(model: LearnedMixture, task: Task, method: str | None = None, **settings: Any) -> Retrieval:

@@ -24,7 +24,7 @@ from tpgmm_core.retrieval.novelty import Novelty
 from tpgmm_core.retrieval.outcome import ExecutionConfig, Outcome
 from tpgmm_core.retrieval.skill_sequence import QueuedSkill, SkillSequence
 from tpgmm_msgs.srv import LoadModel
-from tpgmm_ros.models.skill_request import Prepared, SkillRequest, prepare, skill_requests
+from tpgmm_ros.models.skill_request import Prepared, SkillRequest, newest, prepare, skill_requests
 from tpgmm_ros.nodes.controller_words import ControllerWords
 from tpgmm_ros.nodes.goals import Goals, finish
 from tpgmm_ros.runtime.background import Background
@@ -48,8 +48,8 @@ class Movements:
         serves action and service
     task
         what models have to fit
-    model
-        the one in use, as long as no other is loaded; None without
+    models
+        in use, as long as no other is loaded: one, several whose movements go on at the same time, or none
     parameters
         of the node; RETRIEVAL_SETTINGS and those of ExecutionConfig
     why_silent
@@ -72,7 +72,7 @@ class Movements:
         self,
         node: Node,
         task: Task,
-        model: LearnedMixture | None,
+        models: tuple[LearnedMixture, ...],
         parameters: Parameters,
         why_silent: Callable[[], str],
         controller: ControllerWords,
@@ -80,7 +80,7 @@ class Movements:
         self.sequence: SkillSequence | None = None
         self.state: Array | None = None
         self.novelty: Novelty | None = None
-        self._node, self._task, self._model, self._parameters = node, task, model, parameters
+        self._node, self._task, self._models, self._parameters = node, task, models, parameters
         self._why_silent, self._controller = why_silent, controller
         self._known: Mapping[str, tuple[Frame, float]] = {}
         self._requests = [SkillRequest()]  # what the sequence was made of
@@ -162,7 +162,7 @@ class Movements:
         settings: dict[str, Any] = {name: self._parameters[name] for name in RETRIEVAL_SETTINGS}
         settings["method"] = settings.pop("retrieval") or None
         most = self._parameters["max_novelty"]
-        work = partial(prepare, requests, self._model, self._task, settings, self._known, self.state, most)
+        work = partial(prepare, requests, self._models, self._task, settings, self._known, self.state, most)
         self._background.run(work, then)
 
     @property
@@ -191,7 +191,7 @@ class Movements:
         except (ValueError, OSError) as error:
             answer.set_result(LoadModel.Response(success=False, reason=one_line(error)))
             return
-        self._model = prepared.model
+        self._models = prepared.models
         path = request.path
         loaded = f"loaded {one_line(path)}" if path else "the model in use was set up again with the current parameters"
         self._node.get_logger().info(loaded)
@@ -234,7 +234,7 @@ class Movements:
         self._end("another movement was requested")
         self.goals.begin(goal)
         self.sequence, self._requests = sequence, requests
-        self.novelty = max((one.novelty for one in prepared if one.novelty), key=lambda one: one.score, default=None)
+        self.novelty = newest(one.novelty for one in prepared)
         self._last_ns = None  # what the clock said before is no time to jump from
         self._controller.begin()
         self._stepped_ns = self._steady.now().nanoseconds

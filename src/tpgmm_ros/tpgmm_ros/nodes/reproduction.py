@@ -36,7 +36,7 @@ from tpgmm_ros.messages.lockstep import Barrier
 from tpgmm_ros.messages.markers import Scene
 from tpgmm_ros.messages.qos import LATCHED, STREAM
 from tpgmm_ros.messages.values import StampedFrames, StampedReference
-from tpgmm_ros.models.task_model import known_frames, load_task_model
+from tpgmm_ros.models.task_model import known_frames, load_task_models
 from tpgmm_ros.nodes.controller_words import ControllerWords
 from tpgmm_ros.nodes.joint_states import MAX_FUTURE, SPREAD, Heard, JointStateStream
 from tpgmm_ros.nodes.movements import Movements
@@ -50,7 +50,13 @@ from tpgmm_ros.task.task_file import Task
 
 PARAMETERS = [
     Declared("task_file", "", "Task file (YAML): frames and the movement's topic", fixed=True),
-    Declared("model_file", "", "Model file (.tpgmm) that is loaded when the node is configured", fixed=True),
+    Declared(
+        "model_file",
+        "",
+        "Model file (.tpgmm) that is loaded when the node is configured; several, for movements at the same time: with "
+        "' + ' between them",
+        fixed=True,
+    ),
     Declared(
         "joint_state_rate",
         1000.0,
@@ -139,7 +145,7 @@ class ReproductionNode(ManagedNode):
         try:
             self.task = Task.load(self.parameters.file("task_file"))
             model_file = self.parameters["model_file"]
-            model = load_task_model(model_file, self.task) if model_file else None
+            models = load_task_models(model_file, self.task) if model_file else ()
             joints, self._dimensions = self.task.space.joints(), self.task.space.state_dimensions()
         except (ValueError, OSError) as error:
             return self.refuse(error)
@@ -167,7 +173,7 @@ class ReproductionNode(ManagedNode):
             lambda: self.parameters[MAX_FUTURE.name],
         )
         self.movements = Movements(
-            self, self.task, model, self.parameters, self._joint_states.why_silent, ControllerWords(self)
+            self, self.task, models, self.parameters, self._joint_states.why_silent, ControllerWords(self)
         )
         self._received = None
         self.create_timer(WATCH_PERIOD, self.movements.watch, clock=self._steady)

@@ -29,6 +29,7 @@ CLASSES = {
     "reproduction": "ReproductionNode",
     "joint_reference": "JointReferenceNode",
     "impedance_controller": "ImpedanceControllerNode",
+    "joint_motion": "JointMotionNode",
     "baxter_simulator": "BaxterSimulatorNode",
 }
 

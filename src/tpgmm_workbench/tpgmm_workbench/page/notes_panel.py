@@ -27,11 +27,11 @@ class NotesPanel:
         self._filled: TaughtView | None = None
         with server.gui.add_folder("Notes of one demonstration", expand_by_default=False):
             self._which: Any = server.gui.add_dropdown("which", (NONE,))
-            self._comment = server.gui.add_text("comment", "")
+            self._comment: Any = server.gui.add_text("comment", "")
             self._part: Any = server.gui.add_multi_slider(
                 "part, s", 0.0, 1.0, STEP, (0.0, 1.0), hint="Begin and end of what is used of it"
             )
-            self._is_used = server.gui.add_checkbox("learn from it", True)
+            self._is_used: Any = server.gui.add_checkbox("learn from it", True)
             self._keep = Button(server, "Keep these notes", self._note)
 
     def _note(self, page: int | None) -> None:

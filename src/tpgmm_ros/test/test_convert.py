@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`convert`: arrays of other programs become bags that hold the same numbers, and a task file that fits them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+
+from synthetic_bags import reach
+from tpgmm_core.common.types import Array
+from tpgmm_core.geometry import quaternion
+from tpgmm_ros.programs import convert, train
+from tpgmm_ros.recordings.bags import find_bags, read_recording
+from tpgmm_ros.recordings.numeric_fields import read_numbers
+from tpgmm_ros.task.task_file import Task
+
+TIMES = np.linspace(0.0, 4.0, 41)
+
+
+def shown(seed: int) -> tuple[Array, Array]:
+    """The hand (41, 7), and where the object was (7,)."""
+    topics = reach(seed, samples=41, duration=4.0)
+    return topics["/endpoint/pose"].poses, topics["/object/pose"].poses[0]
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> dict[str, Any]:
+    status = convert.main([*map(str, arguments), "--json"])
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    assert status == (0 if found["passed"] else 1)
+    return found
+
+
+def holds(bags: Path, number: int, hand: Array, place: Array | None) -> None:
+    """The bag has these poses at these times, as a reader of the task sees them."""
+    recording = read_recording(find_bags([bags])[number], Task.load(bags / "task.yaml"))
+    np.testing.assert_allclose(recording.times, TIMES, atol=1e-9)
+    np.testing.assert_allclose(recording.movement, hand, atol=1e-12)
+    if place is not None:
+        np.testing.assert_allclose(recording.frames["object"], np.tile(place, (41, 1)), atol=1e-12)
+
+
+def csv_of(hand: Array, place: Array, times: Array = TIMES) -> str:
+    names = "t,x,y,z,qx,qy,qz,qw,ox,oy,oz,oqx,oqy,oqz,oqw,width"
+    rows = [[t, *pose, *place, 0.04 - 0.01 * (t > 2.0)] for t, pose in zip(times, hand, strict=True)]
+    return "\n".join([names, *(",".join(map(repr, map(float, row))) for row in rows)]) + "\n"
+
+
+COLUMNS = ["--time", "t", "--movement", "x,y,z,qx,qy,qz,qw", "--frame", "object=ox,oy,oz,oqx,oqy,oqz,oqw"]
+
+
+def test_csv_becomes_bags_that_train(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [tmp_path / f"shown_{i}.csv" for i in range(4)]
+    for i, file in enumerate(files):
+        file.write_text(csv_of(*shown(i)))
+    bags = tmp_path / "bags"
+    found = run(capsys, "--to", bags, *COLUMNS, "--number", "gripper/width=width", *files)
+    assert [Path(bag["bag"]).name for bag in found["bags"]] == ["shown_0", "shown_1", "shown_2", "shown_3"]
+    assert found["bags"][0]["messages"] == {"hand/pose": 41, "object/pose": 41, "gripper/width": 41}
+    assert found["bags"][0]["rate_hz"] == pytest.approx(10.0) and found["bags"][0]["duration_s"] == 4.0
+    assert not found["doubts"] and not found["bad_bags"]
+    for i in range(4):
+        holds(bags, i, *shown(i))
+    np.testing.assert_array_equal(read_numbers(bags / "shown_0", "gripper/width", "data")[1], 0.04 - 0.01 * (TIMES > 2))
+    status = train.main(["--task", str(bags / "task.yaml"), "--output", str(tmp_path / "m.tpgmm"), str(bags)])
+    said = capsys.readouterr()
+    assert status == 0, said.err
+    again = run(capsys, "--to", bags, *COLUMNS, *files)
+    assert "exists, and is not overwritten" in again["error"]
+
+
+def test_numpy_arrays_and_units(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of an array with three axes each element of the first is a demonstration; a frame that is given once stays."""
+    (hand, place), (other, _) = shown(0), shown(1)
+    hands, once = (
+        (values * ([1e3] * 3 + [1.0] * 4))[..., [0, 1, 2, 6, 3, 4, 5]] for values in (np.array([hand, other]), place)
+    )
+    np.savez(tmp_path / "all.npz", hand=hands, t=TIMES * 1e3, place=once)
+    options = ["--time", "t", "--time-unit", "ms", "--movement", "hand", "--frame", "object=place", "--unit", "mm"]
+    found = run(capsys, "--to", tmp_path / "bags", *options, "--orientation", "wxyz", tmp_path / "all.npz")
+    assert len(found["bags"]) == 2 and found["bags"][0]["extent_m"] < 1.5
+    holds(tmp_path / "bags", 0, hand, place)
+    holds(tmp_path / "bags", 1, other, place)
+    np.save(tmp_path / "plain.npy", hand[:, :3])
+    found = run(capsys, "--to", tmp_path / "plain", "--rate", "10", "--movement", "[0:3]", tmp_path / "plain.npy")
+    assert found["passed"] and "no orientation of the hand is given" in found["bags"][0]["notes"][0]
+    holds(tmp_path / "plain", 0, np.hstack([hand[:, :3], np.tile(quaternion.IDENTITY, (41, 1))]), None)
+
+
+def test_matlab_structs_cells_and_transforms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As MATLAB has them: samples along the second axis, an array of structs, and of transforms along the third."""
+    hands = [shown(i)[0] for i in range(3)]
+    structs = np.empty((1, 3), [("Data", object), ("p", object)])
+    for i, hand in enumerate(hands):
+        frame = np.array([[(np.eye(2), hand[-1, :2, None])]], [("A", object), ("b", object)])
+        structs[0, i] = (np.vstack([TIMES, hand[:, :2].T]), frame)
+    cells = np.empty((1, 3), object)
+    cells[0, :] = [hand.T for hand in hands]
+    transforms = np.tile(np.eye(4)[..., None], (1, 1, 41))
+    transforms[:3, :3] = np.moveaxis(quaternion.rotation_matrix(hands[0][:, 3:]), 0, -1)
+    transforms[:3, 3] = hands[0][:, :3].T
+    scipy.io.savemat(tmp_path / "s.mat", {"s": structs, "cells": cells, "t": TIMES, "Data": np.ones((2, 2, 9))})
+    scipy.io.savemat(tmp_path / "T.mat", {"T": transforms, "t": TIMES})
+    options = ["--time", "s.Data[0]", "--movement", "s.Data[1:3]", "--frame", "object=s.p.b"]
+    assert len(run(capsys, "--to", tmp_path / "a", *options, tmp_path / "s.mat")["bags"]) == 3
+    for i, hand in enumerate(hands):
+        flat = np.hstack([hand[:, :2], np.zeros((41, 1)), np.tile(quaternion.IDENTITY, (41, 1))])
+        holds(tmp_path / "a", i, flat, flat[-1])
+    assert run(capsys, "--to", tmp_path / "b", "--time", "t", "--movement", "cells", tmp_path / "s.mat")["passed"]
+    holds(tmp_path / "b", 2, hands[2], None)
+    assert run(capsys, "--to", tmp_path / "c", "--time", "t", "--movement", "T", tmp_path / "T.mat")["passed"]
+    holds(tmp_path / "c", 0, hands[0], None)
+    # the same, each flattened column by column, as drivers log it
+    np.save(tmp_path / "flat.npy", np.moveaxis(transforms, -1, 0).swapaxes(1, 2).reshape(41, 16))
+    assert run(capsys, "--to", tmp_path / "d", "--rate", "10", "--movement", "", tmp_path / "flat.npy")["passed"]
+    holds(tmp_path / "d", 0, hands[0], None)
+
+
+@pytest.mark.parametrize("orientation", ["rpy", "rotation_vector"])
+def test_orientations_of_three_numbers(orientation: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hand, _ = shown(3)
+    angles = quaternion.roll_pitch_yaw if orientation == "rpy" else quaternion.log
+    turns = np.array([angles(q) for q in hand[:, 3:]])
+    np.save(tmp_path / "a.npy", np.hstack([hand[:, :3], turns]))
+    options = ["--rate", "10", "--movement", "[0:6]", "--orientation", orientation]
+    assert run(capsys, "--to", tmp_path / "bags", *options, tmp_path / "a.npy")["passed"]
+    holds(tmp_path / "bags", 0, hand, None)
+
+
+def test_rows_one_after_the_other_are_split_and_what_was_not_seen_is_not_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (hand, place), (other, there) = shown(0), shown(1)
+    places = np.vstack([np.tile(place, (41, 1)), np.tile(there, (41, 1))])
+    places[:20] = np.nan
+    both = np.column_stack([np.repeat([1, 2], 41), np.tile(TIMES, 2), np.vstack([hand, other]), places])
+    both[60, 2] = np.nan
+    np.savetxt(tmp_path / "both.csv", both, delimiter=";", fmt="%.17g")
+    options = ["--time", "[1]", "--movement", "[2:9]", "--frame", "object=[9:16]"]
+    found = run(capsys, "--to", tmp_path / "bags", *options, "--split", "[0]", tmp_path / "both.csv")
+    assert [bag["samples"] for bag in found["bags"]] == [41, 40]
+    assert found["bags"][0]["messages"]["object/pose"] == 21
+    assert "1 of 41 rows are not finite: left out" in found["bags"][1]["notes"]
+    first = read_recording(tmp_path / "bags" / "both_01", Task.load(tmp_path / "bags" / "task.yaml"))
+    assert not first.visible["object"][:20].any() and first.visible["object"][20:].all()
+    found = run(capsys, "--to", tmp_path / "again", *options, tmp_path / "both.csv")
+    assert "times that do not increase: 4 s in row 40" in found["error"] and "--split" in found["error"]
+
+
+def no_numbers(path: Path) -> None:
+    np.save(path, np.array([{"a": 1}], object), allow_pickle=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "movement", "words"),
+    [
+        ("a.csv", "x,y,z\n1,2,3\n1,b,3\n", "x,y,z", "cannot be read: could not convert string 'b'"),
+        ("a.csv", "", "x", "is empty"),
+        ("a.csv", "x,x\n1,2\n", "x", "the same name twice"),
+        ("a.csv", "x,y\n" + "1,2\n" * 12, "x,z", "has no column or array 'z'; there are"),
+        ("a.csv", "x,y\n" + "1,2\n" * 12, "x", "has 1 columns for a pose"),
+        ("a.csv", "x,y\n" + "1,2\n" * 3, "x,y", "has 3 samples from row 0 on, expected at least 10"),
+        ("a.csv", "x,y\n" + "1,2\n" * 12, "[0:5]", "has no columns '\\[0:5\\]'; it has 2"),
+        ("a.npy", no_numbers, "[0:3]", "holds Python objects .pickle., which are never loaded"),
+        ("a.npy", "no array", "[0:3]", "a.npy: cannot be read"),
+        ("a.mat", "no array", "x", "a.mat: cannot be read"),
+        ("a.npz", "no array", "x", "a.npz: cannot be read"),
+        ("a.xlsx", "", "x", "is of no known kind; expected .csv"),
+    ],
+)
+def test_what_cannot_be_converted_is_said(
+    name: str, content: Any, movement: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if callable(content):
+        content(tmp_path / name)
+    else:
+        (tmp_path / name).write_text(content)
+    found = run(capsys, "--to", tmp_path / "bags", "--rate", "10", "--movement", movement, tmp_path / name)
+    with pytest.raises(ValueError, match=words):
+        raise ValueError(found["error"])
+    assert name in found["error"] and not (tmp_path / "bags").exists()
+
+
+def test_doubts_of_what_was_converted_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hand, _ = shown(0)
+    np.save(tmp_path / "mm.npy", hand[:, :3] * 1e3)
+    found = run(capsys, "--to", tmp_path / "bags", "--rate", "10", "--movement", "", tmp_path / "mm.npy")
+    assert [doubt["kind"] for doubt in found["doubts"]] == ["units"]
+    assert convert.main(["--to", str(tmp_path / "c"), "--rate", "10", "--movement", "", str(tmp_path / "mm.npy")]) == 0
+    assert "read back: all 1 bags hold the same numbers" in capsys.readouterr().out

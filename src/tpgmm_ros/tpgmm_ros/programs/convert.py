@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`convert`: arrays of other programs (CSV, numpy, MATLAB) to bags, with a task file for them. Needs no running ROS."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tpgmm_core.common.atomic_file import write_atomically
+from tpgmm_core.common.report import format_table
+from tpgmm_core.common.text import listed, one_line
+from tpgmm_core.common.yaml_values import is_name
+from tpgmm_core.doubt.doubts import Doubt
+from tpgmm_ros.programs.reading import progress_bar
+from tpgmm_ros.recordings.bags import read_recordings
+from tpgmm_ros.recordings.conversion.columns import ORIENTATIONS, TIME_UNITS, UNITS
+from tpgmm_ros.recordings.conversion.demonstrations import Columns, Shown, demonstrations_of
+from tpgmm_ros.recordings.conversion.tables import ConversionError, read_tables
+from tpgmm_ros.recordings.conversion.written import MOVEMENT, audit, topic_of, write_bag
+from tpgmm_ros.recordings.judging import doubts_about
+from tpgmm_ros.task.task_file import Task
+
+EXAMPLES = """\
+examples:
+  convert --to bags/mine --time t --movement x,y,z,qx,qy,qz,qw --frame object=ox,oy,oz shown_*.csv
+  convert --to bags/mine --time t --movement x,y,z --split episode --number gripper/width=width all.csv
+  convert --to bags/mine --rate 100 --movement "[0:7]" demo_*.npy
+  convert --to bags/mine --time t --movement hand --frame object=place --unit mm demos.npz
+  convert --to bags/mine --time "s.Data0[0]" --movement "s.Data0[1:3]" Data02.mat
+  convert --to bags/mine --rate 1000 --movement O_T_EE log.npz         (transforms, 4 by 4)
+
+Each element of an array of structs or cells (MATLAB), and of the first axis of numpy arrays with three axes, is a
+demonstration of its own. No file is executed: pickled objects are refused.
+
+exit status: 0 all was written, read back bit by bit, and fits the task file; 1 it was not, the reason is said;
+2 wrong arguments
+"""
+TASK_FILE = "task.yaml"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; returns its exit status."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if (options.time is None) == (options.rate is None):
+        parser.error("give --time COLUMN or --rate HZ: one of them")
+    report: dict[str, Any] = {"passed": False, "bags": []}
+    try:
+        _convert(options, report)
+        report["passed"] = not report["bad_bags"]
+    except (OSError, ValueError) as error:
+        report["error"] = one_line(error)
+        print(f"error: {report['error']}", file=sys.stderr)
+    print(json.dumps(report, indent=2) if options.json else _text(report))
+    return 0 if report["passed"] else 1
+
+
+def _convert(options: argparse.Namespace, report: dict[str, Any]) -> None:
+    frames, numbers = _named(options.frame, is_name), _named(options.number, lambda name: name.strip("/") == name)
+    columns = Columns(
+        options.movement,
+        options.time,
+        options.rate,
+        frames,
+        numbers,
+        options.split,
+        options.unit,
+        options.time_unit,
+        options.orientation,
+    )
+    text = _task_text(options, frames)
+    task = Task.from_text(text, "the task file")
+    shown = _read(options.files, columns)
+    there = [path for path in [options.to / TASK_FILE, *(options.to / name for name in shown)] if path.exists()]
+    if there:
+        raise ConversionError(
+            f"{listed(map(str, there))} exists, and is not overwritten: move it, or name another folder"
+        )
+    with progress_bar(total=len(shown), desc="writing bags", unit="bag") as bar:
+        for name, one in shown.items():
+            bag = write_bag(options.to / name, one, options.base_frame)
+            counts = audit(bag, one, options.base_frame)
+            period = float(np.median(np.diff(one.ns))) * 1e-9
+            report["bags"].append(
+                {
+                    "bag": str(bag),
+                    "samples": len(one.ns),
+                    "duration_s": 1e-9 * float(one.ns[-1]),
+                    "rate_hz": 1.0 / period,
+                    "extent_m": float(np.linalg.norm(np.ptp(one.movement[:, :3], axis=0))),
+                    "messages": counts,
+                    "notes": list(one.notes),
+                }
+            )
+            bar.update()
+    write_atomically(options.to / TASK_FILE, lambda file: file.write_text(text))
+    report["task_file"] = str(options.to / TASK_FILE)
+    recordings, bad = read_recordings([options.to / name for name in shown], task)
+    report["notes"] = [f"{one.place}: {note}" for one in recordings for note in one.notes]
+    report["bad_bags"] = [{"bag": str(error.path), "error": str(error)} for error in bad]
+    report["doubts"] = [asdict(doubt) for doubt in doubts_about(recordings, task)] if recordings else []
+
+
+def _read(files: Sequence[Path], columns: Columns) -> dict[str, Shown]:
+    """Demonstrations by the names of their bags."""
+    found: dict[str, Shown] = {}
+    for file in files:
+        try:
+            several = [
+                one for table in read_tables(file, columns.arrays()) for one in demonstrations_of(table, columns)
+            ]
+        except ConversionError as error:
+            raise ConversionError(f"{file}: {str(error).removeprefix(f'{file}: ')}") from None
+        digits = max(2, len(str(len(several))))
+        for number, one in enumerate(several, 1):
+            name = file.stem if len(several) == 1 else f"{file.stem}_{number:0{digits}d}"
+            if name in found:
+                raise ConversionError(f"{file}: its bag would be {name}, as that of another file: rename one of them")
+            found[name] = one
+    return found
+
+
+def _task_text(options: argparse.Namespace, frames: dict[str, str]) -> str:
+    lines = [
+        "# Written by convert: look at each line, above all at `endpoint` and at the frames.",
+        f"name: {options.name}",
+        f"base_frame: {options.base_frame}",
+        f"movement: {MOVEMENT}",
+        "endpoint: hand  # the end point of your robot that follows the movement",
+        "frames:",
+        *(f"  {name}: {{topic: {topic_of(name)}}}" for name in frames),
+        "  begin: {hand: start, turned: false}  # where the hand is when the movement begins",
+    ]
+    if not frames:
+        lines.insert(-1, "  robot: {pose: [0, 0, 0, 0, 0, 0, 1]}  # no frames were given; what does it depend on?")
+    return "\n".join(lines) + "\n"
+
+
+def _named(texts: Sequence[str], is_right: Callable[[str], bool]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for text in texts:
+        name, equals, columns = text.partition("=")
+        if not equals or not columns or not name or not is_right(name) or name in found:
+            raise ConversionError(
+                f"{text!r} is not NAME=COLUMNS with a name of its own: letters, digits and underscores; for numbers a "
+                "relative topic"
+            )
+        found[name] = columns
+    return found
+
+
+def _text(report: dict[str, Any]) -> str:
+    rows = [
+        (bag["bag"], bag["samples"], f"{bag['duration_s']:.2f}", f"{bag['rate_hz']:.4g}", f"{bag['extent_m']:.3g}")
+        for bag in report["bags"]
+    ]
+    parts = [format_table(("bag", "samples", "s", "Hz", "extent m"), rows)] if rows else []
+    parts += dict.fromkeys(one_line(note) for bag in report["bags"] for note in bag["notes"])
+    parts += [one_line(note) for note in report.get("notes", [])]
+    parts += [f"doubt: {Doubt(**doubt)}" for doubt in report.get("doubts", [])]
+    parts += [f"bad bag: {one_line(bag['error'])}" for bag in report.get("bad_bags", [])]
+    if report["passed"]:
+        parts.append(
+            f"read back: all {len(rows)} bags hold the same numbers, bit by bit\ntask file: {report['task_file']}"
+        )
+    return "\n\n".join(parts)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="convert",
+        description="Convert arrays of other programs to bags, one for each demonstration, with a task file for them.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help=".csv, .tsv, .txt, .npy, .npz or .mat")
+    parser.add_argument("--to", required=True, type=Path, metavar="FOLDER", help="where the bags and task.yaml go")
+    parser.add_argument(
+        "--movement",
+        required=True,
+        metavar="COLUMNS",
+        help="poses of the hand: names with commas between, an array, or columns of one by number, such as poses[0:7]; "
+        "2 (x, y), 3, 7 (with a quaternion), 6 (see --orientation) or 16 (4 by 4 transforms) of them",
+    )
+    parser.add_argument("--time", metavar="COLUMN", help="times of the samples")
+    parser.add_argument("--rate", type=_positive, metavar="HZ", help="samples per second, where there are no times")
+    parser.add_argument(
+        "--frame",
+        action="append",
+        default=[],
+        metavar="NAME=COLUMNS",
+        help="poses of a task frame; one pose holds all the time, where rows are not finite it was not seen; again for "
+        "more",
+    )
+    parser.add_argument(
+        "--number",
+        action="append",
+        default=[],
+        metavar="TOPIC=COLUMN",
+        help="a further number, such as a gripper's width, as std_msgs/Float64; again for more",
+    )
+    parser.add_argument("--split", metavar="COLUMN", help="a demonstration begins where this number changes")
+    parser.add_argument("--unit", choices=UNITS, default="m", help="of positions (default: m)")
+    parser.add_argument("--time-unit", choices=TIME_UNITS, default="s", help="of times (default: s)")
+    parser.add_argument(
+        "--orientation", choices=ORIENTATIONS, default="xyzw", help="how orientations are written, angles in rad"
+    )
+    parser.add_argument("--base-frame", default="base", help="in which all poses are (default: base)")
+    parser.add_argument("--name", default="converted", help="of the task (default: converted)")
+    parser.add_argument("--json", action="store_true", help="print all that was found as JSON")
+    return parser
+
+
+def _positive(text: str) -> float:
+    number = float(text)
+    if not number > 0.0 or not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"{text} is not a rate above 0 in Hz")
+    return number
+
+
+if __name__ == "__main__":
+    sys.exit(main())

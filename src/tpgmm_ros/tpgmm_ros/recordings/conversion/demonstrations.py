@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables as demonstrations of a task: when the hand was where, and where the frames were."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tpgmm_core.common.types import Array
+from tpgmm_ros.recordings.conversion.columns import TIME_UNITS, columns_of, names_in, poses_of
+from tpgmm_ros.recordings.conversion.tables import ConversionError, Table
+
+FEWEST = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Which columns are what.
+
+    Attributes
+    ----------
+    movement
+        of the hand
+    time
+        None where `rate` tells
+    rate
+        samples per second, Hz; None where `time` tells
+    frames, numbers
+        name → columns of poses of frames, and of further numbers
+    split
+        column that changes where the next demonstration begins; None: there is one
+    unit, time_unit, orientation
+        see `columns`
+    """
+
+    movement: str
+    time: str | None = None
+    rate: float | None = None
+    frames: Mapping[str, str] = field(default_factory=dict)
+    numbers: Mapping[str, str] = field(default_factory=dict)
+    split: str | None = None
+    unit: str = "m"
+    time_unit: str = "s"
+    orientation: str = "xyzw"
+
+    def arrays(self) -> set[str]:
+        """Names of the arrays that are used."""
+        texts = [self.movement, self.time, self.split, *self.frames.values(), *self.numbers.values()]
+        return {name for text in texts if text is not None for name in names_in(text)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """One demonstration.
+
+    Attributes
+    ----------
+    ns
+        (T,) from the first sample
+    movement
+        (T, 7) poses, m
+    frames
+        name → (T, 7)
+    numbers
+        name → (T,)
+    notes
+        what was left out or taken for granted, in words
+    """
+
+    ns: np.ndarray[tuple[int], np.dtype[np.int64]]
+    movement: Array
+    frames: Mapping[str, Array]
+    numbers: Mapping[str, Array]
+    notes: tuple[str, ...] = ()
+
+
+def demonstrations_of(table: Table, columns: Columns) -> list[Shown]:
+    """Demonstrations of a table: one, or as many as a column tells apart.
+
+    Parameters
+    ----------
+    table
+        of a file
+    columns
+        which are what
+
+    Returns
+    -------
+    list[Shown]
+        rows of the movement that are not finite are left out; of frames they stay, and are not to be published
+
+    Raises
+    ------
+    ConversionError
+        columns are missing or do not fit together, or times do not increase.
+    """
+    movement = poses_of(columns_of(table, columns.movement), columns.unit, columns.orientation)
+    T = len(movement)
+    notes = []
+    if movement.shape and (movement[:, 3:] == [0.0, 0.0, 0.0, 1.0]).all():
+        notes.append("no orientation of the hand is given: 0 0 0 1 was written; what a model says of it means nothing")
+    if columns.time is not None:
+        times = _single(columns_of(table, columns.time), columns.time) * TIME_UNITS[columns.time_unit]
+    else:
+        assert columns.rate is not None
+        times = np.arange(T) / columns.rate
+    frames = {
+        name: _as_long(poses_of(_row(columns_of(table, text), T), columns.unit, columns.orientation), T, name)
+        for name, text in columns.frames.items()
+    }
+    numbers = {
+        name: _as_long(_single(columns_of(table, text), text)[:, None], T, name)[:, 0]
+        for name, text in columns.numbers.items()
+    }
+    if len(times) != T:
+        raise ConversionError(f"has {len(times)} times and {T} samples of the movement; expected as many")
+    cuts = [0, T]
+    if columns.split is not None:
+        labels = _as_long(_single(columns_of(table, columns.split), columns.split)[:, None], T, "split")[:, 0]
+        cuts = [0, *(np.flatnonzero(np.diff(labels)) + 1).tolist(), T]
+    found = []
+    for first, last in zip(cuts, cuts[1:], strict=False):
+        part = slice(first, last)
+        finite = np.isfinite(times[part]) & np.isfinite(movement[part]).all(axis=1)
+        at = np.arange(first, last)[finite]
+        if len(at) < FEWEST:
+            raise ConversionError(f"has {len(at)} samples from row {first} on, expected at least {FEWEST} finite ones")
+        ns = np.round(1e9 * (times[at] - times[at[0]])).astype(np.int64)
+        if not (np.diff(ns) > 0).all():
+            k = int(np.argmin(np.diff(ns) > 0))
+            raise ConversionError(
+                f"has times that do not increase: {times[at[k]]:g} s in row {at[k]}, {times[at[k + 1]]:g} s in the "
+                "next one; name another column, or --split where several demonstrations lie one after the other"
+            )
+        left_out = int((~finite).sum())
+        said = [f"{left_out} of {last - first} rows are not finite: left out"] if left_out else []
+        found.append(
+            Shown(
+                ns,
+                movement[at],
+                {name: poses[at] for name, poses in frames.items()},
+                {name: values[at] for name, values in numbers.items()},
+                (*notes, *said),
+            )
+        )
+    return found
+
+
+def _single(numbers: Array, text: str) -> Array:
+    if len(numbers) == 1:  # a row, as MATLAB has times
+        return numbers[0]
+    if numbers.shape[1] != 1:
+        raise ConversionError(f"has {numbers.shape[1]} columns in {text!r}, expected one")
+    return numbers[:, 0]
+
+
+def _row(numbers: Array, T: int) -> Array:
+    """A pose that is given once, as a list of numbers (k,), has its columns there."""
+    return numbers.T if numbers.shape[1] == 1 and len(numbers) in (2, 3, 6, 7, 16) and len(numbers) != T else numbers
+
+
+def _as_long(values: Array, T: int, name: str) -> Array:
+    """(T, k); what is given once holds all the time."""
+    if len(values) == 1:
+        return np.tile(values, (T, 1))
+    if len(values) != T:
+        raise ConversionError(f"has {len(values)} rows of {name}, and {T} of the movement; expected as many, or one")
+    return values

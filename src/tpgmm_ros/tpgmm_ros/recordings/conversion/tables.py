@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files with numbers as tables, one for each demonstration: name → array (T, k). Nothing in a file is executed."""
+
+from __future__ import annotations
+
+import csv
+import warnings
+from collections.abc import Callable, Collection, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+
+from tpgmm_core.common.text import listed, one_line
+from tpgmm_core.common.types import Array
+
+type Table = Mapping[str, Array]
+"""Arrays (T, k) by name; a single array without a name is called ""."""
+
+
+class ConversionError(ValueError):
+    """What cannot be converted; the text names the file, what was found, what was expected and what to do."""
+
+
+def read_tables(path: Path, wanted: Collection[str]) -> list[Table]:
+    """Read a file.
+
+    Parameters
+    ----------
+    path
+        .csv, .tsv, .txt, .npy, .npz or .mat
+    wanted
+        names of the arrays that are used: these tell how many demonstrations there are
+
+    Returns
+    -------
+    list[Table]
+        one for each demonstration of the file: for each element of its arrays of structs or cells, and of the first
+        axis of numpy arrays with three axes (the last one in MATLAB); else a single one
+
+    Raises
+    ------
+    ConversionError
+        the file is none of these, is damaged, or holds no numbers.
+    """
+    readers: dict[str, Callable[[Path], dict[str, Any]]] = {
+        ".csv": _csv,
+        ".tsv": _csv,
+        ".txt": _csv,
+        ".npy": _npy,
+        ".npz": _npz,
+        ".mat": _mat,
+    }
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise ConversionError(f"{path}: is of no known kind; expected {listed(list(readers))}")
+    if not path.is_file():
+        raise ConversionError(f"{path}: is no file")
+    try:
+        return _tables(path, reader(path), wanted, is_matlab=path.suffix.lower() == ".mat")
+    except ConversionError:
+        raise
+    except NotImplementedError:
+        raise ConversionError(
+            f"{path}: is a MATLAB file of version 7.3 (HDF5), which is not read; write it by save('{path.name}', '-v7')"
+        ) from None
+    except Exception as error:  # of damaged files, their readers raise many things
+        why = one_line(error, 200)
+        if "allow_pickle" in why:
+            why = "it holds Python objects (pickle), which are never loaded; save arrays of numbers"
+        raise ConversionError(f"{path}: cannot be read: {why}") from None
+
+
+def _csv(path: Path) -> dict[str, Any]:
+    """Columns by the names in the first line, and all of them together as ""."""
+    lines = [line for line in path.read_text("utf-8-sig").splitlines() if line.strip()]
+    if not lines:
+        raise ConversionError(f"{path}: is empty")
+    delimiter = next((mark for mark in (",", ";", "\t") if mark in lines[0]), None)
+    names: list[str] = []
+    first = lines[0].lstrip("# ")
+    words = first.split() if delimiter is None else next(csv.reader([first], delimiter=delimiter))
+    if not all(map(_is_number, words)):
+        names, lines = [word.strip() for word in words], lines[1:]
+    if not lines:
+        raise ConversionError(f"{path}: holds names and no numbers")
+    values = np.loadtxt(lines, delimiter=delimiter, ndmin=2)
+    if names and len(names) != values.shape[1]:
+        raise ConversionError(f"{path}: has {len(names)} names in its first line and {values.shape[1]} columns")
+    if len(set(names)) != len(names):
+        raise ConversionError(f"{path}: has the same name twice in its first line: {listed(names)}")
+    return {"": values} | {name: values[:, k] for k, name in enumerate(names)}
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _npy(path: Path) -> dict[str, Any]:
+    return {"": np.load(path, allow_pickle=False)}
+
+
+def _npz(path: Path) -> dict[str, Any]:
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def _mat(path: Path) -> dict[str, Any]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what is no number, such as functions, which is not wanted
+        found = scipy.io.loadmat(path)
+    return {name: value for name, value in found.items() if not name.startswith("__")}
+
+
+def _tables(path: Path, values: Mapping[str, Any], wanted: Collection[str], is_matlab: bool) -> list[Table]:
+    shared: dict[str, Array] = {}
+    several: dict[str, list[Array]] = {}
+    for name, value in _numbers(values.items()):
+        if isinstance(value, list):
+            several[name] = value
+        elif value.ndim == 3 and value.shape[-2:] != (4, 4) and not (is_matlab and value.shape[:2] == (4, 4)):
+            several[name] = list(np.moveaxis(value, -1, 0) if is_matlab else value)
+        else:
+            shared[name] = np.moveaxis(value, -1, 0) if is_matlab and value.ndim == 3 else value
+    if not shared and not several:
+        raise ConversionError(f"{path}: holds no arrays of numbers")
+    counts = {name: len(value) for name, value in several.items() if name in wanted}
+    if len(set(counts.values())) > 1:
+        there = listed([f"{name} has {count}" for name, count in counts.items()])
+        raise ConversionError(f"{path}: has different numbers of demonstrations: {there}")
+    count = next(iter(counts.values()), 1)
+    kept = {name: value for name, value in several.items() if len(value) == count}
+    return [{**shared, **{name: value[i] for name, value in kept.items()}} for i in range(count)]
+
+
+def _numbers(items: Iterable[tuple[str, Any]]) -> list[tuple[str, Any]]:
+    """Arrays of numbers by name; of arrays of structs or cells, lists of arrays."""
+    found: list[tuple[str, Any]] = []
+    for name, value in items:
+        value = np.asarray(value)
+        if value.dtype.names:  # structs
+            elements = value.ravel()
+            for field in value.dtype.names:
+                found += _joined(f"{name}.{field}", [element[field] for element in elements])
+        elif value.dtype == object:  # cells
+            found += _joined(name, list(value.ravel()))
+        elif value.dtype.kind in "fiub" and value.size and value.ndim in (1, 2, 3):
+            found.append((name, value.astype(float)))
+    return found
+
+
+def _joined(name: str, elements: list[Any]) -> list[tuple[str, Any]]:
+    """What is within elements of the same kind, as lists; a single one is itself."""
+    if len(elements) == 1:
+        return _numbers([(name, elements[0])])
+    inner = [_numbered(dict(_numbers([(name, element)]))) for element in elements]
+    names = [key for key in inner[0] if all(key in one for one in inner)]
+    return [(key, [one[key] for one in inner]) for key in names]
+
+
+def _numbered(values: Mapping[str, Any]) -> dict[str, Array]:
+    """Lists within demonstrations as arrays of their own: frames(1), frames(2), as MATLAB counts."""
+    found: dict[str, Array] = {}
+    for name, value in values.items():
+        found |= {f"{name}({i})": one for i, one in enumerate(value, 1)} if isinstance(value, list) else {name: value}
+    return found

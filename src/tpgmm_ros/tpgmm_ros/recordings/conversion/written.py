@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Demonstrations to bags, and bags held against what was written: the same numbers, bit by bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tpgmm_core.common.types import Array
+from tpgmm_ros.recordings.bag_messages import read_messages
+from tpgmm_ros.recordings.conversion.demonstrations import Shown
+from tpgmm_ros.recordings.conversion.tables import ConversionError
+from tpgmm_ros.recordings.numeric_fields import read_numbers
+from tpgmm_ros.recordings.storage.bag_writer import BagWriter
+from tpgmm_ros.recordings.storage.definitions import types_for
+
+POSE_STAMPED, FLOAT64 = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Float64"
+MOVEMENT = "hand/pose"
+START_NS = 1_000_000_000
+"""Stamp of the first sample: 0 would mean that there is none."""
+
+
+def topic_of(frame: str) -> str:
+    """The topic of a frame's poses."""
+    return f"{frame}/pose"
+
+
+def write_bag(path: Path, shown: Shown, base_frame: str) -> Path:
+    """Write a demonstration as topics of PoseStamped, and of Float64 for further numbers.
+
+    Parameters
+    ----------
+    path
+        of the bag, which does not exist yet
+    shown
+        the demonstration
+    base_frame
+        frame_id of all poses
+
+    Returns
+    -------
+    Path
+        the bag
+
+    Raises
+    ------
+    OSError
+        the disk does not take it, or there is something at `path`.
+    """
+    poses, numbers = types_for(POSE_STAMPED), types_for(FLOAT64)
+    kinds: Any = poses.types
+    moving = {MOVEMENT: shown.movement} | {topic_of(name): values for name, values in shown.frames.items()}
+    writer = BagWriter(path)
+    try:
+        topics = {name: writer.add_topic(f"/{name}", POSE_STAMPED, poses) for name in moving}
+        further = {name: writer.add_topic(f"/{name}", FLOAT64, numbers) for name in shown.numbers}
+        for k, ns in enumerate((START_NS + shown.ns).tolist()):
+            stamp = kinds["builtin_interfaces/msg/Time"](*divmod(ns, 1_000_000_000))
+            header = kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=base_frame)
+            for name, values in moving.items():
+                if np.isfinite(values[k]).all():
+                    x, y, z, *q = values[k].tolist()
+                    pose = kinds["geometry_msgs/msg/Pose"](
+                        kinds["geometry_msgs/msg/Point"](x, y, z), kinds["geometry_msgs/msg/Quaternion"](*q)
+                    )
+                    writer.write(topics[name], ns, poses.serialize_cdr(kinds[POSE_STAMPED](header, pose), POSE_STAMPED))
+            for name, column in shown.numbers.items():
+                message = numbers.types[FLOAT64](float(column[k]))
+                writer.write(further[name], ns, numbers.serialize_cdr(message, FLOAT64))
+        return writer.close()
+    except BaseException:
+        writer.discard()
+        raise
+
+
+def audit(bag: Path, shown: Shown, base_frame: str) -> dict[str, int]:
+    """Read a bag back, and hold it against what was written.
+
+    Parameters
+    ----------
+    bag
+        the bag
+    shown
+        what was written
+    base_frame
+        frame_id of all poses
+
+    Returns
+    -------
+    dict[str, int]
+        messages by topic
+
+    Raises
+    ------
+    ConversionError
+        anything differs.
+    """
+    moving = {MOVEMENT: shown.movement} | {topic_of(name): values for name, values in shown.frames.items()}
+    found = read_messages(bag, list(moving), POSE_STAMPED)
+    counts = {}
+    for name, values in moving.items():
+        seen = np.isfinite(values).all(axis=1)
+        headers = [message.header for message in found[name].messages]
+        stamps = np.array([h.stamp.sec * 1_000_000_000 + h.stamp.nanosec for h in headers], np.int64)
+        _hold(bag, name, stamps, (START_NS + shown.ns)[seen])
+        _hold(bag, name, found[name].recorded, stamps)
+        _hold(bag, name, np.array([_numbers(message.pose) for message in found[name].messages]), values[seen])
+        if {header.frame_id for header in headers} != {base_frame}:
+            raise ConversionError(f"{bag}: {name} has another frame than {base_frame!r}")
+        counts[name] = len(stamps)
+    for name, column in shown.numbers.items():
+        recorded, back = read_numbers(bag, name, "data")
+        finite = np.isfinite(column)
+        _hold(bag, name, recorded, (START_NS + shown.ns)[finite])
+        _hold(bag, name, back, column[finite])
+        counts[name] = len(back)
+    return counts
+
+
+def _hold(bag: Path, topic: str, found: np.ndarray[Any, Any], written: np.ndarray[Any, Any]) -> None:
+    if found.shape != written.shape or not (found == written).all():
+        raise ConversionError(
+            f"{bag}: {topic} does not hold what was written ({len(found)} of {len(written)} messages); keep the bag "
+            "and the file, and report it"
+        )
+
+
+def _numbers(pose: Any) -> Array:
+    p, q = pose.position, pose.orientation
+    return np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])

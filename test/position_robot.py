@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A position-controlled robot as its own process: a joint_trajectory_controller that checks what it is sent.
+
+    python position_robot.py ROBOT_FILE JOINT...
+
+It takes `joint_trajectory_controller/joint_trajectory` (reliable), for the joints in the order that it is given, and
+goes along cubic splines, each from where it is told to be at that time. It publishes `joint_states` at 125 Hz, with
+the joints in another order, as drivers do. `robot_mode` (std_msgs/String) takes "stuck" (it does not move, as after an
+emergency stop), "silent" (no joint states) and "well". What breaks the contract of the interface is on
+`violations`, one String each.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from tpgmm_core.robot.model import RobotModel
+
+RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+KEPT = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+#: Period of its joint states, s.
+PERIOD = 0.008
+#: Where it is told to be may be this far from where its last trajectory led, rad.
+JUMP = 0.05
+
+
+class PositionRobot(Node):
+    """See the module."""
+
+    def __init__(self, robot: RobotModel, order: list[str]) -> None:
+        super().__init__("position_robot")
+        self.robot, self.order = robot, order
+        self.joints = robot.indices(order)
+        self.q, self.v = robot.home[self.joints], np.zeros(len(order))
+        #: times (s), positions and velocities that it goes through
+        self.way: list[tuple[float, np.ndarray, np.ndarray]] = []
+        self.mode = "well"
+        self.states = self.create_publisher(JointState, "joint_states", 10)
+        self.violations = self.create_publisher(String, "violations", KEPT)
+        self.create_subscription(JointTrajectory, "joint_trajectory_controller/joint_trajectory", self.take, RELIABLE)
+        self.create_subscription(String, "robot_mode", self.take_mode, KEPT)
+        self.create_timer(PERIOD, self.step)
+
+    def now(self) -> float:
+        return 1e-9 * self.get_clock().now().nanoseconds
+
+    def take_mode(self, message: String) -> None:
+        self.mode = message.data
+        if self.mode == "well":  # let go: it goes on from where it is, as its controller has been told last
+            self.way = [(self.now(), self.q, np.zeros(len(self.order))), *self.way[-1:]]
+
+    def take(self, message: JointTrajectory) -> None:
+        for text in self.broken(message):
+            self.violations.publish(String(data=text))
+        now = self.now()
+        q, v = self.at(now)
+        self.way = [(now, q, v)]
+        for point in message.points:
+            after = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+            self.way.append((now + after, np.array(point.positions), np.array(point.velocities)))
+
+    def broken(self, message: JointTrajectory) -> list[str]:
+        """What a joint_trajectory_controller would refuse, and what no robot should be told."""
+        n, found = len(self.order), []
+        if list(message.joint_names) != self.order:
+            return [f"joints {list(message.joint_names)}, not {self.order}"]
+        if message.header.stamp.sec or message.header.stamp.nanosec:
+            found.append("a stamp of another time than now")
+        if not message.points or any(len(p.positions) != n or len(p.velocities) != n for p in message.points):
+            return [*found, "points without positions and velocities of all joints"]
+        q, v = (np.array([getattr(p, name) for p in message.points]) for name in ("positions", "velocities"))
+        times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in message.points])
+        limits = self.robot
+        if not (np.diff(times, prepend=0.0) > 0.0).all():
+            found.append(f"times that do not increase: {times}")
+        if v[-1].any():
+            found.append(f"an end that moves: {v[-1]}")
+        if (q < limits.lower_limits[self.joints]).any() or (q > limits.upper_limits[self.joints]).any():
+            found.append(f"positions outside the limits: {q}")
+        if (np.abs(v) > limits.velocity_limits[self.joints]).any():
+            found.append(f"velocities above the limits: {v}")
+        here, _ = self.at(self.now())
+        if np.abs(q[0] - here).max() > JUMP + float((np.abs(v[0]) * times[0]).max()):
+            found.append(f"a jump from {here} to {q[0]}")
+        return found
+
+    def at(self, now: float) -> tuple[np.ndarray, np.ndarray]:
+        """Where it is told to be: on a cubic between two points; at rest behind the last one."""
+        if self.mode == "stuck" or not self.way:
+            return self.q, np.zeros_like(self.q)
+        for (t0, q0, v0), (t1, q1, v1) in zip(self.way, self.way[1:], strict=False):
+            if now < t1:
+                h, s = t1 - t0, (now - t0) / (t1 - t0)
+                q = (1 + 2 * s) * (1 - s) ** 2 * q0 + s * (1 - s) ** 2 * h * v0
+                q = q + s * s * (3 - 2 * s) * q1 - s * s * (1 - s) * h * v1
+                v = 6 * s * (1 - s) * (q1 - q0) / h + (1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1
+                return q, v
+        return self.way[-1][1], np.zeros_like(self.q)
+
+    def step(self) -> None:
+        self.q, self.v = self.at(self.now())
+        if self.mode == "silent":
+            return
+        message = JointState(name=self.order[::-1], position=self.q[::-1].tolist(), velocity=self.v[::-1].tolist())
+        message.header.stamp = self.get_clock().now().to_msg()
+        self.states.publish(message)
+
+
+def main() -> None:
+    robot_file, *order = sys.argv[1:]
+    rclpy.init()
+    node = PositionRobot(RobotModel.from_file(robot_file), order)
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+
+
+if __name__ == "__main__":
+    main()
