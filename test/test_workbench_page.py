@@ -154,12 +154,8 @@ def test_a_demonstration_is_taught_by_clicks_and_keys_and_nothing_comes_from_els
     user.until(comment.is_visible, "the notes to be opened")
     comment.click(force=True)
     comment.press_sequentially("roundabout")
-
-    def is_kept() -> bool:  # pressed again where a click went astray, while the notes were still unfolding
-        user.click("Keep these notes")
-        return Project.open(folder).demonstration(1).notes.comment == "roundabout"
-
-    user.until(is_kept, "the comment on the disk")
+    user.click("Keep these notes")
+    user.until(lambda: Project.open(folder).demonstration(1).notes.comment == "roundabout", "the comment on the disk")
     assert len(Project.open(folder).used()) == 1
     user.shoot("notes")
     user.page.get_by_role("tab", name="Share").click(force=True)
