@@ -170,6 +170,12 @@ def test_a_demonstration_is_taught_by_clicks_and_keys_and_nothing_comes_from_els
     user.shoot("share")
     assert len(Project.open(folder.parent / "project_2").demonstrations()) == 1
 
+    # the torques that carry the arm stand beside their limits
+    user.page.get_by_role("tab", name="Robot").click(force=True)
+    user.sees("left_s0:")
+    assert "of 50 N m" in user.text(), user.text()
+    user.shoot("robot")
+
     # nothing came from elsewhere; closed and opened again, the page knows it all
     assert user.asked
     assert not [url for url in user.asked if not url.startswith((address(), "data:", "blob:"))]

@@ -99,13 +99,19 @@ def test_each_state_has_its_word_beside_its_colour() -> None:
 
 def test_torques_are_told_against_their_limits_and_what_is_near_one_says_so() -> None:
     graph = GraphView(
-        torques=(TorqueView("s0", 10.0, 50.0), TorqueView("s1", -40.0, 50.0), TorqueView("lift", 60.0, 60.0, "N")),
+        torques=(
+            TorqueView("s0", 10.0, 50.0),
+            TorqueView("s1", -40.0, 50.0),
+            TorqueView("lift", 60.0, 60.0, "N"),
+            TorqueView("w2", -0.01, 15.0),
+        ),
         stiffness=StiffnessView(np.diag([500.0, 100.0, 300.0, 20.0, 5.0, 10.0])),
     )
     rows = words.torques(DeskView(graph=graph)).split("</div></div>")
     assert "s0: 10.0 of 50 N m" in rows[0] and "width:20%" in rows[0] and "near" not in rows[0]
     assert "s1: -40.0 of 50 N m" in rows[1] and "width:80%" in rows[1] and "near" in rows[1]
     assert "lift: 60.0 of 60 N " in rows[2] and "width:100%" in rows[2] and "at its limit" in rows[2]
+    assert "w2: 0.0 of 15 N m" in rows[3]
     assert "100 to 500 N/m, turning 5.0 to 20.0 N m/rad" in words.stiffness(DeskView(graph=graph))
     assert "No torques" in words.torques(DeskView()) and "nothing is tracked" in words.stiffness(DeskView())
 

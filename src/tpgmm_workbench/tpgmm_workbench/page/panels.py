@@ -171,15 +171,15 @@ class RunPanel:
 
 
 class RobotPanel:
-    """The torques that are sent, and how stiff the hand is held."""
+    """How stiff the hand is held, and the torques that are sent."""
 
     def __init__(self, server: ViserServer) -> None:
-        self._torques, self._stiffness = Text(server), Text(server)
+        self._stiffness, self._torques = Text(server), Text(server)
 
     def show(self, view: DeskView) -> None:
         """Show what is known."""
-        self._torques.show(words.torques(view))
         self._stiffness.show(words.stiffness(view))
+        self._torques.show(words.torques(view))
 
 
 class NodesPanel:

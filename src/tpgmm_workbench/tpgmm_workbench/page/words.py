@@ -216,9 +216,10 @@ def torques(view: DeskView) -> str:
     for one in view.graph.torques:
         color, word = GREEN, ""
         if one.share >= NEAR_LIMIT:
-            color, word = (RED, chip("at its limit", RED)) if one.share >= AT_LIMIT else (YELLOW, chip("near", YELLOW))
+            color, where = (RED, "at its limit") if one.share >= AT_LIMIT else (YELLOW, "near its limit")
+            word = chip(where, color)
         lines.append(
-            f"{escape(one.joint)}: {one.torque:.1f} of {one.limit:.0f} {escape(one.unit)} {word}"
+            f"{escape(one.joint)}: {one.torque:z.1f} of {one.limit:.0f} {escape(one.unit)} {word}"
             f'<div style="background:rgba(130,130,130,0.3);height:0.4em;border-radius:0.2em">'
             f'<div style="background:{css(color)};height:100%;border-radius:0.2em;'
             f'width:{100.0 * min(1.0, one.share):.0f}%"></div></div>'
