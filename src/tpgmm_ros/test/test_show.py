@@ -112,3 +112,22 @@ def test_errors_in_the_metadata_that_are_none_are_refused(tmp_path: Path, capsys
         assert show.main([str(tmp_path / "model")]) == 1
         assert f"metadata say {key}" in capsys.readouterr().err
         del model.metadata_[key]
+
+
+def test_costs_are_written_for_a_model_over_time_and_refused_for_one_without(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for method in ("adapt_regress", "dynamical_system"):
+        recipe = Recipe.of({"n_components": 3, "reg_covar": 1e-5, "retrieval": method})
+        recipe.learn(demonstrations(), MANIFOLD, DIMENSIONS).save(tmp_path / method)
+    assert show.main(["--costs", str(tmp_path / "costs.json"), str(tmp_path / "adapt_regress")]) == 0
+    costs = json.loads((tmp_path / "costs.json").read_text())
+    assert costs["dimensions"] == list(DIMENSIONS[1:]) and costs["times"][-1] == pytest.approx(costs["duration_s"])
+    robot, cup = (np.array(costs["frames"][name]["precisions"]) for name in ("robot", "object"))
+    assert robot.shape == (show.COST_TIMES, 6, 6)
+    assert np.trace(robot[0, :3, :3]) > np.trace(cup[0, :3, :3]) and np.trace(cup[-1, :3, :3]) > np.trace(
+        robot[-1, :3, :3]
+    )
+    capsys.readouterr()
+    assert show.main(["--costs", str(tmp_path / "none.json"), str(tmp_path / "dynamical_system")]) == 1
+    assert "need a model over time" in capsys.readouterr().err and not (tmp_path / "none.json").exists()

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -93,3 +94,51 @@ def sub_objectives(model: LearnedMixture, times: ArrayLike, frames: Mapping[str,
     root = (vectors / np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     shares = np.einsum("tik,tpkl,tli->tpi", root, precisions, root)
     return SubObjectives(tuple(frames), np.stack([g.mean for g in movement]), covariances, precisions, shares, costs)
+
+
+def quadratic_costs(model: LearnedMixture, times: ArrayLike) -> dict[str, Any]:
+    """The learned weights as terms of a cost, Eq. (3), with which a solver of somebody else can begin.
+
+    At each time the cost of a state x is the sum over the frames of `e^T W e`, e = log(x_j) at the frame's target:
+    x_j is x as the frame sees it, W the frame's precision; on R^D, e is x_j - target. All is in the axes of the frames,
+    so that the same terms hold in every situation: frames are put where the objects are. The mean of the movement is
+    where the sum is least.
+
+    Parameters
+    ----------
+    model
+        with time as the first dimension
+    times
+        (T,), of the model, s
+
+    Returns
+    -------
+    dict[str, Any]
+        as JSON can hold it: `manifold` of x; `dimensions`, its coordinates, where the model names them; `times`;
+        `frames`: name → `targets` (T, D) and `precisions` (T, n, n), in the tangent spaces at the targets
+
+    Raises
+    ------
+    ValueError
+        for a model without time
+    """
+    names = tuple(model.dimensions_ or ("time",))
+    if names[0] != "time":
+        raise ValueError(f"costs over time need a model over time; this one is over {', '.join(names)}")
+    retrieval = RegressThenProduct(model)
+    at = np.asarray(times, dtype=float)
+    frames = {}
+    for name in model.frame_names_:
+        D = model.means_[name].shape[1]
+        wanted = retrieval.retrieve({name: Frame(np.eye(D), np.zeros(D))}, at)
+        frames[name] = {
+            "targets": [one.mean.tolist() for one in wanted],
+            "precisions": [one.precision.tolist() for one in wanted],
+        }
+    return {
+        "cost": "at each time the sum over the frames of e^T precision e, e = log(x as the frame sees it) at target",
+        "manifold": str(retrieval.manifold),
+        "dimensions": list(names[1:]),
+        "times": at.tolist(),
+        "frames": frames,
+    }

@@ -13,27 +13,33 @@ from typing import Any
 import numpy as np
 
 from tpgmm_core import LearnedMixture
+from tpgmm_core.common.atomic_file import write_atomically
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.kinematics.method import NAME as KINEMATIC
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_core.retrieval.calibrated import scale_key
+from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.methods import DEFAULT, KEY, METHODS, load_model
 from tpgmm_core.retrieval.novelty import NoveltyScale
 from tpgmm_core.retrieval.relevance import relevance
+from tpgmm_core.retrieval.sub_objectives import quadratic_costs
 from tpgmm_ros.models.training_record import expected_errors, learned_from
 
 EXAMPLES = """\
 examples:
   show pick_place.tpgmm
   show --json pick_place.tpgmm | jq .relevance
+  show --costs costs.json pick_place.tpgmm    (what the frames weigh over time, for a solver of your own)
 
 exit status: 0 the file is a model; 1 it is not, the reason is on stderr; 2 wrong arguments
 """
 PARTS = 10
 MOST_COMPONENTS = 30
 """More are in the JSON alone."""
+COST_TIMES = 101
+"""At which costs are written, from the beginning to the end."""
 BAR = 30
 """Characters of a bar for a share of 1."""
 
@@ -42,7 +48,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit status."""
     options = _parser().parse_args(arguments)
     try:
-        found = described(load_model(options.model), options.model)
+        model = load_model(options.model)
+        found = described(model, options.model)
+        if options.costs is not None:
+            text = json.dumps(costs_of(model, found["retrieval"]), allow_nan=False)
+            write_atomically(options.costs, lambda file: file.write_text(text))
+            print(f"costs: {options.costs}", file=sys.stderr)
     except (OSError, ValueError) as error:
         print(f"error: {one_line(error)}", file=sys.stderr)
         return 1
@@ -111,6 +122,33 @@ def described(model: LearnedMixture, path: Path) -> dict[str, Any]:
     known = {KEY, "bags", "expected_errors", "novelty", "derived_frames", *map(scale_key, METHODS), *found}
     found["other_metadata"] = {key: value for key, value in said.items() if key not in known}
     return found
+
+
+def costs_of(model: LearnedMixture, method: str) -> dict[str, Any]:
+    """The quadratic costs of a model's frames at COST_TIMES times of the movement, as JSON can hold them.
+
+    Parameters
+    ----------
+    model
+        a fitted model
+    method
+        what it was learned for
+
+    Returns
+    -------
+    dict[str, Any]
+        see `quadratic_costs`; `duration_s` and `base_frame` beside
+
+    Raises
+    ------
+    ValueError
+        for a model whose frames are no places, or that is not over time
+    """
+    if method == KINEMATIC:
+        raise ValueError("no costs: frames of the robot's joints depend on where the robot is, and are no fixed terms")
+    duration = demonstrated_duration(model)
+    known = {"duration_s": duration, "base_frame": model.metadata_.get("base_frame")}
+    return {**known, **quadratic_costs(model, np.linspace(0.0, duration, COST_TIMES))}
 
 
 def _encodes(method: str) -> str:
@@ -239,6 +277,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("model", metavar="MODEL", type=Path, help="model file, such as task.tpgmm")
     parser.add_argument("--json", action="store_true", help="print all of it as JSON")
+    parser.add_argument(
+        "--costs", metavar="FILE", type=Path, help="write the frames' quadratic costs over time as JSON, for a solver"
+    )
     return parser
 
 
