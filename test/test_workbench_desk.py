@@ -43,7 +43,8 @@ class Bench:
             if condition(view):
                 return view
             self._processes.check()
-            assert time.monotonic() < deadline, f"not within {timeout} s: {what}; said: {view.words}, {view.run}"
+            said = (view.words, view.run, view.coached)
+            assert time.monotonic() < deadline, f"not within {timeout} s: {what}; said: {said}"
 
     def lead(self, name: str, above: bool = False) -> DeskView:
         self.desk.table.lead_to(name, above)
@@ -143,7 +144,9 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
     assert view.aim is None and view.graph.hand is not None  # nothing leads the hand before the user does
     led = view.graph.hand + np.array([0.0, 0.0, 0.07, 0.0, 0.0, 0.0, 0.0])
     desk.table.lead_hand(led, is_held=True)
-    view = bench.until(lambda view: view.to_go is not None and view.to_go < 0.035, "the hand to be led")
+    since = view.run.phase  # a correction lasts for 3 % of the movement at least
+    bench.until(lambda view: view.run.phase > since + 0.1, "the hand to be held for a while", 60.0)
+    view = bench.until(lambda view: view.to_go is not None and view.to_go < 0.035, "the hand to be led", 60.0)
     assert view.activity is Activity.COACHING and view.run.phase < 0.8
     desk.end_coaching()
     view = bench.until(lambda view: view.activity is Activity.RUNNING, "the end of the coaching")
@@ -160,7 +163,7 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
     assert view.graph.hand is not None and pose_error(view.graph.hand, wanted)[0] < 0.03
 
     # the correction is a demonstration with a model of its own; both are taken back at once
-    view = bench.until(lambda view: view.model is not None and view.model.number == 2, "the corrected model")
+    view = bench.until(lambda view: view.model is not None and view.model.number == 2, "the corrected model", 60.0)
     assert view.model is not None and "corrected from" in view.model.words[0], view.model
     correction = desk.project.demonstrations()[3].notes.correction
     assert correction is not None and 0.1 < correction.begin < correction.end < 0.8

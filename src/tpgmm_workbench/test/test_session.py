@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The objects of a simulation, the refusals of a tracker, the tube: without ROS and page."""
+"""The objects of a simulation, a run that is watched, the refusals of a tracker, the tube: without ROS and page."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_workbench.scene import stiffness_view
 from tpgmm_workbench.scene.tube import SIDES, THINNEST, tube
 from tpgmm_workbench.session.arrangement import Arrangement, hand_over, regions_of
 from tpgmm_workbench.session.refusals import LASTS, Refusals
-from tpgmm_workbench.session.view import FrameView, NodeView, StiffnessView
+from tpgmm_workbench.session.view import FrameView, GraphView, NodeView, StiffnessView
+from tpgmm_workbench.session.watched_run import WatchedRun
 
 HOME = np.array([0.6, 0.2, 0.1, 0.0, 1.0, 0.0, 0.0])
 
@@ -101,3 +103,32 @@ def test_figures_of_a_node_say_how_long_steps_take_and_may_take_and_nothing_that
     told = NodeView(True, "", {"tick_rate_hz": "1000.0", **steps}).figures
     assert told == "1000 Hz, step 0.20 ms, 1 of 100 over 0.50 ms, longest 1.30 ms of 1.0 ms"
     assert NodeView(True, "", {"tick_rate_hz": "many", "step_p50_ms": "nan"}).figures == ""
+
+
+def test_a_run_that_goes_back_counts_as_it_went_the_last_time_and_a_frame_out_of_sight_stays_where_it_was() -> None:
+    def pose(x: float) -> Array:
+        return np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+    watched = WatchedRun()
+    steps = [
+        (0.1, False),
+        (0.2, True),
+        (0.3, True),
+        (0.3, True),
+        (0.25, False),
+        (0.15, False),
+        (0.2, False),
+        (0.4, False),
+    ]
+    for number, (phase, is_led) in enumerate(steps):
+        frame = FrameView("object", "seen", 0.0, pose(7.0)) if number == 0 else FrameView("object", "missing")
+        late = FrameView("target", "missing" if number == 0 else "seen", 0.0, None if number == 0 else pose(8.0))
+        watched.take(float(number), phase, GraphView(hand=pose(number), frames=(frame, late)), is_led)
+    run = watched.run(feels=True)
+    assert run.phases is not None and run.is_led is not None
+    np.testing.assert_array_equal(run.phases, [0.1, 0.15, 0.2, 0.4])
+    np.testing.assert_array_equal(run.times, [0.0, 5.0, 6.0, 7.0])
+    np.testing.assert_array_equal(run.hand[:, 0], [0.0, 5.0, 6.0, 7.0])
+    assert not run.is_led.any() and list(run.frames) == ["object"]  # what was led on the first way is gone
+    np.testing.assert_array_equal(run.frames["object"][:, 0], 7.0)
+    assert watched.run(feels=False).is_led is None and WatchedRun().run(feels=True).hand.shape == (0, 7)

@@ -7,15 +7,14 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 
-import numpy as np
-
 from tpgmm_core.common.text import one_line
-from tpgmm_core.common.types import Array
 from tpgmm_ros.runtime.background import Background
 from tpgmm_workbench.graph.movement import RunView
-from tpgmm_workbench.project.coach import Run, correct
+from tpgmm_workbench.project.coach import correct
+from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.project import Project, TrainedModel
 from tpgmm_workbench.session.view import GraphView
+from tpgmm_workbench.session.watched_run import WatchedRun
 
 
 class Coaching:
@@ -40,6 +39,8 @@ class Coaching:
         whether what the hand does now is a correction
     words
         what goes on, or is waited for
+    model
+        number of the one that runs
     """
 
     def __init__(
@@ -50,19 +51,12 @@ class Coaching:
         changed: Callable[[], object],
         feels: bool,
     ) -> None:
-        self.is_on, self.words = False, ""
+        self.is_on, self.words, self.model = False, "", 0
         self._project, self._background, self._say, self._changed = project, background, say, changed
         self._feels = feels
         self._is_wanted = False
         self._goes_on = False
-        self._forget()
-
-    def _forget(self) -> None:
-        self._times: list[float] = []
-        self._hand: list[Array] = []
-        self._phases: list[float] = []
-        self._led: list[bool] = []
-        self._frames: list[dict[str, Array]] = []
+        self._watched = WatchedRun()
 
     def begin(self) -> None:
         """Take what the hand does from now on as a correction."""
@@ -87,24 +81,13 @@ class Coaching:
             whether somebody leads the hand
         """
         if run.goes_on and not self._goes_on:
-            self._forget()
+            self._watched = WatchedRun()
             self.is_on, self._is_wanted, self.words = False, False, ""
-        if graph.hand is not None and run.stage in ("running", "done") and (run.goes_on or self._goes_on):
-            self._take(run.phase, graph, is_led)
+        if run.stage in ("asked", "running") or (run.stage == "done" and self._goes_on):
+            self._watched.take(time.monotonic(), run.phase, graph, self.is_on and is_led)
         if self._goes_on and not run.goes_on:
             self._over(run)
         self._goes_on = run.goes_on
-
-    def _take(self, phase: float, graph: GraphView, is_led: bool) -> None:
-        if graph.hand is None or (self._phases and phase <= self._phases[-1]):
-            return  # paused, or on its way back
-        known = dict(self._frames[-1]) if self._frames else {}
-        known |= {frame.name: frame.pose for frame in graph.frames if frame.pose is not None}
-        self._times.append(time.monotonic())
-        self._hand.append(np.array(graph.hand))
-        self._phases.append(phase)
-        self._led.append(self.is_on and is_led)
-        self._frames.append(known)
 
     def _over(self, run: RunView) -> None:
         wanted, self._is_wanted, self.is_on = self._is_wanted, False, False
@@ -114,16 +97,16 @@ class Coaching:
             self.words = "nothing is corrected: the movement was stopped before its end"
             self._say(self.words)
             return
-        names = set.intersection(*map(set, self._frames)) if self._frames else set()
-        seen = Run(
-            np.array(self._times),
-            np.array(self._hand).reshape(-1, 7),
-            {name: np.array([known[name] for known in self._frames]) for name in sorted(names)},
-            np.array(self._phases),
-            np.array(self._led, dtype=bool) if self._feels else None,
-        )
+        seen, ran = self._watched.run(self._feels), self.model
+
+        def work() -> TrainedModel:
+            present = self._project.model
+            if present is not None and present.number != ran:
+                raise ProjectError(f"model {ran} ran, and model {present.number} was trained since: run and correct it")
+            return correct(self._project, seen)
+
         self.words = "the correction is being learned…"
-        self._background.run(lambda: correct(self._project, seen), self._learned)
+        self._background.run(work, self._learned)
 
     def _learned(self, job: Future[TrainedModel]) -> None:
         try:

@@ -209,6 +209,7 @@ class Desk:
     def undo(self) -> None:
         """Take the last demonstration back, or the last correction with its model."""
         if not self._refused(Action.UNDO):
+            self._coaching.words = ""
             self.teaching.undo()
 
     def lay_as_suggested(self) -> None:
@@ -255,6 +256,7 @@ class Desk:
             return
         if self._learning.model is not None and not self._refused(Action.RUN):
             self.set_speed(self._speed)
+            self._coaching.model = self._learning.model.number
             self._movement.start(self._learning.model.path, self._duration)
 
     def pause(self) -> None:
