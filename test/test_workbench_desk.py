@@ -126,7 +126,8 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
     desk.train(is_automatic=False)
     assert desk.look().reasons[Action.TRAIN]
     view = bench.until(lambda view: view.model is not None, "a model", 200.0)
-    assert view.model is not None and view.model.words
+    assert view.model is not None and view.model.words and view.model.relevance is not None
+    np.testing.assert_allclose(sum(view.model.relevance.shares.values()), 1.0)
 
     bench.until(lambda view: all(frame.state in ("seen", "fixed") for frame in view.graph.frames), "all frames")
     bench.lead("home")
@@ -137,6 +138,16 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
     assert view.preview.may_run, view.preview.words
     desk.run()
     bench.until(lambda view: view.run.stage == "running" and view.run.phase > 0.1, "the movement")
+    desk.coach()
+    view = bench.until(lambda view: view.activity is Activity.COACHING and view.graph.hand is not None, "the coaching")
+    assert view.aim is None and view.graph.hand is not None  # nothing leads the hand before the user does
+    led = view.graph.hand + np.array([0.0, 0.0, 0.07, 0.0, 0.0, 0.0, 0.0])
+    desk.table.lead_hand(led, is_held=True)
+    view = bench.until(lambda view: view.to_go is not None and view.to_go < 0.035, "the hand to be led")
+    assert view.activity is Activity.COACHING and view.run.phase < 0.8
+    desk.end_coaching()
+    view = bench.until(lambda view: view.activity is Activity.RUNNING, "the end of the coaching")
+    assert view.aim is None and view.model is not None and view.model.number == 1
     view = bench.until(lambda view: view.graph.torques and view.graph.stiffness, "torques and stiffness")
     assert {one.joint for one in view.graph.torques} >= {"left_s0", "left_w2"}
     assert any(0.02 < one.share <= 1.0 for one in view.graph.torques), view.graph.torques
@@ -147,6 +158,16 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
     assert view.run.stage == "done" or "from the model's end" in view.run.words, view.run
     wanted = compose(view.places["target"], grasps[-1])
     assert view.graph.hand is not None and pose_error(view.graph.hand, wanted)[0] < 0.03
+
+    # the correction is a demonstration with a model of its own; both are taken back at once
+    view = bench.until(lambda view: view.model is not None and view.model.number == 2, "the corrected model")
+    assert view.model is not None and "corrected from" in view.model.words[0], view.model
+    correction = desk.project.demonstrations()[3].notes.correction
+    assert correction is not None and 0.1 < correction.begin < correction.end < 0.8
+    assert desk.facts().demonstrations == 3 and view.activity is Activity.IDLE
+    desk.undo()
+    view = bench.until(lambda view: view.model is not None and view.model.number == 1, "the model of before")
+    assert len(view.taught) == 3
 
     # a frame that is hidden is missing; a run that is stopped stands still; what was undone is not used any more
     desk.table.hide_object("target", True)
@@ -161,7 +182,7 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
     assert view.run.stage == "stopped"
     desk.undo()
     bench.until(lambda view: len(view.taught) == 2, "the undo")
-    assert len(desk.project.demonstrations()) == 3
+    assert len(desk.project.demonstrations()) == 4
     desk.record()  # the arm is held by the reference: it is let go of first
     bench.until(lambda view: view.lasted > 0.0, "the recording after a movement")
     assert view.graph.controller is not None

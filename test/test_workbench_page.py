@@ -150,8 +150,10 @@ def test_a_demonstration_is_taught_by_clicks_and_keys_and_nothing_comes_from_els
 
     # a comment is kept, whose letters are no keys; the project comes as a file
     user.page.get_by_text("Notes of one demonstration").click(force=True)
-    user.page.get_by_label("comment").fill("")
-    user.page.get_by_label("comment").type("roundabout")
+    comment = user.page.locator("xpath=//*[text()='comment']/following::input[1]")
+    user.until(comment.is_visible, "the notes to be opened")
+    comment.click(force=True)
+    comment.press_sequentially("roundabout")
     user.click("Keep these notes")
     user.until(lambda: Project.open(folder).demonstration(1).notes.comment == "roundabout", "the comment on the disk")
     assert len(Project.open(folder).used()) == 1
@@ -167,6 +169,12 @@ def test_a_demonstration_is_taught_by_clicks_and_keys_and_nothing_comes_from_els
     user.sees("imported into")
     user.shoot("share")
     assert len(Project.open(folder.parent / "project_2").demonstrations()) == 1
+
+    # the torques that carry the arm stand beside their limits
+    user.page.get_by_role("tab", name="Robot").click(force=True)
+    user.sees("left_s0:")
+    assert "of 50 N m" in user.text(), user.text()
+    user.shoot("robot")
 
     # nothing came from elsewhere; closed and opened again, the page knows it all
     assert user.asked

@@ -19,7 +19,7 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
         (f"share/{package_name}/launch", glob("launch/*.launch.py")),
         # Tasks and robots; config/ at the top of the repository is a link to them
-        (f"share/{package_name}/config", glob("config/*.yaml")),
+        (f"share/{package_name}/config", [*glob("config/*.yaml"), *glob("config/tpgmm.*")]),
         (f"share/{package_name}/config/security", glob("config/security/*.xml")),
     ],
     python_requires=">=3.12",

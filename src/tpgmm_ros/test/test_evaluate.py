@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -81,3 +82,19 @@ def test_what_cannot_be_evaluated_is_said_and_the_status_is_1(
     assert status == 1 and "leave out --held-out and --methods" in error == f"error: {found['error']}\n"
     status, found, error = run(folder, capsys, "--methods", "dmp", "--", str(folder / "new" / "demo_4"))
     assert status == 1 and "at least two demonstrations" in found["results"][0]["error"]
+
+
+def test_processes_side_by_side_find_the_same_numbers(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Bit by bit: JSON holds all digits."""
+    arguments = ["--methods", "adapt_regress", "--jobs"]
+    one, two = (run(folder, capsys, *arguments, jobs, str(folder / "bags")) for jobs in ("1", "2"))
+    assert one[0] == two[0] == 0 and one[1]["results"] == two[1]["results"]
+
+
+def test_without_joblib_several_processes_say_what_to_install(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "joblib", None)
+    status, found, _ = run(folder, capsys, "--methods", "promp", "--jobs", "2", str(folder / "bags"))
+    assert status == 1 and "2 processes need joblib" in found["results"][0]["error"]
+    assert "'pip install joblib'" in found["results"][0]["error"]

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tpgmm_core.retrieval.relevance import Relevance
 from tpgmm_workbench.desk.learning import ModelView
 from tpgmm_workbench.desk.teaching import TaughtView
 from tpgmm_workbench.desk.view import DeskView
@@ -15,6 +16,7 @@ from tpgmm_workbench.page import words
 from tpgmm_workbench.page.driver import Driver
 from tpgmm_workbench.project.activities import Action, Activity, Facts, may
 from tpgmm_workbench.project.preview import Check, Preview
+from tpgmm_workbench.project.suggestion import Suggestion
 from tpgmm_workbench.project.training import Progress
 from tpgmm_workbench.session.view import ControllerView, FrameView, GraphView, NodeView, StiffnessView, TorqueView
 
@@ -62,7 +64,10 @@ def test_what_others_wrote_is_text_and_never_a_part_of_the_page() -> None:
         graph=graph,
         run=RunView("failed", 0.5, evil),
         taught=(TaughtView(1, True, "look", evil),),
-        model=ModelView(1, evil, (evil,), {1: evil}),
+        model=ModelView(1, evil, (evil,), {1: evil}, Relevance("movement", {evil: np.ones(4)})),
+        suggested=Suggestion({evil: np.zeros(7)}, 1.0, evil),
+        coached=evil,
+        shared=evil,
         progress=Progress(0.1, evil),
         words=(evil,),
         preview=Preview(
@@ -70,8 +75,18 @@ def test_what_others_wrote_is_text_and_never_a_part_of_the_page() -> None:
         ),
     )
     panels = (words.status, words.demonstrations, words.model, words.training, words.verdict, words.run)
-    for say in (*panels, words.torques, words.nodes):
+    later = (words.suggestion, words.relevance, words.coaching, words.sharing)
+    for say in (*panels, *later, words.torques, words.nodes):
         assert "<img" not in say(view), say.__name__
+
+
+def test_it_is_told_where_in_a_movement_each_frame_counts() -> None:
+    shares = {"object": np.array([0.9, 0.8, 0.6, 0.2]), "target": np.array([0.1, 0.2, 0.4, 0.8]), "robot": np.zeros(4)}
+    view = replace(READY, model=ModelView(1, "1.tpgmm", (), {}, Relevance("movement", shares)))
+    text = words.relevance(view)
+    for name, said in (("object", "most in 75%"), ("target", "most in 25%"), ("robot", "never counts most")):
+        assert said in text.partition(f">{name}<")[2].partition("<div")[0]
+    assert text.count("flex:0.900") == 1 and not words.relevance(READY)
 
 
 def test_each_state_has_its_word_beside_its_colour() -> None:
@@ -84,13 +99,19 @@ def test_each_state_has_its_word_beside_its_colour() -> None:
 
 def test_torques_are_told_against_their_limits_and_what_is_near_one_says_so() -> None:
     graph = GraphView(
-        torques=(TorqueView("s0", 10.0, 50.0), TorqueView("s1", -40.0, 50.0), TorqueView("lift", 60.0, 60.0, "N")),
+        torques=(
+            TorqueView("s0", 10.0, 50.0),
+            TorqueView("s1", -40.0, 50.0),
+            TorqueView("lift", 60.0, 60.0, "N"),
+            TorqueView("w2", -0.01, 15.0),
+        ),
         stiffness=StiffnessView(np.diag([500.0, 100.0, 300.0, 20.0, 5.0, 10.0])),
     )
     rows = words.torques(DeskView(graph=graph)).split("</div></div>")
     assert "s0: 10.0 of 50 N m" in rows[0] and "width:20%" in rows[0] and "near" not in rows[0]
     assert "s1: -40.0 of 50 N m" in rows[1] and "width:80%" in rows[1] and "near" in rows[1]
     assert "lift: 60.0 of 60 N " in rows[2] and "width:100%" in rows[2] and "at its limit" in rows[2]
+    assert "w2: 0.0 of 15 N m" in rows[3]
     assert "100 to 500 N/m, turning 5.0 to 20.0 N m/rad" in words.stiffness(DeskView(graph=graph))
     assert "No torques" in words.torques(DeskView()) and "nothing is tracked" in words.stiffness(DeskView())
 

@@ -17,6 +17,11 @@ def position_start(flat: Array, spheres: Array) -> int:
     ----------
     flat, spheres
         arrangement of the manifold, see `kernels_manifold`: [time, position], position, pose or [time, pose]
+
+    Returns
+    -------
+    int
+        index of the first of three tangent dimensions
     """
     n = len(flat)
     if len(spheres) == 0:

@@ -37,6 +37,10 @@ class RobotModel:
     ----------
     pinocchio
         the Pinocchio model, with the limits of the robot file; do not change it
+    urdf
+        path of the URDF
+    links
+        names of its links
     joint_names, joint_units
         (nv,) names in model order, and "rad" or "m"
     base_frame
@@ -72,6 +76,8 @@ class RobotModel:
             raise RobotFileError(f"{description.path}: {error}") from error
         model = urdf.model
         self.pinocchio = model
+        self.urdf = description.urdf
+        self.links = tuple(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY)
         self.nv: int = model.nv
         self.joint_names: tuple[str, ...] = tuple(model.names[1:])
         self.joint_units = tuple("m" if "P" in joint.shortname() else "rad" for joint in model.joints.tolist()[1:])

@@ -47,6 +47,16 @@ def covariance_array(pose: Any) -> Array | None:
     """(6, 6) of a PoseWithCovariance; None where it is all zero, or no covariance: the publisher knows none.
 
     What is larger than `LARGEST_VARIANCE` is scaled down to it.
+
+    Parameters
+    ----------
+    pose
+        a geometry_msgs/PoseWithCovariance
+
+    Returns
+    -------
+    Array or None
+        m² and rad², symmetric and with no negative eigenvalue
     """
     covariance = np.array(pose.covariance, dtype=np.float64).reshape(6, 6)
     if not np.isfinite(covariance).all() or not (np.diag(covariance) > 0.0).all():

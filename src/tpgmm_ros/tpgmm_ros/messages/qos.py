@@ -19,6 +19,9 @@ LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability
 #: Transforms: many programs publish on the one topic, and all of them count.
 TRANSFORMS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
+#: Transforms for others: their listeners insist on reliable ones.
+BROADCAST = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+
 #: Transforms that never change come once, also to those who listen later.
 TRANSFORMS_STATIC = QoSProfile(
     depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL

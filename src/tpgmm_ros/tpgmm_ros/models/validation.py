@@ -14,6 +14,7 @@ from tpgmm_core.choice.reproducing import reproduce_gaussians
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.geometry.pose import compose, inverse
+from tpgmm_ros.models.side_by_side import side_by_side
 from tpgmm_ros.recordings.bag_messages import Array
 from tpgmm_ros.recordings.bags import Recording, align
 
@@ -86,6 +87,7 @@ def cross_validate(
     learn: Callable[[list[Demonstration]], LearnedMixture],
     anchor: str,
     baselines: Learner | None = None,
+    jobs: int = 1,
 ) -> Iterator[Fold]:
     """Train on all recordings but one, reproduce in the situation of that one; each in turn.
 
@@ -102,15 +104,21 @@ def cross_validate(
         frame from which the nearest demonstration is replayed
     baselines
         how these are learned; None: not at all
+    jobs
+        processes, see `side_by_side`
 
     Yields
     ------
     Fold
         errors of the recording that was left out
     """
-    for found, model, others, demonstrations, situation in tried_by_others(recordings, learn):
-        left_out = found.recording
-        yield Fold(
+
+    def fold(number: int) -> Fold:
+        left_out, others = recordings[number], _without(recordings, number)
+        demonstrations, duration = align(others)
+        model = learn(demonstrations)
+        found, situation = tried(model, left_out, duration), left_out.to_demonstration(duration)
+        return Fold(
             left_out,
             found.path,
             found.errors,
@@ -120,6 +128,8 @@ def cross_validate(
             found.squared_distances,
             novelty_of(model, demonstrations, situation, POSE),
         )
+
+    yield from side_by_side(fold, range(len(recordings)), jobs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,8 +177,8 @@ def tried(model: LearnedMixture, recording: Recording, duration: float) -> Tried
 
 
 def tried_by_others(
-    recordings: Sequence[Recording], learn: Callable[[list[Demonstration]], LearnedMixture]
-) -> Iterator[tuple[Tried, LearnedMixture, list[Recording], list[Demonstration], Demonstration]]:
+    recordings: Sequence[Recording], learn: Callable[[list[Demonstration]], LearnedMixture], jobs: int = 1
+) -> Iterator[Tried]:
     """Reproduce each recording by a model of the others.
 
     Parameters
@@ -177,24 +187,32 @@ def tried_by_others(
         at least two
     learn
         a model of demonstrations
+    jobs
+        processes, see `side_by_side`
 
     Yields
     ------
-    tuple[Tried, LearnedMixture, list[Recording], list[Demonstration], Demonstration]
-        what came of it, the model, the others, their demonstrations, and the situation of the recording left out
+    Tried
+        what came of it
 
     Raises
     ------
     ValueError
         fewer than two recordings.
     """
+
+    def trial(number: int) -> Tried:
+        demonstrations, duration = align(_without(recordings, number))
+        return tried(learn(demonstrations), recordings[number], duration)
+
+    yield from side_by_side(trial, range(len(recordings)), jobs)
+
+
+def _without(recordings: Sequence[Recording], number: int) -> list[Recording]:
+    """All but one."""
     if len(recordings) < 2:
         raise ValueError(f"leave-one-out needs at least two demonstrations, {len(recordings)} given: record more")
-    for left_out in recordings:
-        others = [recording for recording in recordings if recording is not left_out]
-        demonstrations, duration = align(others)
-        model = learn(demonstrations)
-        yield tried(model, left_out, duration), model, others, demonstrations, left_out.to_demonstration(duration)
+    return [*recordings[:number], *recordings[number + 1 :]]
 
 
 def replay_nearest(others: Sequence[Recording], situation: Recording, anchor: str) -> Array:

@@ -29,10 +29,12 @@ from tpgmm_core.robot.led_hand import LedHand
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator
 from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.broadcasting import RobotBroadcaster
 from tpgmm_ros.messages.conversions import JointReader, MessageError
 from tpgmm_ros.messages.joint_messages import joint_state_of_values
 from tpgmm_ros.messages.joint_state_bytes import JointStateValues
 from tpgmm_ros.messages.qos import EVENTS, STREAM
+from tpgmm_ros.nodes.joint_states import BROADCAST_ROBOT
 from tpgmm_ros.runtime.executor import StopFlag, run
 from tpgmm_ros.runtime.local_topics import publish_value
 from tpgmm_ros.runtime.monitor import Monitor
@@ -52,6 +54,7 @@ PARAMETERS = [
     Declared("rate", 1000.0, "Joint states per second of simulated time, Hz", 100.0, 2000.0, fixed=True),
     Declared("physics_steps", 1, "Physics steps from one joint state to the next", 1, 20, fixed=True),
     Declared("pose_rate", 100.0, "End point poses per second of simulated time, Hz", 1.0, 1000.0, fixed=True),
+    BROADCAST_ROBOT,
     Declared("command_timeout", 0.1, "Time without torques after which the robot brakes, s", 0.002, 10.0),
     Declared("braking_rate", 20.0, "How fast it brakes while no torques come, 1/s", 0.0, 50.0),
     Declared(
@@ -119,6 +122,7 @@ class BaxterSimulatorNode(Node):
         self._poses = {
             name: self.create_publisher(PoseStamped, f"endpoint/{name}/pose", STREAM) for name in self.robot.endpoints
         }
+        self._shown = RobotBroadcaster(self, self.robot) if self.parameters[BROADCAST_ROBOT.name] else None
         self._clock_publisher = self.create_publisher(Clock, "/clock", EVENTS) if self.lockstep else None
         self.create_subscription(JointState, "joint_torques", self._take_torques, STREAM)
         self.create_subscription(WrenchStamped, "external_wrench", self._take_wrench, STREAM)
@@ -233,6 +237,8 @@ class BaxterSimulatorNode(Node):
                 for name in self._poses
             }
             self._send_poses()
+            if self._shown is not None:
+                self._shown.send(self._data, self._stamp_ns)
 
     def _send_poses(self) -> None:
         for name, message in self._last_poses.items():

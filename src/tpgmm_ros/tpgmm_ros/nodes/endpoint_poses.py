@@ -13,8 +13,9 @@ from rclpy.node import Node
 from tpgmm_core.observation.streams import Stamp
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.broadcasting import RobotBroadcaster
 from tpgmm_ros.messages.qos import STREAM
-from tpgmm_ros.nodes.joint_states import SPREAD, Heard, JointStateStream
+from tpgmm_ros.nodes.joint_states import BROADCAST_ROBOT, SPREAD, Heard, JointStateStream
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.monitor import Monitor
 from tpgmm_ros.runtime.parameters import Declared, Parameters
@@ -22,6 +23,7 @@ from tpgmm_ros.runtime.parameters import Declared, Parameters
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
     Declared("pose_rate", 100.0, "Rate of end point poses, at most that of joint states, Hz", 1.0, 1000.0, fixed=True),
+    BROADCAST_ROBOT,
     SPREAD,
 ]
 
@@ -39,6 +41,8 @@ class EndpointPosesNode(Node):
         self._poses = {
             name: self.create_publisher(PoseStamped, f"endpoint/{name}/pose", STREAM) for name in self.robot.endpoints
         }
+        shows = parameters[BROADCAST_ROBOT.name]
+        self._shown = RobotBroadcaster(self, self.robot) if shows else None
         self._joint_states = JointStateStream(
             self, "joint_states", self._take, self.robot.joint_names, ("position",), parameters[SPREAD.name]
         )
@@ -55,6 +59,8 @@ class EndpointPosesNode(Node):
         self._data.update(q)
         for name, publisher in self._poses.items():
             publisher.publish(conversions.pose_stamped(self._data.pose(name), stamp_ns, self.robot.base_frame))
+        if self._shown is not None:
+            self._shown.send(self._data, stamp_ns)
         self.monitor.done += 1
         self.monitor.step.add(time.perf_counter() - start)
 

@@ -20,6 +20,7 @@ from tpgmm_core.observation.poses import Observation, wrong_frame
 from tpgmm_core.observation.tracking import FrameStatus, FrameTracker, TrackedFrame, TrackingConfig
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.broadcasting import TransformBroadcaster
 from tpgmm_ros.messages.lockstep import LateBarrier, is_nothing_seen
 from tpgmm_ros.messages.qos import LATCHED, STREAM
 from tpgmm_ros.messages.sources import PoseStampedSource
@@ -34,6 +35,7 @@ from tpgmm_ros.task.task_file import Task
 
 PARAMETERS = [
     Declared("task_file", "", "Task file (YAML): frames, their topics, time-outs", fixed=True),
+    Declared("broadcast_transforms", False, "Publish the frames on /tf too, as TASK/FRAME, for viewers", fixed=True),
     Declared("rate", 100.0, "Task parameters are published this often, Hz", 1.0, 1000.0, fixed=True),
     Declared(
         "filter_time",
@@ -81,6 +83,7 @@ class FrameTrackerNode(Node):
         self._known: list[TrackedFrame] = []
         self._changes = 0
         self._publisher = self.create_publisher(TaskParameters, "task_parameters", LATCHED)
+        self._transforms = TransformBroadcaster(self) if parameters["broadcast_transforms"] else None
         self._sources: FrameSources | None = None
         if parameters["lockstep"]:
             self._subscribe_in_lockstep()
@@ -170,6 +173,10 @@ class FrameTrackerNode(Node):
     def _send(self, stamp_ns: int) -> None:
         frames = StampedFrames(tuple(self._known), stamp_ns, self.task.base_frame)
         publish_value(self._publisher, frames, StampedFrames.message)
+        if self._transforms is not None:
+            known = [frame for frame in self._known if frame.status is not FrameStatus.MISSING]
+            poses = {f"{self.task.name}/{frame.name}": frame.pose for frame in known if frame.pose is not None}
+            self._transforms.send(stamp_ns, self.task.base_frame, poses)
 
     def _forget(self) -> None:
         self.get_logger().warning("time jumped backwards: all observations are forgotten")

@@ -29,6 +29,12 @@ SPREAD = Declared(
     1.0,
     fixed=True,
 )
+BROADCAST_ROBOT = Declared(
+    "broadcast_transforms",
+    False,
+    "Publish robot_description, and the links on /tf, for viewers: where no robot_state_publisher does",
+    fixed=True,
+)
 MAX_FUTURE = Declared("max_future", 0.05, "Messages with stamps further in the future are refused, s", 0.001, 10.0)
 
 #: Diagnostics name a silence that is longer, s.

@@ -31,6 +31,7 @@ from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.broadcasting import TransformBroadcaster
 from tpgmm_ros.messages.conversions import TaskFrameState
 from tpgmm_ros.messages.lockstep import Barrier
 from tpgmm_ros.messages.markers import Scene
@@ -76,6 +77,7 @@ PARAMETERS = [
         1000.0,
         fixed=True,
     ),
+    Declared("broadcast_transforms", False, "Publish the reference on /tf too, as TASK/reference", fixed=True),
     Declared("rate", 0.0, "Rate of references on a timer, Hz; 0: one for each joint state", 0.0, 2000.0, fixed=True),
     Declared("retrieval", "", f"Retrieval method: {', '.join(METHODS)}; empty: what the model was learned for"),
     Declared("phase", "clock", f"What drives the model's time: {', '.join(PHASES)}"),
@@ -152,6 +154,7 @@ class ReproductionNode(ManagedNode):
         self._references = self.create_lifecycle_publisher(ReferenceMessage, "reference", STREAM)
         self._reference_poses = self.create_lifecycle_publisher(PoseWithCovarianceStamped, "reference_pose", STREAM)
         self._markers = self.create_lifecycle_publisher(MarkerArray, "markers", STREAM)
+        self._transforms = TransformBroadcaster(self) if self.parameters["broadcast_transforms"] else None
         task_parameters = self.create_subscription(
             TaskParameters, "task_parameters", self._take_task_parameters, LATCHED
         )
@@ -314,6 +317,9 @@ class ReproductionNode(ManagedNode):
             return
         if self._is_due("pose", stamp_ns, POSE_PERIOD_NS):
             self._reference_poses.publish(conversions.pose_with_covariance(reference.gaussian, stamp_ns, frame_id))
+            if self._transforms is not None:
+                pose = {f"{self.task.name}/reference": reference.gaussian.mean}
+                self._transforms.send(stamp_ns, frame_id, pose)
         if self._markers.get_subscription_count() and self._is_due("markers", stamp_ns, MARKER_PERIOD_NS):
             mixture = sequence.execution.retrieval.mixture()
             shown = self._scene.show(mixture, reference.activations, sequence.frames, stamp_ns, frame_id)

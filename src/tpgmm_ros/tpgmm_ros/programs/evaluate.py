@@ -24,7 +24,7 @@ from tpgmm_ros.models.task_model import load_task_model
 from tpgmm_ros.models.validation import Tried, mean_errors, tried, tried_by_others
 from tpgmm_ros.programs.leave_one_out import cells_of
 from tpgmm_ros.programs.reading import TrainingError, progress_bar, read_bags
-from tpgmm_ros.programs.train_options import add_reading_options
+from tpgmm_ros.programs.train_options import add_jobs, add_reading_options
 from tpgmm_ros.recordings.bags import Recording, align
 from tpgmm_ros.task.task_file import Task
 
@@ -77,7 +77,7 @@ def _evaluate(options: argparse.Namespace, report: dict[str, Any]) -> None:
         for name in names:
             bar.set_postfix_str(name)
             try:
-                found = _tried(name, bool(options.model), task, recordings, held_out)
+                found = _tried(name, bool(options.model), task, recordings, held_out, options.jobs)
                 report["results"].append({"name": name, **_of(found)})
             except (ValueError, np.linalg.LinAlgError) as error:
                 report["results"].append({"name": name, "error": one_line(error)})
@@ -85,7 +85,7 @@ def _evaluate(options: argparse.Namespace, report: dict[str, Any]) -> None:
 
 
 def _tried(
-    name: str, is_model: bool, task: Task, recordings: list[Recording], held_out: list[Recording]
+    name: str, is_model: bool, task: Task, recordings: list[Recording], held_out: list[Recording], jobs: int
 ) -> list[Tried]:
     if is_model:
         model = load_task_model(name, task)
@@ -96,7 +96,7 @@ def _tried(
         demonstrations, duration = align(recordings)
         model = learn(demonstrations)
         return [tried(model, recording, duration) for recording in held_out]
-    return [item for item, *_ in tried_by_others(recordings, learn)]
+    return list(tried_by_others(recordings, learn, jobs))
 
 
 def _of(found: Sequence[Tried]) -> dict[str, Any]:
@@ -143,6 +143,7 @@ def _parser() -> argparse.ArgumentParser:
         "--model", action="append", type=Path, metavar="FILE", help="evaluate this model on the bags; again for more"
     )
     parser.add_argument("--json", action="store_true", help="print all of it as JSON, with each demonstration")
+    add_jobs(parser)
     add_reading_options(parser)
     return parser
 

@@ -27,7 +27,7 @@ from tpgmm_ros.task.task_file import Task
 
 
 def validate(
-    task: Task, recipe: Recipe, recordings: list[Recording], trained: LearnedMixture
+    task: Task, recipe: Recipe, recordings: list[Recording], trained: LearnedMixture, jobs: int = 1
 ) -> tuple[list[Fold], dict[str, Any]]:
     """Reproduce each demonstration by a model of the others, and print the errors.
 
@@ -41,6 +41,8 @@ def validate(
         two or more
     trained
         the model of all of them, which is told how exact it is, what is new to it, and what errors to expect
+    jobs
+        processes
 
     Returns
     -------
@@ -56,7 +58,7 @@ def validate(
     folds: list[Fold] = []
     with progress_bar(total=len(recordings), desc="leave one out", unit="demonstration") as bar:
         learner = Learner.of(space, recipe.arguments)
-        for fold in cross_validate(recordings, lambda shown: recipe.learn(shown, space), anchor, learner):
+        for fold in cross_validate(recordings, lambda shown: recipe.learn(shown, space), anchor, learner, jobs):
             folds.append(fold)
             bar.update()
     mean = mean_errors([fold.model for fold in folds])

@@ -99,7 +99,7 @@ def _run(options: argparse.Namespace, report: dict[str, Any], learned: list[Trai
     learned.append(training)
     _summarize(training, task, report)
     if options.leave_one_out:
-        reproduced, report["leave_one_out"] = validate(task, recipe, recordings, training.model)
+        reproduced, report["leave_one_out"] = validate(task, recipe, recordings, training.model, options.jobs)
         folds += reproduced
     if options.output is not None:
         options.output.parent.mkdir(parents=True, exist_ok=True)

@@ -55,6 +55,7 @@ def parser_of_train() -> argparse.ArgumentParser:
         action="store_true",
         help="reproduce each demonstration with a model of the others, and print the errors",
     )
+    add_jobs(parser)
     parser.add_argument(
         "--auto",
         action="store_true",
@@ -87,6 +88,17 @@ def parser_of_train() -> argparse.ArgumentParser:
     )
     add_reading_options(parser)
     return parser
+
+
+def add_jobs(parser: argparse.ArgumentParser) -> None:
+    """Add how many processes leave demonstrations out."""
+    parser.add_argument(
+        "--jobs",
+        type=_positive,
+        default=1,
+        metavar="N",
+        help="processes that leave demonstrations out, through joblib (default: 1); the numbers are the same",
+    )
 
 
 def add_reading_options(parser: argparse.ArgumentParser) -> None:

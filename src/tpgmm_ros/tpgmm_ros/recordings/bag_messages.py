@@ -5,7 +5,7 @@ rosbag2 (MCAP, sqlite3) and ROS 1 bags: no ROS installation takes part. Whatever
 BagError that says which bag, what was found, what was expected and what to do.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from tpgmm_core.common.text import listed, one_line
 from tpgmm_ros.recordings.storage.bag_error import BagError
 from tpgmm_ros.recordings.storage.bag_reader import BagReader, BagTopic
 
-__all__ = ["BagError", "Messages", "Stream", "read_messages", "topics_named", "topics_of_type"]
+__all__ = ["BagError", "Messages", "Stream", "read_messages", "take_messages", "topics_named", "topics_of_type"]
 
 Array = NDArray[np.float64]
 Nanoseconds = NDArray[np.int64]
@@ -92,18 +92,42 @@ def read_messages(path: Path, topics: Iterable[str], message_type: str) -> dict[
     BagError
         the bag is damaged or incomplete, or a topic is absent, empty or of another type.
     """
+    found: dict[str, list[tuple[int, Any]]] = {name: [] for name in topics}
+    names = take_messages(path, found, message_type, lambda name, at, message: found[name].append((at, message)))
+    return {
+        name: Messages(names[name], np.array([at for at, _ in several], np.int64), tuple(one for _, one in several))
+        for name, several in found.items()
+    }
+
+
+def take_messages(
+    path: Path, topics: Iterable[str], message_type: str, take: Callable[[str, int, Any], object]
+) -> dict[str, str]:
+    """The same, handed over one after the other in the order of writing, so that none has to be kept.
+
+    Parameters
+    ----------
+    path, topics, message_type
+        see `read_messages`
+    take
+        called with the topic as given, the time of the recorder in ns, and the message
+
+    Returns
+    -------
+    dict[str, str]
+        the topics' names in the bag, by topic as given
+
+    Raises
+    ------
+    BagError
+        see `read_messages`.
+    """
     with BagReader(path) as reader:
         chosen = topics_named(path, list(topics), reader.topics, message_type)
         names = {topic.name: name for name, topic in chosen.items()}
-        messages: dict[str, list[tuple[int, Any]]] = {name: [] for name in chosen}
         for topic, recorded, message in reader.messages(list(chosen.values())):
-            messages[names[topic.name]].append((recorded, message))
-    return {
-        name: Messages(
-            chosen[name].name, np.array([at for at, _ in several], np.int64), tuple(message for _, message in several)
-        )
-        for name, several in messages.items()
-    }
+            take(names[topic.name], recorded, message)
+    return {name: topic.name for name, topic in chosen.items()}
 
 
 def topics_of_type(path: Path, message_type: str) -> set[str]:

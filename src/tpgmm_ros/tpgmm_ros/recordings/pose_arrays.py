@@ -15,11 +15,10 @@ import numpy as np
 from tpgmm_core.common.safe_yaml import YamlError
 from tpgmm_core.common.yaml_sections import Section
 from tpgmm_core.common.yaml_values import a_quaternion, numbers
-from tpgmm_core.observation.poses import Observation
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_ros.messages.fields import pose_numbers
 from tpgmm_ros.recordings.bag_messages import Array, BagError, Stream, read_messages
-from tpgmm_ros.recordings.pose_streams import usable_poses
+from tpgmm_ros.recordings.pose_streams import Observed, usable_poses
 from tpgmm_ros.task.task_file import PoseArraySpec
 
 POSE_ARRAY = "geometry_msgs/msg/PoseArray"
@@ -64,7 +63,9 @@ def read_pose_array(
     if not message.poses:
         raise BagError(path, f"the PoseArray on {found.topic} is empty; record the whole movement")
     period_ns, frame_id = round(spec.period * SECOND), message.header.frame_id
-    seen = [Observation(k * period_ns, frame_id, pose_numbers(pose)) for k, pose in enumerate(message.poses)]
+    T = len(message.poses)
+    numbers_of_poses = np.array([pose_numbers(pose) for pose in message.poses])
+    seen = Observed(period_ns * np.arange(T), [frame_id] * T, numbers_of_poses)
     movement, good, notes = usable_poses(path, found.topic, seen, base_frame)
     stamps = period_ns * np.flatnonzero(good)
     return Stream(found.topic, stamps, stamps, movement, notes), _places(path, spec.frames, frames)

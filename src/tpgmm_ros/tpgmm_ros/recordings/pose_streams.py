@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses out of one bag, from the sources that a task names; what is no pose is left out, counted and said."""
 
+from array import array
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from sys import intern
 from typing import NamedTuple
 
 import numpy as np
@@ -10,16 +12,15 @@ import numpy as np
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.geometry.pose import compose
 from tpgmm_core.observation.gate import MotionLimits, likeliest_course
-from tpgmm_core.observation.poses import ROUNDING, Observation, check_poses, doubtful_units, wrong_frame
+from tpgmm_core.observation.poses import ROUNDING, check_poses, doubtful_units, wrong_frame
 from tpgmm_core.observation.transforms import NO_TRANSFORM, TransformError
 from tpgmm_ros.messages.sources import Source, TopicSource, TransformSource
 from tpgmm_ros.recordings.bag_messages import (
     Array,
     BagError,
-    Messages,
     Nanoseconds,
     Stream,
-    read_messages,
+    take_messages,
 )
 from tpgmm_ros.recordings.transforms import RecordedTransforms
 
@@ -72,11 +73,20 @@ def read_pose_streams(path: Path, sources: Mapping[str, Source], base_frame: str
     transforms = RecordedTransforms(path)
     moving: dict[str, Stream] = {}
     fixed: dict[str, Array] = {}
-    topics: dict[str, dict[str, None]] = {}
-    for source in sources.values():
+    kinds: dict[str, dict[str, list[_Seen]]] = {}
+    seen: dict[str, _Seen] = {}
+    for name, source in sources.items():
         if not isinstance(source, TransformSource):
-            topics.setdefault(source.message_type, {})[source.topic] = None
-    messages = {kind: read_messages(path, names, kind) for kind, names in topics.items()}
+            seen[name] = _Seen(source)
+            kinds.setdefault(source.message_type, {}).setdefault(source.topic, []).append(seen[name])
+    names: dict[str, str] = {}
+    for kind, topics in kinds.items():
+
+        def take(topic: str, at: int, message: object, topics: dict[str, list[_Seen]] = topics) -> None:
+            for one in topics[topic]:
+                one.take(at, message)
+
+        names |= take_messages(path, topics, kind, take)
     for name, source in sources.items():
         if isinstance(source, TransformSource):
             found = transforms.stream(source)
@@ -85,37 +95,64 @@ def read_pose_streams(path: Path, sources: Mapping[str, Source], base_frame: str
             else:
                 fixed[name] = found
         else:
-            several = messages[source.message_type][source.topic]
-            moving[name] = _stream(path, source, several, base_frame, transforms)
+            moving[name] = seen[name].stream(path, names[source.topic], base_frame, transforms)
     return PoseStreams(moving, fixed)
 
 
-def _stream(
-    path: Path, source: TopicSource, several: Messages, base_frame: str, transforms: RecordedTransforms
-) -> Stream:
-    read = [(at, source.read(message)) for at, message in zip(several.recorded.tolist(), several.messages, strict=True)]
-    seen = [(at, observation) for at, observation in read if observation is not None]
-    if not seen:
-        raise BagError(
-            path,
-            f"{several.topic} never holds {source.selection}, in {len(read)} messages; correct the entry of the "
-            "task file",
-        )
-    observations = [observation for _, observation in seen]
-    poses, good, notes = usable_poses(path, several.topic, observations, base_frame, transforms)
-    return Stream(
-        several.topic,
-        stamps=np.array([observation.stamp_ns for observation in observations], np.int64)[good],
-        recorded=np.array([at for at, _ in seen], np.int64)[good],
-        values=poses,
-        notes=notes,
-    )
+class _Seen:
+    """What a source has observed, as numbers: the messages themselves take ten times the memory."""
+
+    def __init__(self, source: TopicSource) -> None:
+        self.source, self.messages = source, 0
+        self.stamps, self.recorded, self.numbers = array("q"), array("q"), array("d")
+        self.frame_ids: list[str] = []
+
+    def take(self, at: int, message: object) -> None:
+        """A message, with the time of the recorder, ns."""
+        self.messages += 1
+        observation = self.source.read(message)
+        if observation is not None:
+            self.stamps.append(observation.stamp_ns)
+            self.recorded.append(at)
+            self.numbers.extend(observation.pose)
+            self.frame_ids.append(intern(observation.frame_id))
+
+    def stream(self, path: Path, topic: str, base_frame: str, transforms: RecordedTransforms) -> Stream:
+        """The poses of it, on a topic of a bag, in the base frame."""
+        if not self.stamps:
+            raise BagError(
+                path,
+                f"{topic} never holds {self.source.selection}, in {self.messages} messages; correct the entry of the "
+                "task file",
+            )
+        stamps, recorded = np.array(self.stamps, np.int64), np.array(self.recorded, np.int64)
+        seen = Observed(stamps, self.frame_ids, np.array(self.numbers).reshape(-1, 7))
+        poses, good, notes = usable_poses(path, topic, seen, base_frame, transforms)
+        return Stream(topic, stamps[good], recorded[good], poses, notes)
+
+
+class Observed(NamedTuple):
+    """Observations, each as it came.
+
+    Parameters
+    ----------
+    stamps
+        (T,) ns
+    frame_ids
+        T
+    numbers
+        (T, 7) of poses
+    """
+
+    stamps: Nanoseconds
+    frame_ids: Sequence[str]
+    numbers: Array
 
 
 def usable_poses(
     path: Path,
     topic: str,
-    observations: Sequence[Observation],
+    observed: Observed,
     base_frame: str,
     transforms: RecordedTransforms | None = None,
 ) -> tuple[Array, np.ndarray, tuple[str, ...]]:
@@ -125,7 +162,7 @@ def usable_poses(
     ----------
     path, topic
         where they are from, for errors
-    observations
+    observed
         T of them
     base_frame
         the frame that they are to be in
@@ -142,8 +179,7 @@ def usable_poses(
     BagError
         most of them cannot be used, with the reason of the most frequent fault.
     """
-    numbers = np.array([observation.pose for observation in observations], dtype=np.float64).reshape(-1, 7)
-    frame_ids = np.array([observation.frame_id for observation in observations], dtype=object)
+    numbers, frame_ids = observed.numbers, np.array(observed.frame_ids, dtype=object)
     poses, good, reasons = check_poses(numbers)
     notes = []
     for frame_id in sorted(set(frame_ids.tolist())):
@@ -155,7 +191,7 @@ def usable_poses(
             try:
                 if transforms is None or not frame_id:
                     raise TransformError(reason)
-                place = transforms.tree.pose(frame_id, base_frame, observations[k].stamp_ns)
+                place = transforms.tree.pose(frame_id, base_frame, int(observed.stamps[k]))
             except TransformError as error:
                 good[k] = False
                 kind = reason if str(error).startswith(NO_TRANSFORM) else str(error)

@@ -14,6 +14,7 @@ from rclpy.node import Node
 
 from tpgmm_core.robot.description import RobotDescription
 from tpgmm_ros.runtime.background import Background
+from tpgmm_workbench.desk.coaching import Coaching
 from tpgmm_workbench.desk.learning import Learning
 from tpgmm_workbench.desk.sharing import Sharing
 from tpgmm_workbench.desk.table import Table
@@ -69,8 +70,10 @@ class Desk:
         self._background, self._judge = Background(node), Background(node)
         self._watcher = Watcher(node, project.task, self.robot)
         self._movement = MovementClient(node, self.say)
-        self.teaching = Teaching(node, project, self._judge, self.say, lambda: None)
         self._learning = Learning(project, self._background, self.say)
+        # a correction is a demonstration with a model of its own: both come, and are taken back, at once
+        self.teaching = Teaching(node, project, self._judge, self.say, self._learning.refresh)
+        self._coaching = Coaching(project, self._background, self.say, self.teaching.refresh, feels=simulated)
         self.sharing = Sharing(project, self._background, self._refused, self.say)
         data = self.robot.create_data()
         data.update(self.robot.home)
@@ -84,6 +87,7 @@ class Desk:
         self._graph = GraphView()
         self._speed, self._is_paused, self._duration = 1.0, False, 0.0
         self._release_until: float | None = None
+        self._is_read = False
 
     def close(self) -> None:
         """End what goes on, in order; what was recorded is kept."""
@@ -112,6 +116,8 @@ class Desk:
         if self.teaching.is_recording or self._release_until is not None:
             return Activity.TEACHING
         if self._movement.view.goes_on:
+            if self._coaching.is_on:
+                return Activity.COACHING
             return Activity.PAUSED if self._is_paused else Activity.RUNNING
         return Activity.IDLE
 
@@ -134,7 +140,11 @@ class Desk:
     def look(self) -> DeskView:
         """What is known now; to be called up to thirty times per second."""
         self._graph = self._watcher.look()
+        if not self._is_read:  # not before: outcomes of the background come to a node that is served, and are lost else
+            self._is_read = True
+            self.teaching.refresh()
         self._learning.look()
+        self._coaching.watch(self._movement.view, self._graph, self.table.aim is not None)
         self._begin_when_free()
         self.table.tell(self._graph)
         now = time.monotonic()
@@ -152,6 +162,7 @@ class Desk:
             preview=self._learning.shown,
             reasons={action: may(action, facts) for action in Action},
             words=tuple(words for _, words in reversed(self._said)),
+            coached=self._coaching.words,
             shared=self.sharing.words,
             places=self.table.places,
             hidden=self.table.hidden,
@@ -196,7 +207,7 @@ class Desk:
             self.teaching.end()
 
     def undo(self) -> None:
-        """Take the last demonstration back."""
+        """Take the last demonstration back, or the last correction with its model."""
         if not self._refused(Action.UNDO):
             self.teaching.undo()
 
@@ -251,6 +262,17 @@ class Desk:
         if not self._refused(Action.PAUSE):
             self._is_paused = True
             self._movement.set_speed(0.0)
+
+    def coach(self) -> None:
+        """Take what the hand is led to while the skill runs as a correction; nothing moves by itself."""
+        if not self._refused(Action.COACH):
+            self._coaching.begin()
+
+    def end_coaching(self) -> None:
+        """Let go of the hand; the correction is learned as soon as the movement is over."""
+        if not self._refused(Action.END_COACHING):
+            self.table.let_go()
+            self._coaching.end()
 
     def set_speed(self, speed: float) -> None:
         """Run at this speed; 1: as learned, below 0: back."""

@@ -9,20 +9,38 @@ from dataclasses import dataclass
 
 from tpgmm_core.common.text import one_line
 from tpgmm_core.common.types import Array
+from tpgmm_core.retrieval.relevance import Relevance, relevance
 from tpgmm_ros.runtime.background import Background
+from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.preview import Preview, preview
-from tpgmm_workbench.project.project import Project, TrainedModel
+from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.project.training import Progress, Training, TrainingOptions
+
+#: Parts of a movement for which it is shown how much each frame says.
+PARTS = 24
 
 
 @dataclass(frozen=True, slots=True)
 class ModelView:
-    """The present model: its number, its file, and how well it does, in words."""
+    """The present model.
+
+    Parameters
+    ----------
+    number, path
+        its own, and its file
+    words
+        how well it does
+    misfits
+        number of each demonstration that does not fit the others -> why
+    relevance
+        how much each frame says in each of PARTS of the movement; None where that depends on the situation
+    """
 
     number: int
     path: str
     words: tuple[str, ...]
     misfits: Mapping[int, str]
+    relevance: Relevance | None = None
 
 
 class Learning:
@@ -54,7 +72,6 @@ class Learning:
         self._project, self._background, self._say = project, background, say
         self._training: Training | None = None
         self._is_previewing = False
-        self.refresh()
 
     @property
     def is_training(self) -> bool:
@@ -68,18 +85,28 @@ class Learning:
 
     def refresh(self) -> None:
         """Find out which model is the present one."""
-        self._background.run(lambda: self._project.model, self._take)
+        self._background.run(self._find, self._take)
 
-    def _take(self, job: Future[TrainedModel | None]) -> None:
+    def _find(self) -> ModelView | None:
+        found, known = self._project.model, self.model
+        if found is None or (known is not None and known.number == found.number):
+            return known if found is not None else None
+        try:
+            shares = relevance(self._project.load(found), PARTS)
+        except ProjectError:
+            raise
+        except ValueError:  # frames that see different spaces: what each says depends on the situation
+            shares = None
+        return ModelView(found.number, str(found.path), tuple(found.notes.words), found.notes.misfits, shares)
+
+    def _take(self, job: Future[ModelView | None]) -> None:
         try:
             found = job.result()
         except (OSError, ValueError) as error:
             self._say(f"the models cannot be read: {one_line(error)}")
             return
-        self.shown = None
-        self.model = None
-        if found is not None:
-            self.model = ModelView(found.number, str(found.path), tuple(found.notes.words), found.notes.misfits)
+        if found is not self.model:
+            self.model, self.shown = found, None
 
     def train(self, options: TrainingOptions) -> None:
         """Begin to train."""

@@ -105,7 +105,6 @@ class Teaching:
         self.shown: tuple[TaughtView, ...] = ()
         self.suggested: Suggestion | None = None
         self._all: tuple[TaughtDemonstration, ...] = ()
-        self.refresh()
 
     @property
     def is_recording(self) -> bool:
@@ -245,7 +244,7 @@ class Teaching:
     def _found(self, job: Future[Suggestion]) -> None:
         try:
             self.suggested = job.result()
-            self._say(f"show it next {self.suggested.words}")
+            self._say(f"where next: {self.suggested.words}")
         except (OSError, ValueError) as error:
             self._say(f"no suggestion: {one_line(error)}")
 

@@ -44,6 +44,8 @@ class DeskView:
         action -> why it may not be done now, or nothing
     words
         what was said last, newest first
+    coached
+        what goes on of a correction, or came of the last one
     shared
         what came of the last export or import
     places
@@ -69,6 +71,7 @@ class DeskView:
     preview: Preview | None = None
     reasons: dict[Action, str] = field(default_factory=dict)
     words: tuple[str, ...] = ()
+    coached: str = ""
     shared: str = ""
     places: dict[str, Array] = field(default_factory=dict)
     hidden: frozenset[str] = frozenset()

@@ -132,7 +132,6 @@ class Page:
             share = SharePanel(server, desk, self.ask, self._give)
         with tabs.add_tab("Nodes"):
             nodes = NodesPanel(server)
-        with tabs.add_tab("Look"):
             dark = server.gui.add_checkbox("dark", False)
             dark.on_update(
                 lambda event: server.gui.configure_theme(

@@ -104,7 +104,7 @@ class TrainPanel:
         )
         self._cancel = Button(server, "Cancel training", lambda page: ask(page, desk.cancel_training))
         self._bar: Any = server.gui.add_progress_bar(0.0, visible=False)
-        self._words, self._model = Text(server), Text(server)
+        self._words, self._model, self._relevance = Text(server), Text(server), Text(server)
 
     def show(self, view: DeskView) -> None:
         """Show what is known."""
@@ -118,6 +118,7 @@ class TrainPanel:
             self._bar.value = min(100.0, max(0.0, 100.0 * progress.share))
         self._words.show(words.training(view))
         self._model.show(words.model(view))
+        self._relevance.show(words.relevance(view))
 
 
 class RunPanel:
@@ -142,9 +143,22 @@ class RunPanel:
         )
         self._bar: Any = server.gui.add_progress_bar(0.0)
         self._state = Text(server)
+        self._is_coaching = False
+        self._coach = Button(
+            server,
+            "Coach",
+            lambda page: ask(page, desk.end_coaching if self._is_coaching else desk.coach),
+            "C",
+            color="orange",
+        )
+        self._coached = Text(server)
 
     def show(self, view: DeskView) -> None:
         """Show what is known."""
+        self._is_coaching = view.activity is Activity.COACHING
+        action = Action.END_COACHING if self._is_coaching else Action.COACH
+        self._coach.show(view.reasons.get(action, ""), "Let go" if self._is_coaching else "Coach")
+        self._coached.show(words.coaching(view))
         self._preview.show(view.reasons.get(Action.PREVIEW, ""))
         is_paused = view.activity is Activity.PAUSED
         self._run.show(view.reasons.get(Action.RUN, ""), "Go on" if is_paused else "Run")
@@ -157,15 +171,15 @@ class RunPanel:
 
 
 class RobotPanel:
-    """The torques that are sent, and how stiff the hand is held."""
+    """How stiff the hand is held, and the torques that are sent."""
 
     def __init__(self, server: ViserServer) -> None:
-        self._torques, self._stiffness = Text(server), Text(server)
+        self._stiffness, self._torques = Text(server), Text(server)
 
     def show(self, view: DeskView) -> None:
         """Show what is known."""
-        self._torques.show(words.torques(view))
         self._stiffness.show(words.stiffness(view))
+        self._torques.show(words.torques(view))
 
 
 class NodesPanel:

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from html import escape
+from itertools import cycle
 
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.project.activities import LEAST, Action, Activity
-from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SKY, YELLOW, Color, css
+from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SEVERAL, SKY, YELLOW, Color, css
 
 #: So many demonstrations before training is suggested: with fewer, hardly anything is known of how exact a skill is.
 SUGGESTED = 4
@@ -46,6 +47,8 @@ def next_step(view: DeskView) -> str:
         if view.lasted == 0.0:
             return "The arm is being released: the recording begins in a moment."
         return "Show the movement: lead the hand. Then press Finish."
+    if view.activity is Activity.COACHING:
+        return "Drag the hand's gizmo to where the hand should be. Then press Let go."
     if view.activity in (Activity.RUNNING, Activity.PAUSED):
         return "Move an object, or hide it, and see how the movement adapts."
     if view.progress is not None and not view.progress.is_over:
@@ -121,6 +124,14 @@ def demonstrations(view: DeskView) -> str:
     return _block(lines)
 
 
+def coaching(view: DeskView) -> str:
+    """What goes on of a correction, or came of the last one."""
+    if not view.coached:
+        return ""
+    mark = chip("coaching", RED) + " " if view.activity is Activity.COACHING else ""
+    return _block([mark + escape(view.coached)])
+
+
 def sharing(view: DeskView) -> str:
     """What came of the last export or import; before, what they are."""
     if view.shared:
@@ -138,6 +149,35 @@ def model(view: DeskView) -> str:
     if view.model is None:
         return _block(["No model yet."])
     return _block([f"<b>Model {view.model.number}</b>", *(escape(words) for words in view.model.words)])
+
+
+def relevance(view: DeskView) -> str:
+    """How much each frame says over the movement: a column for each part of it, and in words where each says most."""
+    found = None if view.model is None else view.model.relevance
+    if found is None or not found.shares:
+        return ""
+    colors = dict(zip(found.shares, cycle(SEVERAL), strict=False))
+    parts = list(zip(*found.shares.values(), strict=True))
+    names = list(found.shares)
+    columns = "".join(
+        '<div style="flex:1;display:flex;flex-direction:column">'
+        + "".join(
+            f'<div style="flex:{share:.3f} 0 0;background:{css(colors[name])}"></div>'
+            for name, share in zip(names, part, strict=True)
+        )
+        + "</div>"
+        for part in parts
+    )
+    most = [names[max(range(len(names)), key=part.__getitem__)] for part in parts]
+    lines = [
+        f"<b>How much each frame counts</b>, {'from begin to end' if found.along == 'movement' else 'by component'}",
+        f'<div style="display:flex;height:3.5em">{columns}</div>',
+    ]
+    for name in names:
+        where = [number for number, first in enumerate(most) if first == name]
+        text = f"counts most in {len(where) / len(most):.0%} of it" if where else "never counts most"
+        lines.append(f"{chip(name, colors[name])} {text}")
+    return _block(lines)
 
 
 def training(view: DeskView) -> str:
@@ -176,9 +216,10 @@ def torques(view: DeskView) -> str:
     for one in view.graph.torques:
         color, word = GREEN, ""
         if one.share >= NEAR_LIMIT:
-            color, word = (RED, chip("at its limit", RED)) if one.share >= AT_LIMIT else (YELLOW, chip("near", YELLOW))
+            color, where = (RED, "at its limit") if one.share >= AT_LIMIT else (YELLOW, "near its limit")
+            word = chip(where, color)
         lines.append(
-            f"{escape(one.joint)}: {one.torque:.1f} of {one.limit:.0f} {escape(one.unit)} {word}"
+            f"{escape(one.joint)}: {one.torque:z.1f} of {one.limit:.0f} {escape(one.unit)} {word}"
             f'<div style="background:rgba(130,130,130,0.3);height:0.4em;border-radius:0.2em">'
             f'<div style="background:{css(color)};height:100%;border-radius:0.2em;'
             f'width:{100.0 * min(1.0, one.share):.0f}%"></div></div>'

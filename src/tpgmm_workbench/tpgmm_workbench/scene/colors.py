@@ -18,6 +18,8 @@ GREY: Color = (130, 130, 130)
 TRAIL, REFERENCE, PREVIEW, COMPONENT, SUGGESTED = BLUE, ORANGE, GREEN, PINK, SKY
 #: How stiff the hand is held.
 STIFFNESS = YELLOW
+#: Of things beside each other, in this order.
+SEVERAL = (ORANGE, SKY, GREEN, PINK, BLUE, YELLOW)
 #: What is known of a frame: each has a word of its own beside the colour.
 FRAME: dict[str, Color] = {"seen": GREEN, "held": YELLOW, "missing": RED, "refused": PINK, "fixed": GREY}
 
