@@ -196,3 +196,18 @@ def test_a_movement_fades_in_and_out_and_an_unknown_end_point_is_refused(robot: 
     assert np.abs(np.diff(held)).max() < 0.2 * held[15]
     with pytest.raises(ValueError, match=r"no end points \['middle'\]"):
         HandTasks(robot, {}, ARMS, led=("middle",))
+
+
+def test_a_hand_whose_movement_is_lost_stays_where_it_is_while_the_other_one_goes_on(robot: RobotModel) -> None:
+    data, q = robot.create_data(), robot.home.copy()
+    data.update(q)
+    wanted = {
+        hand: Gaussian(POSE.exp(data.pose(hand), [0.04, 0.0, 0.04, 0.0, 0.0, 0.0]), 1e-5 * np.eye(6), POSE)
+        for hand in ("left", "right")
+    }
+    active = ActiveTasks(HandTasks(robot, {}, ARMS, led=("left", "right")), blend_time=0.05)
+    for i in range(80):
+        q[active.tasks.joints] = active.step(q, 0.01, wanted if i < 40 else {"right": wanted["right"]}).mean
+        data.update(q)
+    for hand, gaussian in wanted.items():
+        np.testing.assert_allclose(POSE.log(gaussian.mean, data.pose(hand)), 0.0, atol=2e-3)

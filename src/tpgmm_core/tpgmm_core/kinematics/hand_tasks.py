@@ -183,7 +183,8 @@ class HandTasks:
 class ActiveTasks:
     """Which of the tasks are active: each fades in and out over a time.
 
-    The rest posture is where the robot is when the first task becomes active. While none is active, the robot is free:
+    The rest posture is where the robot is when the first task becomes active, and when a movement lets an end point go.
+    While none is active, the robot is free:
     what nothing constrains stays where it is.
 
     Parameters
@@ -199,6 +200,7 @@ class ActiveTasks:
         self._shares = dict.fromkeys(tasks.names, 0.0)
         self._led = dict.fromkeys(tasks.led, 0.0)
         self._references: dict[str, Gaussian] = {}  # the last ones
+        self._fading: set[str] = set()  # end points that nobody leads any more
         self._chosen: frozenset[str] = frozenset()
         self._rest: Array | None = None
 
@@ -258,8 +260,10 @@ class ActiveTasks:
             self._rest = None
             joints = self.tasks.joints
             return Gaussian(q[joints], UNCONSTRAINED_VARIANCE * np.eye(len(joints)))
-        if self._rest is None:
+        fading = {name for name in led if name not in (references or {})}
+        if self._rest is None or fading - self._fading:  # a hand that is let go stays where it is
             self._rest = q.copy()
+        self._fading = fading
         weights = {name: _smooth(share) for name, share in self._shares.items()}
         wanted = {name: self._references[name] for name in led}
         scaled = {name: Gaussian(g.mean, g.covariance / led[name], g.manifold) for name, g in wanted.items()}
