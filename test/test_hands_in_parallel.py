@@ -83,10 +83,8 @@ class Robot:
         return all(p.get_subscription_count() for p in publishers) and self.node.count_publishers("reference") > 0
 
     def tick(self) -> None:
-        """A joint state, which is sent again until it is answered; then the joints move."""
-        self.stamp_ns += TICK_NS
-        message = JointState(name=list(self.model.joint_names), position=self.q.tolist())
-        message.header.stamp = conversions.time_from_ns(self.stamp_ns)
+        """A joint state, later ones until one is answered; then the joints move."""
+        message, due = JointState(name=list(self.model.joint_names), position=self.q.tolist()), 0.0
 
         def is_answered() -> bool:
             last = self.inbox.last
@@ -96,10 +94,11 @@ class Robot:
             nonlocal due
             if time.monotonic() >= due:  # best effort may lose a message
                 due = time.monotonic() + 0.2
+                self.stamp_ns += TICK_NS
+                message.header.stamp = conversions.time_from_ns(self.stamp_ns)
                 self._states.publish(message)
             return is_answered()
 
-        due = 0.0
         spin_until(self.node, is_answered_or_told_again, message="an answer")
         joints = [self.model.joint_names.index(name) for name in self.inbox.last.dimensions]
         self.q[joints] += np.clip(np.array(self.inbox.last.gaussian.mean) - self.q[joints], -0.03, 0.03)

@@ -184,8 +184,7 @@ class ActiveTasks:
     """Which of the tasks are active: each fades in and out over a time.
 
     The rest posture is where the robot is when the first task becomes active, and when a movement lets an end point go.
-    While none is active, the robot is free:
-    what nothing constrains stays where it is.
+    While none is active, the robot is free: what nothing constrains stays where it is.
 
     Parameters
     ----------
