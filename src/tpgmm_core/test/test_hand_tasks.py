@@ -11,6 +11,7 @@ from tpgmm_core import TPGMM, Frame
 from tpgmm_core.control.controller import Controller
 from tpgmm_core.control.joint_impedance import JointImpedanceLaw
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.kinematics.hand_tasks import ActiveTasks, HandTask, HandTasks, deviation
 from tpgmm_core.model.reference import Reference
@@ -153,3 +154,60 @@ def test_a_pushed_hand_gives_way_where_the_task_leaves_freedom_and_stays_level(r
         tilts.append(np.degrees(np.linalg.norm(way[3:5])))
     assert ways[-1] > 0.03
     assert max(tilts[300:]) < 2.0
+
+
+def test_movements_of_both_hands_and_a_task_are_one_product_in_joint_space(robot: RobotModel) -> None:
+    """Each hand is where its movement wants it; a task that holds the left one's height too moves it half way."""
+    tasks = HandTasks(robot, {}, ARMS, led=("left", "right"))
+    data, q, wanted = robot.create_data(), robot.home.copy(), {}
+    data.update(q)
+    for hand, way in (("left", [0.03, -0.05, 0.04, 0.0, 0.1, 0.0]), ("right", [0.0, 0.05, -0.03, 0.1, 0.0, 0.1])):
+        wanted[hand] = Gaussian(POSE.exp(data.pose(hand), way), np.diag([1e-6] * 3 + [1e-5] * 3), POSE)
+    for _ in range(6):  # Gauss-Newton
+        q[tasks.joints] = tasks.at(q, robot.home, references=wanted).mean
+        data.update(q)
+    for hand, gaussian in wanted.items():
+        np.testing.assert_allclose(POSE.log(gaussian.mean, data.pose(hand)), 0.0, atol=1e-3)
+    alone = tasks.at(q, robot.home, references={"left": wanted["left"]})
+    right = robot.indices("right_arm")
+    np.testing.assert_allclose(alone.covariance[7:, 7:], np.eye(len(right)), atol=1e-9)
+
+    lower = wanted["left"].mean - np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
+    model = TPGMM(n_components=1, manifold=str(POSE), init="kmeans", reg_covar=1e-6)
+    steps = np.random.default_rng(0).normal(size=(400, 6)) * [1.0, 1.0, 1e-9, 1.0, 1.0, 1.0]
+    model.fit_projected({"world": np.stack([POSE.exp(lower, 0.1 * (step - steps.mean(axis=0))) for step in steps])})
+    both = HandTasks(robot, {"low": HandTask(model, "left", {"world": WORLD})}, ARMS, led=("left",))
+    for _ in range(6):
+        q[both.joints] = both.at(q, robot.home, references={"left": wanted["left"]}).mean
+        data.update(q)
+    # the task's spread of the height is that of `reg_covar`, 1e-6, as that of the movement
+    assert data.pose("left")[2] == pytest.approx(wanted["left"].mean[2] - 0.01, abs=2e-3)
+
+
+def test_a_movement_fades_in_and_out_and_an_unknown_end_point_is_refused(robot: RobotModel) -> None:
+    data = robot.create_data()
+    data.update(robot.home)
+    wanted = {"left": Gaussian(POSE.exp(data.pose("left"), [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]), 1e-4 * np.eye(6), POSE)}
+    active = ActiveTasks(HandTasks(robot, {}, ARMS, led=("left",)), blend_time=0.1)
+    course = [active.step(robot.home, 0.01, wanted if i < 20 else None) for i in range(40)]
+    held = np.array([np.linalg.eigvalsh(gaussian.precision)[-1] for gaussian in course])
+    assert held[0] < 0.05 * held[15] and (np.diff(held[:10]) > 0.0).all() and (np.diff(held[20:29]) < 0.0).all()
+    assert held[35] < 1e-3, "nothing is left of it"
+    assert np.abs(np.diff(held)).max() < 0.2 * held[15]
+    with pytest.raises(ValueError, match=r"no end points \['middle'\]"):
+        HandTasks(robot, {}, ARMS, led=("middle",))
+
+
+def test_a_hand_whose_movement_is_lost_stays_where_it_is_while_the_other_one_goes_on(robot: RobotModel) -> None:
+    data, q = robot.create_data(), robot.home.copy()
+    data.update(q)
+    wanted = {
+        hand: Gaussian(POSE.exp(data.pose(hand), [0.04, 0.0, 0.04, 0.0, 0.0, 0.0]), 1e-5 * np.eye(6), POSE)
+        for hand in ("left", "right")
+    }
+    active = ActiveTasks(HandTasks(robot, {}, ARMS, led=("left", "right")), blend_time=0.05)
+    for i in range(80):
+        q[active.tasks.joints] = active.step(q, 0.01, wanted if i < 40 else {"right": wanted["right"]}).mean
+        data.update(q)
+    for hand, gaussian in wanted.items():
+        np.testing.assert_allclose(POSE.log(gaussian.mean, data.pose(hand)), 0.0, atol=2e-3)

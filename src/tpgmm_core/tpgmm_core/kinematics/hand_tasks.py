@@ -29,6 +29,8 @@ from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
 from tpgmm_core.robot.model import RobotModel
 
+BASE_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandTask:
@@ -93,6 +95,8 @@ class HandTasks:
     rest_deviation
         standard deviation of each joint about the rest posture, rad: a Gaussian by Eq. (7) that was not taught, so weak
         that it only decides what no task does. Without it a push would move the arms for ever
+    led
+        end points that may have references from elsewhere, such as those of movements: see `at`
 
     Raises
     ------
@@ -101,7 +105,12 @@ class HandTasks:
     """
 
     def __init__(
-        self, robot: RobotModel, tasks: Mapping[str, HandTask], joints: Sequence[str], rest_deviation: float = 1.0
+        self,
+        robot: RobotModel,
+        tasks: Mapping[str, HandTask],
+        joints: Sequence[str],
+        rest_deviation: float = 1.0,
+        led: Collection[str] = (),
     ) -> None:
         if not 0.0 < rest_deviation < np.inf:
             raise ValueError(f"the deviation about the rest posture is positive and finite, got {rest_deviation}")
@@ -109,7 +118,9 @@ class HandTasks:
         self.joints = np.concatenate([robot.indices(group) for group in joints])
         self.joint_names = tuple(robot.joint_names[i] for i in self.joints)
         self._views = [view for name, task in tasks.items() for view in _views(name, task)]
+        self.led = tuple(led)
         used = {v.endpoint for v in self._views} | {v.observer for v in self._views if v.observer is not None}
+        used |= set(led)
         unknown = sorted(used - set(robot.endpoints))
         if unknown:
             raise ValueError(f"the robot has no end points {unknown}; it has {list(robot.endpoints)}")
@@ -119,7 +130,13 @@ class HandTasks:
         self._still = np.zeros((6, len(self.joints)))
         self.at(robot.home, robot.home)  # compiles
 
-    def at(self, q: Array, rest: Array, weights: Mapping[str, float] | None = None) -> Gaussian:
+    def at(
+        self,
+        q: Array,
+        rest: Array,
+        weights: Mapping[str, float] | None = None,
+        references: Mapping[str, Gaussian] | None = None,
+    ) -> Gaussian:
         """Where the tasks draw the joints, and how much each direction matters, as a Gaussian.
 
         Parameters
@@ -130,6 +147,8 @@ class HandTasks:
             (nv,), the rest posture
         weights
             by task, 0 to 1: precisions are scaled by them; 1 where not named
+        references
+            end point → where a movement wants it in the base frame, on "R3 x S3": one more factor for each
 
         Returns
         -------
@@ -141,7 +160,10 @@ class HandTasks:
         jacobians = {name: np.ascontiguousarray(self._data.jacobian(name)[:, self.joints]) for name in self._used}
         n = len(self.joints)
         precisions, maps, errors = [self._prior], [np.eye(n)], [rest[self.joints] - q[self.joints]]
-        for view in self._views:
+        views = self._views
+        if references:
+            views = views + [_led(name, gaussian) for name, gaussian in references.items()]
+        for view in views:
             weight = 1.0 if weights is None else weights.get(view.task, 1.0)
             if weight <= 0.0:
                 continue
@@ -161,8 +183,8 @@ class HandTasks:
 class ActiveTasks:
     """Which of the tasks are active: each fades in and out over a time.
 
-    The rest posture is where the robot is when the first task becomes active. While none is active, the robot is free:
-    what nothing constrains stays where it is.
+    The rest posture is where the robot is when the first task becomes active, and when a movement lets an end point go.
+    While none is active, the robot is free: what nothing constrains stays where it is.
 
     Parameters
     ----------
@@ -175,6 +197,9 @@ class ActiveTasks:
     def __init__(self, tasks: HandTasks, blend_time: float = 0.5) -> None:
         self.tasks, self.blend_time = tasks, blend_time
         self._shares = dict.fromkeys(tasks.names, 0.0)
+        self._led = dict.fromkeys(tasks.led, 0.0)
+        self._references: dict[str, Gaussian] = {}  # the last ones
+        self._fading: set[str] = set()  # end points that nobody leads any more
         self._chosen: frozenset[str] = frozenset()
         self._rest: Array | None = None
 
@@ -206,20 +231,52 @@ class ActiveTasks:
         """The tasks whose weight is not zero."""
         return tuple(name for name, share in self._shares.items() if share > 0.0)
 
-    def step(self, q: Array, dt: float) -> Gaussian:
-        """The Gaussian over the joints at positions q (nv,), dt s after the last step."""
-        for name, share in self._shares.items():
-            change = dt / self.blend_time if name in self._chosen else -dt / self.blend_time
-            self._shares[name] = min(1.0, max(0.0, share + change))
-        if not self.holding:
+    def step(self, q: Array, dt: float, references: Mapping[str, Gaussian] | None = None) -> Gaussian:
+        """The Gaussian over the joints.
+
+        Parameters
+        ----------
+        q
+            (nv,), positions of the robot
+        dt
+            since the last step, s
+        references
+            end point → where a movement wants it now, as for `HandTasks.at`. It fades in where there was none before,
+            and out, as it was, where there is none any more
+
+        Returns
+        -------
+        Gaussian
+            over the joint positions, rad or m
+        """
+        self._references |= references or {}
+        for shares, chosen in ((self._shares, self._chosen), (self._led, references or {})):
+            for name, share in shares.items():
+                change = dt / self.blend_time if name in chosen else -dt / self.blend_time
+                shares[name] = min(1.0, max(0.0, share + change))
+        led = {name: _smooth(share) for name, share in self._led.items() if share > 0.0}
+        if not self.holding and not led:
             self._rest = None
             joints = self.tasks.joints
             return Gaussian(q[joints], UNCONSTRAINED_VARIANCE * np.eye(len(joints)))
-        if self._rest is None:
+        fading = {name for name in led if name not in (references or {})}
+        if self._rest is None or fading - self._fading:  # a hand that is let go stays where it is
             self._rest = q.copy()
-        # smooth at both ends; a precision, of which stiffness is the root, may well begin as a square
-        weights = {name: share**2 * (3.0 - 2.0 * share) for name, share in self._shares.items()}
-        return self.tasks.at(q, self._rest, weights)
+        self._fading = fading
+        weights = {name: _smooth(share) for name, share in self._shares.items()}
+        wanted = {name: self._references[name] for name in led}
+        scaled = {name: Gaussian(g.mean, g.covariance / led[name], g.manifold) for name, g in wanted.items()}
+        return self.tasks.at(q, self._rest, weights, scaled)
+
+
+def _smooth(share: float) -> float:
+    """Smooth at both ends; a precision, of which stiffness is the root, may well begin as a square."""
+    return share**2 * (3.0 - 2.0 * share)
+
+
+def _led(endpoint: str, wanted: Gaussian) -> _View:
+    """An end point as the base sees it, and where a movement wants it."""
+    return _View("", endpoint, None, BASE_POSE, np.array(wanted.mean), wanted.precision)
 
 
 def _views(name: str, task: HandTask) -> list[_View]:
