@@ -100,7 +100,8 @@ class Sharing:
 
 
 def _held(project: Project) -> str:
-    return f"{len(project.demonstrations())} demonstrations, {len(project.models())} models"
+    counts = {"demonstration": len(project.demonstrations()), "model": len(project.models())}
+    return ", ".join(f"{count} {what}{'' if count == 1 else 's'}" for what, count in counts.items())
 
 
 def _free_folder(parent: Path, name: str) -> Path:
