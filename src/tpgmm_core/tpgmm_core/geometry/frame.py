@@ -222,10 +222,15 @@ class Frame:
         return np.linalg.pinv(self.A, rcond=RANK_TOLERANCE) if self.inverse is None else self.inverse
 
 
+def is_pose_covariance(P: Array) -> bool:
+    """Whether these numbers are a covariance (6, 6): finite, symmetric, with no negative eigenvalue beyond rounding."""
+    is_symmetric = P.shape == (6, 6) and bool(np.isfinite(P).all()) and np.allclose(P, P.T)
+    return is_symmetric and bool(np.linalg.eigvalsh(P)[0] >= -1e-9 * np.trace(P))
+
+
 def _checked_covariance(covariance: ArrayLike, is_time_varying: bool) -> Array:
     P = np.array(covariance, dtype=float)
-    is_covariance = P.shape == (6, 6) and bool(np.isfinite(P).all()) and np.allclose(P, P.T)
-    if is_time_varying or not is_covariance or np.linalg.eigvalsh(P)[0] < -1e-9 * np.trace(P):
+    if is_time_varying or not is_pose_covariance(P):
         raise ValueError(
             f"a constant frame may have the covariance (6, 6) of its pose, finite, symmetric and with no negative "
             f"eigenvalue, m² and rad²; got shape {P.shape}: {shown(P.tolist())}"

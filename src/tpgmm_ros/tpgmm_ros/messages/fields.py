@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.frame import is_pose_covariance
 
 Numbers = tuple[float, float, float, float, float, float, float]
 
@@ -62,5 +63,4 @@ def covariance_array(pose: Any) -> Array | None:
     if not np.isfinite(covariance).all() or not (np.diag(covariance) > 0.0).all():
         return None
     covariance /= max(1.0, float(np.abs(covariance).max()) / LARGEST_VARIANCE)
-    is_one = np.allclose(covariance, covariance.T) and np.linalg.eigvalsh(covariance)[0] >= -1e-9 * np.trace(covariance)
-    return covariance if is_one else None
+    return covariance if is_pose_covariance(covariance) else None

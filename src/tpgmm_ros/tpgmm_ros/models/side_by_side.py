@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same work on several things, in several processes through joblib; on a cluster where a backend of it is named."""
+"""The same work on several things, in several processes through joblib."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from typing import Any
 
 def side_by_side[T, R](work: Callable[[T], R], items: Iterable[T], jobs: int = 1) -> Iterator[R]:
     """What comes of each, in the order of the items.
-
-    Within ``joblib.parallel_config(backend="dask")``, and the like for Ray, a cluster does the work.
 
     Parameters
     ----------
