@@ -23,7 +23,7 @@ setup(
         (f"share/{package_name}/config/security", glob("config/security/*.xml")),
     ],
     python_requires=">=3.12",
-    install_requires=["tpgmm_core[robot]", "backports.zstd", "lz4", "rosbags", "tqdm"],
+    install_requires=["tpgmm_core[robot]", "backports.zstd", "joblib", "lz4", "rosbags", "tqdm"],
     extras_require={"test": ["hypothesis", "pytest"]},  # `colcon test` asks for pytest here
     entry_points={
         "console_scripts": [
