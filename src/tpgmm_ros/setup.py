@@ -24,7 +24,10 @@ setup(
     ],
     python_requires=">=3.12",
     install_requires=["tpgmm_core[robot]", "backports.zstd", "joblib", "lz4", "rosbags", "tqdm"],
-    extras_require={"test": ["hypothesis", "pytest"]},  # `colcon test` asks for pytest here
+    extras_require={
+        "lerobot": ["pyarrow>=21"],  # 21 is the first that loads no pickles from a schema, whatever it says
+        "test": ["hypothesis", "pytest"],  # `colcon test` asks for pytest here
+    },
     entry_points={
         "console_scripts": [
             "frame_tracker = tpgmm_ros.executables:frame_tracker",
