@@ -21,7 +21,16 @@ from tpgmm_core.control.loop_guard import LoopGuard
 from tpgmm_core.control.supervision import ControllerMode, Inputs, Timeouts, decide, slow_states
 from tpgmm_core.control.torque_pipeline import TorqueLimits
 from tpgmm_core.model.reference import Reference
-from tpgmm_core.observation.streams import BETWEEN, SECOND, RateMeter, Stamp, StreamWatch, standing_still
+from tpgmm_core.observation.streams import (
+    BETWEEN,
+    SECOND,
+    RateMeter,
+    Stamp,
+    StreamWatch,
+    stamps_ahead,
+    stamps_behind,
+    standing_still,
+)
 from tpgmm_core.robot.model import RobotModel
 
 
@@ -131,7 +140,7 @@ class SupervisedController[TargetT]:
             return
         try:
             if kind is Stamp.FUTURE:
-                raise ValueError(_ahead(timeouts.max_future))
+                raise ValueError(stamps_ahead(timeouts.max_future))
             self._moving = self.law.target(reference, True)
         except ValueError as error:
             self.refuse_reference(str(error))
@@ -166,7 +175,7 @@ class SupervisedController[TargetT]:
         timeouts = self.timeouts
         kind = self._states.judge(stamp_ns, now_ns, clock_ns, timeouts.joint_state_timeout, timeouts.max_future)
         if kind is Stamp.FUTURE:
-            return self.refuse_state(_ahead(timeouts.max_future), stamp_ns, now_ns)
+            return self.refuse_state(stamps_ahead(timeouts.max_future), stamp_ns, now_ns)
         if kind is Stamp.OLD:
             return None
         age = self._states.age(now_ns)
@@ -175,7 +184,7 @@ class SupervisedController[TargetT]:
             self._trouble = lambda: standing_still(stamp_ns)
             return None if stale else self._answer  # once it is stale, `watch` answers
         if timeouts.max_age > 0.0 and clock_ns > 0 and clock_ns - stamp_ns > timeouts.max_age * SECOND:
-            return self.refuse_state(_behind(stamp_ns, clock_ns, timeouts.max_age), stamp_ns, now_ns)
+            return self.refuse_state(stamps_behind(stamp_ns, clock_ns, timeouts.max_age), stamp_ns, now_ns)
         if kind is Stamp.RESTARTED:
             self.guard.forget()
             self._references.forget()
@@ -332,17 +341,3 @@ class SupervisedController[TargetT]:
             return None
         self._answer, self._answered_state, self._sent_ns = Answer(stamp_ns, command), to_state, now_ns
         return self._answer
-
-
-def _behind(stamp_ns: int, clock_ns: int, max_age: float) -> str:
-    if stamp_ns == 0:
-        return "its stamp is 0: let the driver stamp joint states, or set max_age to 0, but its age is then unknown"
-    return (
-        f"its stamp lies {(clock_ns - stamp_ns) / SECOND:.3g} s behind this machine's clock, more than max_age "
-        f"({max_age:g} s): it is too old, or the clocks differ; synchronise them, or set max_age to 0, and its age "
-        "stays unknown"
-    )
-
-
-def _ahead(max_future: float) -> str:
-    return f"its stamp lies more than {max_future:g} s ahead of this machine's clock; synchronise the clocks"

@@ -21,7 +21,7 @@ from tpgmm_core.learning.estimation.compiled_em import (
 from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
 from tpgmm_core.learning.estimation.em import expectation
 from tpgmm_core.learning.estimation.emissions import Emissions
-from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.estimation.structured_em import fit_structure
 from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.samples import Samples
@@ -86,7 +86,7 @@ class TPGMM(LearnedMixture):
     prior_strength: float = 0.0
     n_threads: int = 1
 
-    def _fit(self, samples: Samples, progress: Progress | None) -> Self:
+    def _fit(self, samples: Samples, progress: EmProgress | None) -> Self:
         if samples.n_samples < self.n_components:
             raise ValueError(f"{self.n_components} components need at least as many samples, got {samples.n_samples}")
         estimates: list[tuple[Estimate, Emissions | None]] = []
@@ -107,7 +107,7 @@ class TPGMM(LearnedMixture):
         return self
 
     def _estimate(
-        self, samples: Samples, start: MixtureParameters, progress: Progress | None
+        self, samples: Samples, start: MixtureParameters, progress: EmProgress | None
     ) -> tuple[Estimate, Emissions | None]:
         """Run EM from one start; returns the components as well where their structure is not full."""
         structure = self._structure()

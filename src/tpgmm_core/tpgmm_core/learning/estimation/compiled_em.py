@@ -14,7 +14,7 @@ import numpy as np
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.estimation import kernels_em, kernels_expectation
 from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
-from tpgmm_core.learning.estimation.iteration import Progress, iterate
+from tpgmm_core.learning.estimation.iteration import EmProgress, iterate
 from tpgmm_core.model.samples import Samples
 
 PARTS_OF_A_THREAD = 4
@@ -69,7 +69,7 @@ def expectation_maximisation(
     tol: float,
     max_iter: int,
     prior: CovariancePrior | None = None,
-    progress: Progress | None = None,
+    progress: EmProgress | None = None,
     n_threads: int = 1,
 ) -> Estimate:
     """EM from `start` until an iteration gains less than `tol`, at the earliest after 5 iterations.
