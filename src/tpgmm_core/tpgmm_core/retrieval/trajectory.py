@@ -304,10 +304,11 @@ class SmoothTrajectory:
         """
         mixture, smooth = self._solution()
         times = np.asarray(times, dtype=float)
-        activations = self._model.activations(times)
         means = _interpolated(self._grid, smooth, self.manifold, times)
         within = np.clip(times, self._grid[0], self._grid[-1])
-        return means, _spread(mixture, within, self._model.activations(within), means), activations[0]
+        activations = self._model.activations(within)
+        first = activations[0] if within[0] == times[0] else self._model.activations(times[:1])[0]
+        return means, _spread(mixture, within, activations, means), first
 
     def mixture(self) -> GaussianMixture:
         """The model in this situation.
