@@ -63,6 +63,7 @@ def learning(tell: Tell) -> None:
     PoseFilter.compile_kernels()
     pose = samples()[:, 1:]
     POSE.exp(pose[0], POSE.log(pose[0], pose[1]))
+    POSE.transport(pose[0], pose[1])
 
 
 def control(tell: Tell) -> None:

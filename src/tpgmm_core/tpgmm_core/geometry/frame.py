@@ -56,12 +56,12 @@ class Frame:
                 raise ValueError(f"A has {len(A)} time steps, b has {len(b)}")
             A = np.broadcast_to(A, (steps, *A.shape[-2:]))
             b = np.broadcast_to(b, (steps, b.shape[-1]))
-        if not (np.all(np.isfinite(A)) and np.all(np.isfinite(b))):
+        if not (np.isfinite(A).all() and np.isfinite(b).all()):
             raise ValueError("the A and b of a frame must be finite")
         if self.inverse is not None:
             inverse = np.array(self.inverse, dtype=float)
             transposed = A.shape[:-2] + A.shape[:-3:-1]
-            if inverse.shape not in (transposed, transposed[-2:]) or not np.all(np.isfinite(inverse)):
+            if inverse.shape not in (transposed, transposed[-2:]) or not np.isfinite(inverse).all():
                 raise ValueError(
                     f"the inverse of A {A.shape} is finite and has the transposed shape, got {inverse.shape}"
                 )
