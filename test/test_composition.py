@@ -215,7 +215,7 @@ class Pair:
         self.wait(lambda: self.count == counted + 2, "the other node to go on")
         self.process.send_signal(signal.SIGINT)
         assert self.process.wait(20.0) == 1
-        assert "Traceback" in self.process.output and "Error" in self.process.output
+        assert "Traceback" in self.process.output and "RuntimeError" in self.process.output
 
 
 @pytest.fixture
@@ -246,12 +246,10 @@ def test_a_message_that_a_node_fails_at_ends_that_node_alone_also_where_it_fails
     assert "InvalidHandle" not in failing.process.output
 
 
-@pytest.mark.parametrize("duration", [0.5, 1.5])
-def test_a_goal_that_a_node_fails_at_ends_that_node_alone(failing: Pair, duration: float) -> None:
-    """When it comes, or when it is carried out."""
+def test_a_goal_that_a_node_fails_at_ends_that_node_alone(failing: Pair) -> None:
     client = ActionClient(failing.node, Reproduce, "reproduce")
     failing.wait(client.server_is_ready, "the action")
-    client.send_goal_async(Reproduce.Goal(duration=duration))
+    client.send_goal_async(Reproduce.Goal())
     failing.ends_alone(0)
 
 
