@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from lifecycle_msgs.msg import Transition
 from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
 from rclpy.node import Node
@@ -165,6 +166,13 @@ def test_each_node_has_its_own_life_cycle_and_parameters(loop: Loop) -> None:
     assert change_state(loop.node, "impedance_controller", ACTIVATE)
     loop.live_until(lambda: loop.mode == ControllerMode.ACTIVE, "the controller to follow again")
     loop.live_until(lambda: loop.torques.messages, "torques")
+    # the end of one node is that of its movement, not of the others
+    assert change_state(loop.node, "reproduction", Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    loop.live_until(lambda: loop.mode == ControllerMode.DAMPING, "the controller to miss references")
+    references.clear()
+    loop.torques.clear()
+    loop.live_until(lambda: len(loop.torques.messages) > 20, "torques")
+    assert not references.messages
 
 
 def test_told_to_stop_the_loop_ends_with_the_safe_torque(loop: Loop) -> None:
