@@ -6,7 +6,6 @@ from __future__ import annotations
 import sys
 
 from rclpy.action import ActionServer, GoalResponse
-from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from std_msgs.msg import Int64
 from std_srvs.srv import Trigger
@@ -41,7 +40,7 @@ class Failing(Node):
         self.create_subscription(Int64, "given", self._take, 10)
         self.create_subscription(Int64, "twos", self._hear, 10)
         self.create_service(Trigger, "fail", self._fail)
-        ActionServer(self, Reproduce, "reproduce", self._carry_out, goal_callback=self._accept)
+        ActionServer(self, Reproduce, "reproduce", lambda goal: Reproduce.Result(), goal_callback=self._accept)
         self._ends_in_order = True
 
     def _take(self, message: Int64) -> None:
@@ -57,13 +56,7 @@ class Failing(Node):
         raise RuntimeError("as it was asked")
 
     def _accept(self, goal: Reproduce.Goal) -> GoalResponse:
-        if goal.duration < 1.0:
-            raise RuntimeError("no time for it")
-        return GoalResponse.ACCEPT
-
-    def _carry_out(self, goal: ServerGoalHandle) -> str:
-        goal.succeed()
-        return "which is no result"
+        raise RuntimeError("no such goal")
 
     def destroy_node(self) -> None:
         self._numbers.publish(Int64(data=-1))  # its last word

@@ -25,6 +25,8 @@ from tpgmm_ros.runtime.scheduling import request_realtime
 type Publish = Callable[[JointState], None]
 
 MANNER_TOPIC = "driver/manner"
+#: Between two states of a slow driver, ns.
+SLOW_NS = 20_000_000
 
 
 class Relay:
@@ -34,7 +36,7 @@ class Relay:
         self._publish = publish
         self._rng = np.random.default_rng(0)
         self._late: list[tuple[int, JointState]] = []
-        self._count = 0
+        self._count = self._due_ns = 0
         self.manner = "faithfully"
 
     def take(self, state: JointState) -> None:
@@ -64,8 +66,11 @@ class Relay:
         state.header.stamp = conversions.time_from_ns(0)
         self._publish(state)
 
-    def one_in_ten(self, state: JointState) -> None:
-        if self._count % 10 == 0:
+    def at_50_hz(self, state: JointState) -> None:
+        """However many states per second come, up to 500."""
+        stamp_ns = conversions.time_to_ns(state.header.stamp)
+        if stamp_ns >= self._due_ns:
+            self._due_ns = max(self._due_ns + SLOW_NS, stamp_ns + SLOW_NS // 2)
             self._publish(state)
 
     def without_an_elbow(self, state: JointState) -> None:
@@ -80,7 +85,7 @@ MANNERS: dict[str, Callable[[Relay, JointState], None]] = {
         Relay.out_of_order,
         Relay.in_parts,
         Relay.without_stamps,
-        Relay.one_in_ten,
+        Relay.at_50_hz,
         Relay.without_an_elbow,
     )
 }

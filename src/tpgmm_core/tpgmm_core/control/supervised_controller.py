@@ -90,6 +90,7 @@ class SupervisedController[TargetT]:
         self._state_fault = self._reference_fault = ""
         self._answer: Answer | None = None
         self._answered_state = False
+        self._used: float | None = None
         self._q = self._v = np.zeros(0)
         self._interval_ns = self._period_ns = 0
         self._sent_ns = self._watched_ns = 0
@@ -191,7 +192,10 @@ class SupervisedController[TargetT]:
             self._reference = self._moving = self._held = None
         if stale or self._state_fault:
             self.controller.restart()
-        dt = self._since_last(stamp_ns if self._answered_state else None, now_ns)
+        if self._used is not None and self._answer is not None:  # what was answered again counts to the same interval
+            dt = max(0.0, (stamp_ns - self._answer.stamp_ns) / SECOND - self._used)
+        else:
+            dt = self._since_last(stamp_ns if self._answered_state else None, now_ns)
         former, self._interval_ns = self._interval_ns, stamp_ns - (self._states.stamp_ns or stamp_ns)
         self._period_ns = min(former, self._interval_ns)  # a pause is no period
         self._states.accept(stamp_ns, now_ns)
@@ -214,7 +218,9 @@ class SupervisedController[TargetT]:
         """Answer the last joint state again, where the last reference was made after it and before the next one.
 
         A reproduction makes such a reference when frames have changed: the torques that follow from it need not wait
-        for the next joint state. Its stamp tells: it lies between theirs.
+        for the next joint state. Its stamp tells: it lies between theirs. The time since that state, in which torques
+        may change, is taken off the interval to the next one: between the stamps of two states, torques change by no
+        more than in one step, however late the messages come.
 
         Parameters
         ----------
@@ -236,7 +242,9 @@ class SupervisedController[TargetT]:
             return None
         guard = self.guard
         command = self.controller.step(self._q, self._v, self._moving, dt, guard.loop(), brakes=guard.swings)
-        return self._send(command, state_ns, now_ns, to_state=False)
+        answer = self._send(command, state_ns, now_ns, to_state=False)
+        self._used = self.controller.pipeline.time_step(dt)
+        return answer
 
     def refuse_state(self, reason: str, stamp_ns: int, now_ns: int) -> Answer | None:
         """Answer a joint state that cannot be used: by the safe torque where the robot was last.
@@ -340,4 +348,5 @@ class SupervisedController[TargetT]:
         if command is None:
             return None
         self._answer, self._answered_state, self._sent_ns = Answer(stamp_ns, command), to_state, now_ns
+        self._used = None
         return self._answer

@@ -189,7 +189,8 @@ def end(node: Node) -> bool:
             Node.destroy_node(node)
         return False
     finally:  # rclpy leaves actions to themselves, and with them the node would stay in the graph
-        for waitable in list(node.waitables):
+        waitables: list[Any] = list(node.waitables)
+        for waitable in waitables:
             waitable.destroy()
 
 

@@ -120,7 +120,18 @@ class NodeExecutor(rclpy_implementation.EventsExecutor):
         return super().create_task(until_done if inspect.iscoroutinefunction(callback) else once)
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Wait for what is to be done next, s at most, and do that; raises what it raises."""
+        """Wait for what is to be done next, and do that.
+
+        Parameters
+        ----------
+        timeout_sec
+            at most so long, s; None: as long as it takes
+
+        Raises
+        ------
+        Exception
+            what a callback or a task has raised
+        """
         super().spin_once(timeout_sec)
         if self._raised:
             raise self._raised.popleft()
