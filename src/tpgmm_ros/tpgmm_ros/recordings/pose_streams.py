@@ -5,7 +5,7 @@ from array import array
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from sys import intern
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from tpgmm_ros.recordings.bag_messages import (
     Stream,
     take_messages,
 )
+from tpgmm_ros.recordings.storage.message_types import quick_decoder
 from tpgmm_ros.recordings.transforms import RecordedTransforms
 
 MOST_BAD = 0.5
@@ -86,7 +87,7 @@ def read_pose_streams(path: Path, sources: Mapping[str, Source], base_frame: str
             for one in topics[topic]:
                 one.take(at, message)
 
-        names |= take_messages(path, topics, kind, take)
+        names |= take_messages(path, topics, kind, take, quick_decoder)
     for name, source in sources.items():
         if isinstance(source, TransformSource):
             found = transforms.stream(source)
@@ -107,15 +108,19 @@ class _Seen:
         self.stamps, self.recorded, self.numbers = array("q"), array("q"), array("d")
         self.frame_ids: list[str] = []
 
-    def take(self, at: int, message: object) -> None:
+    def take(self, at: int, message: Any) -> None:
         """A message, with the time of the recorder, ns."""
         self.messages += 1
-        observation = self.source.read(message)
-        if observation is not None:
-            self.stamps.append(observation.stamp_ns)
-            self.recorded.append(at)
-            self.numbers.extend(observation.pose)
-            self.frame_ids.append(intern(observation.frame_id))
+        if type(message) is tuple:  # a StampedPose
+            stamp_ns, frame_id, pose = message
+        elif (observation := self.source.read(message)) is not None:
+            stamp_ns, frame_id, pose = observation.stamp_ns, intern(observation.frame_id), observation.pose
+        else:
+            return
+        self.stamps.append(stamp_ns)
+        self.recorded.append(at)
+        self.numbers.extend(pose)
+        self.frame_ids.append(frame_id)
 
     def stream(self, path: Path, topic: str, base_frame: str, transforms: RecordedTransforms) -> Stream:
         """The poses of it, on a topic of a bag, in the base frame."""
