@@ -48,7 +48,7 @@ class Reread:
         self.passes += 1
         for first in range(0, len(self.shown), self.size):
             part = self.shown[first : first + self.size]
-            yield [Demonstration(d.times, d.data, dict(reversed(d.frames.items())), d.visible) for d in part]
+            yield [Demonstration(d.times, d.data, dict(reversed(list(d.frames.items()))), d.visible) for d in part]
 
 
 @pytest.mark.parametrize("init", ["time", "bins", "model"])

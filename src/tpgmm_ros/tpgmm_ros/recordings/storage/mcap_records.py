@@ -29,7 +29,23 @@ class Fields:
         return int.from_bytes(self.data(size), "little")
 
     def data(self, size: int) -> memoryview:
-        """The next bytes; raises DamageError where there are fewer."""
+        """The next bytes.
+
+        Parameters
+        ----------
+        size
+            how many
+
+        Returns
+        -------
+        memoryview
+            of the record
+
+        Raises
+        ------
+        DamageError
+            there are fewer.
+        """
         part = self._data[self._at : self._at + size]
         if len(part) != size:
             raise DamageError("a record is shorter than its fields")
