@@ -269,11 +269,12 @@ def without_leaps(
             f"leap by up to {course.way:.3f} m and {np.degrees(course.turn):.0f} deg, faster than {limits.speed:g} m/s "
             f"and {limits.turn_rate:g} rad/s, first {first:.2f} s after the start"
         )
-        if left > MOST_BAD * len(poses):
+        if left >= MOST_BAD * len(poses):
             raise BagError(
                 path,
-                f"{topic}: {left} of {len(poses)} poses {what}; what sees it mixes things up. Record it again, or "
-                "allow more by max_speed and max_turn_rate in the part tracking of the task file",
+                f"{topic}: {left} of {len(poses)} poses {what}; what sees it mixes things up, or two things "
+                "are on one topic. Record it again, or allow more by max_speed and max_turn_rate in the part "
+                "tracking of the task file",
             )
         notes.append(f"{topic}: {left} of {len(poses)} poses {what}: left out")
     if course.followed:
