@@ -14,11 +14,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from tpgmm_core.choice.reproducing import reproduce_gaussians
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.region import squared_radius
 from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.encodings import VelocityEncoding, encoding_of
@@ -163,7 +163,9 @@ def coverage(distances: Sequence[Array], dimensions: int) -> dict[float, float]:
     dict[float, float]
         for all LEVELS
     """
-    return {level: float(np.mean([np.mean(d <= chi2.ppf(level, dimensions)) for d in distances])) for level in LEVELS}
+    return {
+        level: float(np.mean([np.mean(d <= squared_radius(level, dimensions)) for d in distances])) for level in LEVELS
+    }
 
 
 def _scale(distances: Sequence[Array], dimensions: int) -> float:
@@ -173,4 +175,4 @@ def _scale(distances: Sequence[Array], dimensions: int) -> float:
     order = np.argsort(everything)
     share = np.cumsum(weights[order]) / weights.sum()
     found = everything[order][np.searchsorted(share, CALIBRATED_AT)]
-    return float(max(found, 1e-12) / chi2.ppf(CALIBRATED_AT, dimensions))
+    return float(max(found, 1e-12) / squared_radius(CALIBRATED_AT, dimensions))

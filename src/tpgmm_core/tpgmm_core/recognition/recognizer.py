@@ -18,13 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
 
 from tpgmm_core.common.settings import check_settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.geometry.region import squared_radius
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.recognition.skill import Skill, SkillFilter, moments
 
@@ -105,7 +105,7 @@ class Recognizer:
         spaces = {skill.name: str(skill.course.manifold) for skill in skills}
         if len(set(spaces.values())) > 1:
             raise ValueError(f"skills that are told apart are on one manifold, got {spaces}")
-        self._border = float(chi2.ppf(self.config.expected, skills[0].course.manifold.tangent_dim))
+        self._border = squared_radius(self.config.expected, skills[0].course.manifold.tangent_dim)
         priors = np.array([skill.prior for skill in skills])
         known = 1.0 - self.config.unknown_prior
         with np.errstate(divide="ignore"):

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.region import squared_radius
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.recognition.recognizer import UNKNOWN, RecognitionConfig
@@ -104,7 +104,7 @@ def _log_densities(filters: Sequence[SkillFilter], recording: Demonstration, con
 
     UNKNOWN has what the state that explains the sample best would give on its border.
     """
-    border = float(chi2.ppf(config.expected, filters[0].manifold.tangent_dim))
+    border = squared_radius(config.expected, filters[0].manifold.tangent_dim)
     found: list[Array] = []
     former: Situation | None = None
     steps = np.diff(recording.times, prepend=recording.times[0] - config.memory)

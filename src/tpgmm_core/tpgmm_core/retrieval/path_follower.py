@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
-from scipy.stats import chi2
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
+from tpgmm_core.geometry.region import squared_radius
 from tpgmm_core.retrieval.state_filter import NominalSchedule
 from tpgmm_core.retrieval.tracking_plan import Planner, TrackingPlan
 
@@ -20,12 +19,6 @@ USUAL = 0.95
 """Share of a state's positions that fit it fully. Within it, only durations distinguish neighbouring states."""
 PLAN_STEPS = 24
 """Steps of a plan, four per time constant: later ones would change it by less than a hundredth."""
-
-
-@lru_cache
-def _usual_distance(dimensions: int) -> float:
-    """Squared distance, in standard deviations, within which the share USUAL of a Gaussian lies."""
-    return float(chi2.ppf(USUAL, dimensions))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +107,7 @@ class AdaptedStates:
         d = self.manifold.log(self.means, state[None])
         aside = self.manifold.log(given, state) / self.tolerance
         squares = np.minimum(np.einsum("ki,kij,kj->k", d, self.seen, d), aside @ aside)
-        return np.exp(-0.5 * np.maximum(squares - _usual_distance(self.manifold.tangent_dim), 0.0))
+        return np.exp(-0.5 * np.maximum(squares - squared_radius(USUAL, self.manifold.tangent_dim), 0.0))
 
 
 class PathFollower:

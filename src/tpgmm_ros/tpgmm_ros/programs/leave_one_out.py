@@ -8,7 +8,6 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from tpgmm_core import Demonstration, LearnedMixture
 from tpgmm_core.choice.baselines import Learner
@@ -141,6 +140,8 @@ def _novelty(folds: list[Fold], demonstrations: list[Demonstration], trained: Le
     )
     if min(np.ptp(against), np.ptp(errors)) == 0.0:
         return None
+    from scipy.stats import spearmanr  # a quarter of a second, which only this line needs
+
     correlation = float(spearmanr(against, errors)[0])
     print(f"rank correlation of the contradiction with the error: {correlation:.2f}")
     return correlation
