@@ -46,8 +46,12 @@ format: dev ## format the code in the project's style
 	$(PYTHON) -m ruff check --fix
 	$(PYTHON) -m ruff format
 
+# A file of tests per core at a time; then, one at a time, those that would fail where other tests take the cores
 test: lint ## run lint, then all tests
-	$(PYTHON) -m pytest
+	@failed=0; \
+		$(PYTHON) -m pytest --numprocesses logical --maxprocesses 8 --dist loadfile -m "not alone" || failed=1; \
+		$(PYTHON) -m pytest -m alone || failed=1; \
+		exit $$failed
 
 properties: dev ## try 10 000 sequences of inputs: no torque and no rate exceeds its limit (`make test` tries fewer)
 	TPGMM_PROPERTY_SEQUENCES=10000 $(PYTHON) -m pytest --timeout 3600 src/tpgmm_core/test/test_controller_properties.py
@@ -189,7 +193,7 @@ $(DONE)/standard-interfaces: export PATH := $(CURDIR)/$(BIN):$(PATH)
 $(DONE)/standard-interfaces: export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
 $(DONE)/standard-interfaces: export CMAKE_PREFIX_PATH := $(CURDIR)/$(VENV)
 $(DONE)/standard-interfaces: $(DONE)/requirements tools/build_interfaces.py tools/standard_interfaces.yaml
-	$(call say,interfaces of ROS that the wheels lack: tf2_msgs and vision_msgs (some 90 seconds))
+	$(call say,interfaces of ROS that the wheels lack: tf2_msgs, vision_msgs, control_msgs (some 2 minutes))
 	@$(call progress,standard-interfaces) $(PYTHON) tools/build_interfaces.py tools/standard_interfaces.yaml $(CURDIR)/$(VENV)
 	@touch $@
 
