@@ -38,6 +38,8 @@ KEPT = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=
 PERIOD = 0.008
 #: Where it is told to be may be this far from where its last trajectory led, rad.
 JUMP = 0.05
+#: A goal is aborted where a joint is farther from its trajectory, or than the goal allows, rad.
+OWN_TOLERANCE = 0.1
 #: A deaf one answers after this, s.
 DEAF = 2.0
 
@@ -89,7 +91,7 @@ class PositionRobot(Node):
     def begin(self, goal: ServerGoalHandle) -> None:
         self.end(FollowJointTrajectory.Result.INVALID_GOAL, "another goal takes its place")
         self.goal = goal
-        self.tolerance = np.array([item.position for item in goal.request.path_tolerance])
+        self.tolerance = np.array([min(OWN_TOLERANCE, item.position) for item in goal.request.path_tolerance])
         self.take(goal.request.trajectory)
 
     def end(self, code: int, text: str) -> None:

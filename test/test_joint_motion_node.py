@@ -155,10 +155,9 @@ def test_a_robot_that_does_not_follow_stays_when_it_is_let_go(bench: Bench) -> N
     until = time.monotonic() + 1.0
     bench.until(lambda: time.monotonic() > until, "time to pass")
     assert np.abs(bench.q - stuck).max() < 0.01
-    # the jump back, to where it is, is the only one that the robot may see
-    back = [m for m in bench.violations.messages if bench.is_jump_to(m, stuck)]
-    assert len(back) == 1
-    bench.violations.messages.remove(back[0])
+    # the jump back, to where it is, is the only one that the robot may see: until it is over, in some messages
+    assert any(bench.is_jump_to(message, stuck) for message in bench.violations.messages)
+    bench.violations.messages = [m for m in bench.violations.messages if not bench.is_jump_to(m, stuck)]
 
 
 def test_references_that_cannot_be_used_are_named(bench: Bench) -> None:

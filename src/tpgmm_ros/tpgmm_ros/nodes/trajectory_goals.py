@@ -63,6 +63,7 @@ class TrajectoryGoals:
         self._client = ActionClient(node, self._action, TOPIC)
         self._number = 0  # of the goal that counts
         self._given_up: set[int] = set()
+        self._accepted: tuple[int, Any] | None = None  # the last one
         self._sent_at: float | None = None  # of a goal that waits for its answer, steady time
         self._rests_at: Array | None = None  # where the robot is told to be already
 
@@ -75,7 +76,6 @@ class TrajectoryGoals:
         if self._sent_at is None:
             return False
         if time.monotonic() - self._sent_at > ANSWER_TIMEOUT:
-            self._given_up.add(self._number)
             self._end(f"the controller has not answered a trajectory for {ANSWER_TIMEOUT:g} s")
             return False
         return True
@@ -108,32 +108,40 @@ class TrajectoryGoals:
 
     def _answered(self, number: int, answer: Future) -> None:
         goal: Any = answer.result()
-        if number in self._given_up:
-            self._given_up.discard(number)
-            if goal.accepted:  # nobody counts on it any more
-                goal.cancel_goal_async()
+        if number in self._given_up and goal.accepted:  # nobody counts on it any more
+            goal.cancel_goal_async()
         if number != self._number:
+            self._given_up.discard(number)
             return
         self._sent_at = None
         if not goal.accepted:
             self._end("the controller refused a trajectory")
             return
+        self._accepted = number, goal
         goal.get_result_async().add_done_callback(guarded(self._node, partial(self._ended, number)))
 
     def _ended(self, number: int, ended: Future) -> None:
-        if number != self._number:  # another one has taken its place
-            return
         status, result = ended.result().status, ended.result().result
-        if status == GoalStatus.STATUS_SUCCEEDED and result.error_code == result.SUCCESSFUL:
+        if number in self._given_up:
+            self._given_up.discard(number)
+            return
+        if status == GoalStatus.STATUS_CANCELED:  # also where another goal was on its way to take its place
+            self._end("another program canceled the trajectory")
+            return
+        if number != self._number or (status == GoalStatus.STATUS_SUCCEEDED and result.error_code == result.SUCCESSFUL):
             return
         names = [name for name in ERRORS if getattr(result, name) == result.error_code]
-        how = "canceled" if status == GoalStatus.STATUS_CANCELED else "ended"
-        by = "another program" if how == "canceled" and not result.error_code else "the controller"
         why = ", ".join([*names, *([one_line(result.error_string, 200)] if result.error_string else [])])
-        self._end(f"{by} {how} the trajectory" + (f": {why}" if why else ""))
+        self._end("the controller ended the trajectory" + (f": {why}" if why else ""))
 
     def _end(self, reason: str) -> None:
-        """The movement is over."""
+        """The movement is over, with the goal that goes on or waits for its answer."""
+        self._given_up.add(self._number)
+        if self._accepted is not None:
+            number, goal = self._accepted
+            self._given_up.add(number)
+            if number == self._number:  # one that a refused goal was to replace comes to rest by itself
+                goal.cancel_goal_async()
         self._number += 1
-        self._sent_at = self._rests_at = None
+        self._sent_at = self._rests_at = self._accepted = None
         self._refused(reason)
