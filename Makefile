@@ -194,7 +194,7 @@ $(DONE)/standard-interfaces: export PATH := $(CURDIR)/$(BIN):$(PATH)
 $(DONE)/standard-interfaces: export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
 $(DONE)/standard-interfaces: export CMAKE_PREFIX_PATH := $(CURDIR)/$(VENV)
 $(DONE)/standard-interfaces: $(DONE)/requirements tools/build_interfaces.py tools/standard_interfaces.yaml
-	$(call say,interfaces of ROS that the wheels lack: tf2_msgs and vision_msgs (some 90 seconds))
+	$(call say,interfaces of ROS that the wheels lack: tf2_msgs, vision_msgs, control_msgs (some 2 minutes))
 	@$(call progress,standard-interfaces) $(PYTHON) tools/build_interfaces.py tools/standard_interfaces.yaml $(CURDIR)/$(VENV)
 	@touch $@
 

@@ -3,19 +3,26 @@
 
     python position_robot.py ROBOT_FILE JOINT...
 
-It takes `joint_trajectory_controller/joint_trajectory` (reliable), for the joints in the order that it is given, and
-goes along cubic splines, each from where it is told to be at that time. It publishes `joint_states` at 125 Hz, with
-the joints in another order, as drivers do. `robot_mode` (std_msgs/String) takes "stuck" (it does not move, as after an
-emergency stop), "silent" (no joint states) and "well". What breaks the contract of the interface is on
-`violations`, one String each.
+It takes `joint_trajectory_controller/joint_trajectory` (reliable) and goals of the action
+`joint_trajectory_controller/follow_joint_trajectory`, each of which takes the place of the one before, for the joints
+in the order that it is given. It goes along cubic splines, each from where it is told to be at that time. It publishes
+`joint_states` at 125 Hz, with the joints in another order, as drivers do. `robot_mode` (std_msgs/String) takes "stuck"
+(it does not move, as after an emergency stop; a goal is aborted once its tolerance is exceeded), "silent" (no joint
+states), "refusing" (each goal), "deaf" (goals are not answered) and "well". What breaks the contract of the interface
+is on `violations`, one String each: words, and for a jump where it led to, after "to".
 """
 
 from __future__ import annotations
 
+import json
 import sys
+import time
 
 import numpy as np
 import rclpy
+from control_msgs.action import FollowJointTrajectory
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -31,6 +38,10 @@ KEPT = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=
 PERIOD = 0.008
 #: Where it is told to be may be this far from where its last trajectory led, rad.
 JUMP = 0.05
+#: A goal is aborted where a joint is farther from its trajectory, or than the goal allows, rad.
+OWN_TOLERANCE = 0.1
+#: A deaf one answers after this, s.
+DEAF = 2.0
 
 
 class PositionRobot(Node):
@@ -48,6 +59,17 @@ class PositionRobot(Node):
         self.violations = self.create_publisher(String, "violations", KEPT)
         self.create_subscription(JointTrajectory, "joint_trajectory_controller/joint_trajectory", self.take, RELIABLE)
         self.create_subscription(String, "robot_mode", self.take_mode, KEPT)
+        self.goal: ServerGoalHandle | None = None
+        self.tolerance = np.full(len(order), np.inf)
+        self.server = ActionServer(
+            self,
+            FollowJointTrajectory,
+            "joint_trajectory_controller/follow_joint_trajectory",
+            execute_callback=lambda _: None,  # goals are executed by `end`
+            goal_callback=self.judge,
+            handle_accepted_callback=self.begin,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
         self.create_timer(PERIOD, self.step)
 
     def now(self) -> float:
@@ -58,11 +80,54 @@ class PositionRobot(Node):
         if self.mode == "well":  # let go: it goes on from where it is, as its controller has been told last
             self.way = [(self.now(), self.q, np.zeros(len(self.order))), *self.way[-1:]]
 
+    def judge(self, goal: FollowJointTrajectory.Goal) -> GoalResponse:
+        if self.mode == "deaf":
+            time.sleep(DEAF)
+        names, tolerances = zip(*[(item.name, item.position) for item in goal.path_tolerance], strict=True)
+        if list(names) != self.order or min(tolerances) <= 0.0:
+            self.violations.publish(String(data=f"tolerances {tolerances} of {names}"))
+        return GoalResponse.REJECT if self.mode == "refusing" else GoalResponse.ACCEPT
+
+    def begin(self, goal: ServerGoalHandle) -> None:
+        self.end(FollowJointTrajectory.Result.INVALID_GOAL, "another goal takes its place")
+        self.goal = goal
+        self.tolerance = np.array([min(OWN_TOLERANCE, item.position) for item in goal.request.path_tolerance])
+        self.take(goal.request.trajectory)
+
+    def end(self, code: int, text: str) -> None:
+        """The goal that goes on ends, if there is one."""
+
+        def result(goal: ServerGoalHandle) -> FollowJointTrajectory.Result:
+            if goal.is_cancel_requested:
+                goal.canceled()
+                return FollowJointTrajectory.Result()
+            if code == FollowJointTrajectory.Result.SUCCESSFUL:
+                goal.succeed()
+            else:
+                goal.abort()
+            return FollowJointTrajectory.Result(error_code=code, error_string=text)
+
+        if self.goal is not None:
+            self.goal.execute(result)
+        self.goal = None
+
+    def watch_goal(self) -> None:
+        """It ends canceled, too far from where it should be, or at the end of its trajectory."""
+        if self.goal is None:
+            return
+        told, _ = self.told(self.now())
+        if self.goal.is_cancel_requested or (np.abs(told - self.q) > self.tolerance).any():
+            joint = self.order[int(np.argmax(np.abs(told - self.q)))]
+            self.way = [(self.now(), self.q, np.zeros(len(self.order)))]
+            self.end(FollowJointTrajectory.Result.PATH_TOLERANCE_VIOLATED, f"{joint} is too far off")
+        elif self.now() > self.way[-1][0]:
+            self.end(FollowJointTrajectory.Result.SUCCESSFUL, "")
+
     def take(self, message: JointTrajectory) -> None:
         for text in self.broken(message):
             self.violations.publish(String(data=text))
         now = self.now()
-        q, v = self.at(now)
+        q, v = self.told(now)
         self.way = [(now, q, v)]
         for point in message.points:
             after = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
@@ -88,14 +153,14 @@ class PositionRobot(Node):
             found.append(f"positions outside the limits: {q}")
         if (np.abs(v) > limits.velocity_limits[self.joints]).any():
             found.append(f"velocities above the limits: {v}")
-        here, _ = self.at(self.now())
+        here, _ = self.told(self.now())
         if np.abs(q[0] - here).max() > JUMP + float((np.abs(v[0]) * times[0]).max()):
-            found.append(f"a jump from {here} to {q[0]}")
+            found.append(f"a jump from {json.dumps(here.tolist())} to {json.dumps(q[0].tolist())}")
         return found
 
-    def at(self, now: float) -> tuple[np.ndarray, np.ndarray]:
+    def told(self, now: float) -> tuple[np.ndarray, np.ndarray]:
         """Where it is told to be: on a cubic between two points; at rest behind the last one."""
-        if self.mode == "stuck" or not self.way:
+        if not self.way:
             return self.q, np.zeros_like(self.q)
         for (t0, q0, v0), (t1, q1, v1) in zip(self.way, self.way[1:], strict=False):
             if now < t1:
@@ -107,7 +172,8 @@ class PositionRobot(Node):
         return self.way[-1][1], np.zeros_like(self.q)
 
     def step(self) -> None:
-        self.q, self.v = self.at(self.now())
+        self.q, self.v = (self.q, 0.0 * self.v) if self.mode == "stuck" else self.told(self.now())
+        self.watch_goal()
         if self.mode == "silent":
             return
         message = JointState(name=self.order[::-1], position=self.q[::-1].tolist(), velocity=self.v[::-1].tolist())

@@ -63,23 +63,27 @@ def is_installed(name: str, prefix: Path) -> bool:
 
 
 def write_sources(name: str, package: dict[str, Any], source: Path) -> None:
-    """The package as ROS packages are: CMakeLists.txt, package.xml, interfaces."""
-    shutil.rmtree(source, ignore_errors=True)
-    for file, text in package["files"].items():
-        path = source / file
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
+    """The package as ROS packages are: CMakeLists.txt, package.xml, interfaces; what it has already is left alone."""
     depends = package["depends"]
-    (source / "CMakeLists.txt").write_text(
-        CMAKE.format(
+    tags = "\n  ".join(f"<depend>{other}</depend>" for other in depends)
+    files = {
+        **package["files"],
+        "CMakeLists.txt": CMAKE.format(
             name=name,
             find="\n".join(f"find_package({other} REQUIRED)" for other in depends),
             files="\n  ".join(f'"{file}"' for file in package["files"]),
             depends=" ".join(depends),
-        )
-    )
-    tags = "\n  ".join(f"<depend>{other}</depend>" for other in depends)
-    (source / "package.xml").write_text(PACKAGE.format(name=name, version=package["version"], depends=tags))
+        ),
+        "package.xml": PACKAGE.format(name=name, version=package["version"], depends=tags),
+    }
+    present = {str(path.relative_to(source)): path.read_text() for path in source.rglob("*") if path.is_file()}
+    if present == files:  # nothing is newer then, and nothing is compiled again
+        return
+    shutil.rmtree(source, ignore_errors=True)
+    for file, text in files.items():
+        path = source / file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
 
 
 def build(source: Path, directory: Path, prefix: Path) -> None:
@@ -96,7 +100,8 @@ def build(source: Path, directory: Path, prefix: Path) -> None:
 def check_hashes(name: str, hashes: dict[str, str], prefix: Path) -> None:
     """Compare the hashes of types that were built with those that are published."""
     for interface, expected in hashes.items():
-        description = json.loads((prefix / "share" / name / f"{interface}.json").read_text())
+        file = interface.partition("_")[0]  # the parts of an action are in its file
+        description = json.loads((prefix / "share" / name / f"{file}.json").read_text())
         full_name = f"{name}/{interface}"
         found = next(item["hash_string"] for item in description["type_hashes"] if item["type_name"] == full_name)
         if found != expected:

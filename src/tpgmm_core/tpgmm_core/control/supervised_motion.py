@@ -200,15 +200,21 @@ class SupervisedMotion:
         """Note that a message came that is no whole joint state; `trouble` says what is missing, should none come."""
         self._state_fault, self._state_missing = "", trouble
 
+    def refuse_motion(self, reason: str) -> None:
+        """Note that the robot takes no more of this movement and stops by itself: nothing is sent until the next."""
+        self._lost, self._moving = reason, False
+
     # -- one step ------------------------------------------------------------------------------------------------------
 
-    def step(self, now_ns: int) -> JointStep | None:
+    def step(self, now_ns: int, blocked: str = "") -> JointStep | None:
         """What has to be sent now; None where nothing has.
 
         Parameters
         ----------
         now_ns
             see the module
+        blocked
+            why nobody would take what is sent; empty where somebody does
 
         Returns
         -------
@@ -219,7 +225,7 @@ class SupervisedMotion:
         self._stepped_ns = now_ns
         if not known or dt <= 0.0:  # the first one, or the clock was set back
             return None
-        why = self._why_not(now_ns)
+        why = blocked or self._why_not(now_ns)
         if not self._moving:
             if why := why or self._why_not_begun():
                 self.mode, self.reason = ControllerMode.WAITING, f"{why}: nothing is sent"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Classes of messages by the names of their types."""
+"""Classes of messages and actions by the names of their types."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 
 
 def message_class(message_type: str) -> Any:
-    """The class of a type of messages.
+    """The class of a type of messages or of actions.
 
     Parameters
     ----------
     message_type
-        full name, such as geometry_msgs/msg/PoseStamped
+        full name, such as geometry_msgs/msg/PoseStamped or control_msgs/action/FollowJointTrajectory
 
     Returns
     -------
@@ -25,9 +25,9 @@ def message_class(message_type: str) -> Any:
     ModuleNotFoundError
         its package is not installed.
     """
-    package, _, name = message_type.split("/")
+    package, kind, name = message_type.split("/")
     try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
+        return getattr(importlib.import_module(f"{package}.{kind}"), name)
     except ModuleNotFoundError:
         raise ModuleNotFoundError(
             f"{message_type} is not installed: run 'make setup', or on a full installation 'apt install "

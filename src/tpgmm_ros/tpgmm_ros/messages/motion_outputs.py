@@ -123,17 +123,20 @@ OUTPUTS: Mapping[str, MotionOutput] = {
     "servo_pose": MotionOutput(PoseStamped, "servo_node/pose_target_cmds", pose),
     "servo_twist": MotionOutput(TwistStamped, "servo_node/delta_twist_cmds", twist),
 }
+#: The output that is an action, `control_msgs/FollowJointTrajectory`: no topic that is published.
+ACTION = "follow_joint_trajectory"
+NAMES = (*OUTPUTS, ACTION)
 
 
 class MotionOutputs:
-    """Publishes motions in every way that was asked for.
+    """Publishes motions on every topic that was asked for.
 
     Parameters
     ----------
     node
         a lifecycle node, which owns the publishers
     outputs
-        names of `OUTPUTS`
+        some of `NAMES`
 
     Raises
     ------
@@ -146,6 +149,7 @@ class MotionOutputs:
         self._publishers = [
             (node.create_lifecycle_publisher(OUTPUTS[name].message, OUTPUTS[name].topic, COMMANDS), OUTPUTS[name].make)
             for name in outputs
+            if name in OUTPUTS
         ]
 
     def publish(self, motion: Motion) -> None:
@@ -161,18 +165,18 @@ def check_outputs(outputs: Sequence[str]) -> None:
     Parameters
     ----------
     outputs
-        some of `OUTPUTS`
+        some of `NAMES`
 
     Raises
     ------
     ValueError
         no output, an unknown or doubled one.
     """
-    unknown = [name for name in outputs if name not in OUTPUTS]
+    unknown = [name for name in outputs if name not in NAMES]
     if unknown:
-        raise ValueError(f"outputs names {shown(unknown[0])}; expected some of {', '.join(OUTPUTS)}")
+        raise ValueError(f"outputs names {shown(unknown[0])}; expected some of {', '.join(NAMES)}")
     if not outputs or len(set(outputs)) != len(outputs):
-        raise ValueError(f"outputs must name some of {', '.join(OUTPUTS)}, each once; got {listed(outputs)}")
+        raise ValueError(f"outputs must name some of {', '.join(NAMES)}, each once; got {listed(outputs)}")
 
 
 def _duration(seconds: float) -> Duration:

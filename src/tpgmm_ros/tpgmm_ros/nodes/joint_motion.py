@@ -30,10 +30,11 @@ from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointStates, MessageError
 from tpgmm_ros.messages.joint_state_bytes import JointStateDecoder, JointStateValues
-from tpgmm_ros.messages.motion_outputs import OUTPUTS, Motion, MotionOutputs, check_outputs
+from tpgmm_ros.messages.motion_outputs import ACTION, NAMES, Motion, MotionOutputs, check_outputs
 from tpgmm_ros.messages.qos import LATCHED, STATES, STREAM
 from tpgmm_ros.messages.values import StampedReference
 from tpgmm_ros.nodes.joint_states import SPREAD
+from tpgmm_ros.nodes.trajectory_goals import TrajectoryGoals
 from tpgmm_ros.runtime.batches import Batches
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.lifecycle import ManagedNode
@@ -48,7 +49,7 @@ PARAMETERS = [
     Declared(
         "joints", "", "Joint group that moves, in the order of the positions; empty: that of the end point", fixed=True
     ),
-    Declared("outputs", ["joint_trajectory"], f"What is sent, any of {', '.join(OUTPUTS)}", fixed=True),
+    Declared("outputs", ["joint_trajectory"], f"What is sent, any of {', '.join(NAMES)}", fixed=True),
     Declared("command_rate", 100.0, "Rate at which it is sent, Hz", 1.0, 1000.0, fixed=True),
     Declared(
         "horizon",
@@ -76,6 +77,7 @@ class JointMotionNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("joint_motion")
         self.motion: SupervisedMotion | None = None
+        self._goals: TrajectoryGoals | None = None
         self._active = False
         self._mode, self._reason, self._told_ns = ControllerMode.WAITING, "not active", 0
         self.parameters = Parameters(self, PARAMETERS, check=self._check, changed=self._reconfigure)
@@ -103,7 +105,9 @@ class JointMotionNode(ManagedNode):
             self.robot = RobotModel.from_file(self.parameters.file("robot_file"))
             self.motion = self._make_motion(self.robot)
             self._outputs = MotionOutputs(self, self.parameters["outputs"])
-        except (ValueError, OSError) as error:
+            if ACTION in self.parameters["outputs"]:
+                self._goals = TrajectoryGoals(self, self.motion.refuse_motion)
+        except (ValueError, OSError, ImportError) as error:
             return self.refuse(error)
         self._stiffness = self.parameters.fill(StiffnessConfig)
         self._joint_states = JointStates(self.robot.joint_names, ("position",), self.parameters[SPREAD.name])
@@ -136,6 +140,12 @@ class JointMotionNode(ManagedNode):
         self._active = True
         self._tell()
         return result
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let go of the action too."""
+        if self._goals is not None:
+            self._goals.destroy()
+        return super().on_cleanup(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lead the joints to rest, and send no more."""
@@ -217,7 +227,9 @@ class JointMotionNode(ManagedNode):
             return
         start, now_ns = time.perf_counter(), self._loop_clock.now().nanoseconds
         self.monitor.tick(now_ns)
-        step = self.motion.step(now_ns)
+        if self._goals is not None and self._goals.is_waiting():
+            return
+        step = self.motion.step(now_ns, self._goals.why_not() if self._goals is not None else "")
         if step is not None:
             self._send(step)
             self.monitor.step.add(time.perf_counter() - start)
@@ -229,21 +241,22 @@ class JointMotionNode(ManagedNode):
         motion = self.motion.motion
         stop_q, stop_time = motion.stop_point()
         hands = [aim for aim in self.motion.aims if aim.endpoint]
-        self._outputs.publish(
-            Motion(
-                joints=motion.names,
-                q=step.q,
-                v=step.v,
-                horizon=self.parameters["horizon"],
-                stop_q=stop_q,
-                stop_time=stop_time,
-                pose=motion.pose(self.motion.endpoint),
-                twist=motion.twist(self.motion.endpoint),
-                stiffness=hand_stiffness(hands[0].covariance, self._stiffness) if hands else None,
-                stamp_ns=self.get_clock().now().nanoseconds,
-                frame_id=self.robot.base_frame,
-            )
+        sent = Motion(
+            joints=motion.names,
+            q=step.q,
+            v=step.v,
+            horizon=self.parameters["horizon"],
+            stop_q=stop_q,
+            stop_time=stop_time,
+            pose=motion.pose(self.motion.endpoint),
+            twist=motion.twist(self.motion.endpoint),
+            stiffness=hand_stiffness(hands[0].covariance, self._stiffness) if hands else None,
+            stamp_ns=self.get_clock().now().nanoseconds,
+            frame_id=self.robot.base_frame,
         )
+        self._outputs.publish(sent)
+        if self._goals is not None:
+            self._goals.send(sent, self.motion.timeouts.max_lag)
 
     # -- what others are told -----------------------------------------------------------------------------------------
 
