@@ -97,6 +97,7 @@ results: setup ## compute the numbers of docs/reference/results.md: leave-one-ou
 	PYTHONPATH=. $(PYTHON) benchmarks/valve_selection.py --data $(DATA)/baxter_valve
 	PYTHONPATH=. $(PYTHON) benchmarks/retrieval_table.py --data $(DATA)
 	PYTHONPATH=. $(PYTHON) benchmarks/irrelevant_frames.py $(SETS)
+	PYTHONPATH=. $(PYTHON) benchmarks/hidden_frames.py $(SETS)
 	PYTHONPATH=. $(PYTHON) benchmarks/automatic.py $(SETS)
 	PYTHONPATH=.:src/tpgmm_core/test $(PYTHON) benchmarks/recognition.py --data $(DATA)
 

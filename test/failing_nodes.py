@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two nodes in one process: one counts what comes, the other fails at a message, a timer, or a request for it."""
+"""Two nodes in one process: one counts what comes, the other fails at a message, a request, a goal, or at its end."""
 
 from __future__ import annotations
 
 import sys
 
+from rclpy.action import ActionServer, GoalResponse
+from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from std_msgs.msg import Int64
 from std_srvs.srv import Trigger
 
+from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.runtime.executor import run_together
 
 
@@ -30,7 +33,7 @@ class Counter(Node):
 
 
 class Failing(Node):
-    """Passes on what comes as `number`, until it is a 7, somebody asks, or the other has counted a 2."""
+    """Passes on what comes as `number`, until it is a 7 or an 8, somebody asks, or the other has counted a 2."""
 
     def __init__(self) -> None:
         super().__init__("failing")
@@ -38,10 +41,13 @@ class Failing(Node):
         self.create_subscription(Int64, "given", self._take, 10)
         self.create_subscription(Int64, "twos", self._hear, 10)
         self.create_service(Trigger, "fail", self._fail)
+        ActionServer(self, Reproduce, "reproduce", self._carry_out, goal_callback=self._accept)
+        self._ends_in_order = True
 
     def _take(self, message: Int64) -> None:
-        if message.data == 7:
-            raise RuntimeError("seven")
+        self._ends_in_order = message.data != 8
+        if message.data in (7, 8):
+            raise RuntimeError("seven or eight")
         self._numbers.publish(message)
 
     def _hear(self, message: Int64) -> None:
@@ -50,8 +56,19 @@ class Failing(Node):
     def _fail(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         raise RuntimeError("as it was asked")
 
+    def _accept(self, goal: Reproduce.Goal) -> GoalResponse:
+        if goal.duration < 1.0:
+            raise RuntimeError("no time for it")
+        return GoalResponse.ACCEPT
+
+    def _carry_out(self, goal: ServerGoalHandle) -> str:
+        goal.succeed()
+        return "which is no result"
+
     def destroy_node(self) -> None:
         self._numbers.publish(Int64(data=-1))  # its last word
+        if not self._ends_in_order:
+            raise RuntimeError("at the end")
         super().destroy_node()
 
 

@@ -216,7 +216,7 @@ class Pair:
         self.wait(lambda: self.count == counted + 2, "the other node to go on")
         self.process.send_signal(signal.SIGINT)
         assert self.process.wait(20.0) == 1
-        assert "Traceback" in self.process.output and "RuntimeError" in self.process.output
+        assert "Traceback" in self.process.output and "Error" in self.process.output
 
 
 @pytest.fixture
@@ -236,8 +236,23 @@ def test_what_is_handed_over_does_not_come_again_where_others_listen_too(failing
     assert [message.data for message in failing.counts.messages] == [*range(1, 22)]
 
 
-def test_a_message_that_a_node_fails_at_ends_that_node_alone(failing: Pair) -> None:
-    failing.given.publish(Int64(data=7))
+@pytest.mark.parametrize("number", [7, 8])
+def test_a_message_that_a_node_fails_at_ends_that_node_alone_also_where_it_fails_at_its_end_too(
+    failing: Pair, number: int
+) -> None:
+    failing.given.publish(Int64(data=number))
+    failing.ends_alone(0)
+    # its end is over, and is not tried again when the process ends
+    assert failing.process.output.count("\nRuntimeError") == {7: 1, 8: 2}[number], failing.process.output
+    assert "InvalidHandle" not in failing.process.output
+
+
+@pytest.mark.parametrize("duration", [0.5, 1.5])
+def test_a_goal_that_a_node_fails_at_ends_that_node_alone(failing: Pair, duration: float) -> None:
+    """When it comes, or when it is carried out."""
+    client = ActionClient(failing.node, Reproduce, "reproduce")
+    failing.wait(client.server_is_ready, "the action")
+    client.send_goal_async(Reproduce.Goal(duration=duration))
     failing.ends_alone(0)
 
 

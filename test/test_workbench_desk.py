@@ -23,6 +23,7 @@ from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.simulated import start_nodes
 
 PATIENCE = 120.0
+pytestmark = pytest.mark.alone
 
 
 class Bench:

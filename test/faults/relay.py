@@ -10,7 +10,6 @@ from collections.abc import Callable
 
 import numpy as np
 import rclpy
-from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -20,6 +19,7 @@ from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import LATCHED, STATES, STREAM
 from tpgmm_ros.runtime.executor import StopFlag
 from tpgmm_ros.runtime.processes import REALTIME_PRIORITY
+from tpgmm_ros.runtime.rclpy_events import NodeExecutor
 from tpgmm_ros.runtime.scheduling import request_realtime
 
 type Publish = Callable[[JointState], None]
@@ -98,7 +98,7 @@ def main() -> None:
 
     node.create_subscription(JointState, "driver/joint_states", relay.take, STATES)
     node.create_subscription(String, MANNER_TOPIC, choose, LATCHED)
-    executor = EventsExecutor()
+    executor = NodeExecutor()
     executor.add_node(node)
     request_realtime(REALTIME_PRIORITY)
     while not stop.set:

@@ -24,7 +24,8 @@ from tpgmm_ros.recordings.joint_streams import read_joint_stream
 from tpgmm_ros.recordings.pose_arrays import read_pose_array
 from tpgmm_ros.recordings.pose_streams import read_pose_streams, without_leaps
 from tpgmm_ros.recordings.recording import Recording
-from tpgmm_ros.task.task_file import PoseArraySpec, Task
+from tpgmm_ros.task.recordings_section import PoseArraySpec
+from tpgmm_ros.task.task_file import Task
 
 MOVEMENT = "the movement"
 JOINTS = "the joints"

@@ -11,7 +11,8 @@ import numpy as np
 
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.geometry.pose import compose
-from tpgmm_core.observation.gate import MotionLimits, likeliest_course
+from tpgmm_core.observation.gate import MotionLimits
+from tpgmm_core.observation.plausible_poses import plausible_poses
 from tpgmm_core.observation.poses import ROUNDING, check_poses, doubtful_units, wrong_frame
 from tpgmm_core.observation.transforms import NO_TRANSFORM, TransformError
 from tpgmm_ros.messages.sources import Source, TopicSource, TransformSource
@@ -256,12 +257,12 @@ def without_leaps(
     BagError
         hardly any piece of them follows from another one.
     """
-    course = likeliest_course(poses, times, limits)
-    left, notes = len(poses) - int(np.count_nonzero(course.kept)), []
+    found = plausible_poses(poses, times, limits)
+    left, notes = len(poses) - int(np.count_nonzero(found.kept)), []
     if left:
-        first = (times[int(np.argmin(course.kept))] - times[0]) * 1e-9
+        first = (times[int(np.argmin(found.kept))] - times[0]) * 1e-9
         what = (
-            f"leap by up to {course.way:.3f} m and {np.degrees(course.turn):.0f} deg, faster than {limits.speed:g} m/s "
+            f"leap by up to {found.way:.3f} m and {np.degrees(found.turn):.0f} deg, faster than {limits.speed:g} m/s "
             f"and {limits.turn_rate:g} rad/s, first {first:.2f} s after the start"
         )
         if left > MOST_BAD * len(poses):
@@ -271,7 +272,7 @@ def without_leaps(
                 "allow more by max_speed and max_turn_rate in the part tracking of the task file",
             )
         notes.append(f"{topic}: {left} of {len(poses)} poses {what}: left out")
-    if course.followed:
-        at = ", ".join(f"{time:.2f}" for time in course.followed[:5])
-        notes.append(f"{topic} leaps and stays there, {len(course.followed)} times, at {at} s: followed")
-    return times[course.kept], poses[course.kept], notes
+    if found.followed:
+        at = ", ".join(f"{time:.2f}" for time in found.followed[:5])
+        notes.append(f"{topic} leaps and stays there, {len(found.followed)} times, at {at} s: followed")
+    return times[found.kept], poses[found.kept], notes
