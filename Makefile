@@ -81,9 +81,9 @@ demo: setup ## train a model, start the nodes, do the task, report: out/demo/ (S
 
 # Another folder is another project
 PROJECT ?= out/workbench/project
-workbench: setup ## serve a page on which a simulated robot is taught a skill, and runs it, until Ctrl-C (PROJECT=folder, PORT=8080, ROBOT=robot file, TASK=task file)
+workbench: setup ## serve a page on which a simulated robot is taught a skill, and runs it, until Ctrl-C (PROJECT=folder, PORT=8080, ROBOT=robot file, TASK=task file; or URDF= of a robot without a robot file)
 	$(PYTHON) -m tpgmm_workbench.simulated --project $(PROJECT) $(if $(PORT),--port $(PORT)) $(if $(ROBOT),--robot $(ROBOT)) \
-		$(if $(TASK),--task $(TASK))
+		$(if $(TASK),--task $(TASK)) $(if $(URDF),--urdf $(URDF))
 
 bags: setup ## record the demonstrations in bags/ again
 	rm -rf bags/pick_place
@@ -97,6 +97,7 @@ results: setup ## compute the numbers of docs/reference/results.md: leave-one-ou
 	PYTHONPATH=. $(PYTHON) benchmarks/valve_selection.py --data $(DATA)/baxter_valve
 	PYTHONPATH=. $(PYTHON) benchmarks/retrieval_table.py --data $(DATA)
 	PYTHONPATH=. $(PYTHON) benchmarks/irrelevant_frames.py $(SETS)
+	PYTHONPATH=. $(PYTHON) benchmarks/hidden_frames.py $(SETS)
 	PYTHONPATH=. $(PYTHON) benchmarks/automatic.py $(SETS)
 	PYTHONPATH=.:src/tpgmm_core/test $(PYTHON) benchmarks/recognition.py --data $(DATA)
 

@@ -20,6 +20,7 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy
 import numpy as np  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
+from benchmarks.irrelevant_frames import SETS  # noqa: E402
 from benchmarks.retrieval_table import errors  # noqa: E402
 from tpgmm_core import Demonstration  # noqa: E402
 from tpgmm_core.choice.automatic import choose, positions_alone  # noqa: E402
@@ -34,11 +35,6 @@ from tpgmm_ros.models.validation import replay_nearest  # noqa: E402
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings  # noqa: E402
 from tpgmm_ros.task.task_file import Task  # noqa: E402
 
-SETS = (
-    ("config/baxter_valve.yaml", "../shared/data/baxter_valve"),
-    ("config/franka_bolts.yaml", "../shared/data/franka_bolts"),
-    ("config/pick_place.yaml", "bags/pick_place"),
-)
 AUTO = "--auto"
 PLAIN = ("promp", "gaussian_process", "time_steps", "dmp")
 """Methods beside it, with the frames and settings of the task file."""

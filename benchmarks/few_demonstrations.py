@@ -2,7 +2,7 @@
 """Errors of the retrieval methods with 1, 2, 3 ... demonstrations, as a table and a picture.
 
 Each demonstration is left out in turn, and reproduced from so many of the others, drawn at random, with the settings of
-the task file.
+the task file. `--auto` among the methods chooses frames, method and settings among those, from three on.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from tpgmm_core.choice.automatic import choose
 from tpgmm_core.choice.reproducing import reproduce
 from tpgmm_core.common.report import format_table
 from tpgmm_core.retrieval.methods import METHODS
@@ -23,6 +24,11 @@ from tpgmm_ros.models.validation import path_errors
 from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings
 from tpgmm_ros.task.task_file import Task
+
+AUTO = "auto"
+"""Stands for `train --auto` among the methods."""
+FEWEST = 3
+"""Demonstrations that choices can be made among."""
 
 
 def main() -> int:
@@ -40,7 +46,7 @@ def main() -> int:
         for method in options.methods:
             for n in counts:
                 errors = []
-                for i, recording in enumerate(left_out):
+                for i, recording in enumerate(left_out if n >= FEWEST or method != AUTO else ()):
                     others = [other for other in recordings if other is not recording]
                     chosen = np.random.default_rng([options.seed, i]).permutation(len(others))[:n]
                     errors.append(_error(task, options, method, [others[k] for k in chosen], recording))
@@ -80,8 +86,13 @@ def _error(
 ) -> float | None:
     settings = task.model if options.prior is None else {**task.model, "prior_strength": options.prior}
     demonstrations, duration = align(shown)
+    space = str(task.space.manifold())
     try:
-        model = task.space.recipe(settings, method).learn(demonstrations, task.space.manifold())
+        if method == AUTO:
+            choice = choose(demonstrations, space, settings, task.derived, trials=options.trials, workers=1)
+            model = choice.learn(demonstrations, space)
+        else:
+            model = task.space.recipe(settings, method).learn(demonstrations, space)
         path = reproduce(model, left_out.to_demonstration(duration))
     except ValueError:  # frames that contradict each other so much that there is no product, or a singular covariance
         return None
@@ -109,9 +120,12 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="few_demonstrations", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--task", type=Path, default=Path("config/pick_place.yaml"), help="task file")
     parser.add_argument("--bags", type=Path, default=Path("bags/pick_place"), help="directory of the bags")
-    parser.add_argument("--methods", nargs="+", choices=METHODS, default=["adapt_regress", "trajectory", "time_steps"])
+    parser.add_argument(
+        "--methods", nargs="+", choices=[*METHODS, AUTO], default=["adapt_regress", "trajectory", "time_steps"]
+    )
     parser.add_argument("--counts", type=int, nargs="+", metavar="N", default=list(range(1, 9)))
     parser.add_argument("--prior", type=float, metavar="STRENGTH", help="prior_strength in place of the defaults")
+    parser.add_argument("--trials", type=int, default=14, metavar="N", help="of auto (default: 14)")
     parser.add_argument("--every", type=int, metavar="N", default=8, help="use every N-th sample (default: 8)")
     parser.add_argument("--stride", type=int, metavar="N", default=1, help="leave out every N-th alone (default: 1)")
     parser.add_argument("--seed", type=int, default=0, help="of the choice of demonstrations")

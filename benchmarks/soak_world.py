@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
-from tpgmm_demos.scene.perception import Camera, CameraConfig
+from tpgmm_demos.scene.perception import CameraConfig, SimulatedCamera
 from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.lockstep import nothing_seen
@@ -46,7 +46,7 @@ class SoakWorld:
         self.elapsed = 0.0
         self.happened: Counter[str] = Counter()
         self._task, self._random = task, random
-        self._camera = Camera(CameraConfig(), int(random.integers(1 << 31)))
+        self._camera = SimulatedCamera(CameraConfig(), int(random.integers(1 << 31)))
         self._misfortunes: dict[str, set[str]] = {}
         self._places: dict[str, Array] = {}
         self._ends: dict[tuple[str, str], float] = {}

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
@@ -78,17 +79,27 @@ def draw(terms: Sequence[Gaussian], product: Gaussian) -> Figure:
     cost = objective(np.stack([x, y], axis=-1), terms)
     lowest = float(cost.min())
     axes.contour(x, y, cost, levels=lowest + np.array([1.0, 4.0, 9.0, 16.0, 36.0, 64.0]), colors="0.75", linewidths=1.0)
-    for term, (name, colour) in zip(terms, planar.FRAME_COLOURS.items(), strict=True):
+    for j, (term, (name, colour)) in enumerate(zip(terms, planar.FRAME_COLOURS.items(), strict=True), 1):
         planar.draw_ellipse(axes, term.mean, term.covariance, colour, 0.25)
         axes.plot(*np.stack([term.mean, product.mean]).T, color=colour, ls=":", lw=1.5)
         axes.plot(*term.mean, "o", color=colour, label=f"expected by the {name} box")
+        name_of(axes, term, rf"^{{({j})}}", colour, 9)
     planar.draw_ellipse(axes, product.mean, product.covariance, "#1b9e77", 0.6)
     axes.plot(*product.mean, "o", color="black", label="product, and minimum of Eq. (3)")
+    name_of(axes, product, "", "black", -20)
     axes.plot([], [], color="0.75", label="contours of Eq. (3)")
     axes.legend(loc="upper right", framealpha=0.9)
     axes.set(xticks=[], yticks=[], aspect="equal")
     axes.set(xlim=(lower[0] + 0.15, upper[0] - 0.15), ylim=(lower[1] + 0.15, upper[1] - 0.15))
     return figure
+
+
+def name_of(axes: Axes, gaussian: Gaussian, index: str, colour: str, above: float) -> None:
+    """Write above a Gaussian's mean, by some points, what the paper calls it."""
+    text = rf"$\mathcal{{N}}(\hat{{\xi}}_t{index},\ \hat{{\Sigma}}_t{index})$"
+    axes.annotate(
+        text, gaussian.mean, xytext=(0, above), textcoords="offset points", ha="center", color=colour, fontsize=11
+    )
 
 
 if __name__ == "__main__":

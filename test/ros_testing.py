@@ -152,15 +152,15 @@ def node_on(domain: int) -> Iterator[Node]:
     """A node on a domain, whose callbacks `spin_until` serves."""
     import rclpy
     from rclpy.context import Context
-    from rclpy.experimental import EventsExecutor
     from rclpy.node import Node
 
+    from tpgmm_ros.runtime.rclpy_events import NodeExecutor
     from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
 
     context = Context()
     init_rclpy(context=context, domain_id=domain)
     node = Node("test", context=context)
-    executor = EventsExecutor(context=context)
+    executor = NodeExecutor(context)
     executor.add_node(node)
     try:
         yield node

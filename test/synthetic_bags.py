@@ -35,12 +35,16 @@ model: {n_components: 5, reg_covar: 1.0e-4, max_iter: 50}
 
 @dataclass
 class Topic:
-    """Messages of one topic. `recorded` and `stamps` are in s after START_S; None is stamps of zero."""
+    """Messages of one topic. `recorded` and `stamps` are in s after START_S; None is stamps of zero.
+
+    They are written in the order of `written`, s: None is that of `recorded`.
+    """
 
     poses: NDArray[np.float64]
     recorded: NDArray[np.float64]
     stamps: NDArray[np.float64] | None = field(default_factory=lambda: np.empty(0))
     frame_id: str = "base"
+    written: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         self.poses = np.atleast_2d(np.asarray(self.poses, float))
@@ -72,10 +76,15 @@ def reach(seed: int, samples: int = 100, duration: float = 5.0) -> dict[str, Top
 
 
 def write_bag(path: Path, topics: Mapping[str, Topic], storage: Storage = "mcap") -> Path:
-    """Write a bag with PoseStamped topics; the messages go in in the order of their recording."""
+    """Write a bag with PoseStamped topics."""
+
+    def order(message: tuple[float, str, int]) -> float:
+        at, name, i = message
+        written = topics[name].written
+        return at if written is None else float(written[i])
+
     messages = sorted(
-        ((at, name, i) for name, topic in topics.items() for i, at in enumerate(topic.recorded)),
-        key=lambda message: message[0],
+        ((at, name, i) for name, topic in topics.items() for i, at in enumerate(topic.recorded)), key=order
     )
     if storage == "ros1":
         return _write_ros1(path, topics, messages)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from lifecycle_msgs.msg import Transition
 from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
 from rclpy.node import Node
@@ -165,6 +166,13 @@ def test_each_node_has_its_own_life_cycle_and_parameters(loop: Loop) -> None:
     assert change_state(loop.node, "impedance_controller", ACTIVATE)
     loop.live_until(lambda: loop.mode == ControllerMode.ACTIVE, "the controller to follow again")
     loop.live_until(lambda: loop.torques.messages, "torques")
+    # the end of one node is that of its movement, not of the others
+    assert change_state(loop.node, "reproduction", Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    loop.live_until(lambda: loop.mode == ControllerMode.DAMPING, "the controller to miss references")
+    references.clear()
+    loop.torques.clear()
+    loop.live_until(lambda: len(loop.torques.messages) > 20, "torques")
+    assert not references.messages
 
 
 def test_told_to_stop_the_loop_ends_with_the_safe_torque(loop: Loop) -> None:
@@ -179,11 +187,12 @@ def test_killed_no_torque_comes_any_more(loop: Loop) -> None:
     loop.move()
     loop.process.send_signal(signal.SIGKILL)
     loop.process.wait(20.0)
-    loop.torques.clear()
+    killed_ns = loop.hand.stamp_ns  # answers to earlier states may still be on their way
     for _ in range(20):
         loop.live()
         loop.node.executor.spin_once(timeout_sec=0.01)  # type: ignore[union-attr]
-    assert not loop.torques.messages
+    assert loop.hand.stamp_ns > killed_ns
+    assert max(stamps_of(loop.torques.messages)) <= killed_ns
 
 
 # -- a node that fails
@@ -235,8 +244,21 @@ def test_what_is_handed_over_does_not_come_again_where_others_listen_too(failing
     assert [message.data for message in failing.counts.messages] == [*range(1, 22)]
 
 
-def test_a_message_that_a_node_fails_at_ends_that_node_alone(failing: Pair) -> None:
-    failing.given.publish(Int64(data=7))
+@pytest.mark.parametrize("number", [7, 8])
+def test_a_message_that_a_node_fails_at_ends_that_node_alone_also_where_it_fails_at_its_end_too(
+    failing: Pair, number: int
+) -> None:
+    failing.given.publish(Int64(data=number))
+    failing.ends_alone(0)
+    # its end is over, and is not tried again when the process ends
+    assert failing.process.output.count("\nRuntimeError") == {7: 1, 8: 2}[number], failing.process.output
+    assert "InvalidHandle" not in failing.process.output
+
+
+def test_a_goal_that_a_node_fails_at_ends_that_node_alone(failing: Pair) -> None:
+    client = ActionClient(failing.node, Reproduce, "reproduce")
+    failing.wait(client.server_is_ready, "the action")
+    client.send_goal_async(Reproduce.Goal())
     failing.ends_alone(0)
 
 
@@ -306,6 +328,7 @@ def test_joint_names_are_those_of_the_robot(loop: Loop) -> None:
 # -- more joint states than can be answered
 
 
+@pytest.mark.alone
 def test_where_joint_states_come_faster_than_they_are_answered_other_topics_get_their_turn(loop: Loop) -> None:
     """Poses reach the task parameters at once, although the node was flooded for seconds."""
     loop.move()

@@ -18,7 +18,7 @@ from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_demos.demo.recording import RunRecord
 from tpgmm_demos.demo.world import Disturbances, World
-from tpgmm_demos.scene.perception import Camera, CameraConfig
+from tpgmm_demos.scene.perception import CameraConfig, SimulatedCamera
 from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.programs import train
@@ -50,7 +50,7 @@ def movement(
     around = Node("world", context=node.context)
     assert node.executor is not None
     node.executor.add_node(around)
-    world = World(around, task, situation, disturbances, Camera(CameraConfig(), seed=5), lockstep=True)
+    world = World(around, task, situation, disturbances, SimulatedCamera(CameraConfig(), seed=5), lockstep=True)
     recorder = Node("recorder", context=node.context)
     recording = RunRecord(recorder, task, list(RobotModel.from_file(ROBOT_FILE).joint_names))
     nodes: dict[str, dict[str, object]] = {

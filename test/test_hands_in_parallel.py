@@ -1,27 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""joint_reference with movements of two hands, each with its own phase: their product in joint space moves both."""
+"""Two reproductions, one for each hand, and joint_reference: their product in joint space moves both."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.action import ActionClient
 from rclpy.node import Node
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
-from ros_graph import ROOT, SECOND, Inbox, ros_arguments
-from ros_testing import StartProcess, spin_until
+from ros_graph import ROOT, SECOND, Inbox, result_of, ros_arguments
+from ros_testing import STARTUP_TIMEOUT, RunningProcess, StartProcess, spin_until
 from tpgmm_core import Demonstration, Frame
 from tpgmm_core.geometry.manifold import POSE
-from tpgmm_core.retrieval.interface import Retrieval
+from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_msgs.msg import Reference
+from tpgmm_msgs.action import Reproduce
+from tpgmm_msgs.msg import Reference, TaskParameters
 from tpgmm_ros.messages import conversions
-from tpgmm_ros.messages.qos import STREAM
-from tpgmm_ros.models.task_model import make_task_retrieval
+from tpgmm_ros.messages.qos import LATCHED, STREAM
 from tpgmm_ros.task.task_file import Task
 
 ROBOT_FILE = ROOT / "config" / "baxter.yaml"
@@ -35,8 +38,8 @@ TASK = (
 )
 
 
-def learn(directory: Path, hand: str, home: np.ndarray) -> Retrieval:
-    """A movement, learned, of a hand to its object."""
+def learn(directory: Path, hand: str, home: np.ndarray) -> tuple[Path, Path]:
+    """Task file and model of a hand that goes to its object."""
     task_file = directory / f"{hand}.yaml"
     task_file.write_text(TASK.format(hand))
     space, random, (way, seconds) = Task.load(task_file).space, np.random.default_rng(0), WAYS[hand]
@@ -51,7 +54,9 @@ def learn(directory: Path, hand: str, home: np.ndarray) -> Retrieval:
         shown.append(Demonstration(times, np.column_stack([times, data]), frames))
     model = Recipe.of({"n_components": 4, "reg_covar": 1e-6}).learn(shown, space.manifold(), space.dimensions())
     model.metadata_ = {**model.metadata_, "duration_s": seconds}
-    return make_task_retrieval(model, Task.load(task_file))
+    model_file = directory / f"{hand}.tpgmm"
+    model.save(model_file)
+    return task_file, model_file
 
 
 class Robot:
@@ -63,32 +68,49 @@ class Robot:
         self.data.update(self.q)
         self.homes = {hand: self.data.pose(hand).copy() for hand in WAYS}
         self.inbox = Inbox(node, Reference, "reference")
+        self.silent: list[Inbox] = []  # of nodes that are gone
         self._states = node.create_publisher(JointState, "joint_states", STREAM)
-        self._references = {h: node.create_publisher(Reference, f"{h}/reference", STREAM) for h in WAYS}
+        self._poses = {h: node.create_publisher(PoseStamped, f"endpoint/{h}/pose", STREAM) for h in WAYS}
+        self._objects = {h: node.create_publisher(TaskParameters, f"{h}/task_parameters", LATCHED) for h in WAYS}
+        self.said = {h: Inbox(node, Reference, f"{h}/reference") for h in WAYS}
+        self.clients = {h: ActionClient(node, Reproduce, f"{h}/reproduce") for h in WAYS}
 
-    def lead(self, movements: Mapping[str, Retrieval]) -> list[float]:
-        """Publish what movements say now; returns their phases."""
-        phases = []
-        for hand, movement in movements.items():
-            place = Frame.from_pose(self.homes[hand][:3] + WAYS[hand][0], self.homes[hand][3:]).with_time()
-            said = movement.step(self.stamp_ns, {"object": place}, self.data.pose(hand))
-            self._references[hand].publish(conversions.reference_message(said, DIMENSIONS, self.stamp_ns, "base"))
-            phases.append(said.phase)
-        return phases
+    def show(self) -> None:
+        """Where the objects are, to each hand its own."""
+        for hand, publisher in self._objects.items():
+            place = np.concatenate([self.homes[hand][:3] + WAYS[hand][0], self.homes[hand][3:]])
+            tracked = TrackedFrame("object", FrameStatus.VISIBLE, 1.0, self.stamp_ns, place)
+            publisher.publish(conversions.task_parameters_message([tracked], self.stamp_ns, "base"))
+
+    def begin(self) -> dict[str, Future]:
+        """Send a goal to each hand; returns their results, which are to come."""
+        self.show()
+        sent = {h: client.send_goal_async(Reproduce.Goal()) for h, client in self.clients.items()}
+        handles = {hand: result_of(self.node, future, "the goal to be accepted") for hand, future in sent.items()}
+        assert all(handle.accepted for handle in handles.values())
+        return {hand: handle.get_result_async() for hand, handle in handles.items()}
 
     @property
     def is_heard(self) -> bool:
-        """Whether the node listens to all, and is listened to."""
-        publishers = (self._states, *self._references.values())
-        return all(p.get_subscription_count() for p in publishers) and self.node.count_publishers("reference") > 0
+        """Whether the nodes listen to all, and are listened to."""
+        counts = [p.get_subscription_count() for p in (*self._poses.values(), *self._objects.values())]
+        counts += [self.node.count_publishers(topic) for topic in ("reference", *(f"{h}/reference" for h in WAYS))]
+        counts += [self.node.count_subscribers(f"{h}/reference") - 1 for h in WAYS]  # one is our own
+        servers = all(client.server_is_ready() for client in self.clients.values())
+        return servers and all(counts) and self._states.get_subscription_count() == 1 + len(WAYS)
 
     def tick(self) -> None:
         """A joint state, later ones until one is answered; then the joints move."""
         message, due = JointState(name=list(self.model.joint_names), position=self.q.tolist()), 0.0
 
         def is_answered() -> bool:
-            last = self.inbox.last
-            return last is not None and conversions.time_to_ns(last.header.stamp) == self.stamp_ns
+            """By joint_reference, and by whoever moves a hand."""
+            asked = [self.inbox, *(said for said in self.said.values() if said.last is not None)]
+            return all(
+                box.last is not None and conversions.time_to_ns(box.last.header.stamp) == self.stamp_ns
+                for box in asked
+                if box not in self.silent
+            )
 
         def is_answered_or_told_again() -> bool:
             nonlocal due
@@ -96,6 +118,8 @@ class Robot:
                 due = time.monotonic() + 0.2
                 self.stamp_ns += TICK_NS
                 message.header.stamp = conversions.time_from_ns(self.stamp_ns)
+                for hand, publisher in self._poses.items():
+                    publisher.publish(conversions.pose_stamped(self.data.pose(hand), self.stamp_ns, "base"))
                 self._states.publish(message)
             return is_answered()
 
@@ -105,30 +129,42 @@ class Robot:
         self.data.update(self.q)
 
 
+def reproduction(start_process: StartProcess, hand: str, task_file: Path, model_file: Path) -> RunningProcess:
+    """As docs/how-to/skills-in-parallel.md says."""
+    own = [f"{topic}:=/{topic}" for topic in ("joint_states", f"endpoint/{hand}/pose", "controller_state")]
+    remaps = [word for topic in (f"__ns:=/{hand}", *own) for word in ("-r", topic)]
+    arguments = ros_arguments(task_file=task_file, model_file=model_file, autostart=True, settle_time=0.1)
+    return start_process("reproduction", *arguments, *remaps)
+
+
 def test_each_hand_reaches_its_object_at_its_own_pace_while_the_other_one_moves(
     ros_node: Node, start_process: StartProcess, tmp_path: Path
 ) -> None:
     robot = Robot(ros_node)
-    movements = {hand: learn(tmp_path, hand, robot.homes[hand]) for hand in WAYS}
+    hands = [reproduction(start_process, hand, *learn(tmp_path, hand, robot.homes[hand])) for hand in WAYS]
     start_process("joint_reference", *ros_arguments(robot_file=ROBOT_FILE, led="[left, right]", blend_time=0.05))
-    spin_until(ros_node, lambda: robot.is_heard, message="joint_reference to listen")
+    spin_until(ros_node, lambda: robot.is_heard, message="the nodes to listen")
     robot.tick()
     assert not robot.inbox.last.frames, "nothing leads the robot yet"
     np.testing.assert_allclose(robot.q, robot.model.home, atol=1e-9)
-    for movement in movements.values():
-        movement.start(robot.stamp_ns)
-    away = []
-    for _ in range(130):
-        phases = robot.lead(movements)
+    results, away, led = robot.begin(), [], set[str]()
+    deadline = time.monotonic() + STARTUP_TIMEOUT
+    while not all(result.done() for result in results.values()):
         robot.tick()
+        led |= set(robot.inbox.last.frames)
         away.append([np.linalg.norm(robot.data.pose(h)[:3] - robot.homes[h][:3] - WAYS[h][0]) for h in WAYS])
-    assert phases == [1.0, 1.0]
-    assert set(robot.inbox.last.frames) == {"left/object", "right/object"}
+        assert time.monotonic() < deadline, away[-1]
+    for future in results.values():
+        assert future.result().status == GoalStatus.STATUS_SUCCEEDED, future.result().result.reason
+    assert led == {"left/object", "right/object"}
     distances = np.array(away)
     assert distances[-1].max() < 0.01
     first = [int(np.argmax(distances[:, i] < 0.01)) for i in range(2)]
     assert 20 < first[0] - first[1] < 60, "the right hand is there first, and stays"
     assert distances[first[1] :, 1].max() < 0.01
+    for process in hands:
+        process.stop()
+    robot.silent += robot.said.values()
     for _ in range(60):  # nobody says anything any more
         robot.tick()
     assert not robot.inbox.last.frames

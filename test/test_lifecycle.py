@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lifecycle nodes go up and down as often as one likes, and leave nothing behind."""
+"""Lifecycle nodes go up and down as often as one likes, while messages come all the time, and leave nothing behind."""
 
+import numpy as np
 import pytest
 from rclpy.node import Node
+from sensor_msgs.msg import JointState
 
 from ros_graph import ACTIVATE, CLEANUP, CONFIGURE, DEACTIVATE, ROBOT_FILE, TASK_FILE, change_state, ros_arguments
 from ros_testing import StartProcess, spin_until
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM
 
 NODES = {
     "impedance_controller": ({"robot_file": ROBOT_FILE}, ["joint_torques", "controller_state"], ["joint_states"]),
@@ -20,6 +24,17 @@ def test_clean_up_undoes_configuration_and_a_second_one_makes_each_topic_once(
     parameters, published, subscribed = NODES[name]
     process = start_process(name, *ros_arguments(**parameters))
 
+    states = ros_node.create_publisher(JointState, "joint_states", STREAM)
+    now = ros_node.get_clock().now
+    message = conversions.joint_state_message(["left_s0"], 0, np.zeros(1), np.zeros(1))
+
+    def publish() -> None:
+        for _ in range(5):  # so that some wait when topics go
+            message.header.stamp = now().to_msg()
+            states.publish(message)
+
+    stream = ros_node.create_timer(0.002, publish)
+
     def each_exists(times: int) -> bool:
         counts = [ros_node.count_publishers(topic) for topic in published]
         return counts + [ros_node.count_subscribers(topic) for topic in subscribed] == [times] * (
@@ -31,3 +46,5 @@ def test_clean_up_undoes_configuration_and_a_second_one_makes_each_topic_once(
         spin_until(ros_node, lambda: each_exists(1), message="each topic once", processes=(process,))
         assert change_state(ros_node, name, DEACTIVATE, CLEANUP)
         spin_until(ros_node, lambda: each_exists(0), message="no topic left", processes=(process,))
+    ros_node.destroy_timer(stream)
+    assert "Traceback" not in process.output

@@ -23,6 +23,7 @@ from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.simulated import start_nodes
 
 PATIENCE = 120.0
+pytestmark = pytest.mark.alone
 
 
 class Bench:
@@ -132,7 +133,7 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
 
     bench.until(lambda view: all(frame.state in ("seen", "fixed") for frame in view.graph.frames), "all frames")
     bench.lead("home")
-    desk.set_duration(16.0)
+    desk.set_duration(20.0)
     desk.preview()
     view = bench.until(lambda view: view.preview is not None, "a preview")
     assert view.preview is not None

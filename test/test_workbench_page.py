@@ -32,6 +32,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: apt-get install --no-install-recommends chromium"),
     pytest.mark.timeout(600),
+    pytest.mark.alone,
 ]
 OUTPUT = ROOT / "out" / "workbench_page"
 WIDTH, HEIGHT = 1000, 640

@@ -23,8 +23,11 @@ setup(
         (f"share/{package_name}/config/security", glob("config/security/*.xml")),
     ],
     python_requires=">=3.12",
-    install_requires=["tpgmm_core[robot]", "backports.zstd", "lz4", "rosbags", "tqdm"],
-    extras_require={"test": ["hypothesis", "pytest"]},  # `colcon test` asks for pytest here
+    install_requires=["tpgmm_core[robot]", "backports.zstd", "joblib", "lz4", "rosbags", "tqdm"],
+    extras_require={
+        "lerobot": ["pyarrow>=21"],  # 21 is the first that loads no pickles from a schema, whatever it says
+        "test": ["hypothesis", "pytest"],  # `colcon test` asks for pytest here
+    },
     entry_points={
         "console_scripts": [
             "frame_tracker = tpgmm_ros.executables:frame_tracker",

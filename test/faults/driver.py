@@ -127,7 +127,7 @@ def without_stamps(bench: DriverBench) -> str:
 )
 def slow(bench: DriverBench) -> str:
     assert set_parameters(bench.node, CONTROLLER, joint_state_timeout=0.02, max_time_step=0.005).successful
-    bench.drive("one_in_ten")
+    bench.drive("at_50_hz")
     words = "joint_state_timeout is 0.02 s, but joint states come every 0.02 s (measured): set it to 0.0"
     bench.wait(bench.said(CONTROLLER, words), "the diagnostics")
     assert words in bench.processes[CONTROLLER].output

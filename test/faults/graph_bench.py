@@ -262,14 +262,18 @@ class GraphBench:
         return f"torques at most {100 * share:.0f} % of their limits, {100 * self.rate():.0f} % of torque_rate"
 
     def reference_steps(self) -> tuple[float, float]:
-        """The reference's speed at most, m/s, since the last movement began, and its largest change in one step."""
+        """The reference's speed at most, m/s, since the last movement began, and its largest change in one step.
+
+        Where joint states had a pause, so had the references: the change counts by the steps that it took.
+        """
         phases = np.array([message.phase for message in self.references.messages])
         begin = 1 + max(np.flatnonzero(np.diff(phases) < -0.5), default=-1)
         messages = self.references.messages[begin:]
         path = np.array([message.gaussian.mean[:3] for message in messages])
         seconds = 1e-9 * np.diff([conversions.time_to_ns(message.header.stamp) for message in messages])
         velocity = np.diff(path, axis=0)[seconds > 0] / seconds[seconds > 0, None]
-        change = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
+        took = self.joint_state_rate * 0.5 * (seconds[seconds > 0][1:] + seconds[seconds > 0][:-1])
+        change = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / np.maximum(1.0, took)
         return float(np.linalg.norm(velocity, axis=1).max()), float(change.max())
 
 

@@ -3,15 +3,23 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
-from faults.late_bench import AT_REST, AWAY, FIRM, ORDINARY, SOFT, LateBench
+from faults.late_bench import AT_REST, AWAY, FIRM, ORDINARY, RATE, SOFT, LateBench
 from faults.table import fault
 from ros_graph import set_parameters
+from tpgmm_core.control.loop_guard import RETRY
+from tpgmm_core.control.supervision import Timeouts
 from tpgmm_msgs.msg import ControllerState
 
 #: No age is measured where it is 0.
 ANOTHER_CLOCK = 0.0
+#: Of the loop's delay, beside age and period of the states, ms.
+MOTORS = 1e3 * Timeouts().actuation_delay
+#: By which two processes may see an age differently, ms.
+TOLERANCE = 2.0
 
 
 def sent_away(bench: LateBench, deviation: float, seconds: float = 3.0) -> str:
@@ -40,16 +48,35 @@ def enter_late(late_ms: int, varies_ms: int = 0) -> None:
     @fault(
         LateBench,
         f"joint states {late_ms} ms old{about}, firm references",
-        "followed with gains that bear it, and it says so; no swings",
+        "followed with gains that bear it, and it says so; no swings. Where the machine adds so much that no useful "
+        "gains bear it: DAMPING, with figures that are right",
         quick=False,  # wants a machine with nothing else to do
     )
     def late(bench: LateBench) -> str:
-        bench.delay(1e-3 * late_ms, 1e-3 * varies_ms)
-        bench.spin_for(0.5)
-        observed = sent_away(bench, FIRM)
+        with bench.ages() as ages:
+            bench.delay(1e-3 * late_ms, 1e-3 * varies_ms)
+            bench.spin_for(0.5)
+            ages.clear()
+            observed = sent_away(bench, FIRM)
+        added = f"the machine adds {1e3 * np.median(ages) - late_ms:.1f} ms by itself"
+        if bench.is_in(ControllerState.DAMPING, "gains are stable up to"):
+            return f"{observed}; {added}; {assert_too_late(bench.modes.last.reason, ages)}"
         assert bench.is_in(ControllerState.ACTIVE, "ms old by their stamps"), bench.modes.last
         assert bench.away() < 0.02
-        return observed
+        return f"{observed}; {added}"
+
+
+def assert_too_late(reason: str, ages: list[float]) -> str:
+    """What the controller says of the delay is what others see, and no useful gains bear it; in words."""
+    said = re.search(r"the loop is (\d+) ms late in total; .* the softest usable ones up to (\d+) ms", reason)
+    assert said is not None, reason
+    late, usable = map(int, said.groups())
+    rest = 1e3 / RATE + MOTORS
+    usual, longest = (rest + 1e3 * np.percentile(ages, (50, 99))).tolist()
+    assert RETRY * usable < late, f"not late enough for that: {reason}"
+    assert usual - TOLERANCE < late < longest + TOLERANCE, f"seen from here {usual:.0f} to {longest:.0f} ms: {reason}"
+    assert longest > usable - TOLERANCE, f"the machine adds too little to explain it, {longest:.0f} ms in all: {reason}"
+    return f"{usual:.0f} to {longest:.0f} ms in all, which nothing useful bears: rightly DAMPING"
 
 
 enter_late(20)

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -40,6 +41,7 @@ from tpgmm_ros.messages.qos import LATCHED, STREAM
 
 NODE = "impedance_controller"
 RATE = 500.0
+LATE = "late/joint_states"
 #: References, s apart.
 PERIOD = 0.01
 #: Of the demonstrations that the references stand for, m: as firm as `max_stiffness` permits, and softer.
@@ -64,9 +66,9 @@ class LateBench:
         arguments = ros_arguments(
             robot_file=ROBOT_FILE, joint_state_rate=RATE, realtime_priority=20, joint_state_timeout=0.25, hold_time=0.3
         )
-        self.process = start(NODE, *arguments, "-r", "joint_states:=late/joint_states")
+        self.process = start(NODE, *arguments, "-r", f"joint_states:={LATE}")
         script = Path(__file__).with_name("late_relay.py")
-        self.relay = start(sys.executable, str(script), "joint_states", "late/joint_states")
+        self.relay = start(sys.executable, str(script), "joint_states", LATE)
         self._processes = (self.simulator, self.process, self.relay)
         self.states = Inbox(node, JointState, "joint_states", ALL)
         self.torques = Inbox(node, JointState, "joint_torques", ALL)
@@ -111,6 +113,21 @@ class LateBench:
     def delay(self, late: float, varies: float = 0.0) -> None:
         """How late joint states are from now on, s."""
         self._delay.publish(Float64MultiArray(data=[late, varies]))
+
+    @contextlib.contextmanager
+    def ages(self) -> Iterator[list[float]]:
+        """How old the controller's joint states are, s, as this process sees it."""
+        seen: list[float] = []
+
+        def take(message: JointState) -> None:
+            age_ns = self.node.get_clock().now().nanoseconds - conversions.time_to_ns(message.header.stamp)
+            seen.append(1e-9 * age_ns)
+
+        subscription = self.node.create_subscription(JointState, LATE, take, ALL)
+        try:
+            yield seen
+        finally:
+            self.node.destroy_subscription(subscription)
 
     def push(self, force: np.ndarray) -> None:
         """A force (3,) at the hand, N, for 0.2 s unless it is repeated."""

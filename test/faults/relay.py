@@ -10,7 +10,6 @@ from collections.abc import Callable
 
 import numpy as np
 import rclpy
-from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -20,11 +19,14 @@ from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import LATCHED, STATES, STREAM
 from tpgmm_ros.runtime.executor import StopFlag
 from tpgmm_ros.runtime.processes import REALTIME_PRIORITY
+from tpgmm_ros.runtime.rclpy_events import NodeExecutor
 from tpgmm_ros.runtime.scheduling import request_realtime
 
 type Publish = Callable[[JointState], None]
 
 MANNER_TOPIC = "driver/manner"
+#: Between two states of a slow driver, ns.
+SLOW_NS = 20_000_000
 
 
 class Relay:
@@ -34,7 +36,7 @@ class Relay:
         self._publish = publish
         self._rng = np.random.default_rng(0)
         self._late: list[tuple[int, JointState]] = []
-        self._count = 0
+        self._count = self._due_ns = 0
         self.manner = "faithfully"
 
     def take(self, state: JointState) -> None:
@@ -64,8 +66,11 @@ class Relay:
         state.header.stamp = conversions.time_from_ns(0)
         self._publish(state)
 
-    def one_in_ten(self, state: JointState) -> None:
-        if self._count % 10 == 0:
+    def at_50_hz(self, state: JointState) -> None:
+        """However many states per second come, up to 500."""
+        stamp_ns = conversions.time_to_ns(state.header.stamp)
+        if stamp_ns >= self._due_ns:
+            self._due_ns = max(self._due_ns + SLOW_NS, stamp_ns + SLOW_NS // 2)
             self._publish(state)
 
     def without_an_elbow(self, state: JointState) -> None:
@@ -80,7 +85,7 @@ MANNERS: dict[str, Callable[[Relay, JointState], None]] = {
         Relay.out_of_order,
         Relay.in_parts,
         Relay.without_stamps,
-        Relay.one_in_ten,
+        Relay.at_50_hz,
         Relay.without_an_elbow,
     )
 }
@@ -98,7 +103,7 @@ def main() -> None:
 
     node.create_subscription(JointState, "driver/joint_states", relay.take, STATES)
     node.create_subscription(String, MANNER_TOPIC, choose, LATCHED)
-    executor = EventsExecutor()
+    executor = NodeExecutor()
     executor.add_node(node)
     request_realtime(REALTIME_PRIORITY)
     while not stop.set:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tpgmm_core.doubt.doubts import Doubt, Shown
+from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
 from tpgmm_core.doubt.judging import judged
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.pose import compose
@@ -20,7 +20,9 @@ def yaw(angle: object) -> np.ndarray:
     return quaternion.exp(np.asarray(angle)[..., None] * np.array([0.0, 0.0, 1.0]))
 
 
-def shown(seed: int, samples: int = 80, duration: float = 4.0, turn: float = 0.0, noise: float = 5e-4) -> Shown:
+def shown(
+    seed: int, samples: int = 80, duration: float = 4.0, turn: float = 0.0, noise: float = 5e-4
+) -> RawDemonstration:
     """A hand goes to an object that stands elsewhere each time, and turns by some angle on the way."""
     random = np.random.default_rng(seed)
     times = np.linspace(0.0, duration * random.uniform(0.8, 1.2), samples)
@@ -31,10 +33,12 @@ def shown(seed: int, samples: int = 80, duration: float = 4.0, turn: float = 0.0
     positions = begin + share[:, None] * (end - begin) + noise * random.normal(size=(samples, 3))
     turned = quaternion.multiply(place[3:], yaw(turn * share))
     frames = {"object": np.tile(place, (samples, 1))}
-    return Shown(f"demo_{seed}", times, np.hstack([positions, turned]), frames, {"object": np.ones(samples, bool)})
+    return RawDemonstration(
+        f"demo_{seed}", times, np.hstack([positions, turned]), frames, {"object": np.ones(samples, bool)}
+    )
 
 
-def scaled(one: Shown, hand: float, place: float) -> Shown:
+def scaled(one: RawDemonstration, hand: float, place: float) -> RawDemonstration:
     movement, frames = one.movement.copy(), {name: poses.copy() for name, poses in one.frames.items()}
     movement[:, :3] *= hand
     for poses in frames.values():
@@ -42,7 +46,7 @@ def scaled(one: Shown, hand: float, place: float) -> Shown:
     return replace(one, movement=movement, frames=frames)
 
 
-def group(count: int = 6, **settings: float) -> list[Shown]:
+def group(count: int = 6, **settings: float) -> list[RawDemonstration]:
     return [shown(seed, **settings) for seed in range(count)]  # type: ignore[arg-type]
 
 
@@ -133,7 +137,7 @@ def test_half_a_movement_is_named() -> None:
     half = slice(0, 30)
     one = several[2]
     frames = {"object": one.frames["object"][half]}
-    several[2] = Shown(one.name, one.times[half], one.movement[half], frames, {"object": np.ones(30, bool)})
+    several[2] = RawDemonstration(one.name, one.times[half], one.movement[half], frames, {"object": np.ones(30, bool)})
     assert ("misfit", ("demo_2",), False) in kinds(judged(several))
 
 

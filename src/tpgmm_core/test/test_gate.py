@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tpgmm_core.geometry import quaternion
-from tpgmm_core.observation.gate import LeapGate, MotionLimits, likeliest_course
+from tpgmm_core.observation.gate import LeapGate, MotionLimits
+from tpgmm_core.observation.plausible_poses import plausible_poses
 from tpgmm_core.observation.tracking import FrameTracker, TrackingConfig
 
 HOME = np.array([0.5, 0.1, 0.2, 0.0, 0.0, 0.0, 1.0])
@@ -70,7 +71,7 @@ def test_what_moves_as_fast_as_it_can_is_always_followed(seed: int, period: floa
         assert gate.judge(pose, ns(at)) is None
         poses.append(pose)
         stamps.append(ns(at))
-    assert likeliest_course(np.array(poses), np.array(stamps), LIMITS).kept.all()
+    assert plausible_poses(np.array(poses), np.array(stamps), LIMITS).kept.all()
 
 
 @pytest.mark.parametrize("period", PERIODS)
@@ -113,9 +114,9 @@ def test_flips_in_a_recording_are_left_out(flip: str, share: float) -> None:
     bad = np.random.default_rng(5).random(400) < share
     poses = np.where(bad[:, None], FLIPS[flip], HOME)
     stamps = np.array([ns(0.05 * k) for k in range(400)])
-    course = likeliest_course(poses, stamps, LIMITS)
-    np.testing.assert_array_equal(course.kept, ~bad)
-    assert course.way == 0.0 and course.turn == pytest.approx(quaternion.angle_between(HOME[3:], poses[bad][0, 3:]))
+    found = plausible_poses(poses, stamps, LIMITS)
+    np.testing.assert_array_equal(found.kept, ~bad)
+    assert found.way == 0.0 and found.turn == pytest.approx(quaternion.angle_between(HOME[3:], poses[bad][0, 3:]))
 
 
 @pytest.mark.parametrize("flip", FLIPS)
@@ -123,23 +124,23 @@ def test_a_tag_that_stays_flipped_for_the_shorter_part_of_a_recording_is_left_ou
     """The hand is near, and the camera sees the tag from another side until the end."""
     poses = np.tile(HOME, (80, 1))
     poses[64:] = FLIPS[flip]
-    course = likeliest_course(poses, np.array([ns(0.05 * k) for k in range(80)]), LIMITS)
-    np.testing.assert_array_equal(course.kept, np.arange(80) < 64)
+    found = plausible_poses(poses, np.array([ns(0.05 * k) for k in range(80)]), LIMITS)
+    np.testing.assert_array_equal(found.kept, np.arange(80) < 64)
 
 
 def test_what_is_put_elsewhere_and_stays_is_followed_in_a_recording_from_its_first_pose() -> None:
     poses = np.tile(HOME, (80, 1))
     poses[50:, 0] += 0.5
-    course = likeliest_course(poses, np.array([ns(0.05 * k) for k in range(80)]), LIMITS)
-    assert course.kept.all() and course.followed == (2.5,)
+    found = plausible_poses(poses, np.array([ns(0.05 * k) for k in range(80)]), LIMITS)
+    assert found.kept.all() and found.followed == (2.5,)
 
 
 def test_a_phantom_that_does_not_stay_is_left_out_of_a_recording() -> None:
     poses = np.tile(HOME, (80, 1))
     poses[[3, 30, 31, 79], 1] += [0.5, 0.5, 0.5, 2.0]
-    course = likeliest_course(poses, np.array([ns(0.05 * k) for k in range(80)]), LIMITS)
-    np.testing.assert_array_equal(np.flatnonzero(~course.kept), [3, 30, 31, 79])
-    assert course.way == pytest.approx(2.0) and not course.followed
+    found = plausible_poses(poses, np.array([ns(0.05 * k) for k in range(80)]), LIMITS)
+    np.testing.assert_array_equal(np.flatnonzero(~found.kept), [3, 30, 31, 79])
+    assert found.way == pytest.approx(2.0) and not found.followed
 
 
 # in the tracker

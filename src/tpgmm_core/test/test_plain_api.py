@@ -329,3 +329,9 @@ def test_no_way_of_calling_compiles_anew() -> None:
             other.condition(np.array([0]), np.array([1, 2])[:1]).mean, mixture.condition([0], [1.0]).mean
         )
     assert len(kernels_condition.condition.signatures) == before == 1
+    flat = [GaussianMixture(m.priors, m.means[:, :4], m.covariances[:, :4, :4]) for m in (mixture, strided, frozen)]
+    for other in flat:
+        np.testing.assert_array_equal(
+            other.condition(np.array([0]), np.float32([0.5])).mean, flat[0].condition((0,), [0.5]).mean
+        )
+    assert len(kernels_condition.condition_one.signatures) == 1

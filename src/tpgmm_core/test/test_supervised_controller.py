@@ -195,6 +195,30 @@ def test_a_reference_made_between_two_states_is_answered_once_within_the_rate_an
     assert between(0.0) is None  # joint states have stopped
 
 
+def test_between_the_stamps_of_two_states_torques_keep_their_rate_also_where_the_second_comes_late_after_two_answers(
+    bench: Bench,
+) -> None:
+    """A robot with cycles of its own compares with the torque of its last cycle, whenever messages came."""
+    controller, asked = bench.controller, [bench.home + AWAY, bench.home - AWAY]
+    for _ in range(400):
+        last = bench.tick(asked[0])
+    answered = 0
+    for tick in range(100):
+        stamp_ns = bench.now_ns  # of the last state
+        bench.now_ns += MS // 4
+        bench.refer(asked[tick % 2])
+        again = controller.answer_again(bench.now_ns)
+        answered += again is not None
+        bench.now_ns = stamp_ns + MS + (2 * MS if tick % 3 == 0 else 0)  # on its way for two ticks
+        state = bench.simulator.state
+        answer = controller.take_state(state.q, state.v, stamp_ns + MS, bench.now_ns, bench.now_ns)
+        assert answer is not None
+        bench.simulator.step(answer.command.tau)
+        assert (np.abs(answer.command.tau - last) <= 30.0 * 0.001 * bench.robot.effort_limits + 1e-9).all()
+        last, bench.now_ns = answer.command.tau, stamp_ns + MS
+    assert answered > 50
+
+
 def test_a_clock_that_jumps_backwards_is_a_new_start_without_the_old_reference(bench: Bench) -> None:
     for _ in range(300):
         before = bench.tick(bench.home + AWAY)

@@ -191,7 +191,7 @@ def test_references_that_are_refused_age_with_the_reason() -> None:
         with pytest.raises(ValueError, match="ahead of this machine's clock"):
             bench.supervised.take_reference([bench.aim], bench.now_ns + 500 * MS, bench.now_ns, bench.now_ns)
         bench.step()
-    assert bench.says[0] is ControllerMode.HOLD and "the newest was refused: stamps lie more than" in bench.says[1]
+    assert bench.says[0] is ControllerMode.HOLD and "the newest was refused: its stamp is more than" in bench.says[1]
 
 
 def test_at_the_end_the_joints_come_to_rest() -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tpgmm_core import TPGMM, Adapter, Demonstration, Frame, Gaussian
+from tpgmm_core import TPGMM, Adapter, Demonstration, Frame, Gaussian, GaussianMixture
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.kinematics.tasks import compile_kernels
@@ -56,12 +56,14 @@ def learning(tell: Tell) -> None:
     mixture = Adapter(model).adapt({"frame": Frame(np.eye(8), np.zeros(8))})
     Gaussian.product([mixture.component(0), mixture.component(1)])
     Adapter(model).condition([0.5])
-    mixture.condition([0], [0.5])
+    for fitted in (mixture, GaussianMixture([1.0], np.zeros((1, 2)), np.eye(2)[None])):
+        fitted.condition([0], [0.5])
     model.metadata_ = {"duration_s": 1.0}
     SkillFilter(Skill("skill", RegressThenProduct(model)), 5, 1.0)
     PoseFilter.compile_kernels()
     pose = samples()[:, 1:]
     POSE.exp(pose[0], POSE.log(pose[0], pose[1]))
+    POSE.transport(pose[0], pose[1])
 
 
 def control(tell: Tell) -> None:

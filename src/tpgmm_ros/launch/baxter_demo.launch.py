@@ -36,6 +36,7 @@ def activated(node: LifecycleNode) -> list[LaunchDescriptionEntity]:
 
 
 def generate_launch_description() -> LaunchDescription:
+    """The four nodes, the controlling ones brought up by this launch."""
     config = PathJoinSubstitution([FindPackageShare("tpgmm_ros"), "config"])
     arguments = [
         DeclareLaunchArgument("model", description="path of the model file (.tpgmm) that `train` wrote"),

@@ -18,6 +18,7 @@ TASKS = ("hold_cup", "hold_sugar")
 
 
 def generate_launch_description() -> LaunchDescription:
+    """The simulator, the task references and the controller, each in a process."""
     config = PathJoinSubstitution([FindPackageShare("tpgmm_ros"), "config"])
     models, robot = LaunchConfiguration("models"), {"robot_file": LaunchConfiguration("robot")}
     return LaunchDescription(

@@ -15,6 +15,7 @@ from launch import LaunchDescription
 
 
 def generate_launch_description() -> LaunchDescription:
+    """The nodes in one process, `compose`, and its arguments."""
     arguments = [
         DeclareLaunchArgument("robot", description="path of the robot file: URDF, joint groups, limits"),
         DeclareLaunchArgument(

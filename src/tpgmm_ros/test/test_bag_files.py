@@ -237,6 +237,7 @@ def test_messages_come_in_the_order_of_writing(tmp_path: Path) -> None:
 
 WRONG: dict[str, tuple[bytes, str]] = {
     "empty": (b"", r"empty \(0 bytes\)"),
+    "pointer": (b"version https://git-lfs.github.com/spec/v1\n", "is a pointer of Git LFS, not the file itself"),
     "text": (b"This is no bag at all, but a letter.", "format is not known; it begins with b'This is no b"),
     "gzip": (b"\x1f\x8b\x08\x00" + bytes(40), "packed by gzip; unpack it first, with 'gunzip'"),
     "zip": (b"PK\x03\x04" + bytes(40), "packed by zip"),

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -91,10 +90,19 @@ def test_processes_side_by_side_find_the_same_numbers(folder: Path, capsys: pyte
     assert one[0] == two[0] == 0 and one[1]["results"] == two[1]["results"]
 
 
-def test_without_joblib_several_processes_say_what_to_install(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "joblib", None)
-    status, found, _ = run(folder, capsys, "--methods", "promp", "--jobs", "2", str(folder / "bags"))
-    assert status == 1 and "2 processes need joblib" in found["results"][0]["error"]
-    assert "'pip install joblib'" in found["results"][0]["error"]
+def test_a_dask_cluster_finds_the_same_numbers(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Bit by bit, and each of its two workers has done a part."""
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install dask distributed")
+    joblib = pytest.importorskip("joblib")
+    arguments = ["--methods", "adapt_regress", "--jobs"]
+    alone = run(folder, capsys, *arguments, "1", str(folder / "bags"))
+    with (
+        distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+        joblib.parallel_config("dask"),
+    ):
+        client.wait_for_workers(2)
+        with distributed.get_task_stream(client) as tasks:
+            found = run(folder, capsys, *arguments, "2", str(folder / "bags"))
+    assert found[0] == alone[0] == 0 and found[1]["results"] == alone[1]["results"]
+    assert len({task["worker"] for task in tasks.data}) == 2

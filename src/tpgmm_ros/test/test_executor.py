@@ -44,6 +44,37 @@ def test_no_status_event_of_the_middleware_is_asked_for() -> None:
     assert events == 0
 
 
+FAILING = """
+from rclpy.node import Node
+from tpgmm_ros.runtime.executor import run
+
+class Probe(Node):
+    def __init__(self):
+        super().__init__("probe")
+        self.create_timer(0.01, lambda: self.executor.create_task(self.fail))
+
+    def fail(self):
+        raise RuntimeError("at a later turn")
+
+    def destroy_node(self):
+        print("its last words")
+        super().destroy_node()
+
+run(Probe)
+"""
+
+
+def test_a_node_whose_task_fails_ends_in_its_own_words_and_says_where() -> None:
+    """rclpy's executor crashes the process then: a controller would leave its last torques as they are."""
+    with domain_id() as domain:
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        run = subprocess.run(
+            [sys.executable, "-c", FAILING], env=environment, capture_output=True, text=True, timeout=120.0
+        )
+    assert run.returncode == 1 and run.stdout == "its last words\n"
+    assert "in fail" in run.stderr and "RuntimeError: at a later turn" in run.stderr
+
+
 MAPPED = """
 import os
 from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
@@ -88,10 +119,14 @@ def test_no_program_starts_rclpy_in_another_way() -> None:
     assert modules_with(r"rclpy\.init\(") == ["rclpy_workarounds.py"]
 
 
-def test_private_parts_of_rclpy_are_used_in_one_module() -> None:
+def test_private_parts_of_rclpy_are_used_in_two_modules() -> None:
     """Names of rclpy 7.1 that begin with an underscore, or that its documentation does not have."""
     names = r"rclpy\.impl\b", r"\._service_change_state\b", r"\._state_machine\b", r"\.handle\b", r"\.send_response\b"
-    assert modules_with("|".join(names)) == ["rclpy_workarounds.py"]
+    assert sorted(modules_with("|".join(names))) == ["rclpy_events.py", "rclpy_workarounds.py"]
+
+
+def test_every_node_is_served_by_the_executor_whose_tasks_may_fail() -> None:
+    assert modules_with(r"\bEventsExecutor\(") == []
 
 
 def modules_with(pattern: str) -> list[str]:

@@ -11,7 +11,8 @@ from synthetic_bags import REACH_TASK, reach, write_bag, write_pose_arrays
 from tpgmm_core.geometry import quaternion
 from tpgmm_ros.programs.train import main
 from tpgmm_ros.recordings.bags import BagError, find_bags, read_demonstrations, read_recording
-from tpgmm_ros.task.task_file import PoseArraySpec, Task, TaskError
+from tpgmm_ros.task.recordings_section import PoseArraySpec
+from tpgmm_ros.task.task_file import Task, TaskError
 
 ROOT = Path(__file__).resolve().parents[3]
 FRANKA = ROOT.parent / "shared" / "data" / "franka_bolts"

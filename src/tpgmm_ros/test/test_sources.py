@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from synthetic_bags import REACH_TASK, START_S, reach
+from synthetic_bags import REACH_TASK, START_S, reach, write_bag
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.pose import compose, inverse
 from tpgmm_core.robot.model import RobotModel
@@ -278,6 +278,13 @@ def test_tags_that_flip_are_left_out_and_said(tmp_path: Path) -> None:
     np.testing.assert_allclose(angles, 0.0, atol=1e-6)
     assert len(recording.notes) == 1
     assert f"/object/pose: {bad.sum()} of 100 poses leap by up to 0.000 m and 180 deg" in recording.notes[0]
+
+
+def test_two_things_by_turns_on_one_topic_are_refused(tmp_path: Path) -> None:
+    topics = reach(0)
+    topics["/object/pose"].poses[::2, :3] += [0.3, 0.1, 0.0]
+    with pytest.raises(BagError, match="50 of 100 poses leap by up to 0.316 m.* or two things are on one topic"):
+        read_recording(write_bag(tmp_path / "demo", topics), task_with())
 
 
 # the same code reads live messages

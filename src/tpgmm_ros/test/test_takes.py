@@ -219,6 +219,79 @@ def test_only_what_is_left_of_a_bag_is_doubted(tmp_path: Path) -> None:
     assert not cut.doubts and cut.visible["object"].all() and len(cut.notes) == 1, cut.notes
 
 
+# -- clocks of a bag, and of its takes
+
+TAKES = "takes: [[2.0, 6.0], [12.04, 16.04]]\n"
+
+
+def on_clocks(step: float, at: float, lag: float = 0.0, unstamped_until: float = -1.0) -> dict[str, Topic]:
+    """Two reaches; from a time on, all clocks have been set by a step; the object's stamps are late until then."""
+    found = {}
+    for name, topic in lessons(2).items():
+        when = topic.recorded
+        shown = when + step * (when >= at)
+        stamps = np.where(when < unstamped_until, -START_S, shown - lag * (when < at) * (name == "/object/pose"))
+        found[name] = Topic(topic.poses, shown, stamps, written=when)
+    return found
+
+
+@pytest.mark.parametrize("step", [-0.8, -300.0, 300.0])
+def test_a_clock_that_steps_between_takes_does_no_harm(step: float, tmp_path: Path) -> None:
+    task = Task.from_text(REACH_TASK)
+    bags = [write_bag(tmp_path / "steady", lessons(2)), write_bag(tmp_path / "demo", on_clocks(step, 9.0))]
+    with pytest.raises(BagError, match="clock steps by .* or name what lies on one side of the step in the edits"):
+        read_recording(bags[1], task)
+    for bag, later in zip(bags, (0.0, max(step, 0.0)), strict=True):
+        begin, end = 12.04 + later, 16.04 + later - (0.04 if step < 0.0 and bag is bags[1] else 0.0)
+        (tmp_path / f"{bag.name}.edits.yaml").write_text(f"takes: [[2.0, 6.0], [{begin}, {end}]]\n")
+    steady, found = (read_takes(bag, task) for bag in bags)
+    assert not found[1] and len(found[0]) == 2
+    for one, other in zip(steady[0], found[0], strict=True):
+        count = len(other.times)
+        assert len(one.times) - 1 <= count and not other.doubts
+        np.testing.assert_allclose(one.times[:count], other.times, atol=1e-6)
+        np.testing.assert_array_equal(one.movement[:count], other.movement)
+        np.testing.assert_array_equal(one.frames["object"][:count], other.frames["object"])
+        assert other.visible["object"].all()
+
+
+def test_a_clock_that_steps_in_a_take_refuses_that_one_alone(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "demo", on_clocks(-0.8, 14.0))
+    (tmp_path / "demo.edits.yaml").write_text(TAKES)
+    good, bad = read_takes(bag, Task.from_text(REACH_TASK))
+    assert [one.name for one in good] == ["demo#1"] and len(bad) == 1
+    assert "take 2 of 2" in str(bad[0]) and "the clock steps by -0.7" in str(bad[0])
+    (tmp_path / "demo.edits.yaml").write_text("to: 13\n")
+    assert read_recording(bag, Task.from_text(REACH_TASK)).duration == pytest.approx(13.0, abs=0.05)
+    (tmp_path / "demo.edits.yaml").unlink()
+    good, bad = read_takes(bag, task_with("{still: 1.0, every: 2}"))
+    assert [one.name for one in good] == ["demo#1"] and "the clock steps" in str(bad[0])
+
+
+def test_each_take_has_the_stamps_and_the_lag_that_it_has(tmp_path: Path) -> None:
+    task = Task.from_text(REACH_TASK)
+    bag = write_bag(tmp_path / "late", on_clocks(0.0, 9.0, lag=4.0))
+    (tmp_path / "late.edits.yaml").write_text(TAKES)
+    good, bad = read_takes(bag, task)
+    assert not bad and [[doubt.kind for doubt in one.doubts] for one in good] == [["lag"], []]
+    bag = write_bag(tmp_path / "unstamped", on_clocks(0.0, 9.0, unstamped_until=8.0))
+    (tmp_path / "unstamped.edits.yaml").write_text(TAKES)
+    good, bad = read_takes(bag, task)
+    assert not bad and [any("times of the recorder" in note for note in one.notes) for one in good] == [True, False]
+    assert [len(one.times) for one in good] == [101, 101]
+
+
+def test_an_object_seen_once_before_the_clock_stepped_stays_where_it_was(tmp_path: Path) -> None:
+    topics = on_clocks(-300.0, 9.0)
+    once = topics["/object/pose"]
+    assert once.stamps is not None and once.written is not None
+    topics["/object/pose"] = Topic(once.poses[:1], once.recorded[:1], once.stamps[:1], written=once.written[:1])
+    bag = write_bag(tmp_path / "demo", topics)
+    (tmp_path / "demo.edits.yaml").write_text("takes: [[12.0, 15.9]]\n")
+    (take,), bad = read_takes(bag, Task.from_text(REACH_TASK))
+    assert not bad and take.visible["object"].all() and (take.frames["object"] == once.poses[0]).all()
+
+
 def test_pauses_within_a_demonstration_are_no_reason_to_cut_it(capsys: pytest.CaptureFixture[str]) -> None:
     """In these bags the hand rests for a second where it grasps."""
     bags = Path(__file__).resolve().parents[3] / "bags" / "pick_place"

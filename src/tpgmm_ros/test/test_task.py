@@ -14,7 +14,8 @@ from tpgmm_core.common.safe_yaml import MAX_BYTES
 from tpgmm_core.model.derived_frames import HAND, FrameSource
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_ros.messages.sources import PoseStampedSource
-from tpgmm_ros.task.task_file import Task, TaskError, TaskFrameSpec
+from tpgmm_ros.task.frames_section import TaskFrameSpec
+from tpgmm_ros.task.task_file import Task, TaskError
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 

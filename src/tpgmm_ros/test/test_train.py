@@ -133,6 +133,9 @@ def test_a_model_goes_on_to_learn_from_new_bags_about_as_well_as_from_all_at_onc
     }
     assert errors["updated"] < 1.5 * errors["batch"] and errors["updated"] < errors["first"], errors
 
+    assert train(bags, "--update", first, "--output", first, *demonstrations[4:]) == 0  # the file itself
+    assert first.read_bytes() == better.read_bytes()
+
     capsys.readouterr()
     assert train(bags, "--update", better, "--output", tmp_path / "twice.tpgmm", demonstrations[0]) == 0
     assert "demo_0: recordings of these names were learned from before" in capsys.readouterr().err

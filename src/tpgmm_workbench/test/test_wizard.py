@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tpgmm_core.robot.description import resolve_urdf
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_workbench.project.errors import ProjectError
+from tpgmm_workbench.project.from_urdf import create_from_urdf
 from tpgmm_workbench.project.wizard import known_urdfs, propose_robot_file
 
 ROBOTS = "package://example-robot-data/robots/"
@@ -69,3 +72,16 @@ def test_a_robot_without_an_arm_is_refused_in_words(tmp_path: Path) -> None:
     (tmp_path / "box.urdf").write_text('<robot name="box"><link name="box"/></robot>')
     with pytest.raises(ValueError, match="has no arm"):
         propose_robot_file("box.urdf", tmp_path)
+
+
+def test_a_urdf_alone_becomes_a_project_with_a_task_for_its_arm(tmp_path: Path) -> None:
+    project, found = create_from_urdf(tmp_path / "known", ROBOTS + "z1_description/urdf/z1.urdf")
+    assert project.robot().base_frame == project.task.base_frame == "world"
+    assert project.task.endpoint == "arm" and set(project.task.topics) == {"object", "target"}
+    assert any("joint6 moves so little" in words for words in found.suspicions)
+    with pytest.raises(ProjectError, match="not empty"):
+        create_from_urdf(tmp_path / "known", ROBOTS + "z1_description/urdf/z1.urdf")
+
+    own = resolve_urdf(ROBOTS + "ur_description/urdf/ur3_robot.urdf", tmp_path)
+    project, _ = create_from_urdf(tmp_path / "own", str(own))
+    assert (project.folder / own.name).read_bytes() == own.read_bytes() and project.robot().nv == 6

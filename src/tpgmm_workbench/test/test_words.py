@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.graph.movement import RunView
 from tpgmm_workbench.page import words
 from tpgmm_workbench.page.driver import Driver
+from tpgmm_workbench.page.names import names_alone
 from tpgmm_workbench.project.activities import Action, Activity, Facts, may
 from tpgmm_workbench.project.preview import Check, Preview
 from tpgmm_workbench.project.suggestion import Suggestion
@@ -129,3 +131,21 @@ def test_of_several_pages_one_drives_and_another_may_take_over() -> None:
     assert driver.go(3)
     driver.come(4)
     assert driver.number == 4
+
+
+def test_a_page_shows_names_of_files_and_not_where_on_this_machine_they_lie(tmp_path: Path) -> None:
+    said = [
+        (f"{tmp_path / 'cups'} is no project: it lacks task.yaml", "cups is no project: it lacks task.yaml"),
+        (f"[Errno 2] No such file: '{tmp_path}/a/b.mcap'; try again", "[Errno 2] No such file: 'b.mcap'; try again"),
+        (f"<div>imported into {Path.home()}/cups</div>", "<div>imported into cups</div>"),
+        (f"read {Path.cwd()}/out/1.tpgmm, /tmp/x.zip", "read 1.tpgmm, x.zip"),
+    ]
+    for text, shown in said:
+        assert names_alone(text) == shown
+    for text in (
+        "<div>5 of 50 N m/rad</div>",
+        "nothing on /endpoint/left/pose: see http://127.0.0.1:8080/home/x",
+        "package://example-robot-data/usr/x.urdf, out/workbench/home/x",
+        "/ is no file",
+    ):
+        assert names_alone(text) == text

@@ -22,6 +22,7 @@ from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.processes import GraphError, NodeProcesses, Value
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_workbench.project.errors import ProjectError
+from tpgmm_workbench.project.from_urdf import create_from_urdf
 from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.workbench import WorkbenchNode
 
@@ -90,11 +91,19 @@ def _project(arguments: argparse.Namespace) -> Project:
     folder: Path = arguments.project
     if folder.is_dir() and any(folder.iterdir()):
         project = Project.open(folder)
-        if arguments.task is not None or arguments.robot is not None:
+        if (arguments.task, arguments.robot, arguments.urdf) != (None, None, None):
             raise ProjectError(
-                f"{folder} is a project with a task and a robot of its own: leave --task and --robot out, or give "
-                "another folder"
+                f"{folder} is a project with a task and a robot of its own: leave --task, --robot and --urdf out, or "
+                "give another folder"
             )
+        return project
+    if arguments.urdf is not None:
+        if (arguments.task, arguments.robot) != (None, None):
+            raise ProjectError("--urdf proposes a robot file and a task file: leave --task and --robot out")
+        project, found = create_from_urdf(folder, arguments.urdf)
+        print(f"{project.robot_file} is proposed from the URDF; before a real robot uses it, look at each line:")
+        for words in (*found.words, *(f"suspicious: {words}" for words in found.suspicions)):
+            print(f"- {words}")
         return project
     task = arguments.task or config_file("pick_place.yaml")
     return Project.create(folder, task, arguments.robot or config_file("baxter.yaml"))
@@ -149,6 +158,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--task", type=Path, help="task file of a new project (default: config/pick_place.yaml)")
     parser.add_argument("--robot", type=Path, help="robot file of a new project (default: config/baxter.yaml)")
+    parser.add_argument(
+        "--urdf", help="of a robot without a robot file, package://NAME/PATH or a path: robot and task are proposed"
+    )
     parser.add_argument(
         "--host", default="127.0.0.1", help=f"address of the page; 0.0.0.0: for other machines too, by a token {shown}"
     )

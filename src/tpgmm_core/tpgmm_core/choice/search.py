@@ -25,7 +25,7 @@ LEADERS = 3
 AS_GOOD = 0.01
 """Trials whose merits differ by less than this share are as good; the likelihood of what was left out then decides."""
 
-type Progress = Callable[[TrialResult, TrialResult], None]
+type TrialProgress = Callable[[TrialResult, TrialResult], None]
 """Called after each trial with its result, and the best so far."""
 
 
@@ -89,7 +89,7 @@ def run_search(
     trials: int | None = None,
     seconds: float | None = None,
     workers: int = 1,
-    progress: Progress | None = None,
+    progress: TrialProgress | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> Search:
     """Try what rounds ask for, each trial once, until they end or a budget is used up.
@@ -107,7 +107,7 @@ def run_search(
     workers
         processes; 1 for none beside this one
     progress
-        see `Progress`
+        see `TrialProgress`
     clock
         returns a time in s, the same in all processes
 
@@ -150,7 +150,7 @@ def _run_round(
     trials: Sequence[Trial],
     judge: _Judge,
     deadline: float,
-    progress: Progress | None,
+    progress: TrialProgress | None,
     clock: Callable[[], float],
 ) -> None:
     """Results are kept in the order of the trials, whichever is finished first."""

@@ -19,9 +19,9 @@ from tpgmm_core.control.control_law import DynamicState, Lag, LawTorques
 from tpgmm_core.control.delay_margin import borne_share, delay_margin, fastest_rate
 from tpgmm_core.control.impedance_config import ImpedanceConfig
 from tpgmm_core.control.kernels_impedance import STOP_FREQUENCY, arm_torques, standing_torques
-from tpgmm_core.control.kernels_pose import approach, lead, pose_difference, scaled_length, waiting_share
-from tpgmm_core.control.operational_space import bound_twist
-from tpgmm_core.control.pose_target import PoseReference, PoseTarget, receding_pose_target
+from tpgmm_core.control.kernels_pose import pose_difference, scaled_length
+from tpgmm_core.control.pose_governor import PoseGovernor
+from tpgmm_core.control.pose_target import PoseReference, PoseTarget
 from tpgmm_core.control.receding_gains import RecedingGains
 from tpgmm_core.control.torque_limits import finite
 from tpgmm_core.lqr.double_integrator import double_integrator_gains
@@ -31,8 +31,6 @@ from tpgmm_core.robot.model import RobotModel
 POSE_MANIFOLD = "R3 x S3"
 #: The terms of which the torque is the sum, in the order of the rows in `ImpedanceLaw.step`.
 TERMS = ("feedforward", "feedback", "null_space", "hold", "hand_guiding")
-#: The reference of a hindered hand is no farther away than this (m, rad), and moves at this share of the speed.
-LEASH, ANGULAR_LEASH, HINDERED_SPEED = 0.03, 0.2, 0.25
 
 
 class ImpedanceLaw:
@@ -78,6 +76,7 @@ class ImpedanceLaw:
         self._arm = robot.indices(robot.endpoints[endpoint].joints)
         self._others = np.setdiff1d(np.arange(robot.nv), self._arm)
         self._rest = rest[self._arm]
+        self._governor = PoseGovernor(ahead)
         self.configure(config or ImpedanceConfig())
         self.reset()
         self._compile()
@@ -91,7 +90,7 @@ class ImpedanceLaw:
 
     def configure(self, config: ImpedanceConfig) -> None:
         """Use other parameters, also while a reference is followed; gains change with the next target."""
-        self.config = config
+        self.config = self._governor.config = config
         length = config.characteristic_length
         self._control_cost = config.control_cost * np.array([1.0, 1.0, 1.0, *[length**2] * 3])
         self._scale = np.repeat([1.0 / length, 1.0], 3)
@@ -100,13 +99,8 @@ class ImpedanceLaw:
 
     def reset(self) -> None:
         """Forget the target and the posture; the next step starts from the state that it is given."""
-        self._target: PoseTarget | None = None
-        self._blend = 0.0
-        self._hindered = False
+        self._governor.reset()
         self._posture: Array | None = None
-        self._push = np.zeros(6)  # what the gains of a horizon ask for beside the error
-        if self.ahead is not None:
-            self.ahead.reset()
 
     def target(self, reference: Reference, moving: bool) -> PoseTarget:
         """Prepare a reference: see `ControlLaw.target`.
@@ -195,11 +189,11 @@ class ImpedanceLaw:
         """
         config, nv = self.config, self.robot.nv
         pose, twist = moment.data.pose(self.endpoint), moment.data.twist(self.endpoint)
-        self._hindered = moment.loop.hindered
-        self._take(target, pose, dt)
+        governor = self._governor
+        governor.step(target, pose, dt, moment.loop.hindered)
         feedforward, feedback, null_space, hold, hand_guiding, given = rows = np.zeros((6, nv))
         error, stiffness, damping, jacobian = np.zeros(6), np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((6, nv))
-        weight = self._weight()
+        weight, followed = governor.weight, governor.target
         if self._posture is None:
             self._posture = moment.q.copy()
         standing_torques(
@@ -220,9 +214,9 @@ class ImpedanceLaw:
             given,
         )
         found, margin, share, asked, lag = 0, np.inf, 1.0, 0.0, None
-        if self._target is not None:
-            goal = self._target.reference
-            margin = min(self._target.delay_margin, self._null_space_margin)
+        if followed is not None:
+            goal = followed.reference
+            margin = min(followed.delay_margin, self._null_space_margin)
             share = borne_share(margin, moment.loop.delay)
             asked = float(scaled_length(self._scale, goal.twist))
             if target is not None:
@@ -244,8 +238,8 @@ class ImpedanceLaw:
                 goal.pose,
                 goal.twist,
                 goal.acceleration,
-                self._target.K_V @ self._target.ratio @ self._target.K_V,
-                self._target.K_V,
+                followed.K_V @ followed.ratio @ followed.K_V,
+                followed.K_V,
                 weight,
                 config.characteristic_length,
                 config.max_inertia,
@@ -272,7 +266,7 @@ class ImpedanceLaw:
             stiffness=stiffness,
             damping=damping,
             jacobian=jacobian,
-            blend=self._blend,
+            blend=governor.blend,
             saturated=found == 1,
             reason="the joint velocities are implausibly large" if unusable else "",
             lag=lag,
@@ -281,65 +275,3 @@ class ImpedanceLaw:
             moves=float(scaled_length(self._scale, twist)),
             asked=asked,
         )
-
-    def _weight(self) -> float:
-        """Weight of the reference, 0 to 1, smooth at both ends."""
-        return self._blend**2 * (3.0 - 2.0 * self._blend)
-
-    def _take(self, target: PoseTarget | None, pose: Array, dt: float) -> None:
-        """Blend the target in, or the last one out; pose (7,) is the hand's."""
-        change = dt / self.config.blend_time
-        if target is not None:
-            target = self._with_gains_ahead(target, dt)
-            self._blend = min(1.0, self._blend + change)
-            self._target = self._approach(target, pose, dt)
-            return
-        self._blend = max(0.0, self._blend - change)
-        if self._blend == 0.0:
-            self._target = None
-        elif self._target is not None:
-            still = replace(self._target.reference, twist=np.zeros(6), acceleration=np.zeros(6))
-            self._target = replace(self._target, reference=still)
-
-    def _with_gains_ahead(self, target: PoseTarget, dt: float) -> PoseTarget:
-        """With gains of the course that comes, where the target has one."""
-        config, ahead, course = self.config, self.ahead, target.course
-        if ahead is None or course is None:
-            return target
-        cost, length, bounds = config.control_cost, config.characteristic_length, config.bounds
-        planned = ahead.at_present(
-            dt, lambda: receding_pose_target(target.reference, course, ahead, cost, length, bounds)
-        )
-        # the feedforward belongs to the gains, and comes as they do
-        self._push += min(1.0, dt / config.gain_time) * (planned.reference.acceleration - self._push)
-        return replace(planned, reference=replace(target.reference, acceleration=self._push.copy()))
-
-    def _waits(self, hand: Array) -> float:
-        """Share of its speed with which the pose moves on; see `waiting_share`."""
-        last, config = self._target, self.config
-        if last is None:
-            return 1.0
-        limits = config.max_linear_speed, config.max_angular_speed
-        return float(waiting_share(hand, last.reference.pose, last.K_V, last.ratio, *limits))
-
-    def _approach(self, target: PoseTarget, hand: Array, dt: float) -> PoseTarget:
-        """The target, as far as its speed permits since the last one, or from where the hand is."""
-        last, config, reference = self._target, self.config, target.reference
-        pose = (hand if last is None else last.reference.pose).copy()
-        # it starts slowly: otherwise the arm would jump to a reference that it does not follow yet
-        reach = self._weight() * dt * (HINDERED_SPEED if self._hindered else self._waits(hand))
-        approach(pose, reference.pose, config.max_linear_speed * reach, config.max_angular_speed * reach)
-        if self._hindered:
-            lead(pose, hand, LEASH, ANGULAR_LEASH, config.max_linear_speed * dt, config.max_angular_speed * dt)
-        twist = reference.twist.copy()
-        bound_twist(twist, config.max_linear_speed, config.max_angular_speed)
-        # jumps of the stiffness would add energy
-        share = 1.0 if last is None else min(1.0, dt / config.gain_time)
-        before = target if last is None else last
-        K_V = before.K_V + share * (target.K_V - before.K_V)
-        ratio = before.ratio + share * (target.ratio - before.ratio)
-        # bounds of what is blended, since the largest eigenvalue is convex
-        rate = before.rate + share * (target.rate - before.rate)
-        firmness = before.firmness + share * (target.firmness - before.firmness)
-        goal = PoseReference(pose, reference.covariance, twist, reference.acceleration)
-        return PoseTarget(goal, K_V, ratio, rate, firmness)

@@ -23,12 +23,12 @@ import numpy as np
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import DynamicState, Lag, LawTorques
-from tpgmm_core.control.impedance import ANGULAR_LEASH
-from tpgmm_core.control.impedance import LEASH as HAND_LEASH
 from tpgmm_core.control.joint_impedance import LEASH, JointImpedanceConfig, JointImpedanceLaw
 from tpgmm_core.control.joint_target import JointGains, JointTarget
 from tpgmm_core.control.operational_space import bound_twist
 from tpgmm_core.control.planning import PlanConfig, Schedule, Submit, at_once
+from tpgmm_core.control.pose_governor import ANGULAR_LEASH
+from tpgmm_core.control.pose_governor import LEASH as HAND_LEASH
 from tpgmm_core.control.predictive import JointLimits, PredictiveController
 from tpgmm_core.control.predictive_problem import Planned, PlanProblem, PredictiveTarget, solve
 from tpgmm_core.control.receding_gains import GaussiansAhead

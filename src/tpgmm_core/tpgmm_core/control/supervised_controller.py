@@ -21,7 +21,16 @@ from tpgmm_core.control.loop_guard import LoopGuard
 from tpgmm_core.control.supervision import ControllerMode, Inputs, Timeouts, decide, slow_states
 from tpgmm_core.control.torque_pipeline import TorqueLimits
 from tpgmm_core.model.reference import Reference
-from tpgmm_core.observation.streams import BETWEEN, SECOND, RateMeter, Stamp, StreamWatch, standing_still
+from tpgmm_core.observation.streams import (
+    BETWEEN,
+    SECOND,
+    RateMeter,
+    Stamp,
+    StreamWatch,
+    stamps_ahead,
+    stamps_behind,
+    standing_still,
+)
 from tpgmm_core.robot.model import RobotModel
 
 
@@ -81,6 +90,7 @@ class SupervisedController[TargetT]:
         self._state_fault = self._reference_fault = ""
         self._answer: Answer | None = None
         self._answered_state = False
+        self._used: float | None = None
         self._q = self._v = np.zeros(0)
         self._interval_ns = self._period_ns = 0
         self._sent_ns = self._watched_ns = 0
@@ -131,7 +141,7 @@ class SupervisedController[TargetT]:
             return
         try:
             if kind is Stamp.FUTURE:
-                raise ValueError(_ahead(timeouts.max_future))
+                raise ValueError(stamps_ahead(timeouts.max_future))
             self._moving = self.law.target(reference, True)
         except ValueError as error:
             self.refuse_reference(str(error))
@@ -166,7 +176,7 @@ class SupervisedController[TargetT]:
         timeouts = self.timeouts
         kind = self._states.judge(stamp_ns, now_ns, clock_ns, timeouts.joint_state_timeout, timeouts.max_future)
         if kind is Stamp.FUTURE:
-            return self.refuse_state(_ahead(timeouts.max_future), stamp_ns, now_ns)
+            return self.refuse_state(stamps_ahead(timeouts.max_future), stamp_ns, now_ns)
         if kind is Stamp.OLD:
             return None
         age = self._states.age(now_ns)
@@ -175,14 +185,17 @@ class SupervisedController[TargetT]:
             self._trouble = lambda: standing_still(stamp_ns)
             return None if stale else self._answer  # once it is stale, `watch` answers
         if timeouts.max_age > 0.0 and clock_ns > 0 and clock_ns - stamp_ns > timeouts.max_age * SECOND:
-            return self.refuse_state(_behind(stamp_ns, clock_ns, timeouts.max_age), stamp_ns, now_ns)
+            return self.refuse_state(stamps_behind(stamp_ns, clock_ns, timeouts.max_age), stamp_ns, now_ns)
         if kind is Stamp.RESTARTED:
             self.guard.forget()
             self._references.forget()
             self._reference = self._moving = self._held = None
         if stale or self._state_fault:
             self.controller.restart()
-        dt = self._since_last(stamp_ns if self._answered_state else None, now_ns)
+        if self._used is not None and self._answer is not None:  # what was answered again counts to the same interval
+            dt = max(0.0, (stamp_ns - self._answer.stamp_ns) / SECOND - self._used)
+        else:
+            dt = self._since_last(stamp_ns if self._answered_state else None, now_ns)
         former, self._interval_ns = self._interval_ns, stamp_ns - (self._states.stamp_ns or stamp_ns)
         self._period_ns = min(former, self._interval_ns)  # a pause is no period
         self._states.accept(stamp_ns, now_ns)
@@ -205,7 +218,9 @@ class SupervisedController[TargetT]:
         """Answer the last joint state again, where the last reference was made after it and before the next one.
 
         A reproduction makes such a reference when frames have changed: the torques that follow from it need not wait
-        for the next joint state. Its stamp tells: it lies between theirs.
+        for the next joint state. Its stamp tells: it lies between theirs. The time since that state, in which torques
+        may change, is taken off the interval to the next one: between the stamps of two states, torques change by no
+        more than in one step, however late the messages come.
 
         Parameters
         ----------
@@ -227,7 +242,9 @@ class SupervisedController[TargetT]:
             return None
         guard = self.guard
         command = self.controller.step(self._q, self._v, self._moving, dt, guard.loop(), brakes=guard.swings)
-        return self._send(command, state_ns, now_ns, to_state=False)
+        answer = self._send(command, state_ns, now_ns, to_state=False)
+        self._used = self.controller.pipeline.time_step(dt)
+        return answer
 
     def refuse_state(self, reason: str, stamp_ns: int, now_ns: int) -> Answer | None:
         """Answer a joint state that cannot be used: by the safe torque where the robot was last.
@@ -331,18 +348,5 @@ class SupervisedController[TargetT]:
         if command is None:
             return None
         self._answer, self._answered_state, self._sent_ns = Answer(stamp_ns, command), to_state, now_ns
+        self._used = None
         return self._answer
-
-
-def _behind(stamp_ns: int, clock_ns: int, max_age: float) -> str:
-    if stamp_ns == 0:
-        return "its stamp is 0: let the driver stamp joint states, or set max_age to 0, but its age is then unknown"
-    return (
-        f"its stamp lies {(clock_ns - stamp_ns) / SECOND:.3g} s behind this machine's clock, more than max_age "
-        f"({max_age:g} s): it is too old, or the clocks differ; synchronise them, or set max_age to 0, and its age "
-        "stays unknown"
-    )
-
-
-def _ahead(max_future: float) -> str:
-    return f"its stamp lies more than {max_future:g} s ahead of this machine's clock; synchronise the clocks"

@@ -18,17 +18,23 @@ from numpy.typing import NDArray
 
 from tpgmm_core.common.settings import check_settings, setting
 from tpgmm_core.common.types import Array
-from tpgmm_core.control.following import size
+from tpgmm_core.control.aim_progress import AimProgress
 from tpgmm_core.control.joint_motion import JointMotion, JointStep, MotionConfig
 from tpgmm_core.control.motion_aims import Aim
 from tpgmm_core.control.supervision import ControllerMode
-from tpgmm_core.observation.streams import RESTARTED_AFTER, SECOND, Stamp, StreamWatch, standing_still
+from tpgmm_core.observation.streams import (
+    RESTARTED_AFTER,
+    SECOND,
+    Stamp,
+    StreamWatch,
+    stamps_ahead,
+    stamps_behind,
+    standing_still,
+)
 from tpgmm_core.robot.model import RobotModel
 
 #: A robot rests whose joints stay within this much, rad (m), for this long, s.
 RESTS_WITHIN, RESTS_FOR = 0.005, 0.1
-#: A reference that is missed cannot be followed where it comes no nearer by this share for so long, s.
-NEARER, PATIENCE = 0.05, 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +99,7 @@ class SupervisedMotion:
         self._anchor_ns = self._heard_ns = self._stepped_ns = self._held_ns = 0
         self._moving = False
         self._lost = ""
-        self._progress = Progress()
+        self._progress = AimProgress()
         self.mode, self.reason = ControllerMode.WAITING, "no joint state yet"
 
     def configure(self, config: MotionConfig, timeouts: MotionTimeouts) -> None:
@@ -137,12 +143,12 @@ class SupervisedMotion:
         if kind in (Stamp.REPEATED, Stamp.OLD):
             return
         if kind is Stamp.FUTURE:
-            self.refuse_reference(_ahead(timeouts.max_future))
+            self.refuse_reference(stamps_ahead(timeouts.max_future))
             raise ValueError(self._reference_fault)
         age = self._references.age(now_ns)
         if age is None or age > timeouts.reference_timeout:  # another movement
             self._lost = ""
-            self._progress = Progress()
+            self._progress = AimProgress()
         self._references.accept(stamp_ns, now_ns)
         self._aims, self._reference_fault = tuple(aims), ""
 
@@ -224,7 +230,7 @@ class SupervisedMotion:
             if why := why or self._why_not_begun():
                 self.mode, self.reason = ControllerMode.WAITING, f"{why}: nothing is sent"
                 return None
-            self._moving, self._held_ns, self._progress = True, 0, Progress()
+            self._moving, self._held_ns, self._progress = True, 0, AimProgress()
             self._lags = 0.0 * self._lags
         return self._stay(why, dt, now_ns) if why else self._follow(dt)
 
@@ -311,38 +317,7 @@ class SupervisedMotion:
         if kind is Stamp.REPEATED:
             return standing_still(stamp_ns)
         if kind is Stamp.FUTURE:
-            return _ahead(timeouts.max_future)
-        late = (clock_ns - stamp_ns) / SECOND
-        if timeouts.max_age > 0.0 and clock_ns > 0 and late > timeouts.max_age:
-            return (
-                f"their stamps lie {late:.3g} s behind this machine's clock, more than max_age "
-                f"({timeouts.max_age:g} s): synchronise the clocks, or set max_age to 0"
-            )
+            return stamps_ahead(timeouts.max_future)
+        if timeouts.max_age > 0.0 and clock_ns > 0 and clock_ns - stamp_ns > timeouts.max_age * SECOND:
+            return stamps_behind(stamp_ns, clock_ns, timeouts.max_age)
         return ""
-
-
-class Progress:
-    """Whether joints get to what they aim at, and in words why not."""
-
-    def __init__(self) -> None:
-        self._nearest, self._waited = np.inf, 0.0
-
-    def hindered(self, step: JointStep, dt: float) -> str:
-        """Why what is missed is not got to; empty while it is, or comes nearer. `dt` is since the last step, s."""
-        if not step.lags:
-            self._nearest, self._waited = np.inf, 0.0
-            return ""
-        farthest = max(step.lags, key=size)
-        if (far := size(farthest)) < (1.0 - NEARER) * self._nearest:
-            self._nearest, self._waited = far, 0.0
-            return ""
-        self._waited += dt
-        if self._waited < PATIENCE:
-            return ""
-        limits = ", ".join(step.limits)
-        cause = f"at the limits of {limits}" if limits else "it is out of reach, or other aims count more"
-        return f"{farthest}, no progress: {cause}"
-
-
-def _ahead(max_future: float) -> str:
-    return f"stamps lie more than {max_future:g} s ahead of this machine's clock; synchronise the clocks"

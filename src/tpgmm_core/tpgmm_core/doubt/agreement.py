@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.doubt.doubts import Doubt, Shown
+from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.pose import compose, inverse
 
@@ -35,7 +35,7 @@ APART_M, APART_SHARE, APART_RAD = 0.03, 0.15, 0.8
 """What is less, also in shares of the movement's extent, is how movements differ."""
 
 
-def doubts_of_durations(shown: Sequence[Shown]) -> list[Doubt]:
+def doubts_of_durations(shown: Sequence[RawDemonstration]) -> list[Doubt]:
     """Durations and lengths of paths that differ from the median by factors; from three recordings on."""
     if len(shown) < 3:
         return []
@@ -56,7 +56,7 @@ def doubts_of_durations(shown: Sequence[Shown]) -> list[Doubt]:
     return found
 
 
-def doubts_of_copies(shown: Sequence[Shown]) -> list[Doubt]:
+def doubts_of_copies(shown: Sequence[RawDemonstration]) -> list[Doubt]:
     """Recordings that hold the same movement, number by number: one counts twice."""
     first: dict[bytes, str] = {}
     found = []
@@ -70,7 +70,7 @@ def doubts_of_copies(shown: Sequence[Shown]) -> list[Doubt]:
     return found
 
 
-def doubts_of_misfits(shown: Sequence[Shown]) -> list[Doubt]:
+def doubts_of_misfits(shown: Sequence[RawDemonstration]) -> list[Doubt]:
     """Demonstrations that no frame sees where it sees the others: named, with when and how far; from three on.
 
     Parameters
@@ -114,7 +114,7 @@ def doubts_of_misfits(shown: Sequence[Shown]) -> list[Doubt]:
     return found
 
 
-def distances_from_others(shown: Sequence[Shown]) -> tuple[Array, Array]:
+def distances_from_others(shown: Sequence[RawDemonstration]) -> tuple[Array, Array]:
     """How far each demonstration is from the others, in the frame that sees it nearest to them.
 
     Parameters
@@ -133,7 +133,7 @@ def distances_from_others(shown: Sequence[Shown]) -> tuple[Array, Array]:
     return positions, turns
 
 
-def _views(shown: Sequence[Shown]) -> list[Array]:
+def _views(shown: Sequence[RawDemonstration]) -> list[Array]:
     """Poses (M, S, 7) as each frame sees them, as the base does, and as the first pose of the movement does."""
     samples = [
         np.abs(np.linspace(one.times[0], one.times[-1], SHARES)[:, None] - one.times).argmin(axis=1) for one in shown
@@ -176,7 +176,7 @@ def _longest_run(is_far: NDArray[np.bool_]) -> tuple[int, int]:
     return max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
 
 
-def _other_way(i: int, shown: Sequence[Shown]) -> str:
+def _other_way(i: int, shown: Sequence[RawDemonstration]) -> str:
     """Words for a demonstration that turns the other way round."""
     turns = np.array([_turned(one) for one in shown])
     others = np.median(np.delete(turns, i, axis=0), axis=0)
@@ -186,7 +186,7 @@ def _other_way(i: int, shown: Sequence[Shown]) -> str:
     return f"; it turns by {np.degrees(mine):.0f} deg the other way round, the others by {np.degrees(usual):.0f} deg"
 
 
-def _turned(one: Shown) -> Array:
+def _turned(one: RawDemonstration) -> Array:
     """The sum of all turns of a movement about the axes of its first pose, (3,) rad: more than half a turn counts."""
     first = quaternion.conjugate(one.movement[0, 3:])
     relative = quaternion.multiply(first, one.movement[:, 3:])

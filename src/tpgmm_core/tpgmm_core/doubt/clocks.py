@@ -144,8 +144,8 @@ def common_clock(movement: TopicTimes, others: Sequence[TopicTimes]) -> CommonCl
     )
 
 
-def _breaks(times: Nanoseconds) -> NDArray[np.intp]:
-    """Numbers of the messages before which a clock steps back, begins, or leaps."""
+def breaks(times: Nanoseconds) -> NDArray[np.intp]:
+    """Numbers of the messages at times (T,), ns, before which the clock steps back, begins, or leaps."""
     seconds = 1e-9 * np.diff(times)
     period = float(np.median(seconds[seconds > 0.0])) if (seconds > 0.0).any() else 0.0
     begins = (times[:-1] <= 0) & (seconds > max(10.0 * period, 0.5))
@@ -156,10 +156,10 @@ def _breaks(times: Nanoseconds) -> NDArray[np.intp]:
 def _whole_part(stream: TopicTimes, moves: bool) -> NDArray[np.intp]:
     """Numbers of the messages in the part of a stream that the clock's steps leave whole."""
     everything = np.arange(len(stream.recorded))
-    at = _breaks(stream.recorded)
+    at = breaks(stream.recorded)
     if not len(at) or not moves:
         return everything
-    if _is_sane(stream.stamps) and not len(_breaks(stream.stamps)):
+    if _is_sane(stream.stamps) and not len(breaks(stream.stamps)):
         return everything  # only the recorder's clock steps, which nobody needs then
     parts = np.split(everything, at)
     longest = max(parts, key=len)
@@ -168,7 +168,8 @@ def _whole_part(stream: TopicTimes, moves: bool) -> NDArray[np.intp]:
         raise ClockError(
             f"the clock steps by {1e-9 * (stream.recorded[k] - stream.recorded[k - 1]):+.2f} s before message {k} of "
             f"{stream.name}, {1e-9 * (stream.recorded[k - 1] - stream.recorded[0]):.2f} s after the first, and nothing "
-            "tells how the parts belong together; keep the clocks synchronised while recording, and record it again"
+            "tells how the parts belong together; keep the clocks synchronised while recording, and record it again, "
+            "or name what lies on one side of the step in the edits of the bag (from, to, takes)"
         )
     return longest
 
@@ -179,7 +180,7 @@ def _told(movement: TopicTimes, kept: NDArray[np.intp], left_out: int) -> str:
     if first and (movement.recorded[:first] <= 0).all():
         why = "were recorded at time 0, before the clock came (simulated time)"
     else:
-        k = int(_breaks(movement.recorded)[0])
+        k = int(breaks(movement.recorded)[0])
         step = 1e-9 * (movement.recorded[k] - movement.recorded[k - 1])
         why = f"are apart from the others by a step of the clock by {step:+.1f} s"
     return f"{where} of {count} messages of {movement.name} {why}: left out"
@@ -187,7 +188,7 @@ def _told(movement: TopicTimes, kept: NDArray[np.intp], left_out: int) -> str:
 
 def _within(stream: TopicTimes, begin: int, end: int) -> NDArray[np.intp]:
     """Messages of another topic that go with a part of the movement; the last one before it stands for what it was."""
-    if not len(_breaks(stream.recorded)) and (stream.recorded > 0).all():
+    if not len(breaks(stream.recorded)) and (stream.recorded > 0).all():
         return np.arange(len(stream.recorded))
     margin = int(1e9 * DISORDER_S)
     inside = (stream.recorded >= begin - margin) & (stream.recorded <= end + margin)
@@ -213,7 +214,7 @@ def _problem_of_stamps(streams: Sequence[TopicTimes]) -> str | None:
             return f"{stream.name} has stamps of zero"
         if (np.diff(stream.stamps) < 0).any():
             return f"{stream.name} has stamps that run backwards"
-    if len(_breaks(movement.stamps)) and not len(_breaks(movement.recorded)):
+    if len(breaks(movement.stamps)) and not len(breaks(movement.recorded)):
         return f"{movement.name} has stamps that leap"
     for stream in streams[1:]:
         if not _has_lag(stream):

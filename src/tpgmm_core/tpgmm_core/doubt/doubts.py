@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Doubt`: one thing about a recording that makes no sense, and what to do. `Shown`: what doubts are about."""
+"""`Doubt`: one thing about a recording that makes no sense, what to do. `RawDemonstration`: what doubts are about."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Doubt:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shown:
+class RawDemonstration:
     """A demonstration as it was recorded.
 
     Attributes

@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tpgmm_core.doubt.agreement import doubts_of_copies, doubts_of_durations, doubts_of_misfits
-from tpgmm_core.doubt.doubts import Doubt, Shown
+from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
 from tpgmm_core.doubt.values import doubts_of_speed, doubts_of_stillness, doubts_of_units
 
 
-def judged(shown: Sequence[Shown]) -> list[Doubt]:
+def judged(shown: Sequence[RawDemonstration]) -> list[Doubt]:
     """What makes no sense in recordings of one task.
 
     Parameters

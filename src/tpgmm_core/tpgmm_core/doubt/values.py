@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.doubt.doubts import Doubt, Shown
+from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
 from tpgmm_core.geometry import quaternion
 
 LARGEST_M = 20.0
@@ -27,7 +27,7 @@ WINDOW_S = 0.02
 """Speeds are means over this time, since those of two samples are mostly noise at high rates."""
 
 
-def doubts_of_units(shown: Sequence[Shown]) -> list[Doubt]:
+def doubts_of_units(shown: Sequence[RawDemonstration]) -> list[Doubt]:
     """Units by magnitude: mixed ones are refused, the same everywhere but no metres are said.
 
     Parameters
@@ -66,7 +66,7 @@ def doubts_of_units(shown: Sequence[Shown]) -> list[Doubt]:
     return found
 
 
-def _mixed_recordings(shown: Sequence[Shown]) -> list[Doubt]:
+def _mixed_recordings(shown: Sequence[RawDemonstration]) -> list[Doubt]:
     extents = np.array([one.extent for one in shown])
     moving = np.flatnonzero(extents > 1e-6)
     if len(moving) < 2:
@@ -85,7 +85,7 @@ def _mixed_recordings(shown: Sequence[Shown]) -> list[Doubt]:
     return [Doubt("units", names, text, refuses=True)]
 
 
-def _is_in_another_unit(one: Shown, frame: str) -> bool:
+def _is_in_another_unit(one: RawDemonstration, frame: str) -> bool:
     place, extent = one.seen(frame)[:, :3], one.extent
     if extent > LARGEST_M:  # millimetres, by the look of it: then what is in metres is near the origin
         return bool(np.abs(place).max() < LARGEST_M < np.linalg.norm(one.movement[:, :3], axis=1).min())
@@ -94,7 +94,7 @@ def _is_in_another_unit(one: Shown, frame: str) -> bool:
     return bool(nearest > max(FAR_M, MIXED * extent))
 
 
-def doubts_of_speed(one: Shown) -> list[Doubt]:
+def doubts_of_speed(one: RawDemonstration) -> list[Doubt]:
     """Leaps of the movement, and speeds that no arm has.
 
     Parameters
@@ -135,7 +135,7 @@ def _usual(amounts: Array) -> float:
     return float(np.quantile(amounts, 0.98))
 
 
-def doubts_of_stillness(one: Shown) -> list[Doubt]:
+def doubts_of_stillness(one: RawDemonstration) -> list[Doubt]:
     """A movement all of whose poses are the same, bit by bit: the publisher repeats its last one."""
     if (one.movement == one.movement[0]).all():
         text = "the hand has the same pose in every message: what publishes it had stopped; record it again"

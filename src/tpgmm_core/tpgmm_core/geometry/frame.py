@@ -56,12 +56,12 @@ class Frame:
                 raise ValueError(f"A has {len(A)} time steps, b has {len(b)}")
             A = np.broadcast_to(A, (steps, *A.shape[-2:]))
             b = np.broadcast_to(b, (steps, b.shape[-1]))
-        if not (np.all(np.isfinite(A)) and np.all(np.isfinite(b))):
+        if not (np.isfinite(A).all() and np.isfinite(b).all()):
             raise ValueError("the A and b of a frame must be finite")
         if self.inverse is not None:
             inverse = np.array(self.inverse, dtype=float)
             transposed = A.shape[:-2] + A.shape[:-3:-1]
-            if inverse.shape not in (transposed, transposed[-2:]) or not np.all(np.isfinite(inverse)):
+            if inverse.shape not in (transposed, transposed[-2:]) or not np.isfinite(inverse).all():
                 raise ValueError(
                     f"the inverse of A {A.shape} is finite and has the transposed shape, got {inverse.shape}"
                 )
@@ -87,6 +87,17 @@ class Frame:
 
     def __hash__(self) -> int:
         return hash((self.A.shape, (self.A + 0.0).tobytes(), (self.b + 0.0).tobytes()))  # -0 becomes 0, its equal
+
+    @classmethod
+    def _owning(cls, A: Array, b: Array) -> Frame:
+        """Frame of arrays (T, D, D_j) and (T, D) that were made for it: without copies, which may be large."""
+        if not (np.all(np.isfinite(A)) and np.all(np.isfinite(b))):
+            raise ValueError("the A and b of a frame must be finite")
+        frame = object.__new__(cls)
+        values = {"A": np.broadcast_to(A, A.shape), "b": np.broadcast_to(b, b.shape)}
+        for name in ("A", "b", "inverse", "pose_covariance"):
+            object.__setattr__(frame, name, values.get(name))
+        return frame
 
     @classmethod
     def from_pose(cls, position: ArrayLike, orientation: ArrayLike, pose_covariance: ArrayLike | None = None) -> Frame:
@@ -124,6 +135,8 @@ class Frame:
         A[..., 3:, 3:] = quaternion.left_matrix(orientation)
         b = np.zeros((*steps, 7))
         b[..., :3] = position
+        if steps and pose_covariance is None:
+            return cls._owning(A, b)
         return cls(A, b, pose_covariance=None if pose_covariance is None else np.asarray(pose_covariance, dtype=float))
 
     @classmethod
@@ -165,6 +178,8 @@ class Frame:
         A, inverse = (None if M is None else block_diagonal(one, M) for M in (self.A, self.inverse))
         assert A is not None
         b = np.concatenate([np.zeros((*self.b.shape[:-1], 1)), self.b], axis=-1)
+        if self.is_time_varying and inverse is None and self.pose_covariance is None:
+            return Frame._owning(A, b)
         return Frame(A, b, inverse, self.pose_covariance)
 
     @property

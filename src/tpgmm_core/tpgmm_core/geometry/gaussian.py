@@ -14,6 +14,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import kernels_product, quaternion
 from tpgmm_core.geometry.disagreement import disagreement
 from tpgmm_core.geometry.frame import Frame
+from tpgmm_core.geometry.kernels_manifold import is_symmetric, normalize_point
 from tpgmm_core.geometry.manifold import Manifold
 
 
@@ -41,7 +42,7 @@ class Gaussian:
     manifold: Manifold
 
     def __init__(self, mean: ArrayLike, covariance: ArrayLike, manifold: Manifold | None = None) -> None:
-        mean, covariance = np.array(mean, dtype=float), np.array(covariance, dtype=float)
+        mean, covariance = np.array(mean, float, order="C"), np.array(covariance, float, order="C")
         if mean.ndim != 1:
             raise ValueError(f"a mean has shape (D,), got {mean.shape}")
         manifold = Manifold.euclidean(len(mean)) if manifold is None else manifold
@@ -51,12 +52,8 @@ class Gaussian:
                 f"a Gaussian on {manifold} has a mean of shape {(manifold.dim,)} and a covariance {(n, n)}, "
                 f"got {mean.shape} and {covariance.shape}"
             )
-        if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(covariance))):
-            raise ValueError("the mean and the covariance of a Gaussian must be finite")
-        if np.abs(covariance - covariance.T).max() > 1e-8 * np.abs(covariance).max():
-            raise ValueError("the covariance of a Gaussian must be symmetric")
-        for s in manifold.spheres:
-            mean[s.ambient] = quaternion.normalize(mean[s.ambient])
+        if not (normalize_point(mean, manifold.sphere_starts) and is_symmetric(covariance)):
+            _refuse(mean, covariance, manifold)
         mean.setflags(write=False)
         covariance.setflags(write=False)
         object.__setattr__(self, "mean", mean)
@@ -66,8 +63,8 @@ class Gaussian:
     @classmethod
     def _made(cls, mean: Array, covariance: Array, manifold: Manifold) -> Self:
         """Make a Gaussian of what a kernel has just computed and checked: in a loop, checks would take most time."""
-        mean.setflags(write=False)
-        covariance.setflags(write=False)
+        mean.setflags(False)
+        covariance.setflags(False)
         made = object.__new__(cls)
         set_mean(made, mean)
         set_covariance(made, covariance)
@@ -250,6 +247,15 @@ class Gaussian:
         log_determinant = 2.0 * np.sum(np.log(np.diagonal(factor)))
         n = self.manifold.tangent_dim
         return -0.5 * (np.sum(whitened**2, axis=-1) + log_determinant + n * np.log(2.0 * np.pi))
+
+
+def _refuse(mean: Array, covariance: Array, manifold: Manifold) -> None:
+    """Raise the ValueError that says why these numbers are no mean and no covariance."""
+    if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+        raise ValueError("the mean and the covariance of a Gaussian must be finite")
+    for s in manifold.spheres:
+        quaternion.normalize(mean[s.ambient])  # raises, and says why
+    raise ValueError("the covariance of a Gaussian must be symmetric")
 
 
 def is_positive_definite(S: Array) -> bool:

@@ -101,6 +101,51 @@ def gram(F: Array, n: int, out: Array) -> None:
 
 
 @compiled
+def invert_side_by_side(S: Array, F: Array, out: Array) -> None:
+    """Inverses of K matrices at once, by their Cholesky factors; each step is a loop over all, which vectorises.
+
+    Parameters
+    ----------
+    S
+        (n, n, K), symmetric
+    F
+        (n, n, K), scratch
+    out
+        (K, n, n), written; the trace is NaN or infinite where a matrix is not positive definite
+    """
+    n, K = len(S), S.shape[2]
+    for j in range(n):
+        for i in range(j, n):
+            for k in range(K):
+                F[i, j, k] = S[i, j, k]
+            for m in range(j):
+                for k in range(K):
+                    F[i, j, k] -= F[i, m, k] * F[j, m, k]
+            for k in range(K):  # as in `cholesky`, the diagonal holds reciprocals
+                F[i, j, k] = F[i, j, k] * F[j, j, k] if i > j else 1.0 / math.sqrt(F[j, j, k])
+    for i in range(n):  # the factor's inverse takes its place, row by row
+        for j in range(i):
+            for k in range(K):
+                F[i, j, k] *= -F[j, j, k]
+            for m in range(j + 1, i):
+                for k in range(K):
+                    F[i, j, k] -= F[i, m, k] * F[m, j, k]
+            for k in range(K):
+                F[i, j, k] *= F[i, i, k]
+    total = np.empty(K)
+    for i in range(n):
+        for j in range(i + 1):
+            for k in range(K):
+                total[k] = F[i, i, k] * F[i, j, k]
+            for m in range(i + 1, n):
+                for k in range(K):
+                    total[k] += F[m, i, k] * F[m, j, k]
+            for k in range(K):
+                out[k, i, j] = total[k]
+                out[k, j, i] = total[k]
+
+
+@compiled
 def is_orthogonal(A: Array) -> bool:
     """Whether A^T A = I to rounding."""
     n = len(A)

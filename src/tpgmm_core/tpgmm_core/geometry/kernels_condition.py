@@ -13,9 +13,9 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import cholesky, compiled
 from tpgmm_core.geometry.kernels_activation import activate, factorise
-from tpgmm_core.geometry.kernels_moments import match_curved, match_flat, match_one
+from tpgmm_core.geometry.kernels_moments import NEGLIGIBLE, match_curved, match_flat
 
 SMALLEST = 2.2250738585072014e-308  # normal number: the logarithm of a prior is finite
 BLOCK = 256  # values side by side
@@ -36,7 +36,7 @@ def plan_parts(
     Parameters
     ----------
     plan
-        of `plan_for`
+        of `split`
 
     Returns
     -------
@@ -146,9 +146,6 @@ def condition(
             for k in range(K):
                 for c in range(size):
                     out_activations[start + c, k] = h[k, c]
-        if T == 1 and is_flat:
-            match_one(h, z, free_means, slopes, within, steps, out_means, out_covariances)
-            return -1
         for j in range(n_active):
             k, begin, end = active[j]
             for o in range(n_o):  # how far the conditional mean is from the component's
@@ -166,4 +163,83 @@ def condition(
                     h[:, c], free_means, steps[:, :, c], within, free_flat, free_spheres,
                     out_means[start + c], out_covariances[start + c],
                 )  # fmt: skip
+    return -1
+
+
+@compiled
+def condition_one(
+    priors: Array, means: Array, covariances: Array, plan: Array, value: Array, out_mean: Array, out_covariance: Array
+) -> int:
+    """`condition` on R^n for one value, without what it takes to have several side by side: a third of its time.
+
+    Parameters
+    ----------
+    priors, means, covariances, plan
+        as for `condition`, without S³ factors
+    value
+        (D_i,)
+    out_mean, out_covariance
+        (n_o,) and (n_o, n_o), written
+
+    Returns
+    -------
+    int
+        as of `condition`
+    """
+    K, n_i, n = len(priors), plan[0], plan[1]
+    given, free = plan[6 : 6 + n_i], plan[6 + n_i : 6 + n_i + n]
+    for i in range(n_i):
+        if not math.isfinite(value[i]):
+            return NOT_FINITE
+    room = np.empty(K * (1 + n + n_i * n) + n_i * (1 + 2 * n_i))
+    h, room = room[:K], room[K:]
+    x, room = room[: K * n].reshape(K, n), room[K * n :]
+    slopes, room = room[: K * n_i * n].reshape(K, n_i, n), room[K * n_i * n :]
+    z, room = room[:n_i], room[n_i:]
+    S, L = room.reshape(2, n_i, n_i)
+    top, total = -np.inf, 0.0
+    for k in range(K):
+        for i in range(n_i):
+            for m in range(i + 1):
+                S[i, m] = covariances[k, given[i], given[m]]
+        if not cholesky(S, n_i, L):
+            return k
+        h[k] = math.log(max(priors[k], SMALLEST))
+        for i in range(n_i):  # z = L^-1 d, slopes = L^-1 S_io
+            z[i] = value[i] - means[k, given[i]]
+            for m in range(i):
+                z[i] -= L[i, m] * z[m]
+            z[i] *= L[i, i]
+            h[k] += math.log(L[i, i]) - 0.5 * z[i] * z[i]
+        for o in range(n):
+            x[k, o] = means[k, free[o]]
+            for i in range(n_i):
+                slopes[k, i, o] = covariances[k, given[i], free[o]]
+                for m in range(i):
+                    slopes[k, i, o] -= L[i, m] * slopes[k, m, o]
+                slopes[k, i, o] *= L[i, i]
+                x[k, o] += slopes[k, i, o] * z[i]
+        top = max(top, h[k])
+    if not top > -np.inf:
+        return TOO_FAR
+    for k in range(K):
+        h[k] = math.exp(h[k] - top)
+        total += h[k]
+    out_mean[:] = 0.0
+    out_covariance[:] = 0.0
+    for k in range(K):
+        h[k] /= total
+        for o in range(n if h[k] >= NEGLIGIBLE else 0):
+            out_mean[o] += h[k] * x[k, o]
+    for k in range(K):
+        for o in range(n if h[k] >= NEGLIGIBLE else 0):
+            e = x[k, o] - out_mean[o]
+            for m in range(o + 1):
+                C = covariances[k, free[o], free[m]] + e * (x[k, m] - out_mean[m])
+                for i in range(n_i):
+                    C -= slopes[k, i, o] * slopes[k, i, m]
+                out_covariance[o, m] += h[k] * C
+    for o in range(n):
+        for m in range(o):
+            out_covariance[m, o] = out_covariance[o, m]
     return -1

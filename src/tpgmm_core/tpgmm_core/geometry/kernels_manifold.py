@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from tpgmm_core.common.constants import SHORTEST_QUATERNION, UNIT_ROUNDING
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.kernels import compiled
-from tpgmm_core.geometry.kernels_rotation import quaternion_difference, turn
+from tpgmm_core.geometry.kernels_rotation import quaternion_difference, rotation, turn
 
 
 @compiled
@@ -35,6 +38,74 @@ def difference(x: Array, base: Array, flat: Array, spheres: Array, out: Array) -
         out[t], out[t + 1], out[t + 2] = quaternion_difference(
             x[a], x[a + 1], x[a + 2], x[a + 3], base[a], base[a + 1], base[a + 2], base[a + 3]
         )
+
+
+@compiled
+def transport_matrix(v: Array, spheres: Array, T: Array) -> None:
+    """Parallel transport along a tangent vector: on S³ the rotation by half of it, else nothing.
+
+    Parameters
+    ----------
+    v
+        (n,), of the point that is transported to, as seen from the one that is transported from
+    spheres
+        see the module
+    T
+        (n, n), written
+    """
+    T[:] = 0.0
+    for i in range(len(v)):
+        T[i, i] = 1.0
+    q = np.empty(4)
+    for s in range(len(spheres)):
+        t = spheres[s, 1]
+        q[:] = 0.0
+        q[3] = 1.0
+        turn(q, 0.5 * v[t], 0.5 * v[t + 1], 0.5 * v[t + 2])
+        rotation(q[0], q[1], q[2], q[3], T[t : t + 3, t : t + 3])
+
+
+@compiled
+def normalize_point(x: Array, spheres: Array) -> bool:
+    """Normalise the quaternions of a point, those that are not of unit length up to rounding.
+
+    Parameters
+    ----------
+    x
+        (D,), changed
+    spheres
+        see the module
+
+    Returns
+    -------
+    bool
+        False where a number is not finite, or a quaternion too short to be an orientation
+    """
+    for i in range(len(x)):
+        if not math.isfinite(x[i]):
+            return False
+    for s in range(len(spheres)):
+        q = x[spheres[s, 0] : spheres[s, 0] + 4]
+        norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+        if not SHORTEST_QUATERNION < norm < np.inf:
+            return False
+        if abs(norm - 1.0) > UNIT_ROUNDING:
+            for i in range(4):
+                q[i] /= norm
+    return True
+
+
+@compiled
+def is_symmetric(S: Array) -> bool:
+    """Whether a matrix (n, n) is finite and symmetric, but for rounding."""
+    largest, apart = 0.0, 0.0
+    for i in range(len(S)):
+        for m in range(len(S)):
+            if not math.isfinite(S[i, m]):
+                return False
+            largest = max(largest, abs(S[i, m]))
+            apart = max(apart, abs(S[i, m] - S[m, i]))
+    return apart <= 1e-8 * largest
 
 
 @compiled

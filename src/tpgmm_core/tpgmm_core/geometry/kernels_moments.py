@@ -19,54 +19,6 @@ NEAR = math.cos(0.25 * math.pi)  # scalar product of quaternions that are a turn
 
 
 @compiled
-def match_one(
-    h: Array, z: Array, means: Array, slopes: Array, within: Array, steps: Array, out_means: Array,
-    out_covariances: Array,
-) -> None:  # fmt: skip
-    """`match_flat` for one value, without what it takes to have several side by side.
-
-    Parameters
-    ----------
-    h
-        (K, 1), weights
-    z
-        (K, n_i, 1), whitened differences
-    means
-        (K, n)
-    slopes, within
-        (K, n_i, n) and (K, n, n), of `kernels_activation.factorise`
-    steps
-        (K, n, 1), scratch
-    out_means, out_covariances
-        (n, 1) and (n, n, 1), written
-    """
-    K, n_i, n = slopes.shape
-    for o in range(n):
-        mean = 0.0
-        for k in range(K):
-            x = means[k, o]
-            for i in range(n_i):
-                x += slopes[k, i, o] * z[k, i, 0]
-            steps[k, o, 0] = x
-            mean += h[k, 0] * x
-        out_means[o, 0] = mean
-        for m in range(o + 1):
-            out_covariances[o, m, 0] = 0.0
-    for k in range(K):
-        w = h[k, 0]
-        if w < NEGLIGIBLE:
-            continue
-        for o in range(n):
-            steps[k, o, 0] -= out_means[o, 0]
-            f = w * steps[k, o, 0]
-            for m in range(o + 1):
-                out_covariances[o, m, 0] += w * within[k, o, m] + f * steps[k, m, 0]
-    for o in range(n):
-        for m in range(o):
-            out_covariances[m, o, 0] = out_covariances[o, m, 0]
-
-
-@compiled
 def match_flat(
     active: Array, h: Array, means: Array, steps: Array, within: Array, start: int, size: int,
     out_means: Array, out_covariances: Array,

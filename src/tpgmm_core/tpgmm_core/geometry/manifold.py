@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.coordinates import Coordinates
-from tpgmm_core.geometry.kernels_manifold import difference, move
+from tpgmm_core.geometry.kernels_manifold import difference, move, transport_matrix
 
 
 @dataclass(frozen=True)
@@ -178,6 +178,10 @@ class Manifold(Coordinates):
             shape (..., tangent_dim, tangent_dim)
         """
         base, to = np.asarray(base, dtype=float), np.asarray(to, dtype=float)
+        if base.ndim == to.ndim == 1:
+            T = np.empty((self.tangent_dim, self.tangent_dim))
+            transport_matrix(self.log(base, to), self.sphere_starts, T)
+            return T
         shape = np.broadcast_shapes(base.shape[:-1], to.shape[:-1])
         T = np.broadcast_to(np.eye(self.tangent_dim), shape + (self.tangent_dim, self.tangent_dim)).copy()
         if not self.is_euclidean:

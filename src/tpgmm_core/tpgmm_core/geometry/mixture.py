@@ -163,25 +163,30 @@ class GaussianMixture:
         """
         parts = split(self.manifold, tuple(dims))
         given = np.array(values, float, order="C")  # a copy: of one type for the compiled code
-        D, free = parts.given.dim, parts.free
-        is_one = given.shape == (D,)
-        if is_one:
-            given = given.reshape(1, D)
-        elif given.ndim != 2 or given.shape[1] != D:
-            raise ValueError(
-                f"values of {D} dimensions have shape ({D},), or (T, {D}) for several at once, got {given.shape}"
-                + (": write values[:, None] for T values of one dimension" if D == 1 and given.ndim == 1 else "")
-            )
+        free, n = parts.free, parts.free.tangent_dim
+        is_one = given.shape == parts.one
+        if not is_one and given.shape[1:] != parts.one:
+            raise ValueError(_wrong_shape(parts.given.dim, given.shape))
         priors, means, covariances = self.priors, self.means, self.covariances
         if not (priors.flags.carray and means.flags.carray and covariances.flags.carray):
             # read-only and strided arrays would each be compiled for anew
             priors, means, covariances = priors.copy(), means.copy(), covariances.copy()
-        T, n = len(given), free.tangent_dim
-        is_flat = free.is_euclidean
+        kernels = imported_kernels()
+        if is_one and self.manifold.is_euclidean:
+            mean, covariance = np.empty(n), np.empty((n, n))
+            failed = kernels.condition_one(priors, means, covariances, parts.plan, given, mean, covariance)
+            if failed != -1:
+                raise ValueError(_refusal(failed, dims, values))
+            return Gaussian._made(mean, covariance, free)
+        if is_one:
+            given = given[None]
+        T, is_flat = len(given), free.is_euclidean
         out_means, out_covariances = (
             (np.empty((n, T)), np.empty((n, n, T))) if is_flat else (np.empty((T, free.dim)), np.empty((T, n, n)))
         )
-        failed = kernel()(priors, means, covariances, parts.plan, given, out_means, out_covariances, NOT_WANTED)
+        failed = kernels.condition(
+            priors, means, covariances, parts.plan, given, out_means, out_covariances, NOT_WANTED
+        )
         if failed != -1:
             raise ValueError(_refusal(failed, dims, values))
         if is_one:
@@ -200,23 +205,28 @@ set_priors, set_means, set_covariances, set_manifold = (
 
 
 @cache
-def kernel() -> Any:
-    """Return `kernels_condition.condition`, imported on first use: most programs that import the core never need it."""
-    from tpgmm_core.geometry.kernels_condition import condition
+def imported_kernels() -> Any:
+    """Return the compiled regression, imported on first use: most programs that import the core never need it."""
+    from tpgmm_core.geometry import kernels_condition
 
-    return condition
+    return kernels_condition
 
 
 NOT_WANTED: Array = np.empty((0, 0))  # activations
 
 
+def _wrong_shape(D: int, shape: tuple[int, ...]) -> str:
+    """The message for values of D dimensions that have another shape than they may have."""
+    hint = ": write values[:, None] for T values of one dimension" if D == 1 and len(shape) == 1 else ""
+    return f"values of {D} dimensions have shape ({D},), or (T, {D}) for several at once, got {shape}{hint}"
+
+
 def _refusal(failed: int, dims: Sequence[int], values: ArrayLike) -> str:
     """The message for an error that `kernels_condition.condition` returned."""
-    from tpgmm_core.geometry import kernels_condition
-
-    if failed == kernels_condition.NOT_FINITE:
+    kernels = imported_kernels()
+    if failed == kernels.NOT_FINITE:
         return f"values must be finite, got {values!r}"
-    if failed == kernels_condition.TOO_FAR:
+    if failed == kernels.TOO_FAR:
         return f"the values {values!r} are so far from all components that the distance is not finite"
     return (
         f"the covariance of component {failed} is not positive definite in the dimensions {list(dims)}: "

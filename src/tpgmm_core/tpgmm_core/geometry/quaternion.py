@@ -10,14 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tpgmm_core.common.constants import SHORTEST_QUATERNION, UNIT_ROUNDING
 from tpgmm_core.common.types import Array
 
 IDENTITY: Array = np.array([0.0, 0.0, 0.0, 1.0])
 IDENTITY.setflags(write=False)
-
-
-#: Of the length of a unit quaternion.
-_ROUNDING = 4.0 * np.finfo(float).eps
 
 
 def multiply(p: ArrayLike, q: ArrayLike) -> Array:
@@ -63,9 +60,9 @@ def normalize(q: ArrayLike) -> Array:
     """
     q = np.asarray(q, dtype=float)
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
-    if not (np.all(np.isfinite(norm)) and np.all(norm > 1e-9)):
+    if not (np.all(np.isfinite(norm)) and np.all(norm > SHORTEST_QUATERNION)):
         raise ValueError(f"a quaternion needs a finite norm above zero to be an orientation, got norm {norm.min()}")
-    return np.where(np.abs(norm - 1.0) <= _ROUNDING, q, q / norm)
+    return np.where(np.abs(norm - 1.0) <= UNIT_ROUNDING, q, q / norm)
 
 
 def exp(rotation_vector: ArrayLike) -> Array:

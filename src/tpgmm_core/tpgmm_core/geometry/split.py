@@ -20,12 +20,15 @@ class Split:
     ----------
     given, free
         the manifolds of both
+    one
+        shape (D_i,) of one value of what is given
     plan
         the same as `kernels_condition.plan_parts` reads it
     """
 
     given: Manifold
     free: Manifold
+    one: tuple[int]
     plan: NDArray[np.int64]
 
 
@@ -56,4 +59,4 @@ def split(manifold: Manifold, dims: tuple[int, ...]) -> Split:
     parts = [sizes, manifold.tangent_indices(dims), manifold.tangent_indices(rest), dims, rest]
     parts += [given.ambient_of_tangent, free.ambient_of_tangent]
     parts += [given.sphere_starts.ravel(), free.sphere_starts.ravel()]
-    return Split(given, free, np.concatenate([np.asarray(part, dtype=np.int64) for part in parts]))
+    return Split(given, free, (given.dim,), np.concatenate([np.asarray(part, dtype=np.int64) for part in parts]))

@@ -19,7 +19,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation import initialization
 from tpgmm_core.learning.estimation.compiled_em import Estimate, MixtureParameters, Workspace
-from tpgmm_core.learning.estimation.iteration import Progress, iterate
+from tpgmm_core.learning.estimation.iteration import EmProgress, iterate
 from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.samples import Samples
 
@@ -84,7 +84,7 @@ class DirichletTPGMM(LearnedMixture):
         if isinstance(self.init, LearnedMixture):
             raise ValueError('init is "time", "bins", "kmeans" or labels, not a fitted model')
 
-    def _fit(self, samples: Samples, progress: Progress | None) -> Self:
+    def _fit(self, samples: Samples, progress: EmProgress | None) -> Self:
         T = self.n_components
         if samples.n_samples < T:
             raise ValueError(f"{T} components need at least as many samples, got {samples.n_samples}")
@@ -112,7 +112,9 @@ class DirichletTPGMM(LearnedMixture):
         self.weights_ = weights
         return self
 
-    def _climb(self, posterior: _Posterior, objectives: list[float], max_iter: int, progress: Progress | None) -> bool:
+    def _climb(
+        self, posterior: _Posterior, objectives: list[float], max_iter: int, progress: EmProgress | None
+    ) -> bool:
         """Iterate until the bound hardly rises; its course is added to objectives. Returns whether it came to that."""
         before = len(objectives)
 

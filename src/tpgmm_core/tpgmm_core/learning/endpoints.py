@@ -10,7 +10,7 @@ import numpy as np
 from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.estimation import initialization
-from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.samples import Samples
 
@@ -36,7 +36,7 @@ class EndpointTPGMM(TPGMM):
 
     endpoints_: TPGMM
 
-    def _fit(self, samples: Samples, progress: Progress | None) -> EndpointTPGMM:
+    def _fit(self, samples: Samples, progress: EmProgress | None) -> EndpointTPGMM:
         super()._fit(samples, progress)
         last = np.cumsum(samples.lengths)
         labels = np.full(samples.n_samples, -1, dtype=np.intp)

@@ -12,7 +12,7 @@ from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.learning.estimation.compiled_em import MixtureParameters, Workspace
 from tpgmm_core.learning.estimation.em import expectation
-from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.stored_mixture import StoredMixture
 from tpgmm_core.model.adaptation import Adapter
 from tpgmm_core.model.demonstration import Demonstration
@@ -34,7 +34,7 @@ class LearnedMixture(StoredMixture):
     def __init__(self, **parameters: Any) -> None:  # a subclass names them
         raise NotImplementedError
 
-    def fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
+    def fit(self, demonstrations: Sequence[Demonstration], progress: EmProgress | None = None) -> Self:
         """Learn from demonstrations, projected into their frames by Eq. (4).
 
         Parameters
@@ -62,7 +62,7 @@ class LearnedMixture(StoredMixture):
         self,
         X: Mapping[str, ArrayLike],
         visible: Mapping[str, ArrayLike] | None = None,
-        progress: Progress | None = None,
+        progress: EmProgress | None = None,
     ) -> Self:
         """Learn from data that was already observed from each frame.
 
@@ -95,7 +95,7 @@ class LearnedMixture(StoredMixture):
         """Raise ValueError for constructor arguments that no fit can do with."""
         raise NotImplementedError
 
-    def _fit(self, samples: Samples, progress: Progress | None) -> Self:
+    def _fit(self, samples: Samples, progress: EmProgress | None) -> Self:
         raise NotImplementedError
 
     def adapt(

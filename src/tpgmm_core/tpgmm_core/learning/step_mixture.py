@@ -26,7 +26,7 @@ import numpy as np
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.compiled_em import Estimate, MixtureParameters, Workspace
-from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.learning.shown_to_frame import ShownToFrame, isotropic, isotropic_blocks
 from tpgmm_core.model.samples import Samples
@@ -76,7 +76,7 @@ class StepMixture(LearnedMixture):
         velocities = S[:, 1:, 0] / S[:, 0, 0, None]
         return self.means_[name][:, 1:], velocities, S[:, 1:, 1:] - velocities[:, :, None] * S[:, None, 0, 1:]
 
-    def _fit(self, samples: Samples, progress: Progress | None) -> Self:
+    def _fit(self, samples: Samples, progress: EmProgress | None) -> Self:
         T = self.n_steps
         means, covariances = {}, {}
         for (name, x), seen in zip(samples.X.items(), samples.seen, strict=True):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.local_weights import ShownSteps
 from tpgmm_core.learning.modes import find_modes
 from tpgmm_core.learning.shown_to_frame import ShownToFrame, isotropic
@@ -58,7 +58,7 @@ class TimeStepTPGMM(StepMixture):
     modes: int = 0
     mode: int = 0
 
-    def fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
+    def fit(self, demonstrations: Sequence[Demonstration], progress: EmProgress | None = None) -> Self:
         """Learn from demonstrations: see `TPGMM.fit`.
 
         Parameters
@@ -105,7 +105,7 @@ class TimeStepTPGMM(StepMixture):
     def _is_local(self) -> bool:
         return self.locality > 0.0
 
-    def _fit(self, samples: Samples, progress: Progress | None) -> Self:
+    def _fit(self, samples: Samples, progress: EmProgress | None) -> Self:
         super()._fit(samples, progress)
         self.shown_, self.modes_ = None, np.zeros(len(samples.lengths), dtype=np.int64)
         return self

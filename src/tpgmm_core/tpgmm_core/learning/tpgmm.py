@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
@@ -17,13 +17,16 @@ from tpgmm_core.learning.estimation.compiled_em import (
     Estimate,
     MixtureParameters,
     expectation_maximisation,
+    iterated,
 )
 from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
 from tpgmm_core.learning.estimation.em import expectation
+from tpgmm_core.learning.estimation.em_in_parts import PartedWorkspace, SampleParts, start_of_parts
 from tpgmm_core.learning.estimation.emissions import Emissions
-from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.estimation.structured_em import fit_structure
 from tpgmm_core.learning.learned_mixture import LearnedMixture
+from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.samples import Samples
 
 
@@ -86,7 +89,60 @@ class TPGMM(LearnedMixture):
     prior_strength: float = 0.0
     n_threads: int = 1
 
-    def _fit(self, samples: Samples, progress: Progress | None) -> Self:
+    def fit_parts(self, parts: Iterable[Sequence[Demonstration]], progress: EmProgress | None = None) -> Self:
+        """Learn from more demonstrations than fit into the memory: as `fit`, but for the last digits.
+
+        Each iteration goes through all parts. There may be one start, from "time", "bins" or a fitted model, of full
+        covariances without `prior_strength`.
+
+        Parameters
+        ----------
+        parts
+            demonstrations, some at a time; gone through again and again: a list, or an object whose `__iter__` reads
+            them anew, such as from bags
+        progress
+            called with (iteration, log-likelihood per sample)
+
+        Returns
+        -------
+        Self
+            the same object, fitted
+
+        Raises
+        ------
+        ValueError
+            for an iterator, for demonstrations that do not agree in frames or dimensions, and for constructor arguments
+            that need all samples at once
+        """
+        self._check_parameters()
+        init = self.init
+        is_known = isinstance(init, LearnedMixture) or (isinstance(init, str) and init in ("time", "bins"))
+        if self.covariance != "full" or self.prior_strength or self.n_init != 1 or not is_known:
+            raise ValueError(
+                'in parts, a model is learned with covariance="full", prior_strength=0, n_init=1 and init="time", '
+                '"bins" or a fitted model: all else needs all samples at once'
+            )
+        found = SampleParts(parts, self.manifold)
+        if found.n_samples < self.n_components:
+            raise ValueError(f"{self.n_components} components need at least as many samples, got {found.n_samples}")
+        if isinstance(init, LearnedMixture):
+            start = self._start_from(init, found.first)
+        else:
+            edges = np.linspace(found.earliest, found.latest, self.n_components + 1)
+
+            def labelled(samples: Samples) -> initialization.Labels:
+                if init == "time":
+                    return initialization.bins_of(samples.times, edges)
+                return initialization.equal_bins(samples.lengths, self.n_components)
+
+            start = start_of_parts(found, labelled, self.n_components, self.reg_covar)
+        rules: dict[str, Any] = {"tol": self.tol, "max_iter": self.max_iter, "progress": progress}
+        state = PartedWorkspace(found, start, self.n_threads)
+        estimate = iterated(state, reg_covar=self.reg_covar, regularization=self.regularization, **rules)
+        self._learned(estimate, found.first.manifold)
+        return self
+
+    def _fit(self, samples: Samples, progress: EmProgress | None) -> Self:
         if samples.n_samples < self.n_components:
             raise ValueError(f"{self.n_components} components need at least as many samples, got {samples.n_samples}")
         estimates: list[tuple[Estimate, Emissions | None]] = []
@@ -107,7 +163,7 @@ class TPGMM(LearnedMixture):
         return self
 
     def _estimate(
-        self, samples: Samples, start: MixtureParameters, progress: Progress | None
+        self, samples: Samples, start: MixtureParameters, progress: EmProgress | None
     ) -> tuple[Estimate, Emissions | None]:
         """Run EM from one start; returns the components as well where their structure is not full."""
         structure = self._structure()

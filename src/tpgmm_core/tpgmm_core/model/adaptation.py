@@ -114,9 +114,10 @@ class Adapter:
             for unknown names, matrices that do not fit, time-varying frames, weights outside 0..1, and orientations so
             contradictory that their product does not converge (`kernels_product.fuse`)
         """
-        self._take(frames, state, weights)
+        self.buffer.take(frames, state, weights)
+        inputs = self._inputs()
         means, covariances = np.empty(self._means_out.shape), np.empty(self._covariances_out.shape)
-        self._check(kernels_adapt.adapt(*self._inputs(), 1.0 / UNCONSTRAINED_VARIANCE, means, covariances))
+        self._check(kernels_adapt.adapt(*inputs, 1.0 / UNCONSTRAINED_VARIANCE, means, covariances))
         return GaussianMixture._made(self.priors.copy(), means, covariances, self.buffer.manifold)
 
     def situate(
@@ -137,7 +138,7 @@ class Adapter:
         ValueError
             like `adapt`
         """
-        self._take(frames, state, weights)
+        self.buffer.take(frames, state, weights)
         self._check(kernels_adapt.adapt(*self._inputs(), *self._result()))
 
     def mixture(self) -> GaussianMixture:
@@ -175,7 +176,7 @@ class Adapter:
         ValueError
             like `adapt`
         """
-        self._take(frames, state, weights)
+        self.buffer.take(frames, state, weights)
         times = np.array(times, dtype=float)  # of one type for the compiled code
         means, covariances, activations = outputs = self._outputs(len(times))
         failed = kernels_regress.adapt_and_regress(*self._inputs(), *self._result(), self._log_priors, times, *outputs)
@@ -210,15 +211,12 @@ class Adapter:
         n = manifold.tangent_dim - 1
         return np.empty((H, manifold.dim - 1)), np.empty((H, n, n)), np.empty((H, len(self.priors)))
 
-    def _take(self, frames: Mapping[str, Frame], state: ArrayLike | None, weights: Mapping[str, float] | None) -> None:
-        self.buffer.take(frames, state, weights)
-        if self._means_out.shape[1] != self.manifold.dim:
-            K, n = len(self.priors), self.manifold.tangent_dim
-            self._means_out, self._covariances_out = np.zeros((K, self.manifold.dim)), np.zeros((K, n, n))
-
     def _inputs(self) -> tuple[NDArray[Any], ...]:
+        """What `kernels_adapt.adapt` reads, of the situation that was taken last."""
         s = self.buffer
         if self._arrays is None or s.A is not self._arrays[5]:  # frames that map to another space have other arrays
+            K, D, n = len(self.priors), s.manifold.dim, s.manifold.tangent_dim
+            self._means_out, self._covariances_out = np.zeros((K, D)), np.zeros((K, n, n))
             frames = s.A, s.b, s.inverses, s.has_inverse, s.pose_covariances, s.weights
             self._arrays = self._means, self._precisions, s.sizes, *s.layout, *frames
         return *self._arrays, s.state

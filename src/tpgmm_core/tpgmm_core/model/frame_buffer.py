@@ -67,7 +67,8 @@ class FrameBuffer:
         self._b_of = list(self.b)
         self.inverses, self.has_inverse = np.zeros((P, D_max, manifold.dim)), np.zeros(P, dtype=np.bool_)
         self._inverse_of = [M[:D_j] for M, (D_j, _) in zip(self.inverses, self.sizes, strict=True)]
-        self.pose_covariances, self._has_covariance = np.zeros((P, 6, 6)), False
+        self.pose_covariances = np.zeros((P, 6, 6))
+        self._has_more = False  # whether any frame of the last situation has an inverse or a covariance
         self.weights = np.zeros(P)
         self.state = self._origin = manifold_origin(manifold)
 
@@ -99,10 +100,11 @@ class FrameBuffer:
         """
         if not frames:
             raise ValueError(f"a situation needs at least one of the frames {list(self.frame_names)}")
-        self.weights[:] = 0.0
-        if self._has_covariance:
-            self.pose_covariances[:] = 0.0
-            self._has_covariance = False
+        self.weights.fill(0.0)
+        if self._has_more:
+            self.has_inverse.fill(False)
+            self.pose_covariances.fill(0.0)
+            self._has_more = False
         for name, frame in frames.items():
             j = self._index.get(name)
             if j is None:
@@ -111,16 +113,16 @@ class FrameBuffer:
                 self._reshape(name, frame, j)
             self._A_of[j][...] = frame.A
             self._b_of[j][...] = frame.b
-            self.has_inverse[j] = frame.inverse is not None
             if frame.inverse is not None:
                 if not self.manifold.is_euclidean:
                     raise ValueError(
                         f"frame {name!r} has its own inverse, which only R^n permits, not {self.manifold}: leave it out"
                     )
                 self._inverse_of[j][...] = frame.inverse
+                self.has_inverse[j] = self._has_more = True
             if frame.pose_covariance is not None:
                 self._require_pose(name)
-                self.pose_covariances[j], self._has_covariance = frame.pose_covariance, True
+                self.pose_covariances[j], self._has_more = frame.pose_covariance, True
             self.weights[j] = 1.0
         for name, weight in (weights or {}).items():
             if name not in self._index:

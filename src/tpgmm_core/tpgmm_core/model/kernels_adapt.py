@@ -13,7 +13,7 @@ import numpy as np
 
 from tpgmm_core.common.constants import RANK_TOLERANCE
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled, is_orthogonal, pseudo_inverse
+from tpgmm_core.geometry.kernels import compiled, invert_side_by_side, is_orthogonal, pseudo_inverse
 from tpgmm_core.geometry.kernels_product import fuse
 from tpgmm_core.geometry.kernels_rotation import rotation_of_left_matrix
 from tpgmm_core.geometry.kernels_terms import invert_precision, scratch_for
@@ -246,35 +246,41 @@ def add_up(
         (K, D) and (K, n, n), written
     """
     P, n, K = targets.shape
-    H, pull, base, d = np.zeros((n, n * K)), np.zeros((n, K)), np.empty((n, K)), np.empty((n, K))
+    H, pulls, d = np.zeros((n, n * K)), np.zeros((n, n * K)), np.zeros(n * K)
+    base, pull = np.empty((n, K)), np.zeros((n, K))
     for i in range(n):
         base[i] = state[i]
     is_first = True
     for j in range(P):
         if not weights[j] > 0.0:
             continue
-        for o in range(n):
-            for c in range(n * K):
-                H[o, c] += terms[j, o, c]
         if is_first:
             base[:] = targets[j]
             is_first = False
-            continue
         for i in range(n):
             for k in range(K):
-                d[i, k] = targets[j, i, k] - base[i, k]
+                d[i * K + k] = targets[j, i, k] - base[i, k]
         for o in range(n):
-            for i in range(n):
-                for k in range(K):
-                    pull[o, k] += terms[j, o, i * K + k] * d[i, k]
-    S, gradient, scratch = np.empty((n, n)), np.empty(n), scratch_for(n)
+            for c in range(n * K):
+                H[o, c] += terms[j, o, c]
+                pulls[o, c] += terms[j, o, c] * d[c]
+    for o in range(n):
+        for i in range(n):
+            for k in range(K):
+                pull[o, k] += pulls[o, i * K + k]
+    invert_side_by_side(H.reshape(n, n, K), pulls.reshape(n, n, K), out_covariances)
     for k in range(K):
+        trace = 0.0
         for o in range(n):
-            gradient[o] = -pull[o, k]
+            trace += out_covariances[k, o, o]
             out_means[k, o] = base[o, k]
-            for i in range(n):
-                S[o, i] = H[o, i * K + k]
-        invert_precision(S, gradient, out_means[k], state, min_precision, flat, spheres, scratch, out_covariances[k])
+        if not trace * min_precision < 1.0:  # maybe an eigenvalue of H below min_precision
+            gradient = -pull[:, k]
+            invert_precision(
+                H[:, k::K].copy(), gradient, out_means[k], state, min_precision, flat, spheres, scratch_for(n),
+                out_covariances[k],
+            )  # fmt: skip
+            pull[:, k] = -gradient
         for i in range(n):
             for m in range(n):
-                out_means[k, i] -= out_covariances[k, i, m] * gradient[m]
+                out_means[k, i] += out_covariances[k, i, m] * pull[m, k]

@@ -18,7 +18,7 @@ from tpgmm_core.geometry.kernels_product import MAX_STEPS, STEP_TOLERANCE
 from tpgmm_core.geometry.kernels_rotation import transport
 from tpgmm_core.model.kernels_adapt import adapt
 
-NEGLIGIBLE = 1e-20  # components with a smaller activation add nothing to a covariance
+NEGLIGIBLE = 1e-20  # components with a smaller activation add nothing
 
 
 @compiled
@@ -37,9 +37,10 @@ def regress_given(
     """
     K, D = means.shape
     n, likeliest = len(flat), np.argmax(activations)
+    active = np.flatnonzero(~(activations < NEGLIGIBLE))  # also where they are no numbers
     conditionals = means.copy()
     steps = np.empty((K, n))
-    for k in range(K):
+    for k in active:
         slope = (t - means[k, 0]) / covariances[k, 0, 0]
         for i in range(n):
             steps[k, i] = covariances[k, i, 0] * slope
@@ -49,7 +50,7 @@ def regress_given(
     step = np.empty(n)
     for _ in range(MAX_STEPS):
         step[:] = 0.0
-        for k in range(K):
+        for k in active:
             difference(conditionals[k], x, flat, spheres, e[k])
             for i in range(n):
                 step[i] += activations[k] * e[k, i]
@@ -60,10 +61,8 @@ def regress_given(
         mean[i - 1] = x[i]
     covariance[:] = 0.0
     C = np.empty((n, n))
-    for k in range(K):
+    for k in active:
         h = activations[k]
-        if h < NEGLIGIBLE:
-            continue
         difference(conditionals[k], x, flat, spheres, e[k])
         for i in range(n):
             gain = covariances[k, i, 0] / covariances[k, 0, 0]

@@ -98,6 +98,37 @@ def standing_still(stamp_ns: int) -> str:
     return f"their stamps stay at {stamp_ns / SECOND:.3f} s: the driver must stamp each message with its own time"
 
 
+def stamps_ahead(max_future: float) -> str:
+    """Words for a stream whose stamps are further in the future than `max_future`, s."""
+    return f"its stamp is more than {max_future:g} s ahead of this machine's clock; synchronise the clocks"
+
+
+def stamps_behind(stamp_ns: int, clock_ns: int, max_age: float) -> str:
+    """Words for a stream whose stamps are too old.
+
+    Parameters
+    ----------
+    stamp_ns
+        of a message
+    clock_ns
+        this machine's clock
+    max_age
+        how far the stamp may be behind it, s
+
+    Returns
+    -------
+    str
+        how far it is behind, and what to do
+    """
+    if stamp_ns == 0:
+        return "its stamp is 0: let the driver stamp its messages, or set max_age to 0, and their age stays unknown"
+    return (
+        f"its stamp is {(clock_ns - stamp_ns) / SECOND:.3g} s behind this machine's clock, more than max_age "
+        f"({max_age:g} s): the message is too old, or the clocks differ; synchronise them, or set max_age to 0, and "
+        "its age stays unknown"
+    )
+
+
 class RateMeter:
     """How often a stream's messages come: the median of their last intervals, so that pauses and jitter do not matter.
 

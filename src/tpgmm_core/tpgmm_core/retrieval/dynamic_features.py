@@ -22,7 +22,7 @@ from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.differences import derivatives, difference_weights
 from tpgmm_core.retrieval.frame_derivatives import frame_with_derivatives
-from tpgmm_core.retrieval.frames import without_time
+from tpgmm_core.retrieval.frames import check_time_kept, without_time
 
 
 def manifold_with_derivatives(manifold: str | Manifold) -> Manifold:
@@ -130,10 +130,9 @@ def standing_frames(frames: Mapping[str, Frame], points: Manifold) -> dict[str, 
     moving = [name for name, frame in frames.items() if frame.is_time_varying]
     if moving:
         raise ValueError(f"the frames {moving} vary with time: choose one time step, with frame.at(t_index)")
-    return {
-        name: frame_with_derivatives(frame, points, orders=2).with_time()
-        for name, frame in without_time(frames).items()
-    }
+    for name, frame in frames.items():
+        check_time_kept(name, frame)
+    return {name: frame_with_derivatives(frame, points, 2, has_time=True) for name, frame in frames.items()}
 
 
 def _with_motion(frame: Frame, points: Manifold, times: Array, window: int) -> Frame:

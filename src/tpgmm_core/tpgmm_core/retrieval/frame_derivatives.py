@@ -11,7 +11,7 @@ from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.model.kernels_adapt import tangent_matrix
 
 
-def frame_with_derivatives(frame: Frame, manifold: Manifold, orders: int = 1) -> Frame:
+def frame_with_derivatives(frame: Frame, manifold: Manifold, orders: int = 1, has_time: bool = False) -> Frame:
     """The frame for [x, derivatives of x], from a frame for points x (D,) on a manifold.
 
     A derivative is a vector that turns with the frame: A = blkdiag(A_x, A_tangent, ...), b = [b_x, 0, ...], for poses
@@ -25,6 +25,8 @@ def frame_with_derivatives(frame: Frame, manifold: Manifold, orders: int = 1) ->
         space of x
     orders
         number of derivatives, tangent vectors (n,) each, on S³ about the fixed axes
+    has_time
+        whether the frame is over [time, x], and so will be that of the derivatives; time has none
 
     Returns
     -------
@@ -36,8 +38,9 @@ def frame_with_derivatives(frame: Frame, manifold: Manifold, orders: int = 1) ->
     ValueError
         for a frame that does not fit the manifold
     """
+    first = 1 if has_time else 0
     A, inverse = (
-        None if M is None else block_diagonal(M, *[_tangent_map(M, manifold)] * orders)
+        None if M is None else block_diagonal(M, *[_tangent_map(M[..., first:, first:], manifold)] * orders)
         for M in (frame.A, frame.inverse)
     )
     assert A is not None

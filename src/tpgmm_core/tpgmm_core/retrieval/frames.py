@@ -45,12 +45,18 @@ def require_time_kept(buffer: FrameBuffer) -> None:
         raise _time_changed(buffer.frame_names[j], buffer.A[j], buffer.b[j])
 
 
-def _without_time(name: str, frame: Frame) -> Frame:
+def check_time_kept(name: str, frame: Frame) -> None:
+    """Raise ValueError for a frame that changes the first dimension or mixes it with others."""
     A, b = frame.A, frame.b
     size, columns = A.shape[-2:]
     is_mixed = A[..., 0, 1:].any() or A[..., 1:, 0].any()
     if min(size, columns) < 2 or is_mixed or (A[..., 0, 0] != 1.0).any() or b[..., 0].any():
         raise _time_changed(name, A, b)
+
+
+def _without_time(name: str, frame: Frame) -> Frame:
+    check_time_kept(name, frame)
+    A, b = frame.A, frame.b
     inverse = None if frame.inverse is None else frame.inverse[..., 1:, 1:]
     return Frame(A[..., 1:, 1:], b[..., 1:], inverse, frame.pose_covariance)
 

@@ -161,7 +161,7 @@ class PathFollower:
 
     def at(self, samples: float = 0.0) -> Array:
         """Position (D,), so many samples ahead."""
-        return self.plan.at(self._planned + samples)[0]
+        return self.plan.point(self._planned + samples)
 
     def _replan(self, position: Array, velocity: Array) -> None:
         states = self.states

@@ -13,7 +13,7 @@ import numpy as np
 from tpgmm_core.common.settings import configured
 from tpgmm_core.common.text import listed
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
@@ -106,7 +106,7 @@ class Recipe:
         demonstrations: Sequence[Demonstration],
         manifold: str | Manifold,
         dimensions: Sequence[str] | None = None,
-        progress: Progress | None = None,
+        progress: EmProgress | None = None,
     ) -> LearnedMixture:
         """A model of demonstrations over [time, data], whose metadata say what it is for.
 

@@ -40,15 +40,25 @@ class TrackingPlan:
 
     def at(self, time: float) -> tuple[Array, Array]:
         """Point (D,) and velocity (n,), tangent there, a time after the beginning; the last step goes on."""
-        H, n = self.accelerations.shape
-        i = min(int(time / self.time_step), H - 1)
-        left = time - i * self.time_step
-        x, velocity, acceleration = self.states[i, :n], self.states[i, n:], self.accelerations[i]
-        point = self.manifold.exp(self.begin, x + left * (velocity + 0.5 * left * acceleration))
-        velocity = velocity + left * acceleration
+        n = len(self.accelerations[0])
+        i, left = self._step_at(time)
+        point = self.point(time)
+        velocity = self.states[i, n:] + left * self.accelerations[i]
         if not self.manifold.is_euclidean:
             velocity = self.manifold.transport(self.begin, point) @ velocity
         return point, velocity
+
+    def point(self, time: float) -> Array:
+        """Point (D,) a time after the beginning; the last step goes on."""
+        n = len(self.accelerations[0])
+        i, left = self._step_at(time)
+        way = self.states[i, :n] + left * (self.states[i, n:] + 0.5 * left * self.accelerations[i])
+        return self.manifold.exp(self.begin, way)
+
+    def _step_at(self, time: float) -> tuple[int, float]:
+        """The step of a time, and how much time has passed in it."""
+        i = min(int(time / self.time_step), len(self.accelerations) - 1)
+        return i, time - i * self.time_step
 
 
 class Planner:

@@ -20,6 +20,7 @@ what regression says, with the activations as learned. The number of steps does 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -30,6 +31,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
+from tpgmm_core.geometry.kernels import invert_side_by_side
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.learning.learned_mixture import LearnedMixture
@@ -281,8 +283,8 @@ class SmoothTrajectory:
     def _are_near(self, one: GaussianMixture, other: GaussianMixture) -> bool:
         """Whether no state turned by more than WARM_TURN. How far positions moved does not matter: they are linear."""
         blocks = [slice(1 + s.ambient.start, 1 + s.ambient.stop) for s in self.manifold.spheres]
-        turns = [quaternion.angle_between(one.means[:, block], other.means[:, block]) for block in blocks]
-        return all(np.max(turn) < WARM_TURN for turn in turns)
+        cosines = [np.abs((one.means[:, block] * other.means[:, block]).sum(axis=1)).min() for block in blocks]
+        return all(cosine > math.cos(0.5 * WARM_TURN) for cosine in cosines)
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
         """The movement at some of the model's times.
@@ -304,10 +306,11 @@ class SmoothTrajectory:
         """
         mixture, smooth = self._solution()
         times = np.asarray(times, dtype=float)
-        activations = self._model.activations(times)
         means = _interpolated(self._grid, smooth, self.manifold, times)
         within = np.clip(times, self._grid[0], self._grid[-1])
-        return means, _spread(mixture, within, self._model.activations(within), means), activations[0]
+        activations = self._model.activations(within)
+        first = activations[0] if within[0] == times[0] else self._model.activations(times[:1])[0]
+        return means, _spread(mixture, within, activations, means), first
 
     def mixture(self) -> GaussianMixture:
         """The model in this situation.
@@ -338,10 +341,11 @@ def _smoothest(
     former: Array | None = None,
 ) -> Smooth:
     """`smoothest` for a mixture over [time, position, velocity, acceleration]; from former points (T, D) if given."""
-    factors = np.linalg.inv(np.linalg.cholesky(mixture.covariances[:, 1:, 1:]))
+    covariances = np.ascontiguousarray(np.moveaxis(mixture.covariances[:, 1:, 1:], 0, -1))
+    precisions = np.empty(covariances.shape[-1:] + covariances.shape[:2])
+    invert_side_by_side(covariances, np.empty(covariances.shape), precisions)
     means = np.ascontiguousarray(mixture.means[:, 1:])
     manifold = point_manifold(mixture.manifold)
-    precisions = np.swapaxes(factors, 1, 2) @ factors
     if former is not None:
         return smoothest(*windows, means, precisions, states, manifold, former, WARM_TOLERANCE)
     start = _between(times, states, means[:, : manifold.dim], manifold)

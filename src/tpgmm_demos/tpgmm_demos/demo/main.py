@@ -24,7 +24,7 @@ from tpgmm_demos.demo.pictures import draw
 from tpgmm_demos.demo.recording import RunRecord
 from tpgmm_demos.demo.report import evaluate, table
 from tpgmm_demos.demo.world import EXACT_RATE, Disturbances, World
-from tpgmm_demos.scene.perception import PERCEPTIONS, Camera, perception
+from tpgmm_demos.scene.perception import PERCEPTIONS, SimulatedCamera, perception
 from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.programs import train
@@ -89,7 +89,7 @@ def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
         recorder = Node("demo_recorder")
         recording = RunRecord(recorder, task, list(robot.joint_names))
         # numbers of its own: the situation is the same whatever perception is like
-        camera = Camera(perception(arguments.perception, EXACT_RATE), [arguments.seed, 0xDE, 0xCA])
+        camera = SimulatedCamera(perception(arguments.perception, EXACT_RATE), [arguments.seed, 0xDE, 0xCA])
         world = World(graph.node, task, situation, disturbances, camera, lockstep)
         print(f"2. starting the nodes (logs: {log})")
         _start(graph, arguments, model_file)

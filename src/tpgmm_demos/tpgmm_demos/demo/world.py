@@ -12,7 +12,7 @@ from rclpy.node import Node
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.geometry.pose import pose_error
-from tpgmm_demos.scene.perception import Camera
+from tpgmm_demos.scene.perception import SimulatedCamera
 from tpgmm_demos.scene.pick_place import Grasp, Placement, hand_at
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.lockstep import nothing_seen
@@ -105,7 +105,7 @@ class World:
         task: Task,
         situation: Placement,
         disturbances: Disturbances,
-        camera: Camera,
+        camera: SimulatedCamera,
         lockstep: bool = False,
     ) -> None:
         self.situation = situation

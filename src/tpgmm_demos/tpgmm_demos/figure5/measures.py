@@ -15,7 +15,7 @@ from tpgmm_core.kinematics.hand_tasks import HandTask, HandTasks
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_demos.figure5.lessons import CUP_AXIS, HANDS, SUGAR_PLACE, Array
-from tpgmm_demos.figure5.session import Segment
+from tpgmm_demos.figure5.session import Trace
 
 ARMS = ("left_arm", "right_arm")
 #: The law that holds the tasks. Softer than by default, in all directions alike: who moves the hand by 20 cm would load
@@ -56,7 +56,7 @@ class Measures:
         return np.asarray(np.linalg.norm(self.where - self.where[0], axis=1))
 
 
-def measure(robot: RobotModel, segment: Segment, link: str) -> Measures:
+def measure(robot: RobotModel, segment: Trace, link: str) -> Measures:
     """Kinematics of all samples.
 
     Parameters
@@ -93,7 +93,7 @@ def measure(robot: RobotModel, segment: Segment, link: str) -> Measures:
     )
 
 
-def energy(robot: RobotModel, tasks: Mapping[str, HandTask], segment: Segment, rest: Array) -> Array:
+def energy(robot: RobotModel, tasks: Mapping[str, HandTask], segment: Trace, rest: Array) -> Array:
     """Kinetic energy of the arms, and what the law's springs hold, e^T K e / 2, while some tasks hold.
 
     Parameters

@@ -10,7 +10,7 @@ import numpy as np
 
 from tpgmm_demos.figure5.contacts import Record, elbow, gripped_push, push, smooth_step, to_start
 from tpgmm_demos.figure5.lessons import HANDS, Array
-from tpgmm_demos.figure5.session import Segment, Session, Wrench
+from tpgmm_demos.figure5.session import Session, Trace, Wrench
 
 CUP, SUGAR = "hold_cup", "hold_sugar"
 #: The tasks take hold and the arms come to rest within this time, s.
@@ -48,7 +48,7 @@ class Pushed:
 
     push: Push
     link: str
-    segment: Segment
+    segment: Trace
     record: Record
 
 
@@ -59,7 +59,7 @@ class Probed:
     name: str
     link: str
     size: float
-    segment: Segment
+    segment: Trace
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ class SequenceResult:
 
     sequence: Sequence
     rest: Array
-    settled: Segment
+    settled: Trace
     pushes: tuple[Pushed, ...]
     repeated: Mapping[str, tuple[Pushed, ...]]
     probes: tuple[Probed, ...]

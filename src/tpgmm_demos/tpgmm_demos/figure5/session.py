@@ -37,7 +37,7 @@ Wrench = Callable[[float, Array], Array]
 
 
 @dataclass(slots=True)
-class Segment:
+class Trace:
     """What happened in some time with the same contacts: samples at `SAMPLE_RATE`, extremes of all ticks.
 
     Attributes
@@ -60,10 +60,10 @@ class Segment:
     torque_share: float = 0.0
     stop_distance: Array = field(default_factory=lambda: np.zeros(0))
 
-    def followed_by(self, other: Segment) -> Segment:
+    def followed_by(self, other: Trace) -> Trace:
         """Both, one after the other."""
         offset = self.times[-1] + 1.0 / SAMPLE_RATE
-        return Segment(
+        return Trace(
             self.times + [offset + time for time in other.times],
             self.states + other.states,
             self.forces + other.forces,
@@ -158,7 +158,7 @@ class Session:
                 lambda: self._waiting and self._tau_stamp_ns == self._stamp_ns, START_TIMEOUT, "the nodes' answers"
             )
 
-    def run(self, duration: float, contacts: Sequence[tuple[str, Wrench]] = ()) -> Segment:
+    def run(self, duration: float, contacts: Sequence[tuple[str, Wrench]] = ()) -> Trace:
         """Let time of the robot pass, while wrenches act on links; they end with it.
 
         Parameters
@@ -170,7 +170,7 @@ class Session:
 
         Returns
         -------
-        Segment
+        Trace
             samples of this time
 
         Raises
@@ -178,7 +178,7 @@ class Session:
         GraphError
             when a node ends, or time stalls
         """
-        segment, begin = Segment(stop_distance=np.full(self.robot.nv, np.inf)), self._stamp_ns
+        segment, begin = Trace(stop_distance=np.full(self.robot.nv, np.inf)), self._stamp_ns
         self._segment, self._begin_ns, self._end_ns = segment, begin, begin + round(duration * SECOND)
         self._sample_ns = begin
         self._contacts = contacts

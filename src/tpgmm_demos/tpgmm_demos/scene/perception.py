@@ -88,7 +88,7 @@ class Sighting:
     poses: dict[str, Array]
 
 
-class Camera:
+class SimulatedCamera:
     """Ask it regularly; it can only look when it is asked, so that its times are those at which it is.
 
     Parameters

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_demos.scene.perception import Camera
+from tpgmm_demos.scene.perception import SimulatedCamera
 from tpgmm_demos.teaching.teacher import Teacher, TeacherConfig
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointReader
@@ -142,7 +142,7 @@ class BarLesson:
     """
 
     def __init__(
-        self, node: Node, task: Task, robot_file: Path, first: str, camera: Camera, random: np.random.Generator
+        self, node: Node, task: Task, robot_file: Path, first: str, camera: SimulatedCamera, random: np.random.Generator
     ) -> None:
         self.done, self.duration, self.failure = False, DURATION, ""
         self._task, self._first, self._camera, self._random = task, first, camera, random

@@ -8,7 +8,7 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 
 from tpgmm_core.common.types import Array
-from tpgmm_demos.scene.perception import Camera
+from tpgmm_demos.scene.perception import SimulatedCamera
 from tpgmm_demos.scene.pick_place import Grasp, Placement
 from tpgmm_demos.teaching.teacher import Intention, Teacher, TeacherConfig
 from tpgmm_ros.messages import conversions
@@ -26,7 +26,13 @@ class ScriptedLesson:
     """
 
     def __init__(
-        self, node: Node, task: Task, link: str, situation: Placement, camera: Camera, random: np.random.Generator
+        self,
+        node: Node,
+        task: Task,
+        link: str,
+        situation: Placement,
+        camera: SimulatedCamera,
+        random: np.random.Generator,
     ) -> None:
         self.done = False
         self._node = node

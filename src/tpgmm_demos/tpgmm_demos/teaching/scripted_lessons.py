@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from tpgmm_core.common.text import one_line
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_demos.scene.perception import PERCEPTIONS, Camera, perception
+from tpgmm_demos.scene.perception import PERCEPTIONS, SimulatedCamera, perception
 from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_demos.teaching import bar_lesson
 from tpgmm_demos.teaching.bar_lesson import BarLesson
@@ -57,7 +57,7 @@ class LessonKind:
         one of so many poses of the hand is recorded
     """
 
-    make: Callable[[Node, Task, Path, Camera, np.random.Generator], ScriptedLesson | BarLesson]
+    make: Callable[[Node, Task, Path, SimulatedCamera, np.random.Generator], ScriptedLesson | BarLesson]
     exact_rate: float = EXACT_RATE
     rate: float = 1000.0
     pose_rate: float = 100.0
@@ -65,14 +65,16 @@ class LessonKind:
 
 
 def _pick_place(
-    node: Node, task: Task, robot_file: Path, camera: Camera, random: np.random.Generator
+    node: Node, task: Task, robot_file: Path, camera: SimulatedCamera, random: np.random.Generator
 ) -> ScriptedLesson:
     link = RobotModel.from_file(robot_file).endpoints[task.endpoint].frame
     return ScriptedLesson(node, task, link, random_placement(random), camera, random)
 
 
 def _bar(first: str) -> LessonKind:
-    def make(node: Node, task: Task, robot_file: Path, camera: Camera, random: np.random.Generator) -> BarLesson:
+    def make(
+        node: Node, task: Task, robot_file: Path, camera: SimulatedCamera, random: np.random.Generator
+    ) -> BarLesson:
         return BarLesson(node, task, robot_file, first, camera, random)
 
     exact_rate = bar_lesson.TOUCH_RATE / bar_lesson.KEEP_EVERY
@@ -121,7 +123,7 @@ def record_scripted(
                 else:
                     random = np.random.default_rng([seed, index])
                     # numbers of its own: the teacher does the same whatever perception is like
-                    camera = Camera(perception(perceived, LESSONS[lesson].exact_rate), [seed, index, 0xCA])
+                    camera = SimulatedCamera(perception(perceived, LESSONS[lesson].exact_rate), [seed, index, 0xCA])
                     words = _record_lesson(task, robot_file, LESSONS[lesson], path, camera, random, Path(logs), stop)
                     progress.write(f"{path}: {words}")
                     made.append(path)
@@ -134,7 +136,7 @@ def _record_lesson(
     robot_file: Path,
     kind: LessonKind,
     path: Path,
-    camera: Camera,
+    camera: SimulatedCamera,
     random: np.random.Generator,
     logs: Path,
     stop: StopFlag,

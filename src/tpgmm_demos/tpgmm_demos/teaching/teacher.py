@@ -123,14 +123,14 @@ class Intention:
         return POSE.exp(pose, sway), resting
 
 
-class Aim(Protocol):
+class IntendedPath(Protocol):
     """Where a hand is meant to be."""
 
     def at(self, time: float) -> tuple[Array, bool]:
         """The pose (7,) at a time in s, and whether it matters that the hand is there, so that one corrects."""
 
 
-class Teacher[AimT: Aim]:
+class Teacher[PathT: IntendedPath]:
     """The force with which the teacher leads the hand: a spring and a damper towards the intention, and a correction.
 
     Parameters
@@ -141,7 +141,7 @@ class Teacher[AimT: Aim]:
         how firmly
     """
 
-    def __init__(self, intention: AimT, config: TeacherConfig) -> None:
+    def __init__(self, intention: PathT, config: TeacherConfig) -> None:
         self.intention = intention
         self._stiffness = np.repeat(config.stiffness, 3)
         self._damping = np.repeat(config.damping, 3)

@@ -63,7 +63,7 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Output:
+class MotionOutput:
     """One way for motions to leave: `make` returns the message, None where there is nothing to say."""
 
     message: type
@@ -114,14 +114,14 @@ def stiffness(motion: Motion) -> Float64MultiArray | None:
     return None if motion.stiffness is None else Float64MultiArray(data=conversions.floats(motion.stiffness))
 
 
-OUTPUTS: Mapping[str, Output] = {
-    "joint_trajectory": Output(JointTrajectory, "joint_trajectory_controller/joint_trajectory", joint_trajectory),
-    "positions": Output(Float64MultiArray, "forward_position_controller/commands", positions),
-    "target_pose": Output(PoseStamped, "target_pose", pose),
-    "target_stiffness": Output(Float64MultiArray, "target_stiffness", stiffness),
-    "target_frame": Output(PoseStamped, "target_frame", pose),
-    "servo_pose": Output(PoseStamped, "servo_node/pose_target_cmds", pose),
-    "servo_twist": Output(TwistStamped, "servo_node/delta_twist_cmds", twist),
+OUTPUTS: Mapping[str, MotionOutput] = {
+    "joint_trajectory": MotionOutput(JointTrajectory, "joint_trajectory_controller/joint_trajectory", joint_trajectory),
+    "positions": MotionOutput(Float64MultiArray, "forward_position_controller/commands", positions),
+    "target_pose": MotionOutput(PoseStamped, "target_pose", pose),
+    "target_stiffness": MotionOutput(Float64MultiArray, "target_stiffness", stiffness),
+    "target_frame": MotionOutput(PoseStamped, "target_frame", pose),
+    "servo_pose": MotionOutput(PoseStamped, "servo_node/pose_target_cmds", pose),
+    "servo_twist": MotionOutput(TwistStamped, "servo_node/delta_twist_cmds", twist),
 }
 #: The output that is an action, `control_msgs/FollowJointTrajectory`: no topic that is published.
 ACTION = "follow_joint_trajectory"

@@ -64,7 +64,7 @@ class Leaving:
 
 
 @dataclass(frozen=True, slots=True)
-class Output:
+class TorqueOutput:
     """One way for torques to leave.
 
     Parameters
@@ -141,13 +141,15 @@ def matrix_message(matrix: Array) -> Float64MultiArray:
     return Float64MultiArray(layout=layout, data=conversions.floats(matrix))
 
 
-OUTPUTS: Mapping[str, Output] = {
-    "joint_state": Output("sensor_msgs", "JointState", "joint_torques", STREAM, joint_state),
-    "effort_controller": Output("std_msgs", "Float64MultiArray", "effort_controller/commands", COMMANDS, multi_array),
-    "pid_controller": Output(
+OUTPUTS: Mapping[str, TorqueOutput] = {
+    "joint_state": TorqueOutput("sensor_msgs", "JointState", "joint_torques", STREAM, joint_state),
+    "effort_controller": TorqueOutput(
+        "std_msgs", "Float64MultiArray", "effort_controller/commands", COMMANDS, multi_array
+    ),
+    "pid_controller": TorqueOutput(
         "control_msgs", "MultiDOFCommand", "pid_controller/reference", COMMANDS, multi_dof_command
     ),
-    "linear_feedback_controller": Output(
+    "linear_feedback_controller": TorqueOutput(
         "linear_feedback_controller_msgs", "Control", "control", COMMANDS, linear_feedback
     ),
 }

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import functools
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 
 from tpgmm_core.geometry.pose import compose, turned_covariance
 from tpgmm_core.observation.poses import Observation, check_pose, wrong_frame
@@ -21,9 +24,12 @@ from tpgmm_ros.messages.classes import message_class
 from tpgmm_ros.messages.fields import time_to_ns, transform_numbers
 from tpgmm_ros.messages.qos import STREAM, TRANSFORMS, TRANSFORMS_STATIC
 from tpgmm_ros.messages.sources import TF, TF_MESSAGE, TF_STATIC, Source, TransformSource
+from tpgmm_ros.runtime.batches import Batches
 
 #: So many poses of one frame wait for transforms: half a second of a fast camera.
 MOST_WAITING = 32
+#: So many poses of one topic are looked at in one turn: of more that have come meanwhile, the newest.
+MOST_TOGETHER = 4
 
 
 class FrameSources:
@@ -70,8 +76,8 @@ class FrameSources:
             if isinstance(source, TransformSource):
                 self._watches[name] = TransformWatch(self._tree, source.frame, source.base)
             else:
-                take = functools.partial(self._take, name, source.read)
-                node.create_subscription(message_class(source.message_type), source.topic, take, STREAM)
+                take = functools.partial(self._take_all, name, source.read)
+                self._subscribe(source.message_type, source.topic, take, STREAM, MOST_TOGETHER)
         if self._watches:
             self._listen()
 
@@ -86,6 +92,17 @@ class FrameSources:
     def unknown(self) -> dict[str, str]:
         """Frames that no transforms lead to, and why."""
         return {name: watch.reason for name, watch in self._watches.items() if watch.reason}
+
+    def _subscribe(
+        self, kind: str, topic: str, take: Callable[[Sequence[Any]], object], qos: QoSProfile, most: int
+    ) -> None:
+        """Whoever floods a topic shall not keep other topics, or other nodes of the process, from their turn."""
+        read = functools.partial(deserialize_message, message_type=message_class(kind))
+        Batches(self._node, message_class(kind), topic, take, qos, read, most)
+
+    def _take_all(self, name: str, read: Callable[[Any], Observation | None], messages: Sequence[Any]) -> None:
+        for message in messages:
+            self._take(name, read, message)
 
     def _take(self, name: str, read: Callable[[Any], Observation | None], message: Any) -> None:
         observation = read(message)
@@ -135,14 +152,14 @@ class FrameSources:
 
     def _listen(self) -> None:
         if not self._listens and not self._missing:
-            kind = message_class(TF_MESSAGE)
+            message_class(TF_MESSAGE)
             self._listens = True
-            take_static = functools.partial(self._take_transforms, True)
-            self._node.create_subscription(kind, f"/{TF_STATIC}", take_static, TRANSFORMS_STATIC)
-            self._node.create_subscription(kind, f"/{TF}", functools.partial(self._take_transforms, False), TRANSFORMS)
+            for topic, is_static, qos in ((TF_STATIC, True, TRANSFORMS_STATIC), (TF, False, TRANSFORMS)):
+                take = functools.partial(self._take_transforms, is_static)
+                self._subscribe(TF_MESSAGE, f"/{topic}", take, qos, qos.depth)
 
-    def _take_transforms(self, is_static: bool, message: Any) -> None:
-        for item in message.transforms:
+    def _take_transforms(self, is_static: bool, messages: Sequence[Any]) -> None:
+        for item in chain.from_iterable(message.transforms for message in messages):
             stamp_ns, numbers = time_to_ns(item.header.stamp), transform_numbers(item.transform)
             reason = self._tree.add(item.header.frame_id, item.child_frame_id, numbers, stamp_ns, is_static)
             if reason:

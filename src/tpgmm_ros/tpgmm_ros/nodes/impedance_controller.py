@@ -184,11 +184,6 @@ class ImpedanceControllerNode(ManagedNode):
         self._let_go()
         return super().on_deactivate(state)
 
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """The same as `on_deactivate`."""
-        self._let_go()
-        return super().on_shutdown(state)
-
     def destroy_node(self) -> None:
         """Lead the torques to the safe one, then end."""
         self._let_go()

@@ -152,11 +152,6 @@ class JointMotionNode(ManagedNode):
         self._let_go()
         return super().on_deactivate(state)
 
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """The same as `on_deactivate`."""
-        self._let_go()
-        return super().on_shutdown(state)
-
     def destroy_node(self) -> None:
         """Lead the joints to rest, then end."""
         self._let_go()

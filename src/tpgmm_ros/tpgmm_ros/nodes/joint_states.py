@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.observation.joint_states import MAX_SPREAD
-from tpgmm_core.observation.streams import RESTARTED_AFTER, Leader, Stamp, StreamWatch, standing_still
+from tpgmm_core.observation.streams import RESTARTED_AFTER, Leader, Stamp, StreamWatch, stamps_ahead, standing_still
 from tpgmm_ros.messages.conversions import JointStates, MessageError
 from tpgmm_ros.messages.joint_state_bytes import JointStateDecoder, JointStateValues
 from tpgmm_ros.messages.qos import STATES
@@ -119,7 +119,7 @@ class JointStateStream:
         ahead = math.inf if self._max_future is None else self._max_future()
         kind = self._watch.judge(stamp_ns, now_ns, self._node.get_clock().now().nanoseconds, RESTARTED_AFTER, ahead)
         if kind is Stamp.FUTURE:
-            self._refuse(f"its stamp lies more than {ahead:g} s ahead of this machine's clock; synchronise them")
+            self._refuse(stamps_ahead(ahead))
             return None
         if kind is Stamp.OLD:
             return None

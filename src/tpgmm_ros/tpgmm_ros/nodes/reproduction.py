@@ -190,15 +190,15 @@ class ReproductionNode(ManagedNode):
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """End the movement that goes on, and take no more goals."""
-        assert self.movements is not None
-        self.movements.deactivate()
+        if self.movements is not None:
+            self.movements.deactivate()
         self._hide(self.get_clock().now().nanoseconds)
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget model and movement."""
-        assert self.movements is not None
-        self.movements.close()
+        if self.movements is not None:
+            self.movements.close()
         self.movements = None
         return super().on_cleanup(state)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`convert`: arrays of other programs (CSV, numpy, MATLAB) to bags, with a task file for them. Needs no running ROS."""
+"""`convert`: arrays of other programs to bags, with a task file for them, or bags to LeRobot. Needs no running ROS."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +19,14 @@ from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.common.yaml_values import is_name
 from tpgmm_core.doubt.doubts import Doubt
-from tpgmm_ros.programs.reading import progress_bar
+from tpgmm_ros.programs.convert_lerobot import to_lerobot
+from tpgmm_ros.programs.reading import TrainingError, progress_bar
 from tpgmm_ros.recordings.bags import read_recordings
 from tpgmm_ros.recordings.conversion.columns import ORIENTATIONS, TIME_UNITS, UNITS
 from tpgmm_ros.recordings.conversion.demonstrations import Columns, Shown, demonstrations_of
-from tpgmm_ros.recordings.conversion.tables import ConversionError, read_tables
+from tpgmm_ros.recordings.conversion.lerobot_layout import is_dataset
+from tpgmm_ros.recordings.conversion.lerobot_reading import TIME, read_dataset
+from tpgmm_ros.recordings.conversion.tables import ConversionError, Table, read_tables
 from tpgmm_ros.recordings.conversion.written import MOVEMENT, audit, topic_of, write_bag
 from tpgmm_ros.recordings.judging import doubts_about
 from tpgmm_ros.task.task_file import Task
@@ -36,9 +39,12 @@ examples:
   convert --to bags/mine --time t --movement hand --frame object=place --unit mm demos.npz
   convert --to bags/mine --time "s.Data0[0]" --movement "s.Data0[1:3]" Data02.mat
   convert --to bags/mine --rate 1000 --movement O_T_EE log.npz         (transforms, 4 by 4)
+  convert --to bags/mine --movement "observation.state[0:7]" datasets/mine          (LeRobot v3.0)
+  convert --to datasets/mine --lerobot --task my_task.yaml --rate 30 bags/mine      (to LeRobot v3.0)
 
 Each element of an array of structs or cells (MATLAB), and of the first axis of numpy arrays with three axes, is a
-demonstration of its own. No file is executed: pickled objects are refused.
+demonstration of its own, and each episode of a LeRobot dataset, whose features are columns. No file is executed:
+pickled objects are refused.
 
 exit status: 0 all was written, read back bit by bit, and fits the task file; 1 it was not, the reason is said;
 2 wrong arguments
@@ -50,13 +56,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit status."""
     parser = _parser()
     options = parser.parse_args(arguments)
-    if (options.time is None) == (options.rate is None):
+    if options.lerobot:
+        if options.task is None or options.movement is not None or options.time is not None:
+            parser.error("--lerobot needs --task FILE, which says what is read, and neither --movement nor --time")
+    elif options.movement is None or options.task is not None:
+        parser.error("give --movement COLUMNS; --task goes with --lerobot")
+    elif all(map(is_dataset, options.files)) and options.rate is None:
+        options.time = options.time or TIME
+    elif (options.time is None) == (options.rate is None):
         parser.error("give --time COLUMN or --rate HZ: one of them")
-    report: dict[str, Any] = {"passed": False, "bags": []}
+    report: dict[str, Any] = {"passed": False, "bags": [], "bad_bags": []}
     try:
-        _convert(options, report)
+        if options.lerobot:
+            to_lerobot(options, report)
+        else:
+            _convert(options, report)
         report["passed"] = not report["bad_bags"]
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TrainingError) as error:
         report["error"] = one_line(error)
         print(f"error: {report['error']}", file=sys.stderr)
     print(json.dumps(report, indent=2) if options.json else _text(report))
@@ -115,17 +131,26 @@ def _read(files: Sequence[Path], columns: Columns) -> dict[str, Shown]:
     for file in files:
         try:
             several = [
-                one for table in read_tables(file, columns.arrays()) for one in demonstrations_of(table, columns)
+                replace(one, notes=(*notes, *one.notes))
+                for table, notes in _tables(file, columns)
+                for one in demonstrations_of(table, columns)
             ]
         except ConversionError as error:
             raise ConversionError(f"{file}: {str(error).removeprefix(f'{file}: ')}") from None
         digits = max(2, len(str(len(several))))
         for number, one in enumerate(several, 1):
-            name = file.stem if len(several) == 1 else f"{file.stem}_{number:0{digits}d}"
+            stem = file.resolve().name if file.is_dir() else file.stem
+            name = stem if len(several) == 1 else f"{stem}_{number:0{digits}d}"
             if name in found:
                 raise ConversionError(f"{file}: its bag would be {name}, as that of another file: rename one of them")
             found[name] = one
     return found
+
+
+def _tables(file: Path, columns: Columns) -> list[tuple[Table, tuple[str, ...]]]:
+    if is_dataset(file):
+        return [(episode.table, episode.notes) for episode in read_dataset(file, columns.arrays() - {TIME})]
+    return [(table, ()) for table in read_tables(file, columns.arrays())]
 
 
 def _task_text(options: argparse.Namespace, frames: dict[str, str]) -> str:
@@ -168,30 +193,48 @@ def _text(report: dict[str, Any]) -> str:
     parts += [f"doubt: {Doubt(**doubt)}" for doubt in report.get("doubts", [])]
     parts += [f"bad bag: {one_line(bag['error'])}" for bag in report.get("bad_bags", [])]
     if report["passed"]:
-        parts.append(
-            f"read back: all {len(rows)} bags hold the same numbers, bit by bit\ntask file: {report['task_file']}"
-        )
+        where = f"the dataset {report['dataset']} holds" if "dataset" in report else f"all {len(rows)} bags hold"
+        parts.append(f"read back: {where} the same numbers, bit by bit")
+        parts += [f"task file: {report['task_file']}"] if "task_file" in report else []
     return "\n\n".join(parts)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="convert",
-        description="Convert arrays of other programs to bags, one for each demonstration, with a task file for them.",
+        description="Convert arrays of other programs to bags, one for each demonstration, with a task file for "
+        "them; or bags to a LeRobot dataset.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help=".csv, .tsv, .txt, .npy, .npz or .mat")
-    parser.add_argument("--to", required=True, type=Path, metavar="FOLDER", help="where the bags and task.yaml go")
+    parser.add_argument(
+        "files",
+        metavar="FILE",
+        nargs="+",
+        type=Path,
+        help=".csv, .tsv, .txt, .npy, .npz, .mat, or the folder of a LeRobot dataset; with --lerobot bags, or folders "
+        "of them",
+    )
+    parser.add_argument(
+        "--to", required=True, type=Path, metavar="FOLDER", help="where the bags and task.yaml go, or the dataset"
+    )
+    parser.add_argument("--lerobot", action="store_true", help="write one LeRobot dataset (v3.0) of bags")
+    parser.add_argument(
+        "--task", type=Path, metavar="TASK_FILE", help="of the bags, with --lerobot; its name becomes that of the task"
+    )
     parser.add_argument(
         "--movement",
-        required=True,
         metavar="COLUMNS",
         help="poses of the hand: names with commas between, an array, or columns of one by number, such as poses[0:7]; "
         "2 (x, y), 3, 7 (with a quaternion), 6 (see --orientation) or 16 (4 by 4 transforms) of them",
     )
-    parser.add_argument("--time", metavar="COLUMN", help="times of the samples")
-    parser.add_argument("--rate", type=_positive, metavar="HZ", help="samples per second, where there are no times")
+    parser.add_argument("--time", metavar="COLUMN", help="times of the samples (a LeRobot dataset has its own)")
+    parser.add_argument(
+        "--rate",
+        type=_positive,
+        metavar="HZ",
+        help="samples per second, where there are no times; with --lerobot a whole number (default: that of the bags)",
+    )
     parser.add_argument(
         "--frame",
         action="append",

@@ -22,7 +22,6 @@ from typing import Any
 
 import rclpy
 from rclpy.executors import Executor
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 from std_srvs.srv import Trigger
@@ -36,6 +35,7 @@ from tpgmm_ros.recordings.recovery import recover
 from tpgmm_ros.recordings.storage.bag_writer import next_name
 from tpgmm_ros.runtime.executor import StopFlag, init
 from tpgmm_ros.runtime.keys import LINE_START, Keys, keys_of_terminal
+from tpgmm_ros.runtime.rclpy_events import NodeExecutor
 from tpgmm_ros.task.task_file import Task
 
 EXAMPLES = """\
@@ -93,7 +93,7 @@ def _record(options: argparse.Namespace, args: list[str], report: dict[str, Any]
     init(args)
     stop = StopFlag()
     node = Node("record")
-    executor = EventsExecutor()
+    executor = NodeExecutor()
     executor.add_node(node)
     with keys_of_terminal() as keys:
         screen = _Screen(quiet=options.json)

@@ -14,7 +14,6 @@ from importlib import import_module
 from pathlib import Path
 
 import rclpy
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 
 from tpgmm_core.common.text import one_line
@@ -22,6 +21,7 @@ from tpgmm_ros.recordings.bag_recorder import BagRecorder
 from tpgmm_ros.recordings.recorded_topics import needed_topics, topics_of
 from tpgmm_ros.runtime.entry import missing
 from tpgmm_ros.runtime.executor import StopFlag, init
+from tpgmm_ros.runtime.rclpy_events import NodeExecutor
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task, TaskError
 
@@ -34,7 +34,7 @@ def record_live(task: Task, output: Path) -> dict[str, int]:
     init([])
     stop = StopFlag()
     node = Node("teach")
-    executor = EventsExecutor()
+    executor = NodeExecutor()
     executor.add_node(node)
     told = time.monotonic()
     with BagRecorder(node, topics_of(task)).into(output) as recorder:

@@ -15,7 +15,7 @@ import numpy as np
 from tpgmm_core import LearnedMixture
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
-from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.situations import demonstrated_situations
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.retrieval.interface import demonstrated_duration
@@ -161,7 +161,7 @@ def _update(task: Task, options: argparse.Namespace, recordings: list[Recording]
 
 
 @contextlib.contextmanager
-def _em_progress(max_iter: int) -> Iterator[Progress]:
+def _em_progress(max_iter: int) -> Iterator[EmProgress]:
     with progress_bar(total=max_iter, desc="EM", unit="iteration") as bar:
 
         def progress(iteration: int, log_likelihood: float) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
-from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.incremental.online import OnlineTPGMM
 from tpgmm_core.learning.model_header import ModelFileError
 from tpgmm_core.learning.tpgmm import TPGMM
@@ -82,7 +82,7 @@ def load_online(path: Path, task: Task) -> OnlineTPGMM:
 
 
 def update(
-    model: OnlineTPGMM, task: Task, recordings: list[Recording], progress: Progress
+    model: OnlineTPGMM, task: Task, recordings: list[Recording], progress: EmProgress
 ) -> tuple[dict[str, Any], list[str]]:
     """Learn from new recordings in addition, stretched to the duration of the model, and print what it made of them.
 

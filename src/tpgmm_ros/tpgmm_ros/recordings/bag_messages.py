@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_ros.recordings.storage.bag_error import BagError
-from tpgmm_ros.recordings.storage.bag_reader import BagReader, BagTopic
+from tpgmm_ros.recordings.storage.bag_reader import BagReader, BagTopic, Decoding
+from tpgmm_ros.recordings.storage.message_types import decoder
 
 __all__ = ["BagError", "Messages", "Stream", "read_messages", "take_messages", "topics_named", "topics_of_type"]
 
@@ -101,7 +102,11 @@ def read_messages(path: Path, topics: Iterable[str], message_type: str) -> dict[
 
 
 def take_messages(
-    path: Path, topics: Iterable[str], message_type: str, take: Callable[[str, int, Any], object]
+    path: Path,
+    topics: Iterable[str],
+    message_type: str,
+    take: Callable[[str, int, Any], object],
+    decoding: Decoding = decoder,
 ) -> dict[str, str]:
     """The same, handed over one after the other in the order of writing, so that none has to be kept.
 
@@ -111,6 +116,8 @@ def take_messages(
         see `read_messages`
     take
         called with the topic as given, the time of the recorder in ns, and the message
+    decoding
+        see `BagReader.messages`
 
     Returns
     -------
@@ -125,7 +132,7 @@ def take_messages(
     with BagReader(path) as reader:
         chosen = topics_named(path, list(topics), reader.topics, message_type)
         names = {topic.name: name for name, topic in chosen.items()}
-        for topic, recorded, message in reader.messages(list(chosen.values())):
+        for topic, recorded, message in reader.messages(list(chosen.values()), decoding):
             take(names[topic.name], recorded, message)
     return {name: topic.name for name, topic in chosen.items()}
 

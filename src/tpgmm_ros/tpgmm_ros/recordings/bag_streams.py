@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`BagStreams`: all that one bag says of a task, on one clock; any part of it becomes a recording."""
+"""`BagStreams`: what one bag says of a task, on one clock; any part of it becomes a recording."""
 
 from __future__ import annotations
 
@@ -10,21 +10,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.doubt.clocks import ClockError, CommonClock, TopicTimes, common_clock, gaps
+from tpgmm_core.doubt.clocks import gaps
 from tpgmm_core.doubt.doubts import Doubt
+from tpgmm_core.doubt.rough_clock import RoughClock
 from tpgmm_core.doubt.values import LARGEST_M
-from tpgmm_core.geometry import quaternion
 from tpgmm_core.observation.gate import MotionLimits
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_core.observation.tracking import TrackingConfig
-from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
-from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds, Stream
-from tpgmm_ros.recordings.joint_movement import read_link_stream
-from tpgmm_ros.recordings.joint_streams import read_joint_stream
-from tpgmm_ros.recordings.pose_arrays import read_pose_array
-from tpgmm_ros.recordings.pose_streams import read_pose_streams, without_leaps
+from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds
+from tpgmm_ros.recordings.pose_streams import without_leaps
 from tpgmm_ros.recordings.recording import Recording
-from tpgmm_ros.task.task_file import PoseArraySpec, Task
+from tpgmm_ros.task.task_file import Task
 
 MOVEMENT = "the movement"
 JOINTS = "the joints"
@@ -67,6 +63,8 @@ class BagStreams:
         (S,) times of the recorder for the movement's samples, ns; none where nobody knows them
     notes, doubts
         of the whole bag
+    rough
+        tells these times from those of the recorder, where its clock was set while it recorded
     """
 
     path: Path
@@ -78,11 +76,7 @@ class BagStreams:
     recorded: Nanoseconds = field(default_factory=lambda: np.empty(0, np.int64))
     notes: tuple[str, ...] = ()
     doubts: tuple[Doubt, ...] = ()
-
-    @classmethod
-    def of(cls, path: Path, task: Task) -> BagStreams:
-        """Read a bag: streams of poses, or one PoseArray, as the task says; raises BagError."""
-        return _poses_of_array(path, task, task.recordings) if task.recordings is not None else _on_topics(path, task)
+    rough: RoughClock | None = None
 
     @property
     def seconds(self) -> Array:
@@ -96,6 +90,8 @@ class BagStreams:
 
     def seconds_of(self, recorded: Nanoseconds) -> Array:
         """When what the recorder received at its times (N,), ns, was true: s from the first sample, as the movement."""
+        if self.rough is not None:
+            _, recorded = self.rough.placed(recorded)
         order = np.argsort(self.recorded, kind="stable")
         first = self.recorded[order[0]]
         return np.interp(recorded - first, self.recorded[order] - first, self.seconds[order])
@@ -188,58 +184,6 @@ class BagStreams:
                 f"{self.topics[JOINTS]} does not cover the movement, by {missed:.1f} s; record both all the time",
             )
         return np.column_stack([np.interp(at, seen, column) for column in self.values[JOINTS].T])
-
-
-def _on_topics(path: Path, task: Task) -> BagStreams:
-    streams, fixed = read_pose_streams(path, _sources(task), task.base_frame)
-    if isinstance(task.recorded_movement, JointStateSource):
-        streams[MOVEMENT] = read_link_stream(path, task.recorded_movement, task.base_frame)
-    if names := task.space.joints():
-        streams[JOINTS] = read_joint_stream(path, task.space.joint_states, names)
-    clock = _clock(path, streams)
-    times, values, notes = dict(clock.times), {}, list(clock.notes)
-    recorded = streams[MOVEMENT].recorded[clock.kept[MOVEMENT]]
-    for name, stream in streams.items():
-        values[name] = stream.values[clock.kept[name]]
-        if name == JOINTS:
-            continue
-        notes += stream.notes
-        fresh = np.diff(times[name], prepend=times[name][0] - 1) > 0
-        if not fresh.all():
-            notes.append(f"{stream.topic}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
-        recorded = recorded[fresh] if name == MOVEMENT else recorded
-        times[name], values[name] = times[name][fresh], values[name][fresh]
-    topics = {name: stream.topic for name, stream in streams.items()}
-    poses = {name: np.array(frame.pose) for name, frame in task.frames.items() if frame.pose is not None}
-    return BagStreams(path, task, times, values, topics, {**fixed, **poses}, recorded, tuple(notes), clock.doubts)
-
-
-def _poses_of_array(path: Path, task: Task, spec: PoseArraySpec) -> BagStreams:
-    """Times are the numbers of the poses times `period`; frames stand still."""
-    stream, places = read_pose_array(path, spec, list(task.sources), task.base_frame)
-    places |= {name: np.array(frame.pose) for name, frame in task.frames.items() if frame.pose is not None}
-    notes = list(stream.notes)
-    if len(stream.values) > 1 and (stream.values[:, 3:] == quaternion.IDENTITY).all():
-        notes.append("every orientation is 0 0 0 1: none was recorded; what a model says of it means nothing")
-    times = {MOVEMENT: stream.stamps}
-    return BagStreams(
-        path, task, times, {MOVEMENT: stream.values}, {MOVEMENT: stream.topic}, places, notes=tuple(notes)
-    )
-
-
-def _sources(task: Task) -> dict[str, Source]:
-    """Where the movement and the frames are in a recording, but for a movement of joints."""
-    movement = task.recorded_movement or PoseStampedSource(task.movement)
-    return ({} if isinstance(movement, JointStateSource) else {MOVEMENT: movement}) | task.sources
-
-
-def _clock(path: Path, streams: Mapping[str, Stream]) -> CommonClock:
-    """When all that is in these streams was true."""
-    times = {name: TopicTimes(name, s.topic, s.stamps, s.recorded) for name, s in streams.items()}
-    try:
-        return common_clock(times.pop(MOVEMENT), list(times.values()))
-    except ClockError as error:
-        raise BagError(path, str(error)) from None
 
 
 def _within(ns: Nanoseconds, values: Array, begin: int, end: int, moves: bool) -> tuple[Nanoseconds, Array]:

@@ -10,10 +10,10 @@ import numpy as np
 from tpgmm_core import Demonstration
 from tpgmm_core.common.text import listed
 from tpgmm_ros.recordings.bag_messages import BagError
-from tpgmm_ros.recordings.bag_streams import BagStreams
 from tpgmm_ros.recordings.cutting import cuts_of
 from tpgmm_ros.recordings.edits import Edits
 from tpgmm_ros.recordings.finding import find_bags, join_parts
+from tpgmm_ros.recordings.recorded_bag import RecordedBag
 from tpgmm_ros.recordings.recording import Recording, align
 from tpgmm_ros.recordings.storage.bag_reader import parts_of
 from tpgmm_ros.task.task_file import Task
@@ -73,7 +73,8 @@ def read_takes(path: str | Path, task: Task, every: int = 1) -> tuple[list[Recor
     says when, and doubts say what was put right (see `tpgmm_core.doubt.clocks`). Messages that repeat a stamp are
     dropped, and counted in a note. Of a PoseArray, times are the numbers of the poses times `period`, and frames stand
     still. The bag is one demonstration, unless edits beside it cut it (see `edits`), or the task file does (see
-    `cutting`); all that is judged is judged after that, but for the clocks. How frames are seen: see `BagStreams`.
+    `cutting`); all that is judged is judged after that, the clocks too where those of the whole bag do not hold
+    together (see `RecordedBag`). How frames are seen: see `BagStreams`.
 
     Parameters
     ----------
@@ -96,11 +97,11 @@ def read_takes(path: str | Path, task: Task, every: int = 1) -> tuple[list[Recor
         the bag cannot be read, or no demonstration is found in it.
     """
     path = path if isinstance(path, Path) else Path(path)  # a BagPath stays one
-    streams, edits = BagStreams.of(path, task), Edits.of(path)
-    cuts = cuts_of(streams, task.takes, edits)
+    bag, edits = RecordedBag(path, task), Edits.of(path)
+    cuts = cuts_of(bag.streams, task.takes, edits)
     if not cuts:
         raise BagError(path, "all of its takes are left out by its edits: keep one at least, or leave out the bag")
-    notes = list(streams.notes)
+    notes = list(bag.notes)
     others = parts_of(path)[1:]
     if others:
         notes.insert(0, f"goes on in {listed([part.name for part in others])}: parts of one recording, read as one")
@@ -108,7 +109,7 @@ def read_takes(path: str | Path, task: Task, every: int = 1) -> tuple[list[Recor
     bad: list[BagError] = []
     for cut in cuts:
         try:
-            found = streams.recording(cut.begin_s, cut.end_s)
+            found = bag.recording(cut.begin_s, cut.end_s)
             if len(found.times) < MIN_SAMPLES:
                 raise BagError(
                     path,
@@ -119,7 +120,7 @@ def read_takes(path: str | Path, task: Task, every: int = 1) -> tuple[list[Recor
             bad.append(BagError(path, f"{cut.note}: {error.text}") if cut.take else error)
             continue
         said = (*notes, *found.notes, *filter(None, [cut.note]))
-        found = replace(found, notes=said, doubts=(*streams.doubts, *found.doubts), take=cut.take)
+        found = replace(found, notes=said, take=cut.take)
         good.append(found if every == 1 else _thinned(found, every))
         notes = []
     return good, bad

@@ -2,14 +2,16 @@
 """A topic of JointState out of one bag: positions of chosen joints, by name."""
 
 import math
+from array import array
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tpgmm_core.observation.joint_states import JointStateAssembler, JointStateError
 from tpgmm_core.observation.streams import RESTARTED_AFTER, SECOND, Stamp, StreamWatch
-from tpgmm_ros.recordings.bag_messages import Array, BagError, Stream, read_messages
+from tpgmm_ros.recordings.bag_messages import BagError, Stream, take_messages
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
@@ -40,25 +42,32 @@ def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> Stream:
         the bag is damaged or incomplete, the topic is absent, empty or of another type, some joint never
         came, or a message names a joint twice, or has a position of one that is not finite.
     """
-    several = read_messages(path, [topic], JOINT_STATE)[topic]
     assembler, watch = JointStateAssembler(joints, ["position"]), StreamWatch()
-    states: list[tuple[int, int, Array]] = []
-    for i, (recorded, message) in enumerate(zip(several.recorded.tolist(), several.messages, strict=True)):
+    stamps, at, positions = array("q"), array("q"), array("d")
+    count = 0
+
+    def take(_: str, recorded: int, message: Any) -> None:
+        nonlocal count
         stamp_ns = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         try:
             sample = assembler.take(list(message.name), [message.position], stamp_ns)
         except JointStateError as error:
-            raise BagError(path, f"{several.topic}: {error}, in message {i}; record it again") from error
+            raise BagError(path, f"/{topic.strip('/')}: {error}, in message {count}; record it again") from error
+        count += 1
         # overtaken ones are left out; what runs backwards for good, or never changes, is for others to judge
         if sample is None or watch.judge(sample.stamp_ns, recorded, 0, RESTARTED_AFTER, math.inf) is Stamp.OLD:
-            continue
+            return
         watch.accept(sample.stamp_ns, recorded)
-        states.append((sample.stamp_ns, recorded, sample.values[0]))
-    if not states:
+        stamps.append(sample.stamp_ns)
+        at.append(recorded)
+        positions.extend(sample.values[0])
+
+    name = take_messages(path, [topic], JOINT_STATE, take)[topic]
+    if not stamps:
         raise BagError(
             path,
-            f"{several.topic} never has all joints of the task: {assembler.incomplete()}. "
+            f"{name} never has all joints of the task: {assembler.incomplete()}. "
             "Record all their drivers, or correct the task file",
         )
-    stamps, at, positions = zip(*states, strict=True)
-    return Stream(several.topic, np.array(stamps, np.int64), np.array(at, np.int64), np.array(positions))
+    numbers = np.array(positions).reshape(-1, len(joints))
+    return Stream(name, np.array(stamps, np.int64), np.array(at, np.int64), numbers)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from tpgmm_core.doubt.doubts import Doubt, Shown
+from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
 from tpgmm_core.doubt.judging import judged
 from tpgmm_ros.recordings.recording import Recording
 from tpgmm_ros.task.task_file import Task
@@ -40,8 +40,8 @@ def _together(doubts: Sequence[Doubt]) -> list[Doubt]:
     return sorted(merged, key=lambda doubt: not doubt.refuses)
 
 
-def shown_in(recording: Recording, task: Task) -> Shown:
+def shown_in(recording: Recording, task: Task) -> RawDemonstration:
     """A recording as doubts are about it: with the frames that were observed."""
     frames = {name: poses for name, poses in recording.frames.items() if task.frames[name].pose is None}
     visible = {name: recording.visible[name] for name in frames}
-    return Shown(recording.place, recording.times, recording.movement, frames, visible)
+    return RawDemonstration(recording.place, recording.times, recording.movement, frames, visible)

@@ -19,7 +19,7 @@ from tpgmm_core.observation.streams import SECOND
 from tpgmm_ros.messages.fields import pose_numbers
 from tpgmm_ros.recordings.bag_messages import Array, BagError, Stream, read_messages
 from tpgmm_ros.recordings.pose_streams import Observed, usable_poses
-from tpgmm_ros.task.task_file import PoseArraySpec
+from tpgmm_ros.task.recordings_section import PoseArraySpec
 
 POSE_ARRAY = "geometry_msgs/msg/PoseArray"
 

@@ -5,13 +5,14 @@ from array import array
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from sys import intern
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.geometry.pose import compose
-from tpgmm_core.observation.gate import MotionLimits, likeliest_course
+from tpgmm_core.observation.gate import MotionLimits
+from tpgmm_core.observation.plausible_poses import plausible_poses
 from tpgmm_core.observation.poses import ROUNDING, check_poses, doubtful_units, wrong_frame
 from tpgmm_core.observation.transforms import NO_TRANSFORM, TransformError
 from tpgmm_ros.messages.sources import Source, TopicSource, TransformSource
@@ -22,6 +23,7 @@ from tpgmm_ros.recordings.bag_messages import (
     Stream,
     take_messages,
 )
+from tpgmm_ros.recordings.storage.message_types import quick_decoder
 from tpgmm_ros.recordings.transforms import RecordedTransforms
 
 MOST_BAD = 0.5
@@ -86,7 +88,7 @@ def read_pose_streams(path: Path, sources: Mapping[str, Source], base_frame: str
             for one in topics[topic]:
                 one.take(at, message)
 
-        names |= take_messages(path, topics, kind, take)
+        names |= take_messages(path, topics, kind, take, quick_decoder)
     for name, source in sources.items():
         if isinstance(source, TransformSource):
             found = transforms.stream(source)
@@ -107,15 +109,19 @@ class _Seen:
         self.stamps, self.recorded, self.numbers = array("q"), array("q"), array("d")
         self.frame_ids: list[str] = []
 
-    def take(self, at: int, message: object) -> None:
+    def take(self, at: int, message: Any) -> None:
         """A message, with the time of the recorder, ns."""
         self.messages += 1
-        observation = self.source.read(message)
-        if observation is not None:
-            self.stamps.append(observation.stamp_ns)
-            self.recorded.append(at)
-            self.numbers.extend(observation.pose)
-            self.frame_ids.append(intern(observation.frame_id))
+        if type(message) is tuple:  # a StampedPose
+            stamp_ns, frame_id, pose = message
+        elif (observation := self.source.read(message)) is not None:
+            stamp_ns, frame_id, pose = observation.stamp_ns, intern(observation.frame_id), observation.pose
+        else:
+            return
+        self.stamps.append(stamp_ns)
+        self.recorded.append(at)
+        self.numbers.extend(pose)
+        self.frame_ids.append(frame_id)
 
     def stream(self, path: Path, topic: str, base_frame: str, transforms: RecordedTransforms) -> Stream:
         """The poses of it, on a topic of a bag, in the base frame."""
@@ -256,22 +262,23 @@ def without_leaps(
     BagError
         hardly any piece of them follows from another one.
     """
-    course = likeliest_course(poses, times, limits)
-    left, notes = len(poses) - int(np.count_nonzero(course.kept)), []
+    found = plausible_poses(poses, times, limits)
+    left, notes = len(poses) - int(np.count_nonzero(found.kept)), []
     if left:
-        first = (times[int(np.argmin(course.kept))] - times[0]) * 1e-9
+        first = (times[int(np.argmin(found.kept))] - times[0]) * 1e-9
         what = (
-            f"leap by up to {course.way:.3f} m and {np.degrees(course.turn):.0f} deg, faster than {limits.speed:g} m/s "
+            f"leap by up to {found.way:.3f} m and {np.degrees(found.turn):.0f} deg, faster than {limits.speed:g} m/s "
             f"and {limits.turn_rate:g} rad/s, first {first:.2f} s after the start"
         )
-        if left > MOST_BAD * len(poses):
+        if left >= MOST_BAD * len(poses):
             raise BagError(
                 path,
-                f"{topic}: {left} of {len(poses)} poses {what}; what sees it mixes things up. Record it again, or "
-                "allow more by max_speed and max_turn_rate in the part tracking of the task file",
+                f"{topic}: {left} of {len(poses)} poses {what}; what sees it mixes things up, or two things "
+                "are on one topic. Record it again, or allow more by max_speed and max_turn_rate in the part "
+                "tracking of the task file",
             )
         notes.append(f"{topic}: {left} of {len(poses)} poses {what}: left out")
-    if course.followed:
-        at = ", ".join(f"{time:.2f}" for time in course.followed[:5])
-        notes.append(f"{topic} leaps and stays there, {len(course.followed)} times, at {at} s: followed")
-    return times[course.kept], poses[course.kept], notes
+    if found.followed:
+        at = ", ".join(f"{time:.2f}" for time in found.followed[:5])
+        notes.append(f"{topic} leaps and stays there, {len(found.followed)} times, at {at} s: followed")
+    return times[found.kept], poses[found.kept], notes

@@ -112,17 +112,17 @@ class Recording:
         demonstration = Demonstration(
             times=times,
             data=np.column_stack([times, self.movement, joints]),
-            frames={name: Frame.stacked([_frame(poses), *same]).with_time() for name, poses in self.frames.items()},
+            frames={name: _frame(poses, same).with_time() for name, poses in self.frames.items()},
             visible=self.visible,
         )
         return self.derived.extended(demonstration)
 
 
-def _frame(poses: Array) -> Frame:
-    """Frame of poses (T, 7); one constant map where the pose never changes."""
-    if (poses == poses[0]).all():
-        return Frame.from_pose(poses[0, :3], poses[0, 3:])
-    return Frame.from_pose(poses[:, :3], poses[:, 3:])
+def _frame(poses: Array, beside: list[Frame]) -> Frame:
+    """Frame of poses (T, 7), and of what lies beside them; one constant map where the pose never changes."""
+    several = poses[0] if (poses == poses[0]).all() else poses
+    frame = Frame.from_pose(several[..., :3], several[..., 3:])
+    return Frame.stacked([frame, *beside]) if beside else frame
 
 
 def align(recordings: Sequence[Recording]) -> tuple[list[Demonstration], float]:

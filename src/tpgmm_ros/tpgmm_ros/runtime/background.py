@@ -54,6 +54,6 @@ class Background:
         return self._pool.submit(work)
 
     def close(self) -> None:
-        """Wait for what is being done, and forget it and all the rest."""
+        """Forget what is being done and all the rest, without waiting: other nodes of the process have to go on."""
         self._open = False
-        self._pool.shutdown(cancel_futures=True)
+        self._pool.shutdown(wait=False, cancel_futures=True)

@@ -40,6 +40,9 @@ class Batches:
         Of the subscription; its depth bounds how many can wait.
     decode : callable
         Makes of a serialised message what `take` gets; nodes of this process may publish the same as values.
+    most : int
+        Messages that `take` gets at most; of more that have come since the last turn, the newest. The others are
+        not even read: so a flood costs a little for each message, and what is done with them once for each turn.
     """
 
     def __init__(
@@ -50,43 +53,45 @@ class Batches:
         take: Callable[[Sequence[Any]], object],
         qos: QoSProfile,
         decode: Callable[[bytes], Any],
+        most: int = MOST,
     ) -> None:
         self._node, self._take, self._decode = node, take, decode
-        self._messages: deque[Any] = deque(maxlen=MOST)
+        self._waiting: deque[bytes] = deque(maxlen=most)
         self._is_behind = False
         self._end_of_queue = guarded(node, self._work_off)
         self._subscription = node.create_subscription(kind, topic, self._come, qos, raw=True)
         receive_values(self._subscription, self._come_as_value)
 
     def _come(self, data: bytes) -> None:
-        for one in (data, *waiting_messages(self._subscription)):
-            try:
-                self._messages.append(self._decode(one))
-            except RuntimeError as error:  # of rclpy, for bytes that are no such message
-                text = f"a message on {self._subscription.topic_name} cannot be read: {one_line(error, 200)}"
-                self._node.get_logger().error(text, throttle_duration_sec=1.0)
+        self._waiting.append(data)
+        self._waiting.extend(waiting_messages(self._subscription))
         self._plan()
 
     def _come_as_value(self, value: Any) -> None:
-        self._messages.append(value)
-        self._hand_on()  # nothing waits where the sender calls
+        self._take([*self._read(), value])  # nothing waits where the sender calls
 
     def _plan(self) -> None:
         executor = self._node.executor
         if self._is_behind:
             return
-        self._hand_on()
+        if messages := self._read():
+            self._take(messages)
         if executor is not None:
             self._is_behind = True
             executor.create_task(self._end_of_queue)
 
     def _work_off(self) -> None:
         self._is_behind = False
-        if self._messages:
+        if self._waiting:
             self._plan()
 
-    def _hand_on(self) -> None:
-        messages = list(self._messages)
-        self._messages.clear()
-        if messages:
-            self._take(messages)
+    def _read(self) -> list[Any]:
+        """All that waits, oldest first, as far as it can be read."""
+        messages = []
+        while self._waiting:
+            try:
+                messages.append(self._decode(self._waiting.popleft()))
+            except RuntimeError as error:  # of rclpy, for bytes that are no such message
+                text = f"a message on {self._subscription.topic_name} cannot be read: {one_line(error, 200)}"
+                self._node.get_logger().error(text, throttle_duration_sec=1.0)
+        return messages

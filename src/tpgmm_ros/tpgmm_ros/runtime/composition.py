@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import traceback
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.service import Service
@@ -16,6 +18,7 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from tpgmm_ros.runtime.local_topics import LocalTopics, Receiver, Sender
+from tpgmm_ros.runtime.rclpy_events import guard_waitable
 
 
 class Member(Node):
@@ -35,6 +38,7 @@ class Member(Node):
     order: int
     failure: Exception | None = None
     _depth = 0
+    _has_left = False
 
     def call(self, callback: Callable[..., Any], *args: Any) -> Any:
         """Call back, unless the node has failed; then do what was put off meanwhile."""
@@ -60,10 +64,13 @@ class Member(Node):
             self.executor.create_task(self.leave)
 
     def leave(self) -> None:
-        """Leave executor and graph."""
+        """Leave executor and graph, once; what its last words raise is in the log, and keeps nobody from going on."""
+        if self._has_left:
+            return
+        self._has_left = True
         if self.executor is not None:
             self.executor.remove_node(self)
-            self.destroy_node()
+        end(self)
 
     def call_when_idle(self, callback: Callable[[Any], object], item: Any) -> None:
         """Call back at once; where the node itself is at something, as soon as it has ended that.
@@ -124,6 +131,11 @@ class Member(Node):
             self.topics.remove(subscription.topic_name, subscription.receiver)  # type: ignore[attr-defined]
         return super().destroy_subscription(subscription)
 
+    def add_waitable(self, waitable: Any) -> None:
+        """As of a node; what an action raises ends this node alone."""
+        guard_waitable(waitable, lambda: self.failure is not None, self.fail)
+        super().add_waitable(waitable)
+
     def create_timer(self, timer_period_sec: float, callback: Callable[..., Any], *args: Any, **options: Any) -> Timer:
         """As of a node; what its callback raises ends this node alone.
 
@@ -164,6 +176,22 @@ class Member(Node):
         # what callbacks of a transition raise is a matter of the life cycle, and of `guard_transitions`
         of_lifecycle = srv_type.__module__.startswith("lifecycle_msgs.")
         return super().create_service(srv_type, srv_name, callback if of_lifecycle else answer, **options)
+
+
+def end(node: Node) -> bool:
+    """Have a node end in its own words; whether it did, else why not is in the log, and it is gone without them."""
+    try:
+        node.destroy_node()
+        return True
+    except Exception as error:
+        node.get_logger().fatal("".join(traceback.format_exception(error)))
+        with contextlib.suppress(InvalidHandle):  # it came so far by itself
+            Node.destroy_node(node)
+        return False
+    finally:  # rclpy leaves actions to themselves, and with them the node would stay in the graph
+        waitables: list[Any] = list(node.waitables)
+        for waitable in waitables:
+            waitable.destroy()
 
 
 def guarded(node: Node, callback: Callable[..., Any]) -> Callable[..., Any]:

@@ -18,15 +18,15 @@ from typing import Any
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import Executor
-from rclpy.experimental import EventsExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from tpgmm_core.common.text import one_line
-from tpgmm_ros.runtime.composition import Member, composed
+from tpgmm_ros.runtime.composition import Member, composed, end
 from tpgmm_ros.runtime.parameters import Declared
+from tpgmm_ros.runtime.rclpy_events import NodeExecutor
 from tpgmm_ros.runtime.rclpy_workarounds import init_rclpy
 from tpgmm_ros.runtime.scheduling import cores_of, lock_memory, request_realtime, run_on
 
@@ -190,7 +190,7 @@ def serve(classes: Sequence[Callable[[], Node]], args: list[str]) -> int:
         _end(nodes)
         return 1
     # The executor's spin() never calls back in the Jazzy wheels; spin_once() in a loop does, and ends with the flag.
-    executor = EventsExecutor()
+    executor = NodeExecutor()
     for node in nodes:
         executor.add_node(node)
         if isinstance(node, Member) and node.failure is not None:  # at something that another one said as it started
@@ -203,8 +203,8 @@ def serve(classes: Sequence[Callable[[], Node]], args: list[str]) -> int:
         for node in nodes:
             if not _failed(node):
                 executor.remove_node(node)
-        _end(nodes)
-    return int(any(map(_failed, nodes)))
+        ended = _end(nodes)
+    return int(not ended or any(map(_failed, nodes)))
 
 
 def _loop(node: Any, executor: Executor, stop: StopFlag) -> bool:
@@ -226,11 +226,16 @@ def _failed(node: Node) -> bool:
     return isinstance(node, Member) and node.failure is not None
 
 
-def _end(nodes: Sequence[Node]) -> None:
-    """End nodes in the order of the data: who reads goes on as long as somebody writes."""
+def _end(nodes: Sequence[Node]) -> bool:
+    """End nodes in the order of the data: who reads goes on as long as somebody writes. Whether all ended in order."""
+    ended = True
     for node in nodes:
-        node.destroy_node()
+        if isinstance(node, Member) and _failed(node):
+            node.leave()  # if it has not yet
+        else:
+            ended &= end(node)  # whatever that raises, the next one still has its last words to say
     rclpy.shutdown()
+    return ended
 
 
 def _prepare_process(nodes: Sequence[Node]) -> None:

@@ -41,6 +41,22 @@ class ManagedNode(LifecycleNode):
                     destroy(entity)
         return super().on_cleanup(state)
 
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """An active node ends what it does, as `on_deactivate` does: rclpy would let it go on."""
+        if state.label == "active" and (result := self.on_deactivate(state)) is not TransitionCallbackReturn.SUCCESS:
+            return result
+        return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """What a transition has raised at leaves nothing behind that goes on; where that fails too, it is the end."""
+        try:
+            results = self.on_deactivate(state), self.on_cleanup(state)
+        except Exception as error:
+            self._tell_error(error)
+            return TransitionCallbackReturn.FAILURE
+        done = all(result is TransitionCallbackReturn.SUCCESS for result in results)
+        return TransitionCallbackReturn.SUCCESS if done else TransitionCallbackReturn.FAILURE
+
     def _entities(self) -> list[tuple[Callable[[Any], object], list[Any]]]:
         return [
             (self._destroy_publisher, list(self.publishers)),

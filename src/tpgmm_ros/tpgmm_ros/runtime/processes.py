@@ -20,12 +20,12 @@ from domain_coordinator import domain_id
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.executors import Executor
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from tpgmm_ros.runtime.executor import init
+from tpgmm_ros.runtime.rclpy_events import NodeExecutor
 
 #: For nodes that run in real time, so that what else the machine does costs no ticks; where it is not permitted, the
 #: nodes say so in their logs and go on.
@@ -353,7 +353,7 @@ def open_graph(name: str, log_directory: Path, use_sim_time: bool = False) -> It
         the node and the processes
     """
     node = Node(name, parameter_overrides=[Parameter("use_sim_time", value=use_sim_time)])
-    executor = EventsExecutor()
+    executor = NodeExecutor()
     executor.add_node(node)
     try:
         with NodeProcesses(log_directory) as processes:

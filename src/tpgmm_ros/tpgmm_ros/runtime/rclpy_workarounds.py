@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What has to be different in rclpy from how it comes, and what it does not offer; for which version, and why.
 
-This is the only module that uses private or undocumented parts of rclpy, as they are in 7.1, the version of Jazzy.
-Each function says what rclpy does by itself.
+This module and `rclpy_events` are the only ones that use private or undocumented parts of rclpy, as they are in 7.1,
+the version of Jazzy. Each function says what rclpy does by itself.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from rclpy.subscription import Subscription
 from rclpy.time_source import TimeSource
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+from tpgmm_ros.runtime.rclpy_events import silence_destroyed
 from tpgmm_ros.runtime.transport import avoid_shared_memory
 
 
@@ -29,6 +30,7 @@ def init_rclpy(**options: Any) -> None:
     avoid_shared_memory()
     without_status_events()
     guard_clock()
+    silence_destroyed()
     rclpy.init(**options)
 
 

@@ -33,7 +33,7 @@ from tpgmm_core import TPGMM, LearnedMixture
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.common.yaml_sections import Section
-from tpgmm_core.common.yaml_values import a_choice, a_name, a_number, a_topic
+from tpgmm_core.common.yaml_values import a_number, a_topic
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.kinematics.frames import JointSpace, KinematicFrame, NullSpace, PreviousConfiguration
 from tpgmm_core.kinematics.hierarchy import Level, hierarchy_frames, level_names
@@ -46,6 +46,13 @@ from tpgmm_core.retrieval.encodings import Encoding
 from tpgmm_core.retrieval.methods import RetrievalMethod
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_ros.task.kinematic_entries import (
+    a_robot_file,
+    joint_groups,
+    read_hierarchies,
+    read_postures,
+    read_tasks,
+)
 from tpgmm_ros.task.state_space import DIMENSIONS, MANIFOLD
 
 PREVIOUS = "previous"
@@ -110,18 +117,18 @@ class KinematicSpec:
             anything that does not describe kinematic frames.
         """
         section.refuse_others("robot", "joints", "joint_states", "tasks", "hierarchies", "postures", "threshold")
-        tasks, aims = _tasks(section.section("tasks"), objects)
+        tasks, aims = read_tasks(section.section("tasks"), objects)
         return cls(
-            robot=Path(section.source).parent / section.required("robot", _path),
-            joint_groups=section.required("joints", _names),
+            robot=Path(section.source).parent / section.required("robot", a_robot_file),
+            joint_groups=section.required("joints", joint_groups),
             joint_states=section.required("joint_states", a_topic)
             if "joint_states" in section.values
             else "joint_states",
             objects=frozenset(objects),
             tasks=tasks,
             aims=aims,
-            hierarchies=_hierarchies(section.section("hierarchies"), tasks),
-            postures=_postures(section, tasks) if "postures" in section.values else (),
+            hierarchies=read_hierarchies(section.section("hierarchies"), tasks),
+            postures=read_postures(section, tasks) if "postures" in section.values else (),
             threshold=section.required("threshold", a_number(1e-6)) if "threshold" in section.values else THRESHOLD,
         )
 
@@ -262,78 +269,3 @@ class KinematicSpec:
 @functools.lru_cache(maxsize=4)
 def _robot(path: Path) -> RobotModel:
     return RobotModel.from_file(path)
-
-
-def _tasks(section: Section, objects: Collection[str]) -> tuple[dict[str, KinematicTask], frozenset[str]]:
-    if not section.values:
-        raise section.error("is empty: name at least one task, such as 'left: {point: left, relative_to: object}'")
-    tasks, aims = {}, set()
-    for name in section.values:
-        try:
-            a_name(name)
-        except ValueError as error:
-            raise section.error(f"has the task name {shown(name)}, expected {error}") from None
-        entry = section.section(name)
-        entry.refuse_others("point", "part", "relative_to", "aim")
-        point, values = entry.required("point", a_name), entry.values
-        part: Any = "position"
-        if "part" in values:
-            part = entry.required("part", a_choice("position", "orientation", "pose"))
-        relative_to = entry.required("relative_to", a_name) if "relative_to" in values else None
-        if relative_to == point:
-            raise entry.error(
-                f"sees the point {shown(point)} from itself; expected a frame of the task or another point"
-            )
-        if "aim" in values and entry.required("aim", a_choice("object", "learned")) == "object":
-            if relative_to not in objects:
-                raise entry.error(
-                    f"aims at its object and is relative to {shown(relative_to)}; expected one of the task's frames: "
-                    + ", ".join(objects)
-                )
-            aims.add(name)
-        tasks[name] = KinematicTask(point, part, relative_to)
-    return tasks, frozenset(aims)
-
-
-def _hierarchies(section: Section, tasks: Collection[str]) -> dict[str, tuple[Level, ...]]:
-    if not section.values:
-        raise section.error("is empty: name at least one hierarchy, such as 'left before right: [left, right]'")
-    return {name: section.required(name, lambda value: _levels(value, tasks)) for name in section.values}
-
-
-def _levels(value: Any, tasks: Collection[str]) -> tuple[Level, ...]:
-    expected = ValueError(
-        f"levels, most important first, each one of the tasks {', '.join(tasks)} or a list of some, and each task once"
-    )
-    if not isinstance(value, list) or not value:
-        raise expected
-    used = [task for level in value for task in (level if isinstance(level, list) else [level])]
-    if not all(isinstance(task, str) and task in tasks for task in used) or len(set(used)) < len(used) or [] in value:
-        raise expected
-    return tuple(tuple(level) if isinstance(level, list) else level for level in value)
-
-
-def _postures(section: Section, tasks: Collection[str]) -> tuple[tuple[str, ...], ...]:
-    def read(value: Any) -> tuple[tuple[str, ...], ...]:
-        expected = ValueError(f"a list of lists of tasks that are above a posture, some of {', '.join(tasks)} or none")
-        if not isinstance(value, list) or not all(isinstance(above, list) for above in value):
-            raise expected
-        if not all(isinstance(task, str) and task in tasks for above in value for task in above):
-            raise expected
-        return tuple(tuple(above) for above in value)
-
-    postures: tuple[tuple[str, ...], ...] = section.required("postures", read)
-    return postures
-
-
-def _names(value: Any) -> tuple[str, ...]:
-    names = value if isinstance(value, list) else [value]
-    if not names or not all(isinstance(name, str) and name for name in names):
-        raise ValueError("joints or groups of joints of the robot file, such as [left_arm, right_arm]")
-    return tuple(names)
-
-
-def _path(value: Any) -> str:
-    if not isinstance(value, str) or not value:
-        raise ValueError("the path of a robot file, from this file")
-    return value

@@ -6,20 +6,17 @@
     movement: endpoint/left/pose             # PoseStamped topic of what is demonstrated and reproduced
     endpoint: left                           # the end point of the robot that follows it
     frames:
-      object: {topic: object/pose}           # observed: PoseStamped; for other sources see `source_entries`
-      table: {tf: table, unseen: stays}      # observed; out of sight it is where it was last seen
-      robot: {pose: [0, 0, 0, 0, 0, 0, 1]}   # fixed: x y z (m), qx qy qz qw, in base_frame
-      place: {frame: object, turned: false}  # derived: where `object` is, with the axes of base_frame
-      begin: {hand: start, turned: false}    # derived: where the hand is when the movement begins
+      object: {topic: object/pose}           # observed: PoseStamped
+      robot: {pose: [0, 0, 0, 0, 0, 0, 1]}   # fixed; for all kinds of frames see `frames_section`
+    recordings: {...}                        # optional: where recordings differ, see `recordings_section`
     tracking: {visible_timeout: 0.25}        # optional, s
     model: {n_components: 10, init: time}    # optional: the retrieval method, arguments of its estimator
-    kinematic: {...}                         # optional: frames that move with the robot, see `kinematic_task`
+    kinematic: {...}                         # optional: frames that move with the robot, see `kinematic_section`
 
 Reading a task file executes nothing and needs no ROS.
 """
 
-import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -27,78 +24,31 @@ from typing import Any
 from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.safe_yaml import YamlError
 from tpgmm_core.common.settings import configured
-from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.yaml_sections import Section
 from tpgmm_core.common.yaml_values import (
     a_choice,
     a_name,
     a_number,
-    a_quaternion,
     a_text,
     a_topic,
     an_integer,
-    is_name,
-    numbers,
 )
 from tpgmm_core.learning.covariance.structure import STRUCTURES
-from tpgmm_core.model.derived_frames import HAND, DerivedFrames, FrameSource
+from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_core.observation.tracking import TrackingConfig
 from tpgmm_core.retrieval.encodings import ENCODINGS
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
+from tpgmm_ros.task.frames_section import TaskFrameSpec, read_frames
 from tpgmm_ros.task.kinematic_section import KinematicSpec
-from tpgmm_ros.task.source_entries import KEYS, a_frame_id, read_movement, read_source
+from tpgmm_ros.task.recordings_section import PoseArraySpec, read_recordings
+from tpgmm_ros.task.source_entries import a_frame_id
 from tpgmm_ros.task.state_space import PoseSpace, StateSpace
 from tpgmm_ros.task.takes_section import TakesRule, TopicTakes, read_takes
-
-UNSEEN = "unseen"
-"""Key of what is known of an observed frame that is out of sight."""
 
 
 class TaskError(ValueError):
     """A task file that cannot be used; the text names the file, the key, and what was expected."""
-
-
-@dataclass(frozen=True, slots=True)
-class TaskFrameSpec:
-    """One task frame: observed, or fixed in the base frame. Exactly one of the two is set.
-
-    Attributes
-    ----------
-    name
-        name of the frame, as in the model
-    source
-        what it is observed by, or None
-    pose
-        fixed pose (x, y, z in m, qx, qy, qz, qw, unit quaternion) in the base frame, or None
-    unknown_after
-        how long an observed frame that is out of sight is where it was last seen, s; infinite: it stays there. None:
-        as recordings and the tracker have it where nothing is said
-    """
-
-    name: str
-    source: Source | None = None
-    pose: tuple[float, ...] | None = None
-    unknown_after: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class PoseArraySpec:
-    """Recordings whose movement is one PoseArray per bag, and whose frames stand in a file.
-
-    Attributes
-    ----------
-    pose_array
-        relative topic of the PoseArray
-    period
-        time from one pose to the next, s: a PoseArray does not tell
-    frames
-        name of the file beside the bags that holds the constant pose of each observed frame in each bag
-    """
-
-    pose_array: str
-    period: float
-    frames: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +152,7 @@ class Task:
             "name", "base_frame", "movement", "endpoint", "frames", "kinematic", "recordings", "tracking", "model"
         )
         base_frame, movement = top.required("base_frame", a_frame_id), top.required("movement", a_topic)
-        frames, derived = _frames(top.section("frames"), movement, base_frame)
+        frames, derived = read_frames(top.section("frames"), movement, base_frame)
         space: StateSpace = PoseSpace((*frames, *derived.sources))
         if "kinematic" in top.values:
             if derived.sources:
@@ -211,7 +161,7 @@ class Task:
                 )
             space = KinematicSpec.of(top.section("kinematic"), frames)
         recorded = top.section("recordings", optional=True)
-        recordings, recorded_movement = _recordings(recorded, base_frame)
+        recordings, recorded_movement = read_recordings(recorded, base_frame)
         if "kinematic" in top.values and recordings is not None:
             raise top.error("has 'recordings' and 'kinematic'; a PoseArray holds no joints: leave one of them out")
         takes = read_takes(recorded.section("takes")) if "takes" in recorded.values else None
@@ -247,97 +197,6 @@ class Task:
     def topics(self) -> dict[str, str]:
         """Topics of the frames that are observed as PoseStamped, by frame name."""
         return {name: source.topic for name, source in self.sources.items() if isinstance(source, PoseStampedSource)}
-
-
-def _frames(section: Section, movement: str, base_frame: str) -> tuple[dict[str, TaskFrameSpec], DerivedFrames]:
-    if not section.values:
-        raise section.error("is empty: name at least one frame, such as 'object: {topic: object/pose}'")
-    taken: dict[Source, str] = {PoseStampedSource(movement): "the movement"}
-    frames: dict[str, TaskFrameSpec] = {}
-    derived: dict[str, FrameSource] = {}
-    for name in section.values:
-        if not is_name(name):
-            raise section.error(f"has the frame name {shown(name)}: use letters, digits and underscores")
-        entry = section.section(name)
-        entry.refuse_others(*KEYS, UNSEEN, "pose", "frame", "hand", "turned")
-        if len(entry.values.keys() & {"topic", "tf", "pose", "frame", "hand"}) != 1:
-            raise entry.error(
-                "needs one of 'topic' or 'tf' (observed), 'pose' (fixed), 'frame' (derived from another frame) and "
-                "'hand' (derived from where the hand starts), and not several"
-            )
-        if "frame" in entry.values or "hand" in entry.values:
-            _refuse(entry, (*KEYS, UNSEEN), "observed frames")
-            derived[name] = _source(entry)
-            continue
-        _refuse(entry, ("turned",), "frames with 'frame' or 'hand'")
-        if "pose" in entry.values:
-            _refuse(entry, (*KEYS, UNSEEN), "observed frames")
-            frames[name] = TaskFrameSpec(name, pose=entry.required("pose", _pose))
-            continue
-        source = read_source(entry, base_frame)
-        if source in taken:
-            what = shown(entry.values["topic"] if "topic" in entry.values else entry.values["tf"])
-            raise entry.error(
-                f"has the {'topic' if 'topic' in entry.values else 'transform'} {what}, which is already that of "
-                f"{taken[source]}: each frame has one of its own"
-            )
-        taken[source] = f"the frame {name!r}"
-        unknown_after = entry.required(UNSEEN, _unseen) if UNSEEN in entry.values else None
-        frames[name] = TaskFrameSpec(name, source, unknown_after=unknown_after)
-    for name, made_of in derived.items():
-        if made_of.of not in (*frames, HAND):
-            raise section.error(
-                f"has {shown(name)}, which is derived from {shown(made_of.of)}; expected an observed or fixed frame of "
-                f"this file: {listed(frames) or 'there is none'}"
-            )
-    return frames, DerivedFrames(derived)
-
-
-def _refuse(entry: Section, keys: Iterable[str], what: str) -> None:
-    for key in keys:
-        if key in entry.values:
-            raise entry.error(f"has {key!r}, which is for {what}")
-
-
-def _source(entry: Section) -> FrameSource:
-    turned = entry.required("turned", _truth) if "turned" in entry.values else True
-    if "hand" in entry.values:
-        entry.required("hand", a_choice("start"))
-        return FrameSource(HAND, turned)
-    return FrameSource(entry.required("frame", a_name), turned)
-
-
-def _unseen(value: Any) -> float:
-    """The time after which it is not known where a frame is, s."""
-    if value == "stays":
-        return math.inf
-    try:
-        return a_number(0.0)(value)
-    except ValueError:
-        raise ValueError(
-            "'stays' (out of sight it is where it was last seen), or the time in s after which that is not known"
-        ) from None
-
-
-def _truth(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError("true or false")
-    return value
-
-
-def _recordings(section: Section, base_frame: str) -> tuple[PoseArraySpec | None, Source | JointStateSource | None]:
-    section.refuse_others("pose_array", "period", "frames", "movement", "takes")
-    if not section.values.keys() - {"takes"}:
-        return None, None
-    if "movement" in section.values:
-        section.refuse_others("movement", "takes")
-        return None, read_movement(section.section("movement"), base_frame)
-    spec = PoseArraySpec(
-        pose_array=section.required("pose_array", a_topic),
-        period=section.required("period", _period),
-        frames=section.required("frames", _file_name),
-    )
-    return spec, None
 
 
 def _tracking(section: Section) -> dict[str, float]:
@@ -385,24 +244,3 @@ def _model(section: Section, space: StateSpace) -> dict[str, Any]:
 def _retrieval_method(value: Any) -> str:
     """The method's present name; files of earlier versions may have an older one."""
     return str(a_choice(*METHODS)(current_name(value) if isinstance(value, str) else value))
-
-
-def _period(value: Any) -> float:
-    try:
-        return a_number(1e-6)(value)
-    except ValueError:
-        raise ValueError("the time from one pose to the next in s, such as 0.02") from None
-
-
-def _pose(value: Any) -> tuple[float, ...]:
-    try:
-        pose = numbers(7)(value)
-        return (*pose[:3], *a_quaternion(list(pose[3:])))
-    except ValueError:
-        raise ValueError("seven finite numbers: x y z (m) qx qy qz qw, with a quaternion of norm 1") from None
-
-
-def _file_name(value: Any) -> str:
-    if not isinstance(value, str) or value != Path(value).name or not value:
-        raise ValueError("the name of a file that lies beside the bags, such as frames.yaml")
-    return value

@@ -86,7 +86,10 @@ class Sharing:
                 archive = Path(place) / "archive.zip"
                 archive.write_bytes(content)
                 found = import_archive(archive, folder)
-            return f"imported into {one_line(found.folder)}: {_held(found)}; start the workbench with that folder"
+            return (
+                f"imported into the folder {one_line(found.folder.name)}, beside this project's: {_held(found)}; "
+                "start the workbench with that folder to work with it"
+            )
 
         self.words = f"looking at {one_line(name, LONGEST_NAME)}…"
         self._background.run(work, lambda job: self._tell(job, f"{one_line(name, LONGEST_NAME)} is not imported"))

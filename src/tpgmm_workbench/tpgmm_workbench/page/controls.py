@@ -8,6 +8,8 @@ from typing import Any
 
 from viser import ViserServer
 
+from tpgmm_workbench.page.names import names_alone
+
 type Ask = Callable[..., None]
 """Called with the number of the page, a method of the desk, and its arguments."""
 
@@ -24,7 +26,7 @@ class Text:
         if content == self._shown:
             return
         self._shown = content
-        self._html.content = content
+        self._html.content = names_alone(content)
         self._html.visible = bool(content)
 
 
@@ -69,7 +71,7 @@ class Button:
         """Show whether it may be pressed: not where there is a reason; and another label."""
         if self._button.disabled != bool(reason):
             self._button.disabled = bool(reason)
-        hint = reason or None
+        hint = names_alone(reason) or None
         if self._button.hint != hint:
             self._button.hint = hint
         if label is not None and self._button.label != label + self._key:

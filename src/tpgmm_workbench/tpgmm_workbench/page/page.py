@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from viser import ClientHandle, Icon, ViserServer
+from viser import ClientHandle, ViserServer
 
 from tpgmm_core.common.types import Array
 from tpgmm_workbench.desk.desk import Desk
@@ -21,10 +21,11 @@ from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page import words
 from tpgmm_workbench.page.access import Access, guarded
 from tpgmm_workbench.page.camera import camera_for
-from tpgmm_workbench.page.controls import Button, Text
+from tpgmm_workbench.page.controls import Text
 from tpgmm_workbench.page.driver import Driver
 from tpgmm_workbench.page.panels import NodesPanel, RobotPanel, RunPanel, TeachPanel, TrainPanel
 from tpgmm_workbench.page.share_panel import SharePanel
+from tpgmm_workbench.page.stop_panel import StopPanel
 from tpgmm_workbench.project.preview import Preview
 from tpgmm_workbench.scene.colors import PREVIEW
 from tpgmm_workbench.scene.frames_view import FramesView
@@ -115,8 +116,8 @@ class Page:
 
     def _make_panels(self, server: ViserServer) -> None:
         desk = self._desk
-        Button(server, "STOP", lambda _: self._give(desk.stop), "escape", color="red", icon=Icon.HAND_STOP)
-        self._status, self._pages = Text(server), Text(server)
+        self._stop = StopPanel(server, lambda: self._give(desk.stop))
+        self._pages = Text(server)
         self._take_over = server.gui.add_button("Drive from this page", visible=False)
         self._take_over.on_click(lambda event: self.driver.take_over(event.client_id))
         tabs = server.gui.add_tab_group()
@@ -187,7 +188,7 @@ class Page:
 
     def _show_texts(self, view: DeskView) -> None:
         self._hand.draw_trail()
-        self._status.show(words.status(view))
+        self._stop.show(view)
         several = self.driver.pages > 1
         self._pages.show(words.pages(self.driver.pages, is_open=bool(self._access.token)))
         if self._take_over.visible != several:

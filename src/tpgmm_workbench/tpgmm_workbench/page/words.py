@@ -193,9 +193,9 @@ def verdict(view: DeskView) -> str:
     if view.preview is None:
         return _block([escape(view.reasons.get(Action.PREVIEW, "")) or "Not previewed yet."])
     words = {True: chip("yes", GREEN), False: chip("no", RED), None: chip("not known", GREY)}
-    return _block(
-        f"{words[check.is_good]} {escape(check.name)}: {escape(check.words)}" for check in view.preview.checks
-    )
+    first = chip("may run", GREEN) if view.preview.may_run else chip("does not run like this", RED)
+    lines = [f"{words[check.is_good]} {escape(check.name)}: {escape(check.words)}" for check in view.preview.checks]
+    return _block([first, *lines])
 
 
 def run(view: DeskView) -> str:

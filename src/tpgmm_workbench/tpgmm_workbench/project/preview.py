@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -31,6 +32,8 @@ NEW = 2.0
 """A situation that is so many times as new as the newest that a model was judged by is too new."""
 STARTS_M = 0.05
 """A hand that is nearer to the begin of the movement is there."""
+ROOM = 1.05
+"""A movement that is too fast is advised to take so many times the time that it needs at least."""
 COLLISION_STRIDE = 4
 """Every so many poses of the path are looked at for parts that meet."""
 
@@ -192,7 +195,7 @@ def _speeds(robot: RobotModel, q: Array, times: Array) -> Check:
     words = f"{robot.joint_names[k]} needs {speeds[i, k]:.0%} of its speed limit at {times[i]:.1f} s"
     if speeds[i, k] <= 1.0:
         return Check("speed limits", True, words)
-    return Check("speed limits", False, f"{words}: give it {speeds[i, k] * times[-1]:.0f} s")
+    return Check("speed limits", False, f"{words}: give it {math.ceil(ROOM * speeds[i, k] * times[-1])} s")
 
 
 def _collision(shapes: SelfCollision | None, q: Array, times: Array) -> Check:

@@ -14,7 +14,7 @@ import numpy as np
 from tpgmm_core.common.types import Array
 from tpgmm_core.learning.estimation import kernels_em, kernels_expectation
 from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
-from tpgmm_core.learning.estimation.iteration import Progress, iterate
+from tpgmm_core.learning.estimation.iteration import EmProgress, iterate
 from tpgmm_core.model.samples import Samples
 
 PARTS_OF_A_THREAD = 4
@@ -69,7 +69,7 @@ def expectation_maximisation(
     tol: float,
     max_iter: int,
     prior: CovariancePrior | None = None,
-    progress: Progress | None = None,
+    progress: EmProgress | None = None,
     n_threads: int = 1,
 ) -> Estimate:
     """EM from `start` until an iteration gains less than `tol`, at the earliest after 5 iterations.
@@ -110,11 +110,50 @@ def expectation_maximisation(
     ValueError
         when a covariance is no longer positive definite
     """
-    state = Workspace(samples, start, n_threads)
-    K = len(start.priors)
+    return iterated(
+        Workspace(samples, start, n_threads),
+        reg_covar=reg_covar,
+        regularization=regularization,
+        tol=tol,
+        max_iter=max_iter,
+        prior=prior,
+        progress=progress,
+    )
+
+
+def iterated(
+    state: Workspace,
+    *,
+    reg_covar: float,
+    regularization: str,
+    tol: float,
+    max_iter: int,
+    prior: CovariancePrior | None = None,
+    progress: Progress | None = None,
+) -> Estimate:
+    """EM from the parameters of a workspace: see `expectation_maximisation`.
+
+    Parameters
+    ----------
+    state
+        samples and start; changed
+    reg_covar, regularization, tol, max_iter, prior, progress
+        as there
+
+    Returns
+    -------
+    Estimate
+        the parameters, and how the objective went
+
+    Raises
+    ------
+    ValueError
+        when a covariance is no longer positive definite
+    """
+    K = len(state.log_priors)
     added = reg_covar if regularization == "add" else 0.0
     if regularization == "prior":
-        state.prior_scatters[:] = reg_covar * samples.n_samples / K * np.eye(state.prior_scatters.shape[-1])
+        state.prior_scatters[:] = reg_covar * state.n_samples / K * np.eye(state.prior_scatters.shape[-1])
     if prior is not None:
         state.add_prior(prior)
     state.factorise()
@@ -136,7 +175,7 @@ class Workspace:
     """
 
     def __init__(self, samples: Samples, start: MixtureParameters, n_threads: int = 1) -> None:
-        self.names = list(samples.X)
+        self.names, self.n_samples = list(samples.X), samples.n_samples
         self.manifolds = [samples.manifolds[name] for name in self.names]
         P, K, N = len(self.names), len(start.priors), samples.n_samples
         n = max(manifold.tangent_dim for manifold in self.manifolds)
@@ -190,7 +229,7 @@ class Workspace:
             the log-likelihood and the penalised log-likelihood per sample, both before the M-step, and what
             `kernels_expectation.factorise` returns
         """
-        log_likelihood, N = self.expectation(), self.X.shape[1]
+        log_likelihood, N = self.expectation(), self.n_samples
         penalty = kernels_em.prior_penalty(self.layout, self.factors, self.prior_count, self.prior_scatters)
         self.recentre()
         kernels_em.maximisation(
@@ -214,11 +253,15 @@ class Workspace:
         """Move the means by the first moments and take the moments about them, where there are S³ factors."""
         if len(self.spheres):
             kernels_em.move_means(self.layout, self.flat, self.spheres, self.means, self.counts, self.first)
-            self._in_parts(
-                kernels_em.moments_about, self.X, self.seen, self.layout, self.flat, self.spheres, self.means,
-                self.responsibilities, self._part_first, self._part_second,
-            )  # fmt: skip
-            self._sum_parts()
+            self.moments_about_means()
+
+    def moments_about_means(self) -> None:
+        """Take the moments about the present means, with the responsibilities of the last E-step."""
+        self._in_parts(
+            kernels_em.moments_about, self.X, self.seen, self.layout, self.flat, self.spheres, self.means,
+            self.responsibilities, self._part_first, self._part_second,
+        )  # fmt: skip
+        self._sum_parts()
 
     def _in_parts(self, kernel: Callable[..., None], *arguments: Any) -> None:
         """Call a kernel, which releases the interpreter's lock, for all parts, a share of them in each thread."""

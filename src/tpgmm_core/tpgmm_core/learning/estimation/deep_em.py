@@ -15,7 +15,7 @@ from tpgmm_core.learning.estimation import initialization
 from tpgmm_core.learning.estimation.em import MixtureEstimate, expectation, fit_mixture
 from tpgmm_core.learning.estimation.emissions import Emissions
 from tpgmm_core.learning.estimation.initialization import Labels
-from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.model.samples import Samples
 
 
@@ -28,7 +28,7 @@ def fit_deep_mixture(
     tol: float,
     max_iter: int,
     random_state: int | np.random.Generator | None = 0,
-    progress: Progress | None = None,
+    progress: EmProgress | None = None,
 ) -> MixtureEstimate:
     """The first layer, started from "mfa" emissions, then the `layers` of the structure.
 

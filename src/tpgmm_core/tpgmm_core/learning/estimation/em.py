@@ -11,7 +11,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.learning.estimation.compiled_em import Estimate, MixtureParameters
 from tpgmm_core.learning.estimation.compiled_moments import CompiledMoments
 from tpgmm_core.learning.estimation.emissions import Emissions, Moments
-from tpgmm_core.learning.estimation.iteration import Progress, iterate
+from tpgmm_core.learning.estimation.iteration import EmProgress, iterate
 from tpgmm_core.model.samples import Samples
 
 
@@ -77,7 +77,7 @@ def fit_mixture(
     *,
     tol: float,
     max_iter: int,
-    progress: Progress | None = None,
+    progress: EmProgress | None = None,
 ) -> MixtureEstimate:
     """EM from the given start until an iteration gains less than `tol`, at the earliest after 5 iterations.
 

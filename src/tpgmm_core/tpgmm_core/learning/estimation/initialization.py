@@ -96,8 +96,7 @@ def time_bins(times: Array, n_components: int) -> Labels:
         when a bin has no sample
     """
     edges = np.linspace(times.min(), times.max(), n_components + 1)
-    labels = np.searchsorted(edges, times, side="right") - 1
-    labels[times >= edges[-1]] = -1
+    labels = bins_of(times, edges)
     empty = np.setdiff1d(np.arange(n_components), labels)
     if len(empty):
         k = empty[0]
@@ -105,6 +104,13 @@ def time_bins(times: Array, n_components: int) -> Labels:
             f"time bin {k} of {n_components}, {edges[k]:.6g} to {edges[k + 1]:.6g} s, holds no sample: "
             'take fewer components, or init="bins" or "kmeans"'
         )
+    return labels
+
+
+def bins_of(times: Array, edges: Array) -> Labels:
+    """The bin (N,) of each time (N,) between edges (K + 1,); -1 for those at the last edge."""
+    labels = np.searchsorted(edges, times, side="right") - 1
+    labels[times >= edges[-1]] = -1
     return labels
 
 

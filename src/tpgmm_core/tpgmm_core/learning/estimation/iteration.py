@@ -12,7 +12,7 @@ from tpgmm_core.common.types import Array
 
 MIN_ITERATIONS = 5  # the gain of the first iterations may be small on a plateau
 
-Progress = Callable[[int, float], None]
+EmProgress = Callable[[int, float], None]
 """Called with the number of the iteration and the log-likelihood per sample."""
 
 
@@ -25,7 +25,7 @@ class IterationHistory(NamedTuple):
 
 
 def iterate(
-    step: Callable[[], tuple[float, float]], *, tol: float, max_iter: int, progress: Progress | None = None
+    step: Callable[[], tuple[float, float]], *, tol: float, max_iter: int, progress: EmProgress | None = None
 ) -> IterationHistory:
     """Iterate until a step gains less than `tol`, at the earliest after 5 steps.
 

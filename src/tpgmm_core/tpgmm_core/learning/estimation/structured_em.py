@@ -13,7 +13,7 @@ from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
 from tpgmm_core.learning.estimation.deep_em import fit_deep_mixture
 from tpgmm_core.learning.estimation.em import MixtureEstimate, fit_mixture
 from tpgmm_core.learning.estimation.emissions import Emissions
-from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.model.samples import Samples
 
 
@@ -27,7 +27,7 @@ def fit_structure(
     tol: float,
     max_iter: int,
     prior: CovariancePrior | None = None,
-    progress: Progress | None = None,
+    progress: EmProgress | None = None,
 ) -> MixtureEstimate:
     """EM with this structure, with the rules of `fit_mixture`.
 

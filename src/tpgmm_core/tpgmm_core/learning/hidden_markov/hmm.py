@@ -15,7 +15,7 @@ from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.compiled_em import Estimate, MixtureParameters
 from tpgmm_core.learning.estimation.em import expectation
 from tpgmm_core.learning.estimation.emissions import Emissions
-from tpgmm_core.learning.estimation.iteration import Progress, iterate
+from tpgmm_core.learning.estimation.iteration import EmProgress, iterate
 from tpgmm_core.learning.estimation.structured_em import start_emissions
 from tpgmm_core.learning.hidden_markov.chain import Chain
 from tpgmm_core.learning.hidden_markov.markov import MarkovChain
@@ -40,7 +40,7 @@ def fit_chain(
     *,
     tol: float,
     max_iter: int,
-    progress: Progress | None = None,
+    progress: EmProgress | None = None,
 ) -> ChainEstimate:
     """Baum-Welch over several demonstrations from the given start, with the rules of `fit_mixture`.
 
@@ -123,7 +123,7 @@ class TPHMM(TPGMM):
         self,
         X: Mapping[str, ArrayLike],
         visible: Mapping[str, ArrayLike] | None = None,
-        progress: Progress | None = None,
+        progress: EmProgress | None = None,
         lengths: Sequence[int] | None = None,
     ) -> Self:
         """Learn from data that was already observed from each frame.
@@ -196,7 +196,7 @@ class TPHMM(TPGMM):
         return self.chain_.state_probabilities(n_steps)
 
     def _estimate(
-        self, samples: Samples, start: MixtureParameters, progress: Progress | None
+        self, samples: Samples, start: MixtureParameters, progress: EmProgress | None
     ) -> tuple[Estimate, Emissions | None]:
         chain, emissions = self._start_of_chain(samples, start)
         K = emissions.n_components

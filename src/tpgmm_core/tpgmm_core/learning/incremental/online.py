@@ -14,7 +14,7 @@ from tpgmm_core.learning.estimation import initialization
 from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
 from tpgmm_core.learning.estimation.em import MixtureEstimate, expectation
 from tpgmm_core.learning.estimation.emissions import Emissions
-from tpgmm_core.learning.estimation.iteration import Progress
+from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.incremental.component_birth import new_components
 from tpgmm_core.learning.incremental.sufficient_statistics import SufficientStatistics, fit_cells
 from tpgmm_core.learning.tpgmm import TPGMM
@@ -91,7 +91,7 @@ class OnlineTPGMM(TPGMM):
     growth_threshold: float | None = 16.0
     max_loss: float | None = None
 
-    def partial_fit(self, demonstrations: Sequence[Demonstration], progress: Progress | None = None) -> Self:
+    def partial_fit(self, demonstrations: Sequence[Demonstration], progress: EmProgress | None = None) -> Self:
         """Learn from new demonstrations in addition; the first call is `fit`.
 
         Parameters
@@ -141,7 +141,7 @@ class OnlineTPGMM(TPGMM):
         dimensions = max(manifold.tangent_dim for manifold in self.frame_manifolds_.values())
         return isinstance(self.init, str) and self.began_with_ <= dimensions
 
-    def _anew(self, cells: SufficientStatistics, progress: Progress | None) -> MixtureEstimate:
+    def _anew(self, cells: SufficientStatistics, progress: EmProgress | None) -> MixtureEstimate:
         """EM on cells from the start that `fit` takes, with each cell in place of its samples."""
         samples, rng = cells.as_samples(), np.random.default_rng(self.random_state)
         assert isinstance(self.init, str)  # `_is_provisional`
@@ -174,7 +174,7 @@ class OnlineTPGMM(TPGMM):
         return emissions
 
     def _continued(
-        self, samples: Samples, cells: SufficientStatistics, weight: float, progress: Progress | None
+        self, samples: Samples, cells: SufficientStatistics, weight: float, progress: EmProgress | None
     ) -> MixtureEstimate:
         """EM on all cells from the present model, and components for what is new."""
         priors, emissions = self.priors_, self.emissions_
@@ -197,7 +197,7 @@ class OnlineTPGMM(TPGMM):
         tol = self.tol * weight * samples.n_samples / cells.n_samples
         return fit_cells(cells, priors, emissions, tol=tol, max_iter=self.max_iter, progress=progress)
 
-    def _fit(self, samples: Samples, progress: Progress | None) -> Self:
+    def _fit(self, samples: Samples, progress: EmProgress | None) -> Self:
         super()._fit(samples, progress)
         self.influence_, self.began_with_ = 1.0, len(samples.lengths)
         self.cells_ = self._bounded(SufficientStatistics.of(samples).coarser(self.cell_size))

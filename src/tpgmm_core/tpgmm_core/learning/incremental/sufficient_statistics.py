@@ -24,7 +24,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.em import MixtureEstimate
 from tpgmm_core.learning.estimation.emissions import Emissions, Moments
-from tpgmm_core.learning.estimation.iteration import Progress, iterate
+from tpgmm_core.learning.estimation.iteration import EmProgress, iterate
 from tpgmm_core.learning.estimation.kernels_em import EMPTY
 from tpgmm_core.learning.estimation.kernels_expectation import NEGLIGIBLE
 from tpgmm_core.model.samples import Samples
@@ -234,7 +234,7 @@ def fit_cells(
     *,
     tol: float,
     max_iter: int,
-    progress: Progress | None = None,
+    progress: EmProgress | None = None,
 ) -> MixtureEstimate:
     """EM with shared responsibilities from the given start, with the rules of `fit_mixture`; log-likelihoods are F.
 

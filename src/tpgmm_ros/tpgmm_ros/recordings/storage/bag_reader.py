@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
@@ -49,6 +49,9 @@ class BagPath(Path):
     def with_segments(self, *segments: Any) -> Path:  # type: ignore[override]
         """Paths that are derived from this one have no further parts."""
         return Path(*segments)
+
+
+type Decoding = Callable[[Path, FileTopic], Callable[[bytes], Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,8 +179,17 @@ class BagReader:
         self._files = []
         self._stack.close()
 
-    def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, Any]]:
+    def messages(
+        self, topics: Collection[BagTopic], decoding: Decoding = decoder
+    ) -> Iterator[tuple[BagTopic, int, Any]]:
         """Messages of some topics in the order of writing, with the times of the recorder, ns.
+
+        Parameters
+        ----------
+        topics
+            of this recording
+        decoding
+            bag and topic of a file → what makes messages of bytes
 
         Returns
         -------
@@ -195,7 +207,7 @@ class BagReader:
         }
         for number, file in enumerate(self._files):
             mine = {
-                t.key: (topic, decoder(self.path, t)) for topic in topics for at, t in topic.sources if at == number
+                t.key: (topic, decoding(self.path, t)) for topic in topics for at, t in topic.sources if at == number
             }
             for key, at, raw in self._raw(file, mine) if mine else ():
                 topic, decode = mine[key]

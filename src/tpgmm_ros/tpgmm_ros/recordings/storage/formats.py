@@ -25,6 +25,7 @@ _FORMATS: dict[bytes, Callable[[Path, Path], StorageFile]] = {
     sqlite_file.MAGIC: sqlite_file.SqliteFile,
     ros1_file.MAGIC: ros1_file.Ros1File,
 }
+_POINTER = b"version https://git-lfs"
 _PACKED = {
     b"\x1f\x8b": ("gzip", "gunzip"),
     b"BZh": ("bzip2", "bunzip2"),
@@ -92,6 +93,10 @@ def open_storage(path: Path, stack: ExitStack, whole: bool = True) -> StorageFil
             raise BagError(label, f"cannot be read: it is packed by {name}; unpack it first, with '{command}'")
     if any(magic.startswith(head) for magic in _FORMATS):
         raise BagError(label, f"cannot be read: it was cut off after {len(head)} bytes; record it again")
+    if head == _POINTER[: len(head)] and len(head) > 8:
+        raise BagError(
+            label, "cannot be read: it is a pointer of Git LFS, not the file itself: run 'git lfs pull' where it lies"
+        )
     raise BagError(
         label,
         f"cannot be read: its format is not known; it begins with {shown(head[:12])}, expected an MCAP, SQLite (.db3) "

@@ -21,23 +21,29 @@ from backports import zstd
 
 from tpgmm_core.common.text import shown
 from tpgmm_ros.recordings.storage.bag_error import BagError
+from tpgmm_ros.recordings.storage.mcap_records import (
+    MAGIC,
+    MESSAGE,
+    MESSAGE_START,
+    RECORD,
+    DamageError,
+    Fields,
+    end_of_whole_records,
+    placed_records,
+    wanted_message,
+)
 from tpgmm_ros.recordings.storage.storage_file import FileTopic, RawMessage
 
-MAGIC = b"\x89MCAP0\r\n"
 RECOVER = "'record --recover' or 'mcap recover' may save what is whole; else record it again"
 
-_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
+_FOOTER, _SCHEMA, _CHANNEL, _CHUNK = 0x02, 0x03, 0x04, 0x06
 _CHUNK_INDEX, _STATISTICS = 0x08, 0x0B
-_RECORD = struct.Struct("<BQ")
-_FOOTER_SIZE = _RECORD.size + 20 + len(MAGIC)
-_MESSAGE_START = struct.Struct("<HIQQ")
+_FOOTER_SIZE = RECORD.size + 20 + len(MAGIC)
 _CHUNK_START = struct.Struct("<QQQI")
+_FORGET = 16 * 1024 * 1024
+"""So much of a file may stay in memory behind the place that is read."""
 
 _DECOMPRESS: dict[str, Callable[[bytes], bytes]] = {"lz4": lz4.frame.decompress, "zstd": zstd.decompress}
-
-
-class _DamageError(Exception):
-    """What is wrong at some byte, in words."""
 
 
 class _Schema(NamedTuple):
@@ -51,29 +57,6 @@ class _Chunk:
     begin: int
     topics: frozenset[int]
     """Topics that have messages in it; empty where the index does not tell."""
-
-
-class _Fields:
-    """Fields of a record, one after the other."""
-
-    def __init__(self, data: memoryview) -> None:
-        self._data, self._at = data, 0
-
-    def number(self, size: int) -> int:
-        return int.from_bytes(self.data(size), "little")
-
-    def data(self, size: int) -> memoryview:
-        part = self._data[self._at : self._at + size]
-        if len(part) != size:
-            raise _DamageError("a record is shorter than its fields")
-        self._at += size
-        return part
-
-    def block(self) -> memoryview:
-        return self.data(self.number(4))
-
-    def text(self) -> str:
-        return bytes(self.block()).decode(errors="replace")
 
 
 class McapFile:
@@ -104,9 +87,10 @@ class McapFile:
         self._chunks: list[_Chunk] = []
         self._counts: Counter[int] = Counter()
         self.first_ns, self.last_ns = 0, 0
+        self._forgotten = 0
         try:
             self._open()
-        except (_DamageError, struct.error) as error:
+        except (DamageError, struct.error) as error:
             self.close()
             raise self._damaged(error) from None
         except BaseException:
@@ -121,7 +105,7 @@ class McapFile:
         size = len(self._data)
         if size < len(MAGIC) + _FOOTER_SIZE or bytes(self._data[-len(MAGIC) :]) != MAGIC:
             if not self._must_be_whole:
-                self._end = _end_of_whole_records(self._data)
+                self._end = end_of_whole_records(self._data)
                 self._scan(self._end)
                 return
             raise BagError(
@@ -130,10 +114,10 @@ class McapFile:
                 f"when the recorder was killed, the disk was full, or a copy was not finished. {RECOVER}",
             )
         self._end = size - _FOOTER_SIZE
-        opcode, _ = _RECORD.unpack_from(self._data, self._end)
-        (summary,) = struct.unpack_from("<Q", self._data, self._end + _RECORD.size)
+        opcode, _ = RECORD.unpack_from(self._data, self._end)
+        (summary,) = struct.unpack_from("<Q", self._data, self._end + RECORD.size)
         if opcode != _FOOTER or summary > self._end:
-            raise _DamageError("its footer is damaged")
+            raise DamageError("its footer is damaged")
         if not (summary and self._read_summary(summary)):
             self._scan(summary or self._end)
         self._end = summary or self._end
@@ -142,8 +126,8 @@ class McapFile:
         """Whether the summary tells all that is needed; a file may have a part of it, or a damaged one."""
         told: tuple[int, int, int] | None = None
         try:
-            for opcode, record in _records(self._data[begin : self._end]):
-                fields = _Fields(record)
+            for opcode, record, _ in placed_records(self._data[begin : self._end], 0):
+                fields = Fields(record)
                 if opcode == _CHUNK_INDEX:
                     fields.data(16)
                     at, _ = fields.number(8), fields.number(8)
@@ -157,7 +141,7 @@ class McapFile:
                     self.first_ns, self.last_ns = first, last
                 else:
                     self._declare(opcode, record)
-        except (_DamageError, struct.error):
+        except (DamageError, struct.error):
             told = None
         if told is not None and told[1] <= len(self._channels) and told[2] == len(self._chunks):
             if told[0] == sum(self._counts.values()):
@@ -170,19 +154,20 @@ class McapFile:
     def _scan(self, end: int) -> None:
         """Find out by reading the whole file what a summary would have told."""
         first, last = None, 0
-        for opcode, record, begin in _placed_records(self._data[:end], len(MAGIC)):
+        for opcode, record, begin in placed_records(self._data[:end], len(MAGIC)):
             if opcode == _CHUNK:
                 keys = set()
-                for inner, part in _records(self._content(record)):
+                for inner, part, _ in placed_records(self._content(record), 0):
                     self._declare(inner, part)
-                    if inner == _MESSAGE:
-                        key, _, at, _ = _MESSAGE_START.unpack_from(part)
+                    if inner == MESSAGE:
+                        key, _, at, _ = MESSAGE_START.unpack_from(part)
                         keys.add(key)
                         self._counts[key] += 1
                         first, last = min(at if first is None else first, at), max(last, at)
                 self._chunks.append(_Chunk(begin, frozenset(keys)))
-            elif opcode == _MESSAGE:
-                key, _, at, _ = _MESSAGE_START.unpack_from(record)
+                self._forget(begin)
+            elif opcode == MESSAGE:
+                key, _, at, _ = MESSAGE_START.unpack_from(record)
                 self._counts[key] += 1
                 first, last = min(at if first is None else first, at), max(last, at)
             else:
@@ -190,7 +175,7 @@ class McapFile:
         self.first_ns, self.last_ns = first or 0, last
 
     def _declare(self, opcode: int, record: memoryview) -> None:
-        fields = _Fields(record)
+        fields = Fields(record)
         if opcode == _SCHEMA:
             key = fields.number(2)
             self._schemas[key] = _Schema(fields.text(), fields.text(), bytes(fields.block()))
@@ -214,23 +199,36 @@ class McapFile:
             the file is damaged inside.
         """
         wanted = frozenset(keys)
+        self._forgotten = 0
         try:
             if self._chunks:
                 for chunk in self._chunks:
                     if not chunk.topics or chunk.topics & wanted:
-                        opcode, length = _RECORD.unpack_from(self._data, chunk.begin)
+                        opcode, length = RECORD.unpack_from(self._data, chunk.begin)
                         if opcode != _CHUNK:
-                            raise _DamageError(f"there is no chunk at byte {chunk.begin}, where the index has one")
-                        begin = chunk.begin + _RECORD.size
-                        yield from _messages(self._content(self._data[begin : begin + length]), wanted)
+                            raise DamageError(f"there is no chunk at byte {chunk.begin}, where the index has one")
+                        begin = chunk.begin + RECORD.size
+                        content = self._content(self._data[begin : begin + length])
+                        for _, record, _ in placed_records(content, 0, MESSAGE):
+                            yield from wanted_message(record, wanted)
+                        self._forget(begin + length)
             else:
-                yield from _messages(self._data[len(MAGIC) : self._end], wanted)
-        except (_DamageError, struct.error) as error:
+                for _, record, at in placed_records(self._data[: self._end], len(MAGIC), MESSAGE):
+                    yield from wanted_message(record, wanted)
+                    self._forget(at)
+        except (DamageError, struct.error) as error:
             raise self._damaged(error) from None
+
+    def _forget(self, end: int) -> None:
+        """Hand back the memory of the file's part before a byte, which the system reads again where it is needed."""
+        size = end // mmap.PAGESIZE * mmap.PAGESIZE
+        if size > self._forgotten + _FORGET:
+            self._map.madvise(mmap.MADV_DONTNEED, self._forgotten, size - self._forgotten)
+            self._forgotten = size
 
     def _content(self, record: memoryview) -> memoryview:
         """The records in a chunk, unpacked and checked."""
-        fields = _Fields(record)
+        fields = Fields(record)
         _, _, size, checksum = _CHUNK_START.unpack(fields.data(_CHUNK_START.size))
         compression = fields.text()
         packed = fields.data(fields.number(8))
@@ -240,7 +238,7 @@ class McapFile:
             try:
                 content = memoryview(_DECOMPRESS[compression](bytes(packed)))
             except (RuntimeError, ValueError, EOFError, zstd.ZstdError) as error:
-                raise _DamageError(f"a chunk cannot be unpacked by {compression}: {error}") from None
+                raise DamageError(f"a chunk cannot be unpacked by {compression}: {error}") from None
         else:
             raise BagError(
                 self._label,
@@ -248,7 +246,7 @@ class McapFile:
                 "'mcap compress --compression zstd' writes it anew",
             )
         if len(content) != size or (checksum and crc32(content) != checksum):
-            raise _DamageError("a chunk does not have its size or its checksum")
+            raise DamageError("a chunk does not have its size or its checksum")
         return content
 
     def _damaged(self, error: Exception) -> BagError:
@@ -260,38 +258,3 @@ class McapFile:
             self._data.release()
             self._map.close()
         self._file.close()
-
-
-def _messages(data: memoryview, wanted: frozenset[int]) -> Iterator[RawMessage]:
-    for opcode, record in _records(data):
-        if opcode == _MESSAGE:
-            key, _, at, _ = _MESSAGE_START.unpack_from(record)
-            if key in wanted:
-                yield key, at, bytes(record[_MESSAGE_START.size :])
-
-
-def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    for opcode, record, _ in _placed_records(data, 0):
-        yield opcode, record
-
-
-def _end_of_whole_records(data: memoryview) -> int:
-    """Where the first record begins that was cut off."""
-    at = len(MAGIC)
-    while at + _RECORD.size <= len(data):
-        opcode, length = _RECORD.unpack_from(data, at)
-        if opcode == 0 or at + _RECORD.size + length > len(data):
-            break
-        at += _RECORD.size + length
-    return at
-
-
-def _placed_records(data: memoryview, at: int) -> Iterator[tuple[int, memoryview, int]]:
-    end = len(data)
-    while at < end:
-        opcode, length = _RECORD.unpack_from(data, at)
-        begin = at + _RECORD.size
-        if opcode == 0 or begin + length > end:
-            raise _DamageError(f"at byte {at} of {end} there is no whole record")
-        yield opcode, data[begin : begin + length], at
-        at = begin + length

@@ -13,6 +13,7 @@ from rosbags.typesys.store import Typestore
 
 from tpgmm_core.common.text import one_line, shown
 from tpgmm_ros.recordings.storage.bag_error import BagError
+from tpgmm_ros.recordings.storage.pose_bytes import POSE_STAMPED, PoseStampedDecoder, is_standard
 from tpgmm_ros.recordings.storage.storage_file import FileTopic
 
 _IDL_SEPARATOR = "=" * 80 + "\n"
@@ -45,6 +46,36 @@ def decoder(path: Path, topic: FileTopic) -> Callable[[bytes], Any]:
     if topic.encoding == "ros1":
         return lambda raw: store.deserialize_ros1(raw, name)
     return lambda raw: store.deserialize_cdr(raw, name)
+
+
+def quick_decoder(path: Path, topic: FileTopic) -> Callable[[bytes], Any]:
+    """The same, but poses come as `StampedPose` where their bytes are as usual, without a message object.
+
+    Parameters
+    ----------
+    path, topic
+        as for `decoder`
+
+    Returns
+    -------
+    Callable[[bytes], Any]
+        bytes → message or `StampedPose`
+
+    Raises
+    ------
+    BagError
+        as for `decoder`.
+    """
+    slow = decoder(path, topic)
+    if topic.type != POSE_STAMPED or topic.encoding != "cdr" or not is_standard(types_of(path, topic)):
+        return slow
+    quick = PoseStampedDecoder()
+
+    def decode(raw: bytes) -> Any:
+        found = quick(raw)
+        return slow(raw) if found is None else found
+
+    return decode
 
 
 def types_of(path: Path, topic: FileTopic) -> Typestore:

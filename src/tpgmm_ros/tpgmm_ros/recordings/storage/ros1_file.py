@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Collection, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from rosbags.rosbag1 import Reader, ReaderError
 
@@ -23,6 +23,14 @@ _REASONS = (
 _DAMAGED = (
     "it was cut off, or is damaged inside ({error}). 'rosbag reindex' may save what is whole; else record it again"
 )
+
+
+class _Place(NamedTuple):
+    """Where a message lies in a file, and its time, ns: in the order of writing."""
+
+    chunk_pos: int
+    offset: int
+    time: int
 
 
 class Ros1File:
@@ -70,16 +78,16 @@ class Ros1File:
         BagError
             the file is damaged inside.
         """
-        # The reader gives them in the order of its index, by time; where each lies in the file is the order of writing.
-        places = heapq.merge(*(self._reader.indexes[key] for key in keys))
+        # The reader merges its indices in the order of their entries: by time, unless these begin with their places.
+        for key in keys:
+            entries = self._reader.indexes[key]
+            if not isinstance(entries[0] if entries else None, _Place):
+                self._reader.indexes[key] = sorted(_Place(e.chunk_pos, e.offset, e.time) for e in entries)  # type: ignore
         try:
-            found = self._reader.messages([self._connections[key] for key in keys])
-            pairs = list(zip(places, found, strict=True))
+            for connection, at, raw in self._reader.messages([self._connections[key] for key in keys]):
+                yield connection.id, at, raw
         except Exception as error:
             raise self._damaged(error) from None
-        pairs.sort(key=lambda pair: (pair[0].chunk_pos, pair[0].offset))
-        for _, (connection, at, raw) in pairs:
-            yield connection.id, at, raw
 
     def _damaged(self, error: Exception) -> BagError:
         said = one_line(error, 200) if isinstance(error, ReaderError) else type(error).__name__

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Leave-one-out in one process, in two, and on a local Dask cluster of two workers: the same numbers, bit by bit.
+
+Dask is no requirement of the project: pip install dask distributed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import io
+import json
+import sys
+import time
+from pathlib import Path
+
+import joblib
+
+from benchmarks.report import write_report
+from tpgmm_core.common.report import Row
+from tpgmm_ros.programs import evaluate
+
+
+def results(task: Path, bags: Path, method: str, jobs: int) -> str:
+    """What `evaluate` finds, as JSON, which holds all digits."""
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        status = evaluate.main(
+            ["--json", "--task", str(task), "--methods", method, "--jobs", str(jobs), "--", str(bags)]
+        )
+    if status:
+        raise RuntimeError(f"evaluate ended with status {status}: {said.getvalue()[:500]}")
+    return json.dumps(json.loads(said.getvalue())["results"])
+
+
+def main() -> int:
+    """Run the benchmark; returns its exit status."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--task", type=Path, default=Path("config/pick_place.yaml"), help="task file")
+    parser.add_argument("--bags", type=Path, default=Path("bags/pick_place"), help="folder of bags")
+    parser.add_argument("--method", default="adapt_regress", help="retrieval method (default: adapt_regress)")
+    options = parser.parse_args()
+    try:
+        import distributed
+    except ModuleNotFoundError:
+        parser.error("Dask is not installed, which only this benchmark needs: pip install dask distributed")
+
+    found: dict[str, tuple[float, str]] = {}
+
+    def measure(name: str, jobs: int) -> None:
+        begin = time.perf_counter()
+        text = results(options.task, options.bags, options.method, jobs)
+        found[name] = time.perf_counter() - begin, text
+
+    measure("one process", 1)
+    measure("two processes", 2)
+    with (
+        distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+        joblib.parallel_config("dask"),
+    ):
+        client.wait_for_workers(2)
+        with distributed.get_task_stream(client) as tasks:
+            measure("Dask, two workers", 2)
+        workers = len({task["worker"] for task in tasks.data})
+    rows: list[Row] = []
+    for name, (seconds, text) in found.items():
+        is_cluster = name.startswith("Dask")
+        same = text == found["one process"][1] and (not is_cluster or workers == 2)
+        rows.append(
+            {
+                "way": name,
+                "s": seconds,
+                "workers that took part": workers if is_cluster else None,
+                "sha256 of the results": hashlib.sha256(text.encode()).hexdigest()[:16],
+                "passed": same,
+            }
+        )
+    return write_report("cluster", rows)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
