@@ -46,7 +46,18 @@ def require_time_kept(buffer: FrameBuffer) -> None:
 
 
 def check_time_kept(name: str, frame: Frame) -> None:
-    """Raise ValueError for a frame that changes the first dimension or mixes it with others."""
+    """Check that a frame over [time, data] leaves time as it is.
+
+    Parameters
+    ----------
+    name, frame
+        of the frame
+
+    Raises
+    ------
+    ValueError
+        for a frame that changes the first dimension or mixes it with others
+    """
     A, b = frame.A, frame.b
     size, columns = A.shape[-2:]
     is_mixed = A[..., 0, 1:].any() or A[..., 1:, 0].any()
