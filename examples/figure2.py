@@ -97,9 +97,8 @@ def draw(terms: Sequence[Gaussian], product: Gaussian) -> Figure:
 def name_of(axes: Axes, gaussian: Gaussian, index: str, colour: str, above: float) -> None:
     """Write above a Gaussian's mean, by some points, what the paper calls it."""
     text = rf"$\mathcal{{N}}(\hat{{\xi}}_t{index},\ \hat{{\Sigma}}_t{index})$"
-    axes.annotate(
-        text, gaussian.mean, xytext=(0, above), textcoords="offset points", ha="center", color=colour, fontsize=11
-    )
+    place = float(gaussian.mean[0]), float(gaussian.mean[1])
+    axes.annotate(text, place, xytext=(0, above), textcoords="offset points", ha="center", color=colour, fontsize=11)
 
 
 if __name__ == "__main__":

@@ -103,3 +103,7 @@ def test_a_controller_that_takes_no_goal_ends_the_movement_with_the_reason(bench
     assert bench.states.last.reason.endswith(AGAIN)
     bench.mode("well")
     bench.until(lambda: stays(bench), "rest")
+    if mode == "stuck":  # a goal that was on its way when the robot was stopped leads away from there, and is canceled
+        jumps = [message.data for message in bench.violations.messages]
+        assert len(jumps) <= 1 and all(text.startswith("a jump") for text in jumps)
+        bench.violations.clear()

@@ -63,8 +63,8 @@ class Gaussian:
     @classmethod
     def _made(cls, mean: Array, covariance: Array, manifold: Manifold) -> Self:
         """Make a Gaussian of what a kernel has just computed and checked: in a loop, checks would take most time."""
-        mean.setflags(False)  # type: ignore[call-arg]  # `write`: by its name it takes twice as long
-        covariance.setflags(False)  # type: ignore[call-arg]
+        mean.setflags(write=False)
+        covariance.setflags(write=False)
         made = object.__new__(cls)
         set_mean(made, mean)
         set_covariance(made, covariance)

@@ -129,7 +129,7 @@ def iterated(
     tol: float,
     max_iter: int,
     prior: CovariancePrior | None = None,
-    progress: Progress | None = None,
+    progress: EmProgress | None = None,
 ) -> Estimate:
     """EM from the parameters of a workspace: see `expectation_maximisation`.
 
