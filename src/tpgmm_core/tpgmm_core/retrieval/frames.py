@@ -46,7 +46,12 @@ def require_time_kept(buffer: FrameBuffer) -> None:
 
 
 def check_time_kept(name: str, frame: Frame) -> None:
-    """Check that a frame leaves the first dimension, time, alone.
+    """Check that a frame over [time, data] leaves time as it is.
+
+    Parameters
+    ----------
+    name, frame
+        of the frame
 
     Raises
     ------
