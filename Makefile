@@ -161,13 +161,13 @@ $(DONE)/venv: .python-version
 	@mkdir -p $(DONE) && touch $@
 
 $(DONE)/requirements: requirements.txt tools/install_requirements.py tools/relocate_wheels.py $(DONE)/venv
-	$(call say,what running needs: 160 wheels (some 2 minutes))
+	$(call say,what running needs: 162 wheels (some 2 minutes))
 	@$(PYTHON) tools/install_requirements.py requirements.txt
 	@$(PYTHON) tools/relocate_wheels.py
 	@touch $@
 
 $(DONE)/requirements-dev: requirements-dev.txt $(DONE)/requirements
-	$(call say,what developing needs beside it: 50 wheels (some 20 seconds))
+	$(call say,what developing needs beside it: 51 wheels (some 20 seconds))
 	@$(PYTHON) tools/install_requirements.py requirements-dev.txt
 	@touch $@
 

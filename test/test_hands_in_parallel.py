@@ -159,9 +159,10 @@ def test_each_hand_reaches_its_object_at_its_own_pace_while_the_other_one_moves(
     assert led == {"left/object", "right/object"}
     distances = np.array(away)
     assert distances[-1].max() < 0.01
-    first = [int(np.argmax(distances[:, i] < 0.01)) for i in range(2)]
-    assert 20 < first[0] - first[1] < 60, "the right hand is there first, and stays"
-    assert distances[first[1] :, 1].max() < 0.01
+    # their goals may be accepted one some ticks after the other
+    left, there = np.argmax(distances < distances[0] - 0.005, axis=0), np.argmax(distances < 0.01, axis=0)
+    assert 20 < np.diff(left - there)[0] < 60, "the right hand takes less time"
+    assert all(distances[there[i] :, i].max() < 0.01 for i in range(2)), "who is there stays"
     for process in hands:
         process.stop()
     robot.silent += robot.said.values()

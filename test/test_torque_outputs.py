@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import sys
 from pathlib import Path
@@ -158,7 +157,9 @@ def test_messages_within_messages_are_filled() -> None:
 def test_an_output_whose_package_is_missing_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("control_msgs.msg", "linear_feedback_controller_msgs.msg"):
         monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(ValueError, match="'pid_controller' needs control_msgs.*apt install ros-jazzy-control-msgs"):
+    with pytest.raises(
+        ValueError, match="'pid_controller' needs MultiDOFCommand of control_msgs.*apt install ros-jazzy-control-msgs"
+    ):
         message_class("pid_controller")
     with pytest.raises(ValueError, match="ros-jazzy-linear-feedback-controller-msgs"):
         message_class("linear_feedback_controller")
@@ -168,10 +169,13 @@ def test_an_output_whose_package_is_missing_says_what_to_install(monkeypatch: py
 
 @pytest.mark.parametrize("name", OUTPUTS)
 def test_the_real_message_takes_the_fields(name: str, command: TorqueCommand) -> None:
-    if importlib.util.find_spec(OUTPUTS[name].package) is None:
-        pytest.skip(f"{OUTPUTS[name].package} is not installed")
-    message = filled(message_class(name)(), OUTPUTS[name].fields(leaving(command)))
-    assert message != message_class(name)()
+    try:
+        kind = message_class(name)
+    except ValueError as error:
+        assert OUTPUTS[name].package not in ("sensor_msgs", "std_msgs")
+        pytest.skip(str(error))
+    message = filled(kind(), OUTPUTS[name].fields(leaving(command)))
+    assert message != kind()
 
 
 # -- on topics --------------------------------------------------------------------------------------------------------

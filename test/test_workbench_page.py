@@ -79,6 +79,29 @@ class User:
     def click(self, name: str) -> None:
         self.page.get_by_role("button", name=name, exact=True).first.click(force=True)
 
+    def sees_stop(self) -> bool:
+        """Whether all of STOP is within the window, and nothing lies over it."""
+        return bool(
+            self.page.evaluate(
+                """() => {
+                const stop = [...document.querySelectorAll('button')].find((one) => one.innerText.includes('STOP'));
+                const box = stop.getBoundingClientRect();
+                const over = document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2);
+                return box.height > 10 && box.y >= 0 && box.bottom <= window.innerHeight && stop.contains(over);
+                }"""
+            )
+        )
+
+    def scroll_down(self) -> float:
+        """Scroll every panel to its end; by how many pixels all in all."""
+        return float(
+            self.page.evaluate(
+                """() => [...document.querySelectorAll('.mantine-ScrollArea-viewport')].map((one) => {
+                one.scrollTop = one.scrollHeight; return one.scrollTop;
+                }).reduce((sum, one) => sum + one, 0)"""
+            )
+        )
+
     def shoot(self, name: str) -> None:
         OUTPUT.mkdir(parents=True, exist_ok=True)
         self.page.screenshot(path=OUTPUT / f"{name}.png")
@@ -160,6 +183,8 @@ def test_a_demonstration_is_taught_by_clicks_and_keys_and_nothing_comes_from_els
     user.until(lambda: Project.open(folder).demonstration(1).notes.comment == "roundabout", "the comment on the disk")
     assert len(Project.open(folder).used()) == 1
     user.shoot("notes")
+    assert user.sees_stop()
+    assert user.scroll_down() > 0.0 and user.sees_stop()
     user.page.get_by_role("tab", name="Share").click(force=True)
     with user.page.expect_download() as got:
         user.click("Export this project")

@@ -171,17 +171,18 @@ def message_class(name: str) -> Any:
     Raises
     ------
     ValueError
-        unknown output, or its package is not installed
+        unknown output, or its message is not installed
     """
     output = OUTPUTS.get(name)
     if output is None:
         raise ValueError(f"torque_outputs names {shown(name)}; expected some of {', '.join(OUTPUTS)}")
     try:
         return getattr(importlib.import_module(f"{output.package}.msg"), output.message)
-    except ImportError as error:
+    except (ImportError, AttributeError) as error:  # a package may be there in part, as `make setup` builds it
         raise ValueError(
-            f"the torque output '{name}' needs {output.package}, which cannot be imported ({error}); install it "
-            f"(apt install ros-jazzy-{output.package.replace('_', '-')}) or take '{name}' out of torque_outputs"
+            f"the torque output '{name}' needs {output.message} of {output.package}, which cannot be imported "
+            f"({error}); install it (apt install ros-jazzy-{output.package.replace('_', '-')}) or take '{name}' out of "
+            "torque_outputs"
         ) from error
 
 

@@ -146,7 +146,7 @@ class Desk:
         self._learning.look()
         self._coaching.watch(self._movement.view, self._graph, self.table.aim is not None)
         self._begin_when_free()
-        self.table.tell(self._graph)
+        self.table.watch(self._graph)
         now = time.monotonic()
         self._said = [(when, words) for when, words in self._said[-MOST_WORDS:] if now - when < WORDS_STAY]
         facts = self.facts()

@@ -67,11 +67,9 @@ class Table:
             return None
         return pose_error(self._graph.hand, self.aim)[0]
 
-    def tell(self, graph: GraphView) -> None:
-        """Tell the simulation where things are, when it is time for it; `graph`: what the nodes said last."""
+    def watch(self, graph: GraphView) -> None:
+        """Take in what the nodes said last."""
         self._graph = graph
-        if self._world is not None:
-            self._world.tell()
 
     def lead_hand(self, aim: Array, is_held: bool = False) -> None:
         """Lead the hand.

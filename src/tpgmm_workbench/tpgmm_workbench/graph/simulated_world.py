@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import time
-
 from geometry_msgs.msg import PoseStamped
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from tpgmm_core.common.types import Array
@@ -42,14 +41,12 @@ class SimulatedWorld:
         self._node, self._base = node, task.base_frame
         self._lead = node.create_publisher(PoseStamped, f"lead/{task.endpoint}/pose", STREAM)
         self._places = {name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()}
-        self._due, self._told_ns = 0.0, -1
+        self._told_ns = -1
+        # a camera of its own: a page that is slow must not make the objects look hidden
+        node.create_timer(PERIOD, self._tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def tell(self) -> None:
-        """Publish where the objects are, and where the hand is to be, when it is time for it again."""
-        now = time.monotonic()
-        if now < self._due:
-            return
-        self._due = max(self._due + PERIOD, now)
+    def _tell(self) -> None:
+        """Publish where the objects are, and where the hand is to be."""
         stamp_ns = self._node.get_clock().now().nanoseconds
         if stamp_ns == self._told_ns:  # a simulation that stands still: nothing new is seen
             return
