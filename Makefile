@@ -46,10 +46,12 @@ format: dev ## format the code in the project's style
 	$(PYTHON) -m ruff check --fix
 	$(PYTHON) -m ruff format
 
-# A file of tests per core at a time; then, one at a time, those that would fail where other tests take the cores
+# A file of tests per core at a time. What fails there is run again without other tests beside it, which may have taken its
+# cores: a fault of the code fails again. Then those that need the machine for themselves.
 test: lint ## run lint, then all tests
 	@failed=0; \
-		$(PYTHON) -m pytest --numprocesses logical --maxprocesses 8 --dist loadfile -m "not alone" || failed=1; \
+		$(PYTHON) -m pytest --numprocesses logical --maxprocesses 8 --dist loadfile -m "not alone" || \
+		{ echo "==> again what failed, without other tests beside it"; $(PYTHON) -m pytest --last-failed -m "not alone"; } || failed=1; \
 		$(PYTHON) -m pytest -m alone || failed=1; \
 		exit $$failed
 
