@@ -152,11 +152,10 @@ class FrameSources:
 
     def _listen(self) -> None:
         if not self._listens and not self._missing:
-            message_class(TF_MESSAGE)
-            self._listens = True
             for topic, is_static, qos in ((TF_STATIC, True, TRANSFORMS_STATIC), (TF, False, TRANSFORMS)):
                 take = functools.partial(self._take_transforms, is_static)
                 self._subscribe(TF_MESSAGE, f"/{topic}", take, qos, qos.depth)
+            self._listens = True
 
     def _take_transforms(self, is_static: bool, messages: Sequence[Any]) -> None:
         for item in chain.from_iterable(message.transforms for message in messages):
