@@ -46,13 +46,12 @@ format: dev ## format the code in the project's style
 	$(PYTHON) -m ruff check --fix
 	$(PYTHON) -m ruff format
 
-# A file of tests per core at a time. What fails there is run again without other tests beside it, which may have taken its
-# cores: a fault of the code fails again. Then those that need the machine for themselves.
+# A file of tests per core at a time, then those that need the machine for themselves. What fails is run once more without
+# other tests beside it, which may have taken its cores: a fault of the code fails again.
 test: lint ## run lint, then all tests
-	@failed=0; \
-		$(PYTHON) -m pytest --numprocesses logical --maxprocesses 8 --dist loadfile -m "not alone" || \
-		{ echo "==> again what failed, without other tests beside it"; $(PYTHON) -m pytest --last-failed -m "not alone"; } || failed=1; \
-		$(PYTHON) -m pytest -m alone || failed=1; \
+	@failed=0; again() { echo "==> again what failed, by itself"; $(PYTHON) -m pytest --last-failed -m "$$1"; }; \
+		$(PYTHON) -m pytest --numprocesses logical --maxprocesses 8 --dist loadfile -m "not alone" || again "not alone" || failed=1; \
+		$(PYTHON) -m pytest -m alone || again alone || failed=1; \
 		exit $$failed
 
 properties: dev ## try 10 000 sequences of inputs: no torque and no rate exceeds its limit (`make test` tries fewer)
