@@ -198,7 +198,7 @@ class LawConfig:
 
     gain_time: float = setting(0.05, 1e-3, 5.0, "Time constant with which stiffness and damping change, s")
     hold_frequency: float = setting(
-        20.0, 0.1, 100.0, "How firmly joints that no reference moves hold still (bandwidth), rad/s"
+        20.0, 0.1, 100.0, "Bandwidth with which joints without a reference are held still, rad/s"
     )
     hand_guiding_damping: float = setting(
         0.3, 1e-3, 50.0, "Damping of an arm without a reference, while a person may guide it by hand, N m s/rad"

@@ -73,13 +73,13 @@ class TorqueLimits:
         10.0, 0.1, 1e3, "Largest speed towards a position limit, per distance that is left, 1/s"
     )
     limit_bandwidth: float = setting(
-        100.0, 1.0, 500.0, "How firmly joints are braked at position and speed limits, 1/s"
+        100.0, 1.0, 500.0, "Bandwidth with which joints are braked at position and speed limits, 1/s"
     )
     repulsion_margin: float = setting(
         0.05, 0.0, 1.0, "Margin before position limits out of which joints are pushed back, rad or m"
     )
     repulsion_frequency: float = setting(
-        20.0, 0.1, 100.0, "How firmly joints are pushed back out of that margin, rad/s"
+        20.0, 0.1, 100.0, "Bandwidth with which joints are pushed back out of that margin, rad/s"
     )
     safe_damping: float = setting(2.0, 0.0, 50.0, "Damping of each joint while the controller only brakes, N m s/rad")
     max_time_step: float = setting(0.005, 1e-3, 1.0, "Longest time step that the controller computes with, s")

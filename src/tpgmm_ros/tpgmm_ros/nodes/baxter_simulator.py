@@ -47,7 +47,7 @@ PARAMETERS = [
     Declared(
         "real_time_factor",
         0.0,
-        "Lockstep: simulated seconds per second at most; a busy machine takes longer; 0: as fast as it can",
+        "Lockstep: largest number of simulated seconds per second; 0: as fast as possible",
         0.0,
         100.0,
     ),
@@ -56,11 +56,11 @@ PARAMETERS = [
     Declared("pose_rate", 100.0, "End point poses per second of simulated time, Hz", 1.0, 1000.0, fixed=True),
     BROADCAST_ROBOT,
     Declared("command_timeout", 0.1, "Time without torques after which the robot brakes, s", 0.002, 10.0),
-    Declared("braking_rate", 20.0, "How fast it brakes while no torques come, 1/s", 0.0, 50.0),
+    Declared("braking_rate", 20.0, "Rate at which the robot brakes while no torques come, 1/s", 0.0, 50.0),
     Declared(
         "wrench_timeout",
         0.2,
-        "Time after which an external wrench, or leading a hand, ends unless repeated, s",
+        "Time after which an external wrench, or guiding a hand, ends unless repeated, s",
         0.002,
         10.0,
     ),

@@ -45,16 +45,19 @@ from tpgmm_ros.runtime.timing import clock_trouble, loop_clock
 
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
-    Declared("endpoint", "left", "End point (hand) whose pose references of poses mean", fixed=True),
+    Declared("endpoint", "left", "End point (hand) that follows pose references", fixed=True),
     Declared(
-        "joints", "", "Joint group that moves, in the order of the positions; empty: that of the end point", fixed=True
+        "joints",
+        "",
+        "Joint group that is moved, in the order of the positions; empty: the group of the end point",
+        fixed=True,
     ),
-    Declared("outputs", ["joint_trajectory"], f"What is sent, any of {', '.join(NAMES)}", fixed=True),
-    Declared("command_rate", 100.0, "Rate at which it is sent, Hz", 1.0, 1000.0, fixed=True),
+    Declared("outputs", ["joint_trajectory"], f"Outputs that are sent, any of {', '.join(NAMES)}", fixed=True),
+    Declared("command_rate", 100.0, "Rate at which outputs are sent, Hz", 1.0, 1000.0, fixed=True),
     Declared(
         "horizon",
         0.03,
-        "Time that the robot has to get to the first point of a trajectory, s: two to four periods of `command_rate`",
+        "Time that the robot has to reach the first point of a trajectory, s: two to four periods of `command_rate`",
         0.001,
         1.0,
     ),

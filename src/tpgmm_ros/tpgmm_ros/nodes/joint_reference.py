@@ -40,7 +40,7 @@ PARAMETERS = [
     Declared("task_files", [""], "Task files (YAML), one per hand task", fixed=True),
     Declared("model_files", [""], "Model files (.tpgmm) of these tasks, in the same order", fixed=True),
     Declared("joints", ["left_arm", "right_arm"], "Joints or joint groups that the references are for", fixed=True),
-    Declared("led", [""], "End points that follow movements too, from the topics <end point>/reference", fixed=True),
+    Declared("led", [""], "End points that also follow movements, from the topics <end point>/reference", fixed=True),
     Declared("active", "", "Names of the active tasks, separated by commas; empty: none"),
     Declared(
         "rest_deviation",
