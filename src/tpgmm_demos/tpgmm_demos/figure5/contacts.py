@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
-from tpgmm_demos.figure5.lessons import ELBOWS, FADE, HANDS, START, Array, Lesson, Poses
+from tpgmm_demos.figure5.lessons import ELBOWS, FADE, HANDS, START, Lesson, Poses
 from tpgmm_demos.figure5.session import Session, Wrench
 from tpgmm_demos.teaching.teacher import Teacher, TeacherConfig
 

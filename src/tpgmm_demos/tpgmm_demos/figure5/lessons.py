@@ -11,13 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.geometry.pose import compose
 
-Array = NDArray[np.float64]
 Poses = dict[str, Array]
 
 HANDS = ("left", "right")

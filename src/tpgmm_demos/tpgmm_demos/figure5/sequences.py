@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tpgmm_core.common.types import Array
 from tpgmm_demos.figure5.contacts import Record, elbow, gripped_push, push, smooth_step, to_start
-from tpgmm_demos.figure5.lessons import HANDS, Array
+from tpgmm_demos.figure5.lessons import HANDS
 from tpgmm_demos.figure5.session import Session, Trace, Wrench
 
 CUP, SUGAR = "hold_cup", "hold_sugar"

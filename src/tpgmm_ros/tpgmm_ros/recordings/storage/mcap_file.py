@@ -27,7 +27,7 @@ from tpgmm_ros.recordings.storage.mcap_records import (
     MESSAGE_START,
     RECORD,
     DamageError,
-    Fields,
+    RecordReader,
     end_of_whole_records,
     placed_records,
     wanted_message,
@@ -127,7 +127,7 @@ class McapFile:
         told: tuple[int, int, int] | None = None
         try:
             for opcode, record, _ in placed_records(self._data[begin : self._end], 0):
-                fields = Fields(record)
+                fields = RecordReader(record)
                 if opcode == _CHUNK_INDEX:
                     fields.data(16)
                     at, _ = fields.number(8), fields.number(8)
@@ -175,7 +175,7 @@ class McapFile:
         self.first_ns, self.last_ns = first or 0, last
 
     def _declare(self, opcode: int, record: memoryview) -> None:
-        fields = Fields(record)
+        fields = RecordReader(record)
         if opcode == _SCHEMA:
             key = fields.number(2)
             self._schemas[key] = _Schema(fields.text(), fields.text(), bytes(fields.block()))
@@ -228,7 +228,7 @@ class McapFile:
 
     def _content(self, record: memoryview) -> memoryview:
         """The records in a chunk, unpacked and checked."""
-        fields = Fields(record)
+        fields = RecordReader(record)
         _, _, size, checksum = _CHUNK_START.unpack(fields.data(_CHUNK_START.size))
         compression = fields.text()
         packed = fields.data(fields.number(8))
