@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tpgmm_core.common.blending import smoothstep
 from tpgmm_core.common.settings import setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import DynamicState, Lag, LawConfig, LawTorques
@@ -189,7 +190,7 @@ class JointImpedanceLaw:
         config, joints, nv, n = self.config, self._joints, self.robot.nv, len(self._joints)
         change = dt / config.blend_time
         self._blend = min(1.0, max(0.0, self._blend + (change if target is not None else -change)))
-        weight = self._blend**2 * (3.0 - 2.0 * self._blend)
+        weight = smoothstep(self._blend)
         if target is not None or weight == 0.0:
             self._target = target
         feedforward, feedback, hold, hand_guiding, given = rows = np.zeros((len(TERMS) + 1, nv))

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from tpgmm_core.common.blending import smoothstep
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.control.control_law import ControlLaw, DynamicState, LawTorques
 from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw
@@ -189,7 +190,7 @@ class ReferenceLaw:
         self._share = min(1.0, self._share + dt / self._settings.pose.blend_time)
         if self._share == 1.0:
             self._former = None
-        return _between(before, asked, self._share**2 * (3.0 - 2.0 * self._share))
+        return _between(before, asked, smoothstep(self._share))
 
     def _joints_of(self, reference: Reference) -> Joints:
         manifold = reference.gaussian.manifold

@@ -35,6 +35,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tpgmm_core.common.blending import smoothstep
 from tpgmm_core.common.settings import check_settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import DynamicState
@@ -279,7 +280,7 @@ class TorquePipeline:
             self._previous,
             dt,
             moment.loop.delay,
-            self._blend**2 * (3.0 - 2.0 * self._blend),
+            smoothstep(self._blend),
             robot.lower_limits,
             robot.upper_limits,
             robot.velocity_limits,

@@ -48,8 +48,8 @@ def contact(config: TeacherConfig, where: Callable[[float], Array]) -> Wrench:
     return Teacher(_Aim(where), config).wrench
 
 
-def smooth_step(share: float) -> float:
-    """From 0 to 1 with the least jerk, for shares of the time from 0 to 1."""
+def minimum_jerk(share: float) -> float:
+    """From 0 to 1 with minimum jerk (Flash and Hogan 1985), for shares of the time from 0 to 1."""
     s = min(1.0, max(0.0, share))
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
@@ -94,11 +94,11 @@ def to_start(session: Session) -> None:
     bent = {hand: session.pose(elbow(hand))[:3] for hand in HANDS}
 
     def aims(time: float) -> Poses:
-        share = smooth_step(time / WAY)
+        share = minimum_jerk(time / WAY)
         return {hand: POSE.exp(pose, share * POSE.log(pose, START[hand])) for hand, pose in begin.items()}
 
     def elbows(time: float) -> Poses:
-        share = smooth_step(time / WAY)
+        share = minimum_jerk(time / WAY)
         return {hand: place + share * (ELBOWS[hand] - place) for hand, place in bent.items()}
 
     session.run(WAY + REST, hand_guiding(session, aims, elbows))
@@ -159,7 +159,7 @@ def gripped_push(session: Session, link: str, way: Array, duration: float) -> tu
 
 
 def _moving(begin: Array, way: Array, duration: float) -> Callable[[float], Array]:
-    return lambda time: begin + np.concatenate([smooth_step(time / duration) * way, np.zeros(4)])
+    return lambda time: begin + np.concatenate([minimum_jerk(time / duration) * way, np.zeros(4)])
 
 
 class Record:
