@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tpgmm_core.common.blending import minimum_jerk
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_demos.figure5.lessons import ELBOWS, FADE, HANDS, START, Lesson, Poses
@@ -46,12 +47,6 @@ class _Aim:
 def contact(config: TeacherConfig, where: Callable[[float], Array]) -> Wrench:
     """The wrench of someone who means a link to be `where`(time): pose (7,)."""
     return Teacher(_Aim(where), config).wrench
-
-
-def minimum_jerk(share: float) -> float:
-    """From 0 to 1 with minimum jerk (Flash and Hogan 1985), for shares of the time from 0 to 1."""
-    s = min(1.0, max(0.0, share))
-    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
 
 def hand_guiding(

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tpgmm_core.common.blending import minimum_jerk
 from tpgmm_core.common.types import Array
-from tpgmm_demos.figure5.contacts import Record, elbow, gripped_push, minimum_jerk, push, to_start
+from tpgmm_demos.figure5.contacts import Record, elbow, gripped_push, push, to_start
 from tpgmm_demos.figure5.lessons import HANDS
 from tpgmm_demos.figure5.session import Session, Trace, Wrench
 
