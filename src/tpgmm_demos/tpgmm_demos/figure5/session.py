@@ -21,7 +21,8 @@ from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointReader
 from tpgmm_ros.messages.qos import STREAM
-from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph
+from tpgmm_ros.runtime.graph import Graph
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY
 
 #: Wrenches per second; so often the simulator publishes poses and, in lockstep, waits for a wrench.
 TOUCH_RATE = 500.0
