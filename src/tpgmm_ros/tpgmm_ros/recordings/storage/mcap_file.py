@@ -32,7 +32,7 @@ from tpgmm_ros.recordings.storage.mcap_records import (
     placed_records,
     wanted_message,
 )
-from tpgmm_ros.recordings.storage.storage_file import FileTopic, RawMessage
+from tpgmm_ros.recordings.storage.storage_file import FileTopic, RawMessage, StorageFile
 
 RECOVER = "'record --recover' or 'mcap recover' may save what is whole; else record it again"
 
@@ -59,7 +59,7 @@ class _Chunk:
     """Topics that have messages in it; empty where the index does not tell."""
 
 
-class McapFile:
+class McapFile(StorageFile):
     """One MCAP file; see `StorageFile`.
 
     Parameters
@@ -186,12 +186,7 @@ class McapFile:
             self._channels[key] = FileTopic(key, topic, kind, encoding, schema.definition, schema.format, 0)
 
     def messages(self, keys: Collection[int]) -> Iterator[RawMessage]:
-        """See `StorageFile`.
-
-        Returns
-        -------
-        Iterator[RawMessage]
-            in the order of writing
+        """Messages of some topics in the order of writing.
 
         Raises
         ------
@@ -253,7 +248,7 @@ class McapFile:
         return BagError(self._label, f"cannot be read: it is damaged inside ({error}). {RECOVER}")
 
     def close(self) -> None:
-        """See `StorageFile`."""
+        """Close the file."""
         with contextlib.suppress(BufferError):  # of parts that somebody still holds
             self._data.release()
             self._map.close()
