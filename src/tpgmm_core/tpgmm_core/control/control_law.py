@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.operational_space import invert_inertia
 from tpgmm_core.model.reference import Reference
@@ -193,7 +193,7 @@ class LawTorques:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LawConfig:
+class LawConfig(Settings):
     """Parameters that all laws have."""
 
     gain_time: float = setting(0.05, 1e-3, 5.0, "Time constant with which stiffness and damping change, s")
@@ -206,10 +206,6 @@ class LawConfig:
     blend_time: float = setting(
         0.5, 1e-3, 60.0, "Time over which the control fades in when a reference comes, and out when it ends, s"
     )
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for values out of their range."""
-        check_settings(self)
 
 
 class ControlLaw[TargetT](Protocol):

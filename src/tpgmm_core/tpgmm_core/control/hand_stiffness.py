@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.lqr.double_integrator import double_integrator_gains
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StiffnessConfig:
+class StiffnessConfig(Settings):
     """How stiff a hand is for a covariance: a standard deviation s (m) gives mass / (s sqrt(control_cost)) N/m."""
 
     control_cost: float = setting(0.02, 1e-6, 1e3, "Cost of acceleration against deviation: larger is softer")
@@ -26,7 +26,7 @@ class StiffnessConfig:
 
     def __post_init__(self) -> None:
         """Raise ValueError for a value out of its range, or bounds out of order."""
-        check_settings(self)
+        Settings.__post_init__(self)
         if self.min_stiffness > self.max_stiffness:
             raise ValueError(f"min_stiffness {self.min_stiffness} is above max_stiffness {self.max_stiffness}")
 

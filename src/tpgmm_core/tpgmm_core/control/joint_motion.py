@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import Lag
@@ -40,7 +40,7 @@ AT_BOUND = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MotionConfig:
+class MotionConfig(Settings):
     """How joints move."""
 
     speed_share: float = setting(0.4, 0.01, 1.0, "Share of the joints' speed limits that is used, 1")
@@ -56,10 +56,6 @@ class MotionConfig:
         1e3,
         "Speed of a joint that costs as much as missing the reference by one standard deviation per second, rad/s",
     )
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.aim_progress import AimProgress
 from tpgmm_core.control.joint_motion import JointMotion, JointStep, MotionConfig
@@ -38,7 +38,7 @@ RESTS_WITHIN, RESTS_FOR = 0.005, 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MotionTimeouts:
+class MotionTimeouts(Settings):
     """When joint states and references are too old, and when a robot does not follow."""
 
     joint_state_timeout: float = setting(0.1, 0.002, 10.0, "Age of joint states at which the joints stop, s")
@@ -56,10 +56,6 @@ class MotionTimeouts:
     max_lag: float = setting(
         0.2, 0.001, 3.2, "Largest distance of a measured joint from its command, rad (m); beyond it, the joints stop"
     )
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 class SupervisedMotion:

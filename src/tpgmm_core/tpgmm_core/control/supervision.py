@@ -6,7 +6,7 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 
 #: With fewer joint states than this within `joint_state_timeout`, a late one counts as silence.
 STATES_WITHIN_TIMEOUT = 3
@@ -25,7 +25,7 @@ class ControllerMode(enum.IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Timeouts:
+class Timeouts(Settings):
     """When a joint state or a reference is too old, and which stamps are invalid."""
 
     joint_state_timeout: float = setting(
@@ -46,10 +46,6 @@ class Timeouts:
     )
     actuation_delay: float = setting(0.001, 0.0, 0.1, "Delay from sending torques to their effect at the motors, s")
     max_future: float = setting(0.05, 0.001, 10.0, "Messages with stamps further in the future are refused, s")
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
@@ -34,7 +34,7 @@ _SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecognitionConfig:
+class RecognitionConfig(Settings):
     """How movements are recognised."""
 
     n_states: int = setting(50, 2, 1000, "Number of points in time of each skill that the hand is compared with")
@@ -57,10 +57,6 @@ class RecognitionConfig:
     unknown_prior: float = setting(
         0.1, 0.0, 0.999, "Probability of an unknown movement, before anything was seen; 0: it is one of the skills"
     )
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
@@ -18,7 +18,7 @@ _HARDLY = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ExecutionConfig:
+class ExecutionConfig(Settings):
     """When an execution counts as begun and as done."""
 
     start_timeout: float = setting(
@@ -46,10 +46,6 @@ class ExecutionConfig:
     transition_rate: float = setting(
         0.6, 0.001, 30.0, "The same for orientations and joints, rad/s (prismatic joints: m/s)"
     )
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,15 +30,8 @@ from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.programs import train
 from tpgmm_ros.programs.reporting import run_with_report, write_report
 from tpgmm_ros.runtime.entry import INTERRUPTED
-from tpgmm_ros.runtime.processes import (
-    REALTIME_PRIORITY,
-    Graph,
-    GraphError,
-    GraphTimeoutError,
-    Value,
-    open_graph,
-    own_domain,
-)
+from tpgmm_ros.runtime.graph import Graph, open_graph, own_domain
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, GraphError, GraphTimeoutError, Value
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task
 

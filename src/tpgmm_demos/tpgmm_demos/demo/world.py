@@ -10,6 +10,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
+from tpgmm_core.common.blending import minimum_jerk
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.geometry.pose import pose_error
@@ -63,8 +64,8 @@ class Disturbances:
 
     def pushed(self, place: Array, time: float) -> Array:
         """Where an object that lay at ``place`` lies at a time."""
-        s = float(np.clip((time - self.push_start) / self.push_duration, 0.0, 1.0))
-        return POSE.exp(place, s**3 * (10.0 - 15.0 * s + 6.0 * s**2) * self.push)
+        share = minimum_jerk((time - self.push_start) / self.push_duration)
+        return POSE.exp(place, share * self.push)
 
     def hides(self, frame: str, time: float) -> bool:
         """Whether a frame cannot be seen at a time, s since the start of the movement."""

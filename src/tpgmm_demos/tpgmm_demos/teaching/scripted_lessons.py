@@ -29,7 +29,8 @@ from tpgmm_demos.teaching.pick_place_lesson import ScriptedLesson
 from tpgmm_ros.recordings.bag_recorder import BagRecorder
 from tpgmm_ros.recordings.recorded_topics import JOINT_STATE, needed_topics
 from tpgmm_ros.runtime.executor import StopFlag
-from tpgmm_ros.runtime.processes import GraphError, open_graph, own_domain
+from tpgmm_ros.runtime.graph import open_graph, own_domain
+from tpgmm_ros.runtime.processes import GraphError
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task, TaskError
 

@@ -14,15 +14,14 @@ import sys
 import time
 from dataclasses import dataclass
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from numpy.typing import NDArray
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.observation.poses import check_pose, wrong_frame
 from tpgmm_core.observation.streams import SECOND, Stamp, StreamWatch
 from tpgmm_core.robot.led_hand import LedHand
@@ -66,7 +65,6 @@ PARAMETERS = [
     ),
 ]
 
-Array = NDArray[np.float64]
 #: Torques answer joint states: none may be stamped so far ahead of the newest one, s.
 MAX_FUTURE = 0.05
 #: In lockstep, a state without an answer is published again after this long, s: best effort may lose a message.

@@ -29,6 +29,14 @@ SPREAD = Declared(
     1.0,
     fixed=True,
 )
+JOINT_STATE_RATE = Declared(
+    "joint_state_rate",
+    1000.0,
+    "Rate at which joint states are expected, Hz: lost ones are counted",
+    1.0,
+    10000.0,
+    fixed=True,
+)
 BROADCAST_ROBOT = Declared(
     "broadcast_transforms",
     False,
