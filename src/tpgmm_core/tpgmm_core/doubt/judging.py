@@ -3,20 +3,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from tpgmm_core.doubt.agreement import doubts_of_copies, doubts_of_durations, doubts_of_misfits
 from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
 from tpgmm_core.doubt.values import doubts_of_speed, doubts_of_stillness, doubts_of_units
 
 
-def judged(shown: Sequence[RawDemonstration]) -> list[Doubt]:
+def judged_alone(one: RawDemonstration) -> list[Doubt]:
+    """What makes no sense in one recording, whatever the others are; it takes all samples."""
+    return [*doubts_of_speed(one), *doubts_of_stillness(one)]
+
+
+def judged(
+    shown: Sequence[RawDemonstration], alone: Callable[[RawDemonstration], Sequence[Doubt]] = judged_alone
+) -> list[Doubt]:
     """What makes no sense in recordings of one task.
 
     Parameters
     ----------
     shown
         one or more
+    alone
+        what makes no sense in each by itself: where outlines are judged, what was found before
 
     Returns
     -------
@@ -26,7 +35,7 @@ def judged(shown: Sequence[RawDemonstration]) -> list[Doubt]:
     units = doubts_of_units(shown)
     if any(doubt.refuses for doubt in units):
         return units
-    single = [doubt for one in shown for doubt in (*doubts_of_speed(one), *doubts_of_stillness(one))]
+    single = [doubt for one in shown for doubt in alone(one)]
     return [
         *units,
         *single,
