@@ -47,7 +47,7 @@ def main() -> int:
     parser.add_argument("--one-by-one", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.run is not None:
-        _train(*options.run, ["--one-by-one"] if options.one_by_one else [])
+        _train(options.run[0], options.run[1], ["--one-by-one"] if options.one_by_one else [])
         return 0
     rows: list[Row] = []
     peaks: list[tuple[int, float]] = []

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 from tpgmm_core.doubt.agreement import doubts_of_copies, doubts_of_durations, doubts_of_misfits
 from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
+from tpgmm_core.doubt.quaternion_order import doubts_of_quaternion_order
 from tpgmm_core.doubt.values import doubts_of_speed, doubts_of_stillness, doubts_of_units
 
 
@@ -39,6 +40,7 @@ def judged(
     return [
         *units,
         *single,
+        *doubts_of_quaternion_order(shown),
         *doubts_of_copies(shown),
         *doubts_of_durations(shown),
         *doubts_of_misfits(shown),
