@@ -10,6 +10,7 @@ are rows and columns of S³ (`_turn`).
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.kernels import compiled
@@ -109,14 +110,11 @@ def _fold(precision: Array, numbers: Array, half: Array, folded: Array) -> None:
 
 @compiled
 def _turn(own: int, spheres: Array, J: Array, F: Array, out: Array) -> None:
-    """Out (3 n, N) = U^T F: U takes a step on S³ to what the numbers of `_numbers` weigh; on R^n it changes nothing.
+    """Rows of S³ of out (3 n, N) = U^T F, where U takes a step to what the numbers of `_numbers` weigh.
 
-    J (3, S, 3, 3) as in `assemble`.
+    On R^n it changes nothing: these rows are neither read nor written. J (3, S, 3, 3) as in `assemble`.
     """
     n, N = len(F) // 3, F.shape[1]
-    for r in range(3 * n):
-        for k in range(N):
-            out[r, k] = F[r, k]
     for s in range(len(spheres)):
         o = own * n + spheres[s, 1]
         for i in range(3):
@@ -129,11 +127,47 @@ def _turn(own: int, spheres: Array, J: Array, F: Array, out: Array) -> None:
             r = p * n + spheres[s, 1]
             for i in range(3):
                 a, b, c = J[p, s, i, 0], J[p, s, i, 1], J[p, s, i, 2]
-                d, e, f = J[p, s, 0, i], J[p, s, 1, i], J[p, s, 2, i]
                 for k in range(N):
                     out[o + i, k] -= a * F[r, k] + b * F[r + 1, k] + c * F[r + 2, k]
+                a, b, c = J[p, s, 0, i], J[p, s, 1, i], J[p, s, 2, i]
                 for k in range(N):
-                    out[r + i, k] = d * F[r, k] + e * F[r + 1, k] + f * F[r + 2, k]
+                    out[r + i, k] = a * F[r, k] + b * F[r + 1, k] + c * F[r + 2, k]
+
+
+@compiled
+def _turn_both(
+    own: int, spheres: Array, J: Array, folded: Array, rows: Array, half: Array, across: Array, turned: Array,
+    hessian: Array,
+) -> None:  # fmt: skip
+    """Rows and columns of S³ of hessian = U^T folded U, all (3 n, 3 n); on R^n the Hessian is `folded`.
+
+    rows (R,), those of S³. half (3 n, 3 n), across and turned (3 n, R) are scratch.
+    """
+    N, R = len(folded), len(rows)
+    _turn(own, spheres, J, folded, half)
+    for c in range(R):
+        r = rows[c]
+        for k in range(N):
+            hessian[r, k] = half[r, k]
+            hessian[k, r] = half[r, k]
+        for k in range(R):
+            across[rows[k], c] = half[r, rows[k]]
+    _turn(own, spheres, J, across, turned)
+    for c in range(R):
+        for k in range(R):
+            hessian[rows[c], rows[k]] = turned[rows[c], k]
+
+
+@compiled
+def _rows_on_spheres(n: int, spheres: Array) -> NDArray[np.int64]:
+    """Which of the rows of three points are on S³."""
+    rows, count = np.empty(9 * len(spheres), dtype=np.int64), 0
+    for p in range(3):
+        for s in range(len(spheres)):
+            for i in range(3):
+                rows[count] = p * n + spheres[s, 1] + i
+                count += 1
+    return rows
 
 
 @compiled
@@ -181,8 +215,9 @@ def assemble(
     T, n, D, S = len(points), len(flat), points.shape[1], len(spheres)
     steps, ahead, residual, force = np.empty((3, n)), np.empty(n), np.empty(3 * n), np.empty(3 * n)
     numbers, J = np.empty((3, 3 * n)), np.empty((3, S, 3, 3))
-    pull, turned = np.empty((3 * n, 1)), np.empty((3 * n, 1))
+    rows, pull, turned_pull = _rows_on_spheres(n, spheres), np.empty((3 * n, 1)), np.empty((3 * n, 1))
     half, folded, hessian = np.empty((3 * n, 3 * n)), np.empty((3 * n, 3 * n)), np.empty((3 * n, 3 * n))
+    across, turned = np.empty((3 * n, len(rows))), np.empty((3 * n, len(rows)))
     downhill[:] = 0.0
     if with_hessian:
         band[:] = 0.0
@@ -213,21 +248,18 @@ def assemble(
             for i in range(n):
                 c = p * n + i
                 pull[c, 0] = numbers[0, c] * force[i] + numbers[1, c] * force[n + i] + numbers[2, c] * force[2 * n + i]
-        _turn(own, spheres, J, pull, turned)
-        for i in range(3 * n):
-            downhill[base + i] -= turned[i, 0]
+                if flat[i] >= 0:
+                    downhill[base + c] -= pull[c, 0]
+        _turn(own, spheres, J, pull, turned_pull)
+        for r in rows:
+            downhill[base + r] -= turned_pull[r, 0]
         if with_hessian:
             if not (is_as_before and states[t] == former_state):
                 _fold(precision, numbers, half, folded)
-            if S == 0:
-                _add_rows(folded, base, band)
-            else:
-                _turn(own, spheres, J, folded, half)
-                for i in range(3 * n):
-                    for m in range(3 * n):
-                        hessian[i, m] = half[m, i]
-                _turn(own, spheres, J, hessian, half)
-                _add_rows(half, base, band)
+                hessian[:] = folded
+            if S > 0:
+                _turn_both(own, spheres, J, folded, rows, half, across, turned, hessian)
+            _add_rows(hessian, base, band)
         former_own, former_state = own, states[t]
     return cost
 
