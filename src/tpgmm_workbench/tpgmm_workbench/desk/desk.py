@@ -169,6 +169,7 @@ class Desk:
             aim=self.table.aim,
             to_go=self.table.to_go,
             speed=self._speed,
+            duration=self._duration,
         )
 
     def _refused(self, action: Action) -> bool:

@@ -9,13 +9,15 @@ from itertools import cycle
 
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.project.activities import LEAST, Action, Activity
-from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SEVERAL, SKY, YELLOW, Color, css
+from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SEVERAL, SKY, YELLOW, Color, css, readable_on
 
 #: So many demonstrations before training is suggested: with fewer, hardly anything is known of how exact a skill is.
 SUGGESTED = 4
 #: A hand that is led is there when it is so near, m.
 THERE = 0.012
 _CONTROLLER = {"WAITING": GREY, "ACTIVE": GREEN, "HOLD": YELLOW, "DAMPING": SKY, "FAULT": RED}
+#: Of the words below STOP; more of them are scrolled.
+STATUS_HEIGHT = "11em"
 #: Shares of a torque limit from which on a joint is near it, and at it.
 NEAR_LIMIT, AT_LIMIT = 0.7, 0.98
 _LEVELS: dict[str, tuple[Color, str]] = {
@@ -28,16 +30,15 @@ _LEVELS: dict[str, tuple[Color, str]] = {
 
 def chip(text: str, color: Color) -> str:
     """A word on a coloured ground that can be read."""
-    light = 0.299 * color[0] + 0.587 * color[1] + 0.114 * color[2] > 110
     return (
-        f'<span style="background:{css(color)};color:{"#000" if light else "#fff"};border-radius:0.6em;'
+        f'<span style="background:{css(color)};color:{css(readable_on(color))};border-radius:0.6em;'
         f'padding:0 0.5em;white-space:nowrap">{escape(text)}</span>'
     )
 
 
-def _block(lines: Iterable[str]) -> str:
+def _block(lines: Iterable[str], style: str = "") -> str:
     rows = "".join(f'<div style="margin:0.15em 0">{line}</div>' for line in lines)
-    return f'<div style="font-size:0.85em;line-height:1.35;padding:0 0.6em">{rows}</div>'
+    return f'<div style="font-size:0.85em;line-height:1.35;padding:0 0.6em;{style}">{rows}</div>'
 
 
 def next_step(view: DeskView) -> str:
@@ -71,7 +72,7 @@ def next_step(view: DeskView) -> str:
 
 
 def status(view: DeskView) -> str:
-    """Controller, activity, what to do next, and what was said."""
+    """Controller, activity, what to do next, and what was said; always as high, so that nothing beside it moves."""
     controller = view.graph.controller
     if controller is None:
         first = chip("no controller", GREY) + " nothing on controller_state: is impedance_controller running?"
@@ -80,7 +81,8 @@ def status(view: DeskView) -> str:
     robot = "" if view.graph.joints is not None else chip("no robot", RED) + " no joint states arrive"
     frames = " ".join(chip(f"{frame.name}: {frame.state}", FRAME[frame.state]) for frame in view.graph.frames)
     lines = [first, robot, frames, f"<b>{escape(next_step(view))}</b>"]
-    return _block([line for line in [*lines, *(f"<i>{escape(words)}</i>" for words in view.words)] if line])
+    lines += [f"<i>{escape(words)}</i>" for words in view.words]
+    return _block([line for line in lines if line], f"height:{STATUS_HEIGHT};overflow-y:auto")
 
 
 def led(view: DeskView) -> str:
