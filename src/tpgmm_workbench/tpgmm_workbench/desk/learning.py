@@ -63,12 +63,15 @@ class Learning:
         the present one; None before
     shown
         the last preview; None where what it was of has changed
+    is_read
+        whether it is known which models there are
     """
 
     def __init__(self, project: Project, background: Background, say: Callable[[str], object]) -> None:
         self.progress: Progress | None = None
         self.model: ModelView | None = None
         self.shown: Preview | None = None
+        self.is_read = False
         self._project, self._background, self._say = project, background, say
         self._training: Training | None = None
         self._is_previewing = False
@@ -100,6 +103,7 @@ class Learning:
         return ModelView(found.number, str(found.path), tuple(found.notes.words), found.notes.misfits, shares)
 
     def _take(self, job: Future[ModelView | None]) -> None:
+        self.is_read = True
         try:
             found = job.result()
         except (OSError, ValueError) as error:

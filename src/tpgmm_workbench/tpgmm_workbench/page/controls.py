@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from viser import ViserServer
+from viser import ClientHandle, ViserServer
 
 from tpgmm_workbench.page.names import names_alone
 
@@ -15,11 +15,11 @@ type Ask = Callable[..., None]
 
 
 class Text:
-    """HTML in a panel."""
+    """HTML in a panel: of all pages, or of one."""
 
-    def __init__(self, server: ViserServer) -> None:
+    def __init__(self, place: ViserServer | ClientHandle, order: float | None = None) -> None:
         self._shown = ""
-        self._html = server.gui.add_html("", visible=False)
+        self._html = place.gui.add_html("", visible=False, order=order)
 
     def show(self, content: str) -> None:
         """Show this; nothing where it is empty."""

@@ -8,6 +8,7 @@ from html import escape
 from itertools import cycle
 
 from tpgmm_workbench.desk.view import DeskView
+from tpgmm_workbench.page.added import MARK
 from tpgmm_workbench.project.activities import LEAST, Action, Activity
 from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SEVERAL, SKY, YELLOW, Color, css, readable_on
 
@@ -255,13 +256,26 @@ def nodes(view: DeskView) -> str:
     return _block(lines or ["No node says anything."])
 
 
-def pages(count: int, is_open: bool = False) -> str:
-    """That the page is not heard yet, that several pages are open, or that other machines may open more."""
+def pages(count: int, driver: int | None, page: int, is_open: bool = False) -> str:
+    """What one page is told of the others: which one drives, and whether other machines may open more.
+
+    It is told nothing before the server hears it: that is what its mark stands for.
+
+    Parameters
+    ----------
+    count
+        of pages that are open
+    driver
+        number of the one that drives; None where nobody does
+    page
+        number of the one that is told
+    is_open
+        whether other machines may open pages
+    """
     lines = []
     if is_open:
         lines.append(chip("open to other machines", YELLOW) + " who has the token may move the robot")
-    if count == 0:
-        lines.append(chip("connecting", GREY) + " what you press is heard in a moment")
-    elif count > 1:
-        lines.append(f"{count} pages show this; one of them drives.")
-    return _block(lines) if lines else ""
+    if count > 1:
+        drives = {None: "the first that asks for something drives", page: "this one drives"}
+        lines.append(f"{count} pages show this; {drives.get(driver, 'another one drives')}.")
+    return f'<span id="{MARK}"></span>' + (_block(lines) if lines else "")
