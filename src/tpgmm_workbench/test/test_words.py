@@ -15,6 +15,7 @@ from tpgmm_workbench.desk.teaching import TaughtView
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.graph.movement import RunView
 from tpgmm_workbench.page import words
+from tpgmm_workbench.page.added import MARK
 from tpgmm_workbench.page.driver import Driver
 from tpgmm_workbench.page.names import names_alone
 from tpgmm_workbench.project.activities import Action, Activity, Facts, may
@@ -126,6 +127,14 @@ def test_each_word_on_a_coloured_ground_can_be_read() -> None:
         assert contrast(text, ground) >= 4.5
         assert f"background:{css(ground)};color:{css(text)}" in words.chip("word", ground)
     assert contrast((0, 0, 0), (255, 255, 255)) == pytest.approx(21.0)
+
+
+def test_each_page_is_told_whether_it_drives_and_the_server_hears_it() -> None:
+    assert MARK in words.pages(1, 4, 4) and "drives" not in words.pages(1, 4, 4)
+    assert "10 pages show this; this one drives" in words.pages(10, 4, 4)
+    assert "another one drives" in words.pages(10, 4, 5)
+    assert "the first that asks" in words.pages(2, None, 5)
+    assert "token" in words.pages(1, 4, 4, is_open=True)
 
 
 def test_of_several_pages_one_drives_and_another_may_take_over() -> None:

@@ -14,6 +14,7 @@ from tpgmm_ros.runtime.background import Background
 from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.preview import Preview, preview
 from tpgmm_workbench.project.project import Project
+from tpgmm_workbench.project.self_collision import SelfCollision
 from tpgmm_workbench.project.training import Progress, Training, TrainingOptions
 
 #: Parts of a movement for which it is shown how much each frame says.
@@ -169,7 +170,8 @@ class Learning:
             if model is None:
                 raise ValueError("there is no model yet: train one first")
             task, robot = self._project.task, self._project.robot()
-            return preview(self._project.load(model), known, joints, robot, task.endpoint, duration)
+            shapes = SelfCollision(robot, self._project.robot_file)
+            return preview(self._project.load(model), known, joints, robot, task.endpoint, duration, shapes=shapes)
 
         def take(job: Future[Preview]) -> None:
             self._is_previewing = False
