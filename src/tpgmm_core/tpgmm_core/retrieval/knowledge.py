@@ -14,6 +14,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from tpgmm_core.common.settings import check_settings, setting
@@ -135,10 +136,10 @@ def least_known(complete: Array, present: Array, manifold: Manifold, config: Kno
     return max(found, key=lambda one: one.excess)
 
 
-def _parts(manifold: Manifold) -> list[tuple[str, Array]]:
+def _parts(manifold: Manifold) -> list[tuple[str, NDArray[np.intp]]]:
     """What is judged by itself, and its tangent dimensions."""
     if manifold.is_euclidean:
         return [("joints", np.arange(manifold.tangent_dim))]
     turns = [("orientation", np.arange(manifold.tangent_dim)[s.tangent]) for s in manifold.spheres]
-    places = np.asarray(manifold.flat_tangent)
+    places = manifold.flat_tangent
     return [("position", places), *turns] if len(places) else turns
