@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -143,11 +142,12 @@ def test_a_preview_shows_the_whole_robot_and_its_verdict_before_anything_moves(t
 def test_a_preview_refuses_in_words_what_the_robot_cannot_do(taught: Project) -> None:
     robot, model = taught.robot(), taught.load(taught.models()[0])
     situation = taught.demonstration(1).situation
-    verdict = {c.name: c for c in preview(model, situation, robot.home, robot, "left", duration=0.5).checks}
-    said = re.search(r"give it (\d+) s", verdict["speed limits"].words)
-    assert verdict["speed limits"].is_good is False and said is not None
-    slower = preview(model, situation, robot.home, robot, "left", duration=float(said[1]))
+    fast = preview(model, situation, robot.home, robot, "left", duration=0.5)
+    verdict = {check.name: check for check in fast.checks}
+    assert verdict["speed limits"].is_good is False and f"give it {fast.advised} s" in verdict["speed limits"].words
+    slower = preview(model, situation, robot.home, robot, "left", duration=fast.advised)
     assert {c.name: c.is_good for c in slower.checks}["speed limits"], "what is advised must be enough"
+    assert slower.advised is None
     assert verdict["self-collision"].is_good is None
     away = {**situation, "target": situation["target"] + np.array([1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])}
     far = preview(model, away, robot.home, robot, "left")

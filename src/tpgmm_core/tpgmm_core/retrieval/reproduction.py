@@ -75,7 +75,6 @@ class Reproduction(Retrieval):
         self.phase.bind(self.course, duration)
         self._horizon_time_step = horizon_time_step if horizon_steps else 0.0
         self._ahead: Array = horizon_time_step * np.arange(1 + horizon_steps, dtype=np.float64)
-        self._seconds_ahead: list[float] = self._ahead.tolist()
         self._continuity = Continuity(self.course.manifold, blend_time)
         self._last_ns: int | None = None
         self._situation: Situation | None = None
@@ -110,7 +109,7 @@ class Reproduction(Retrieval):
         self._last_ns = time_ns
         self._state = state
         self._situation = None
-        self._former: list[Array] = []
+        self._former: Array | None = None
         self._is_free = False
         self._continuity.forget()
 
@@ -143,9 +142,8 @@ class Reproduction(Retrieval):
             self.phase.advance(time_ns)
             means, covariances, activations = self.course.at(self.phase.times(self._ahead))
         self._continuity.advance(since)
-        gaussians = [
-            self._continuity.gaussian(means[i], covariances[i], ahead) for i, ahead in enumerate(self._seconds_ahead)
-        ]
+        H = len(self._ahead)
+        gaussians = self._continuity.gaussians(means[:H], covariances[:H], self._ahead)
         self._covariance = gaussians[0].covariance
         if state is not None:
             self.phase.observe(gaussians[0], state)
@@ -166,17 +164,17 @@ class Reproduction(Retrieval):
         moments = self._continuity.moments
         if self._situation is not None:
             means, self._former_covariances, _ = self.course.at(self.phase.times(moments))
-            self._former = [self._continuity.mean(mean, s) for mean, s in zip(means, moments.tolist(), strict=True)]
+            self._former = self._continuity.means(means, moments)
             self._situation = None  # a situation that is refused must not be used again
         self.course.situate(situation.frames, situation.state, situation.weights)
         self.phase.situated()
         near = self.phase.times(moments)
         self.phase.advance(time_ns)
         means, covariances, activations = self.course.at(np.concatenate([self.phase.times(self._ahead), near]))
-        if self._former:
+        if self._former is not None:
             first = len(self._ahead)
             self._continuity.take_over(
-                self._former, list(means[first:]), self._covariance, covariances[first:], self._former_covariances
+                self._former, means[first:], self._covariance, covariances[first:], self._former_covariances
             )
         self._situation = situation
         self._is_free = float(covariances[0].max()) > 0.5 * UNCONSTRAINED_VARIANCE
@@ -187,7 +185,7 @@ class Reproduction(Retrieval):
         self._require_step()
         ahead = dt * np.arange(1, n + 1, dtype=np.float64)
         means, covariances, _ = self.course.at(self.phase.times(ahead))
-        return [self._continuity.gaussian(means[i], covariances[i], s) for i, s in enumerate(ahead.tolist())]
+        return self._continuity.gaussians(means, covariances, ahead)
 
     def mixture(self) -> GaussianMixture:
         """The model in the situation of the last step, time first."""

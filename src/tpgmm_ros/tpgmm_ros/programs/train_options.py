@@ -20,6 +20,7 @@ examples:
   train --task config/pick_place.yaml --output dmp.tpgmm --retrieval dmp bags/
   train --task config/pick_place.yaml --output first.tpgmm --online bags/monday
   train --task config/pick_place.yaml --output better.tpgmm --update first.tpgmm bags/tuesday
+  train --task config/pick_place.yaml --output all.tpgmm --one-by-one bags/
   train --task config/pick_place.yaml --output few.tpgmm --components 4 --every 5 --skip-bad bags/
 
 exit status: 0 the model was trained and saved; 1 it was not, the reason is on stderr; 2 wrong arguments;
@@ -56,6 +57,12 @@ def parser_of_train() -> argparse.ArgumentParser:
         help="reproduce each demonstration with a model of the others, and print the errors",
     )
     add_jobs(parser)
+    parser.add_argument(
+        "--one-by-one",
+        action="store_true",
+        help="have one recording in the memory at a time, for more than fit into it; their numbers stand in a "
+        "temporary folder meanwhile (TMPDIR), and --jobs share each iteration of EM",
+    )
     parser.add_argument(
         "--auto",
         action="store_true",

@@ -130,6 +130,7 @@ class Desk:
             has_model=self._learning.model is not None,
             is_training=self._learning.is_training,
             can_undo=self.teaching.can_undo,
+            is_read=self.teaching.is_read and self._learning.is_read,
             has_robot=graph.joints is not None,
             missing_frames=tuple(frame.name for frame in graph.frames if frame.pose is None),
             is_simulated=self.simulated,
@@ -169,6 +170,7 @@ class Desk:
             aim=self.table.aim,
             to_go=self.table.to_go,
             speed=self._speed,
+            duration=self._duration,
         )
 
     def _refused(self, action: Action) -> bool:
@@ -235,6 +237,8 @@ class Desk:
             self._look_ahead(lambda shown: self.say(f"preview: {shown.words}"))
 
     def _look_ahead(self, then: Callable[[Preview], object]) -> None:
+        if self._learning.is_previewing:
+            self.say("a preview is being made: ask again when its verdict is there")
         if self._learning.is_previewing or self._graph.joints is None:
             return
         frames = {frame.name: frame.pose for frame in self._graph.frames if frame.pose is not None}

@@ -86,6 +86,8 @@ class Teaching:
         those that were not undone
     suggested
         where the objects should be for the next one; None where nobody asked, or one was shown since
+    is_read
+        whether it is known what was taught before
     """
 
     def __init__(
@@ -104,6 +106,7 @@ class Teaching:
         self._qualities: dict[_Part, Quality] = {}
         self.shown: tuple[TaughtView, ...] = ()
         self.suggested: Suggestion | None = None
+        self.is_read = False
         self._all: tuple[TaughtDemonstration, ...] = ()
 
     @property
@@ -258,6 +261,7 @@ class Teaching:
         }
 
     def _take(self, job: Future[tuple[tuple[TaughtDemonstration, ...], dict[_Part, Quality]]]) -> None:
+        self.is_read = True
         try:
             self._all, self._qualities = job.result()
         except (OSError, ValueError) as error:

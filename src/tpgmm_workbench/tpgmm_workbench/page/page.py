@@ -20,6 +20,7 @@ from tpgmm_workbench.desk.desk import Desk
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page import words
 from tpgmm_workbench.page.access import Access, guarded
+from tpgmm_workbench.page.added import completed
 from tpgmm_workbench.page.camera import camera_for
 from tpgmm_workbench.page.controls import Text
 from tpgmm_workbench.page.driver import Driver
@@ -67,7 +68,7 @@ class Page:
         self._desk, self._give, self._shapes = desk, ask, shapes
         self.driver = Driver()
         with (
-            guarded(access),
+            guarded(access, completed),
             contextlib.redirect_stdout(io.StringIO()),
         ):  # viser draws a box with an address; ours is said by the node
             self._server = server = ViserServer(access.host, port, label="tpgmm workbench", verbose=False)
@@ -117,7 +118,7 @@ class Page:
     def _make_panels(self, server: ViserServer) -> None:
         desk = self._desk
         self._stop = StopPanel(server, lambda: self._give(desk.stop))
-        self._pages = Text(server)
+        self._told: dict[int, Text] = {}
         self._take_over = server.gui.add_button("Drive from this page", visible=False)
         self._take_over.on_click(lambda event: self.driver.take_over(event.client_id))
         tabs = server.gui.add_tab_group()
@@ -145,8 +146,15 @@ class Page:
 
     def _come(self, client: ClientHandle) -> None:
         self.driver.come(client.client_id)
+        told = Text(client, order=-1.0)  # this page alone sees it, and from now on it is heard
+        self._tell(client.client_id, told)
+        self._told[client.client_id] = told
+
+    def _tell(self, page: int, told: Text) -> None:
+        told.show(words.pages(self.driver.pages, self.driver.number, page, is_open=bool(self._access.token)))
 
     def _go(self, client: ClientHandle) -> None:
+        self._told.pop(client.client_id, None)
         if self.driver.go(client.client_id):  # the person who held the hand is gone
             self._give(self._desk.table.let_go)
 
@@ -190,7 +198,8 @@ class Page:
         self._hand.draw_trail()
         self._stop.show(view)
         several = self.driver.pages > 1
-        self._pages.show(words.pages(self.driver.pages, is_open=bool(self._access.token)))
+        for page, told in list(self._told.items()):
+            self._tell(page, told)
         if self._take_over.visible != several:
             self._take_over.visible = several
         for panel in self._panels:
