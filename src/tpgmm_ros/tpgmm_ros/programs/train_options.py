@@ -60,8 +60,8 @@ def parser_of_train() -> argparse.ArgumentParser:
     parser.add_argument(
         "--one-by-one",
         action="store_true",
-        help="have one recording in the memory at a time, for more than fit into it; their numbers stand in a "
-        "temporary folder meanwhile (TMPDIR), and --jobs share each iteration of EM",
+        help="keep only one recording in memory at a time, if not all of them fit; their numbers are kept in a "
+        "temporary folder (TMPDIR), and --jobs processes share each iteration of EM",
     )
     parser.add_argument(
         "--auto",
