@@ -35,14 +35,14 @@ class KnowledgeConfig:
         5.0,
         0.0,
         1.0e6,
-        "A movement waits where frames that are missing make the reference's standard deviation larger by more than "
-        "this, and larger than unknown_position or unknown_orientation; 0: it never waits",
+        "A movement waits if missing frames make the reference's standard deviation larger by more than this factor, "
+        "and larger than unknown_position or unknown_orientation; 0: it never waits",
     )
     unknown_position: float = setting(
-        0.03, 1e-4, 100.0, "Standard deviation of the position up to which no movement waits for frames, m"
+        0.03, 1e-4, 100.0, "Standard deviation of the position up to which a movement never waits, m"
     )
     unknown_orientation: float = setting(
-        0.175, 1e-3, 100.0, "The same of an orientation, or of a joint, rad (of a prismatic joint m)"
+        0.175, 1e-3, 100.0, "The same for an orientation or a joint, rad (prismatic joint: m)"
     )
 
     def __post_init__(self) -> None:

@@ -31,7 +31,7 @@ class ExecutionConfig(Settings):
         10.0, 0.1, 600.0, "A movement that stalls for this long, although its speed is not 0, is aborted, s"
     )
     unknown_timeout: float = setting(
-        30.0, 0.1, 3600.0, "A movement that has waited for this long, since too little is known, is aborted, s"
+        30.0, 0.1, 3600.0, "Time after which a movement that waits, because too little is known, is aborted, s"
     )
     position_tolerance: float = setting(0.01, 1e-4, 1.0, "Largest position error at the end that counts as success, m")
     orientation_tolerance: float = setting(
