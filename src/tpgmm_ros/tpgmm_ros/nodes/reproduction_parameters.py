@@ -33,15 +33,15 @@ PARAMETERS = [
     Declared(
         "lockstep_rate",
         0.0,
-        "Lockstep: rate of poses and task parameters, Hz; each step waits for those of its tick; 0: no lockstep",
+        "Lockstep: rate of poses and task parameters, Hz; each step waits for those of its own tick; 0: no lockstep",
         0.0,
         1000.0,
         fixed=True,
     ),
     Declared("broadcast_transforms", False, "Publish the reference on /tf too, as TASK/reference", fixed=True),
     Declared("rate", 0.0, "Rate of references on a timer, Hz; 0: one for each joint state", 0.0, 2000.0, fixed=True),
-    Declared("retrieval", "", f"Retrieval method: {', '.join(METHODS)}; empty: what the model was learned for"),
-    Declared("phase", "clock", f"What drives the model's time: {', '.join(PHASES)}"),
+    Declared("retrieval", "", f"Retrieval method: {', '.join(METHODS)}; empty: the one that the model was learned for"),
+    Declared("phase", "clock", f"What advances the model's time: {', '.join(PHASES)}"),
     Declared("speed", 1.0, "Speed of the movement; 1: as learned; 0: pause; below 0: backwards", -2.0, 2.0),
     Declared("horizon_steps", 1, "Number of future Gaussians in each reference", 0, 50),
     Declared("horizon_time_step", 0.005, "Time between future Gaussians, s", 0.001, 1.0),
@@ -55,8 +55,8 @@ PARAMETERS = [
     Declared(
         "max_novelty",
         0.0,
-        "A movement is refused in a situation that is newer to the model than this; 1: as new as what was left out in "
-        "training with --leave-one-out; 0: never",
+        "Movements are refused in situations that are newer to the model than this; 1: as new as the demonstrations "
+        "left out in training with --leave-one-out; 0: never",
         0.0,
         1.0e6,
     ),
