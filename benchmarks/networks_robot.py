@@ -28,7 +28,7 @@ from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.runtime.executor import init
-from tpgmm_ros.runtime.processes import open_graph
+from tpgmm_ros.runtime.graph import open_graph
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task
 
