@@ -144,15 +144,16 @@ class Player:
         message.header.stamp = conversions.time_from_ns(self.stamp_ns)
         if self.references:
             self.put(np.array(self.references[-1].gaussian.mean) if pose is None else pose)
-        due = 0.0
+        due, before = 0.0, len(self.references)
 
         def is_answered() -> bool:
             nonlocal due
             if time.monotonic() >= due:  # best effort may lose a message
                 due = time.monotonic() + 0.2
                 self._states.publish(message)
-            stamp = self.references[-1].header.stamp if self.references else None
-            return unless() or (stamp is not None and conversions.time_to_ns(stamp) == self.stamp_ns)
+            # frames that change may be answered a little later than the state, before anyone looks here
+            stamps = [conversions.time_to_ns(item.header.stamp) for item in self.references[before:]]
+            return unless() or any(stamp >= self.stamp_ns for stamp in stamps)
 
         if not answered:
             is_answered()

@@ -36,6 +36,17 @@ def generate_launch_description() -> LaunchDescription:
             description="joint_motion for a robot that takes positions or poses instead of torques",
         ),
         DeclareLaunchArgument(
+            "law",
+            default_value="infinite_horizon",
+            description="control law of the impedance_controller; those that look ahead need a horizon",
+        ),
+        DeclareLaunchArgument(
+            "horizon_steps", default_value="1", description="how many Gaussians ahead each reference holds"
+        ),
+        DeclareLaunchArgument(
+            "horizon_time_step", default_value="0.005", description="time between the Gaussians ahead, s"
+        ),
+        DeclareLaunchArgument(
             "outputs", default_value="[joint_trajectory]", description="outputs of joint_motion, as a list"
         ),
         DeclareLaunchArgument("command_rate", default_value="100.0", description="rate of these outputs, Hz"),
@@ -76,6 +87,9 @@ def generate_launch_description() -> LaunchDescription:
                 "model_file": given("model", str),
                 "endpoint": given("endpoint", str),
                 "joint_state_rate": given("joint_state_rate", float),
+                "law": given("law", str),
+                "horizon_steps": given("horizon_steps", int),
+                "horizon_time_step": given("horizon_time_step", float),
                 "outputs": LaunchConfiguration("outputs"),  # read as YAML: a list
                 "command_rate": given("command_rate", float),
                 "autostart": given("autostart", bool),
