@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory that reading a bag takes, as the bag grows: poses at 100 Hz beside a camera, whose pictures nobody wants.
+"""Memory that `inspect` and `train` take, as bags grow: poses at 100 Hz, mostly beside a camera that nobody wants.
 
-Bags are made in a temporary folder one after the other, and removed: 2 GB of free disk are needed by default. Each is
-read in a process of its own; memory is the largest part of it that was in memory, above what the imports take.
+With --bulk poses there is no camera: the poses of the task are all that there is, in recordings of 10 000 samples. Bags
+are made in a temporary folder one after the other, and removed: as much free disk is needed as the largest takes. Each
+program runs in a process of its own; memory is the largest part of it that was in memory, above what the imports take.
 """
 
 from __future__ import annotations

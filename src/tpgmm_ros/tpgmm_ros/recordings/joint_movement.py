@@ -35,7 +35,8 @@ def read_link_stream(path: Path, source: JointStateSource, base_frame: str) -> S
     Raises
     ------
     BagError
-        the robot file cannot be used, has no such link or another base frame, joints look like degrees, or like `read_joint_stream`.
+        the robot file cannot be used, has no such link or another base frame, joints look like degrees, or like
+        `read_joint_stream`.
     """
     try:
         robot = RobotModel.from_file(source.robot)
