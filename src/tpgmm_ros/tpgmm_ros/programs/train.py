@@ -42,7 +42,7 @@ type Learn = Callable[[Manifold, Sequence[str] | None, EmProgress], LearnedMixtu
 
 
 @dataclass(frozen=True, slots=True)
-class Training:
+class TrainingResult:
     """A fitted model, and what it was fitted to."""
 
     model: LearnedMixture
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.output is None and not options.leave_one_out:
         parser.error("nothing to do: give --output to save a model, --leave-one-out to measure one, or both")
     report: dict[str, Any] = {"passed": False}
-    learned: list[Training] = []
+    learned: list[TrainingResult] = []
     folds: list[Fold] = []
     status = 1
     try:
@@ -87,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return status
 
 
-def _run(options: argparse.Namespace, report: dict[str, Any], learned: list[Training], folds: list[Fold]) -> None:
+def _run(options: argparse.Namespace, report: dict[str, Any], learned: list[TrainingResult], folds: list[Fold]) -> None:
     if options.output is not None and options.output.is_dir():
         raise TrainingError(f"{options.output} is a directory; give the name of a model file, such as model.tpgmm")
     task = Task.load(options.task)
@@ -158,7 +158,7 @@ def _recipe(task: Task, options: argparse.Namespace) -> Recipe:
 
 def _choose_and_train(
     task: Task, options: argparse.Namespace, recordings: list[Recording], report: dict[str, Any]
-) -> Training:
+) -> TrainingResult:
     choice = choose_for(task, recordings, options.retrieval, options.trials, options.budget, options.workers)
     names = [recording.name for recording in recordings]
     print(f"{words(choice, names)}\n")
@@ -169,7 +169,9 @@ def _choose_and_train(
     return training
 
 
-def _update(task: Task, options: argparse.Namespace, recordings: list[Recording], report: dict[str, Any]) -> Training:
+def _update(
+    task: Task, options: argparse.Namespace, recordings: list[Recording], report: dict[str, Any]
+) -> TrainingResult:
     model = load_online(options.update, task)
     start = time.perf_counter()
     with _em_progress(model.max_iter) as progress:
@@ -177,7 +179,7 @@ def _update(task: Task, options: argparse.Namespace, recordings: list[Recording]
     if twice:
         print(f"warning: {said_twice(twice)}", file=sys.stderr)
     method = str(model.metadata_[KEY])
-    return Training(model, method, recordings, demonstrated_duration(model), time.perf_counter() - start)
+    return TrainingResult(model, method, recordings, demonstrated_duration(model), time.perf_counter() - start)
 
 
 @contextlib.contextmanager
@@ -191,7 +193,7 @@ def _em_progress(max_iter: int) -> Iterator[EmProgress]:
         yield progress
 
 
-def _train(task: Task, recipe: Recipe, recordings: list[Recording], learn: Learn) -> Training:
+def _train(task: Task, recipe: Recipe, recordings: list[Recording], learn: Learn) -> TrainingResult:
     start = time.perf_counter()
     with _em_progress(recipe.max_iter) as progress:
         model = learn(task.space.manifold(), task.space.dimensions(), progress)
@@ -210,10 +212,10 @@ def _train(task: Task, recipe: Recipe, recordings: list[Recording], learn: Learn
     }
     keep_recordings(model, [recording.name for recording in recordings])
     duration = float(np.mean([recording.duration for recording in recordings]))
-    return Training(model, recipe.method.name, recordings, duration, elapsed)
+    return TrainingResult(model, recipe.method.name, recordings, duration, elapsed)
 
 
-def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
+def _summarize(training: TrainingResult, task: Task, report: dict[str, Any]) -> None:
     model, durations = training.model, [recording.duration for recording in training.recordings]
     report |= {
         "task": task.name,

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core import Demonstration, Frame
+from tpgmm_core.common.types import Array
 from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_core.model.derived_frames import DerivedFrames
-from tpgmm_ros.recordings.bag_messages import Array
 
 
 @dataclass(frozen=True, slots=True)
