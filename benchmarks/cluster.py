@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Leave-one-out in one process, in two, and on a local Dask cluster of two workers: the same numbers, bit by bit.
+"""`evaluate` or `train --auto` in one process, in two, and on a Dask cluster of two workers: the same, bit by bit.
 
 Dask is no requirement of the project: pip install dask distributed.
 """
@@ -12,6 +12,7 @@ import hashlib
 import io
 import json
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -19,7 +20,7 @@ import joblib
 
 from benchmarks.report import write_report
 from tpgmm_core.common.report import Row
-from tpgmm_ros.programs import evaluate
+from tpgmm_ros.programs import evaluate, train
 
 
 def results(task: Path, bags: Path, method: str, jobs: int) -> str:
@@ -34,12 +35,24 @@ def results(task: Path, bags: Path, method: str, jobs: int) -> str:
     return json.dumps(json.loads(said.getvalue())["results"])
 
 
+def choice(task: Path, bags: Path, trials: int, workers: int) -> str:
+    """What `train --auto` chooses and with which errors, as JSON."""
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
+        given = ["--task", task, "--auto", "--trials", trials, "--workers", workers, "--output", f"{folder}/m.tpgmm"]
+        status = train.main([*map(str, given), "--report", folder, "--", str(bags)])
+        if status:
+            raise RuntimeError(f"train ended with status {status}")
+        found = json.loads((Path(folder) / "report.json").read_text())["auto"]
+    return json.dumps([found["best"], found["errors"]])
+
+
 def main() -> int:
     """Run the benchmark; returns its exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--task", type=Path, default=Path("config/pick_place.yaml"), help="task file")
     parser.add_argument("--bags", type=Path, default=Path("bags/pick_place"), help="folder of bags")
     parser.add_argument("--method", default="adapt_regress", help="retrieval method (default: adapt_regress)")
+    parser.add_argument("--auto", type=int, metavar="TRIALS", help="train --auto with so many trials, not evaluate")
     options = parser.parse_args()
     try:
         import distributed
@@ -50,7 +63,10 @@ def main() -> int:
 
     def measure(name: str, jobs: int) -> None:
         begin = time.perf_counter()
-        text = results(options.task, options.bags, options.method, jobs)
+        if options.auto is None:
+            text = results(options.task, options.bags, options.method, jobs)
+        else:
+            text = choice(options.task, options.bags, options.auto, jobs)
         found[name] = time.perf_counter() - begin, text
 
     measure("one process", 1)
@@ -77,7 +93,7 @@ def main() -> int:
                 "passed": same,
             }
         )
-    return write_report("cluster", rows)
+    return write_report("cluster" if options.auto is None else "cluster_auto", rows)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import pytest
 
 from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
 from tpgmm_core.doubt.judging import judged
+from tpgmm_core.doubt.values import doubts_of_joint_units
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.pose import compose
 
@@ -52,6 +53,14 @@ def group(count: int = 6, **settings: float) -> list[RawDemonstration]:
 
 def kinds(doubts: list[Doubt]) -> set[tuple[str, tuple[str, ...], bool]]:
     return {(doubt.kind, doubt.about, doubt.refuses) for doubt in doubts}
+
+
+def test_joints_in_degrees_are_named_and_rad_are_not() -> None:
+    rad = np.linspace([0.0, -1.0], [3.0, 1.5], 40)
+    assert not doubts_of_joint_units(["shoulder", "elbow"], rad)
+    (doubt,) = doubts_of_joint_units(["shoulder", "elbow"], np.degrees(rad))
+    assert doubt.kind == "units" and not doubt.refuses
+    assert "the joint shoulder is 171.9 from its zero, which as rad is 27 turns" in doubt.text
 
 
 @pytest.mark.parametrize("samples", [12, 80, 4000])

@@ -73,6 +73,24 @@ def test_csv_becomes_bags_that_train(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "exists, and is not overwritten" in again["error"]
 
 
+def test_quaternions_with_w_first_are_suspected_until_it_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [tmp_path / f"shown_{i}.csv" for i in range(4)]
+    for i, file in enumerate(files):
+        hand, place = shown(i)
+        file.write_text(csv_of(*(np.hstack([p[..., :3], np.roll(p[..., 3:], 1, axis=-1)]) for p in (hand, place))))
+    found = run(capsys, "--to", tmp_path / "bags", *COLUMNS, *files)
+    assert [doubt["kind"] for doubt in found["doubts"]] == ["order"]
+    assert "--orientation wxyz" in found["doubts"][0]["text"]
+    task = tmp_path / "bags" / "task.yaml"
+    assert train.main(["--task", str(task), "--output", str(tmp_path / "m.tpgmm"), str(tmp_path / "bags")]) == 0
+    assert "in the order w, x, y, z" in capsys.readouterr().err
+    found = run(capsys, "--to", tmp_path / "right", "--orientation", "wxyz", *COLUMNS, *files)
+    assert not found["doubts"]
+    holds(tmp_path / "right", 0, *shown(0))
+
+
 def test_numpy_arrays_and_units(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of an array with three axes each element of the first is a demonstration; a frame that is given once stays."""
     (hand, place), (other, _) = shown(0), shown(1)

@@ -241,6 +241,12 @@ def test_a_movement_is_the_pose_of_a_link_by_the_robots_joints(tmp_path: Path) -
     np.testing.assert_allclose(
         quaternion.angle_between(recording.movement[:, 3:], np.array(expected)[:, 3:]), 0, atol=1e-6
     )
+    assert not recording.doubts
+    for item in messages:
+        if item[1] == "/joint_states":
+            item[3].position[:] = np.degrees(item[3].position)
+    with pytest.raises(BagError, match="the joint panda_joint.* looks like degrees"):
+        read_recording(write(tmp_path / "degrees", messages), Task.from_text(text))
 
 
 def test_what_a_source_does_not_find_is_said(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tpgmm_core.common.text import one_line
 from tpgmm_core.common.types import Array
 from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
 from tpgmm_core.geometry import quaternion
@@ -23,6 +24,8 @@ FASTEST_TURN = 20.0
 LEAP_M, LEAP_RAD = 0.05, 0.5
 LEAP = 6.0
 """A step that is so many times as long as the longest of 98 % of all steps is a leap."""
+MOST_TURN = 4.0 * np.pi
+"""rad: no joint of an arm is two turns away from its zero."""
 WINDOW_S = 0.02
 """Speeds are means over this time, since those of two samples are mostly noise at high rates."""
 
@@ -133,6 +136,35 @@ def doubts_of_speed(one: RawDemonstration) -> list[Doubt]:
 
 def _usual(amounts: Array) -> float:
     return float(np.quantile(amounts, 0.98))
+
+
+def doubts_of_joint_units(joints: Sequence[str], positions: Array) -> tuple[Doubt, ...]:
+    """Positions of joints that are no rad, by magnitude.
+
+    Degrees of a movement that stays near zero cannot be told from rad.
+
+    Parameters
+    ----------
+    joints
+        n names
+    positions
+        (T, n)
+
+    Returns
+    -------
+    tuple[Doubt, ...]
+        one at most
+    """
+    most = np.abs(positions).max(axis=0)
+    k = int(np.argmax(most))
+    if most[k] <= MOST_TURN:
+        return ()
+    turns = most[k] / (2.0 * np.pi)
+    text = (
+        f"the joint {one_line(joints[k])} is {most[k]:.4g} from its zero, which as rad is {turns:.0f} turns: it looks "
+        "like degrees, or steps of an encoder. Nothing was changed; publish rad (REP 103), and record again"
+    )
+    return (Doubt("units", (), text),)
 
 
 def doubts_of_stillness(one: RawDemonstration) -> list[Doubt]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.common.types import Array, Nanoseconds
+from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_ros.recordings.storage.bag_error import BagError
 from tpgmm_ros.recordings.storage.bag_reader import BagReader, BagTopic, Decoding
 from tpgmm_ros.recordings.storage.message_types import decoder
@@ -56,6 +57,8 @@ class Stream:
         (T, n)
     notes
         what was left out or put right, in words
+    doubts
+        what makes no sense in its numbers
     """
 
     topic: str
@@ -63,6 +66,7 @@ class Stream:
     recorded: Nanoseconds
     values: Array
     notes: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
 
 def read_messages(path: Path, topics: Iterable[str], message_type: str) -> dict[str, Messages]:

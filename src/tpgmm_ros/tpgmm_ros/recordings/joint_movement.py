@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pose of a link out of recorded joint states and a robot file: forward kinematics."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,8 @@ def read_link_stream(path: Path, source: JointStateSource, base_frame: str) -> S
     Raises
     ------
     BagError
-        the robot file cannot be used, has no such link or another base frame, or like `read_joint_stream`.
+        the robot file cannot be used, has no such link or another base frame, joints look like degrees, or like
+        `read_joint_stream`.
     """
     try:
         robot = RobotModel.from_file(source.robot)
@@ -54,10 +56,12 @@ def read_link_stream(path: Path, source: JointStateSource, base_frame: str) -> S
     if not joints:
         raise BagError(path, f"its movement is that of {source.link!r}, which no joint of {source.robot} moves")
     states = read_joint_stream(path, source.topic, joints)
+    if states.doubts:  # poses out of them would mean nothing, and leap
+        raise BagError(path, f"{states.topic}: {states.doubts[0].text}")
     data, q, at = robot.create_data(), robot.home.copy(), robot.indices(joints)
     poses = np.empty((len(states.values), 7))
     for k, positions in enumerate(states.values):
         q[at] = positions
         data.update(q)
         poses[k] = data.frame_pose(frame_id)
-    return Stream(states.topic, states.stamps, states.recorded, poses)
+    return replace(states, values=poses)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tpgmm_core.doubt.values import doubts_of_joint_units
 from tpgmm_core.observation.joint_states import JointStateAssembler, JointStateError
 from tpgmm_core.observation.streams import RESTARTED_AFTER, SECOND, Stamp, StreamWatch
 from tpgmm_ros.recordings.bag_messages import BagError, Stream, take_messages
@@ -34,7 +35,7 @@ def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> Stream:
     Returns
     -------
     Stream
-        positions (T, n) in the order of `joints`, with their stamps
+        positions (T, n) in the order of `joints`, with their stamps, and a doubt where they look like degrees
 
     Raises
     ------
@@ -70,4 +71,5 @@ def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> Stream:
             "Record all their drivers, or correct the task file",
         )
     numbers = np.array(positions).reshape(-1, len(joints))
-    return Stream(name, np.array(stamps, np.int64), np.array(at, np.int64), numbers)
+    doubts = doubts_of_joint_units(joints, numbers)
+    return Stream(name, np.array(stamps, np.int64), np.array(at, np.int64), numbers, doubts=doubts)

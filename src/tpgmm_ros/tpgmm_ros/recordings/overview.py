@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from tpgmm_core.doubt.values import LARGEST_M
 from tpgmm_core.geometry import quaternion
 from tpgmm_ros.recordings.storage.bag_error import BagError
 from tpgmm_ros.recordings.storage.bag_reader import BagReader, BagTopic
+from tpgmm_ros.recordings.storage.message_types import quick_decoder
 
 FRAMES_FILE = "frames.yaml"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
@@ -25,6 +28,8 @@ POSE_ARRAY = "geometry_msgs/msg/PoseArray"
 STILL_M, STILL_RAD = 0.01, 0.05
 """What moves by less within a bag, or from bag to bag, stands still."""
 LONGEST_GAP_S, GAP_PERIODS = 0.5, 10.0
+MOST_POSES = 50_000
+"""Of a topic, that are kept to look at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +49,7 @@ class TopicOverview:
     frame_ids
         of poses
     poses
-        (T, 7) of poses, else none
+        (T, 7) of poses, of a long topic some of them, else none
     """
 
     name: str
@@ -102,33 +107,62 @@ def overview_of(path: Path) -> BagOverview:
 def _looked_at(reader: BagReader, topic: BagTopic) -> TopicOverview:
     if topic.type not in (POSE_STAMPED, POSE_ARRAY) or not topic.count:
         return TopicOverview(topic.name, topic.type, topic.count)
+    seen = _Seen()
     try:
-        read = [(at, message) for _, at, message in reader.messages([topic])]
+        for _, at, message in reader.messages([topic], quick_decoder):
+            seen.take(at, message)
     except BagError:
         return TopicOverview(topic.name, topic.type, topic.count)
-    times = np.sort(np.array([at for at, _ in read], np.int64))
+    times = np.sort(np.array(seen.times, np.int64))
     periods = 1e-9 * np.diff(times)
     usual = float(np.median(periods)) if len(periods) else 0.0
     found = gaps(times, LONGEST_GAP_S, GAP_PERIODS)
-    several = [pose for _, m in read for pose in (m.poses if topic.type == POSE_ARRAY else [m.pose])]
     return TopicOverview(
         topic.name,
         topic.type,
         topic.count,
         1.0 / usual if usual > 0.0 else 0.0,
         found[0][1] if found else 0.0,
-        tuple(dict.fromkeys(m.header.frame_id for _, m in read)),
-        _usable([_numbers(pose) for pose in several]),
+        tuple(seen.frame_ids),
+        _usable(seen.poses),
     )
 
 
-def _numbers(pose: object) -> tuple[float, ...]:
-    p, q = pose.position, pose.orientation  # type: ignore[attr-defined]
-    return p.x, p.y, p.z, q.x, q.y, q.z, q.w
+class _Seen:
+    """Times of the messages of a topic, and its poses; of a long topic some of these, evenly."""
+
+    def __init__(self) -> None:
+        self.times, self.frame_ids, self._numbers = array("q"), dict[str, None](), array("d")
+        self._count, self._stride = 0, 1
+
+    def take(self, at: int, message: Any) -> None:
+        """A message of poses, with the time of the recorder, ns."""
+        self.times.append(at)
+        if type(message) is tuple:  # a StampedPose
+            _, frame_id, pose = message
+            self._add(pose)
+        else:
+            frame_id = message.header.frame_id
+            for each in message.poses if hasattr(message, "poses") else [message.pose]:
+                p, q = each.position, each.orientation
+                self._add((p.x, p.y, p.z, q.x, q.y, q.z, q.w))
+        self.frame_ids[frame_id] = None
+
+    def _add(self, pose: Sequence[float]) -> None:
+        if self._count % self._stride == 0:
+            self._numbers.extend(pose)
+            if len(self._numbers) > 7 * MOST_POSES:
+                self._numbers = array("d", self.poses[::2].tobytes())
+                self._stride *= 2
+        self._count += 1
+
+    @property
+    def poses(self) -> Array:
+        """(T, 7), as they came."""
+        return np.array(self._numbers).reshape(-1, 7)
 
 
-def _usable(numbers: list[tuple[float, ...]]) -> Array:
-    poses = np.array(numbers, float).reshape(-1, 7)
+def _usable(poses: Array) -> Array:
     good = np.isfinite(poses).all(axis=1) & (np.linalg.norm(poses[:, 3:], axis=1) > 0.5)
     poses = poses[good]
     poses[:, 3:] = quaternion.normalize(poses[:, 3:])

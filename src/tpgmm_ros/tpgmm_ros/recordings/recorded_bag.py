@@ -222,7 +222,8 @@ def on_one_clock(
         recorded = recorded[fresh] if name == MOVEMENT else recorded
         times[name], values[name] = times[name][fresh], values[name][fresh]
     topics = {name: stream.topic for name, stream in streams.items()}
-    found = BagStreams(path, task, times, values, topics, fixed, recorded, tuple(notes), clock.doubts)
+    doubts = (*clock.doubts, *(doubt for stream in streams.values() for doubt in stream.doubts))
+    found = BagStreams(path, task, times, values, topics, fixed, recorded, tuple(notes), doubts)
     return found, clock.by_recorder
 
 
