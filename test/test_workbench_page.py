@@ -37,6 +37,8 @@ pytestmark = [
 ]
 #: What the page says while the skill runs.
 RUNS = "Move an object, or hide it"
+#: Sliders of the panel Run, from above.
+DURATION, SPEED = 0, 1
 
 
 @pytest.fixture
@@ -85,8 +87,10 @@ def test_an_empty_folder_becomes_a_skill_that_runs_by_clicks_keys_and_drags_and_
     # the object is dragged while the hand is on its way, and the hand goes to where it is by then
     was = places.of("object")
     user.drag(was, axis=1, way=0.06, camera=camera_for(home))
-    user.until(lambda: pose_error(places.of("object"), was)[0] > 0.03, "the object to be dragged", 20.0)
+    user.until(lambda: pose_error(places.of("object"), was)[0] > 0.03, "the object to be dragged")
+    assert RUNS in user.text(), "the movement was over before the object was dragged"
     user.shoot("run")
+    _set(user, SPEED, 2)
     user.until(lambda: RUNS not in user.text(), "the end of the movement")
     wanted = compose(places.of("object"), grasp)
     assert pose_error(places.of("hand"), wanted)[0] < 0.03, (places.of("hand"), wanted, compose(was, grasp))
@@ -164,7 +168,7 @@ def _look_ahead(user: User, places: Places, home: Array) -> None:
     user.opens("Teach")
     _lead_home(user, places, home)
     user.opens("Run")
-    _give_time(user, 1)
+    _set(user, DURATION, 1)
     user.page.keyboard.press("p")  # in a box of numbers, too
     user.sees("does not run like this")
     advised = user.page.get_by_role("button", name=re.compile("^Use [0-9]+ s$"))
@@ -173,18 +177,18 @@ def _look_ahead(user: User, places: Places, home: Array) -> None:
     advised.click(force=True)
     user.sees("may run")
     user.until(lambda: not advised.is_visible(), "the advice to be gone")
-    _give_time(user, 15)
+    _set(user, DURATION, 30)  # on a busy machine a browser takes long to drag
 
 
-def _give_time(user: User, duration: int) -> None:
-    """Set the duration of the movement, s."""
-    user.page.locator("input[inputmode=decimal]").first.fill(str(duration))
+def _set(user: User, slider: int, value: int) -> None:
+    """Write a number beside a slider of the panel Run."""
+    user.page.locator("input[inputmode=decimal]").nth(slider).fill(str(value))
     user.page.keyboard.press("Enter")
 
 
 def _hide_and_stop(user: User) -> None:
     """A frame that is hidden while the skill runs is missing, and the page says so; Esc stops, whatever has focus."""
-    _give_time(user, 40)
+    _set(user, DURATION, 40)
     user.click("Run [G]")
     user.sees(RUNS)
     user.opens("Teach")

@@ -85,7 +85,7 @@ class User:
         begin, end = (pixel(camera, pose[:3] + (HOLD * GIZMO + more) * arrow) for more in (0.0, way))
         self.page.mouse.move(*begin)
         self.page.mouse.down()
-        self.page.mouse.move(*end, steps=6)
+        self.page.mouse.move(*end, steps=3)
         self.page.mouse.up()
 
     def stop_box(self) -> dict[str, float]:

@@ -156,6 +156,8 @@ class Page:
     def _go(self, client: ClientHandle) -> None:
         self._told.pop(client.client_id, None)
         if self.driver.go(client.client_id):  # the person who held the hand is gone
+            self._frames.let_go()
+            self._hand.let_go()
             self._give(self._desk.table.let_go)
 
     def ask(self, page: int | None, method: Callable[..., object], *arguments: Any) -> None:
