@@ -111,7 +111,7 @@ def test_an_empty_folder_becomes_a_skill_that_runs_by_clicks_keys_and_drags_and_
     assert not [url for url in user.asked if not url.startswith((address(), "data:", "blob:"))]
     user.page.close()
     again = User(browser, ros_node, process, address())
-    again.sees("Press Preview")
+    again.sees("Press Run. Move the objects")
 
     # the program is killed: the page says so, and knows it all when the program is there again
     process.send_signal(signal.SIGKILL)
@@ -123,6 +123,7 @@ def test_an_empty_folder_becomes_a_skill_that_runs_by_clicks_keys_and_drags_and_
     again.shoot("killed")
     again.until(address, "the address again")
     again.is_heard()
+    again.sees("Press Preview")  # the model is known, and nothing moves
     _each_key_is_answered(again)
 
 

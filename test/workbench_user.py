@@ -47,7 +47,7 @@ class User:
 
     def notice(self) -> str:
         """Why nothing is heard; empty where all is."""
-        return str(self.page.evaluate("document.getElementById('tpgmm-notice')?.textContent ?? 'not there yet'"))
+        return str(self.page.locator("#tpgmm-notice").text_content())
 
     def sees(self, text: str, timeout: float = PATIENCE) -> None:
         """Wait until a text is on the page; topics are served meanwhile."""
