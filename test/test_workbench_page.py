@@ -10,7 +10,6 @@ Pictures are written to out/workbench_page/. How long it takes until the skill r
 from __future__ import annotations
 
 import re
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -112,19 +111,6 @@ def test_an_empty_folder_becomes_a_skill_that_runs_by_clicks_keys_and_drags_and_
     user.page.close()
     again = User(browser, ros_node, process, address())
     again.sees("Press Run. Move the objects")
-
-    # the program is killed: the page says so, and knows it all when the program is there again
-    process.send_signal(signal.SIGKILL)
-    process.wait(PATIENCE)
-    again.process, address = start(start_process, ros_domain, folder)
-    again.page.get_by_text("STOP neither").wait_for()
-    again.page.keyboard.press("t")
-    again.page.get_by_text("The key T was not heard").wait_for()
-    again.shoot("killed")
-    again.until(address, "the address again")
-    again.is_heard()
-    again.sees("Press Preview")  # the model is known, and nothing moves
-    _each_key_is_answered(again)
 
 
 def _teach(user: User, places: Places, folder: Path) -> Array:
@@ -236,27 +222,6 @@ def _share(user: User, folder: Path, place: Path) -> None:
     user.sees("imported into")
     user.shoot("share")
     assert len(Project.open(folder.parent / "project_2").demonstrations()) == 2
-
-
-def _each_key_is_answered(user: User) -> None:
-    """At whatever moment after a page was opened again: a key is obeyed, or it is said that it was not heard."""
-    for wait in (0.0, 0.4, 0.8, None):
-        user.page.reload(wait_until="commit")
-        if wait is None:
-            user.is_heard()
-        else:
-            user.page.wait_for_timeout(1e3 * wait)
-        before = _refusals(user)
-        user.page.keyboard.press("c")
-        user.until(
-            lambda: _refusals(user) > before or "The key C was not heard" in user.notice(),  # noqa: B023  at once
-            f"an answer to a key {wait} s after the page was opened",
-            10.0,
-        )
-
-
-def _refusals(user: User) -> int:
-    return user.process.output.count("only while the skill runs")
 
 
 def test_a_page_that_is_open_to_other_machines_is_seen_with_its_token_alone_which_leaves_the_address(

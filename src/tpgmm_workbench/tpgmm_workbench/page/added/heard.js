@@ -8,16 +8,12 @@
     "no connection to the workbench: nothing that you press here is heard, and STOP neither. " +
     "Stop the robot by its own switch.";
   const LOOK_MS = 200;
-  // the library tries once per second, and drops a trial that takes longer: on a busy machine it never comes back
-  const RELOAD_MS = 5000;
 
   const notice = document.createElement("div");
   notice.id = "tpgmm-notice";
   notice.setAttribute("role", "alert");
   let wasHeard = false;
   let unheard = "";
-  let lostSince = 0;
-  let isAsking = false;
 
   /** Whether the server hears this page: its mark is there, and the library lets it be clicked. */
   function isHeard() {
@@ -34,21 +30,6 @@
     if (notice.textContent !== words) notice.textContent = words;
     notice.hidden = heard;
     if (!notice.isConnected && document.body) document.body.append(notice);
-  }
-
-  /** Load the page anew where it was heard before, is not for a while, and its server answers again. */
-  function comeBack() {
-    if (!wasHeard || isHeard()) {
-      lostSince = 0;
-      return;
-    }
-    lostSince ||= Date.now();
-    if (isAsking || Date.now() - lostSince < RELOAD_MS) return;
-    isAsking = true;
-    fetch(location.href, { cache: "no-store" })
-      .then((answer) => answer.ok && !isHeard() && location.reload())
-      .catch(() => {})
-      .finally(() => (isAsking = false));
   }
 
   function missed(what) {
@@ -88,5 +69,4 @@
   window.addEventListener("keydown", onKey, true);
   window.addEventListener("pointerdown", onPress, true);
   setInterval(look, LOOK_MS);
-  setInterval(comeBack, LOOK_MS);
 })();
