@@ -10,7 +10,6 @@ Pictures are written to out/workbench_page/. How long it takes until the skill r
 from __future__ import annotations
 
 import re
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -37,6 +36,8 @@ pytestmark = [
 ]
 #: What the page says while the skill runs.
 RUNS = "Move an object, or hide it"
+#: Sliders of the panel Run, from above.
+DURATION, SPEED = 0, 1
 
 
 @pytest.fixture
@@ -85,11 +86,14 @@ def test_an_empty_folder_becomes_a_skill_that_runs_by_clicks_keys_and_drags_and_
     # the object is dragged while the hand is on its way, and the hand goes to where it is by then
     was = places.of("object")
     user.drag(was, axis=1, way=0.06, camera=camera_for(home))
-    user.until(lambda: pose_error(places.of("object"), was)[0] > 0.03, "the object to be dragged", 20.0)
+    user.until(lambda: pose_error(places.of("object"), was)[0] > 0.03, "the object to be dragged")
+    assert RUNS in user.text(), "the movement was over before the object was dragged"
     user.shoot("run")
+    _set(user, SPEED, 2)
     user.until(lambda: RUNS not in user.text(), "the end of the movement")
-    wanted = compose(places.of("object"), grasp)
-    assert pose_error(places.of("hand"), wanted)[0] < 0.03, (places.of("hand"), wanted, compose(was, grasp))
+    # two demonstrations make no exact skill: how exact it is, is measured elsewhere; here, that it follows
+    off, off_before = (pose_error(places.of("hand"), compose(at, grasp))[0] for at in (places.of("object"), was))
+    assert off < off_before and off < 0.07, f"{off:.3f} m off, and {off_before:.3f} m from where the object was"
 
     _hide_and_stop(user)
     _note(user, folder)
@@ -106,19 +110,7 @@ def test_an_empty_folder_becomes_a_skill_that_runs_by_clicks_keys_and_drags_and_
     assert not [url for url in user.asked if not url.startswith((address(), "data:", "blob:"))]
     user.page.close()
     again = User(browser, ros_node, process, address())
-    again.sees("Press Preview")
-
-    # the program is killed: the page says so, and knows it all when the program is there again
-    process.send_signal(signal.SIGKILL)
-    process.wait(PATIENCE)
-    again.process, address = start(start_process, ros_domain, folder)
-    again.page.get_by_text("STOP neither").wait_for()
-    again.page.keyboard.press("t")
-    again.page.get_by_text("The key T was not heard").wait_for()
-    again.shoot("killed")
-    again.until(address, "the address again")
-    again.is_heard()
-    _each_key_is_answered(again)
+    again.sees("Press Run. Move the objects")
 
 
 def _teach(user: User, places: Places, folder: Path) -> Array:
@@ -164,7 +156,7 @@ def _look_ahead(user: User, places: Places, home: Array) -> None:
     user.opens("Teach")
     _lead_home(user, places, home)
     user.opens("Run")
-    _give_time(user, 1)
+    _set(user, DURATION, 1)
     user.page.keyboard.press("p")  # in a box of numbers, too
     user.sees("does not run like this")
     advised = user.page.get_by_role("button", name=re.compile("^Use [0-9]+ s$"))
@@ -173,18 +165,18 @@ def _look_ahead(user: User, places: Places, home: Array) -> None:
     advised.click(force=True)
     user.sees("may run")
     user.until(lambda: not advised.is_visible(), "the advice to be gone")
-    _give_time(user, 15)
+    _set(user, DURATION, 30)  # on a busy machine a browser takes long to drag
 
 
-def _give_time(user: User, duration: int) -> None:
-    """Set the duration of the movement, s."""
-    user.page.locator("input[inputmode=decimal]").first.fill(str(duration))
+def _set(user: User, slider: int, value: int) -> None:
+    """Write a number beside a slider of the panel Run."""
+    user.page.locator("input[inputmode=decimal]").nth(slider).fill(str(value))
     user.page.keyboard.press("Enter")
 
 
 def _hide_and_stop(user: User) -> None:
     """A frame that is hidden while the skill runs is missing, and the page says so; Esc stops, whatever has focus."""
-    _give_time(user, 40)
+    _set(user, DURATION, 40)
     user.click("Run [G]")
     user.sees(RUNS)
     user.opens("Teach")
@@ -230,27 +222,6 @@ def _share(user: User, folder: Path, place: Path) -> None:
     user.sees("imported into")
     user.shoot("share")
     assert len(Project.open(folder.parent / "project_2").demonstrations()) == 2
-
-
-def _each_key_is_answered(user: User) -> None:
-    """At whatever moment after a page was opened again: a key is obeyed, or it is said that it was not heard."""
-    for wait in (0.0, 0.4, 0.8, None):
-        user.page.reload(wait_until="commit")
-        if wait is None:
-            user.is_heard()
-        else:
-            user.page.wait_for_timeout(1e3 * wait)
-        before = _refusals(user)
-        user.page.keyboard.press("c")
-        user.until(
-            lambda: _refusals(user) > before or "The key C was not heard" in user.notice(),  # noqa: B023  at once
-            f"an answer to a key {wait} s after the page was opened",
-            10.0,
-        )
-
-
-def _refusals(user: User) -> int:
-    return user.process.output.count("only while the skill runs")
 
 
 def test_a_page_that_is_open_to_other_machines_is_seen_with_its_token_alone_which_leaves_the_address(

@@ -47,7 +47,7 @@ class User:
 
     def notice(self) -> str:
         """Why nothing is heard; empty where all is."""
-        return str(self.page.evaluate("document.getElementById('tpgmm-notice')?.textContent ?? 'not there yet'"))
+        return str(self.page.locator("#tpgmm-notice").text_content())
 
     def sees(self, text: str, timeout: float = PATIENCE) -> None:
         """Wait until a text is on the page; topics are served meanwhile."""
@@ -85,7 +85,7 @@ class User:
         begin, end = (pixel(camera, pose[:3] + (HOLD * GIZMO + more) * arrow) for more in (0.0, way))
         self.page.mouse.move(*begin)
         self.page.mouse.down()
-        self.page.mouse.move(*end, steps=6)
+        self.page.mouse.move(*end, steps=3)
         self.page.mouse.up()
 
     def stop_box(self) -> dict[str, float]:

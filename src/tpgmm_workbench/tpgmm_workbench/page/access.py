@@ -157,6 +157,11 @@ def guarded(access: Access, complete: Callable[[Response], Response] = lambda an
         who may
     complete
         changes what they get before it is sent
+
+    Yields
+    ------
+    None
+        within the block
     """
     serve = server.serve
 

@@ -10,6 +10,7 @@ import contextlib
 import io
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from tpgmm_workbench.page.added import completed
 from tpgmm_workbench.page.camera import camera_for
 from tpgmm_workbench.page.controls import Text
 from tpgmm_workbench.page.driver import Driver
+from tpgmm_workbench.page.own_thread import Newest, in_own_thread
 from tpgmm_workbench.page.panels import NodesPanel, RobotPanel, RunPanel, TeachPanel, TrainPanel
 from tpgmm_workbench.page.share_panel import SharePanel
 from tpgmm_workbench.page.stop_panel import StopPanel
@@ -75,9 +77,10 @@ class Page:
         # nothing of this page goes to another machine, whatever a client asks for
         server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
         self.address = access.address(server.get_port())
-        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        self._dress(dark=False)
         self._make_scene(server)
         self._make_panels(server)
+        self._views = Newest(server, self._show)
         server.on_client_connect(self._come)
         server.on_client_disconnect(self._go)
         self._text_due = 0.0
@@ -103,6 +106,11 @@ class Page:
         self._model = ModelDisplay(scene)
         self._suggested = SuggestedDisplay(scene, list(desk.project.task.sources))
         self._stiffness = StiffnessDisplay(scene)
+
+    def _dress(self, dark: bool) -> None:
+        self._server.gui.configure_theme(
+            show_logo=False, show_share_button=False, control_width="large", dark_mode=dark
+        )
 
     def _lowest(self) -> float:
         """Where the floor is: below all of the robot, m."""
@@ -135,16 +143,12 @@ class Page:
         with tabs.add_tab("Nodes"):
             nodes = NodesPanel(server)
             dark = server.gui.add_checkbox("dark", False)
-            dark.on_update(
-                lambda event: server.gui.configure_theme(
-                    show_logo=False, show_share_button=False, control_width="large", dark_mode=bool(event.target.value)
-                )
-            )
+            dark.on_update(lambda event: in_own_thread(server, self._dress, bool(event.target.value)))
         self._panels = (teach, train, run, robot, share, nodes)
 
     # -- who asks -----------------------------------------------------------------------------------------------------
 
-    def _come(self, client: ClientHandle) -> None:
+    async def _come(self, client: ClientHandle) -> None:
         self.driver.come(client.client_id)
         told = Text(client, order=-1.0)  # this page alone sees it, and from now on it is heard
         self._tell(client.client_id, told)
@@ -153,9 +157,11 @@ class Page:
     def _tell(self, page: int, told: Text) -> None:
         told.show(words.pages(self.driver.pages, self.driver.number, page, is_open=bool(self._access.token)))
 
-    def _go(self, client: ClientHandle) -> None:
+    async def _go(self, client: ClientHandle) -> None:
         self._told.pop(client.client_id, None)
         if self.driver.go(client.client_id):  # the person who held the hand is gone
+            self._frames.let_go()
+            self._hand.let_go()
             self._give(self._desk.table.let_go)
 
     def ask(self, page: int | None, method: Callable[..., object], *arguments: Any) -> None:
@@ -165,9 +171,8 @@ class Page:
             return
         client = self._server.get_clients().get(page) if page is not None else None
         if client is not None:
-            client.add_notification(
-                "Another page drives", "Press “Drive from this page” to take over.", auto_close_seconds=4.0
-            )
+            words = "Another page drives", "Press “Drive from this page” to take over."
+            in_own_thread(self._server, partial(client.add_notification, *words, auto_close_seconds=4.0))
 
     def _move(self, name: str, pose: Array, page: int | None) -> None:
         self.ask(page, self._desk.table.move_object, name, pose)
@@ -178,7 +183,10 @@ class Page:
     # -- what is shown ------------------------------------------------------------------------------------------------
 
     def show(self, view: DeskView) -> None:
-        """Show a view; to be called up to thirty times per second."""
+        """Show a view, soon; to be called up to thirty times per second."""
+        self._views.give(view)
+
+    def _show(self, view: DeskView) -> None:
         now = time.monotonic()
         with self._server.atomic():
             graph = view.graph

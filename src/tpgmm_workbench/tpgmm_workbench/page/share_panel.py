@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from viser import GuiEvent, Icon, ViserServer
@@ -12,6 +13,7 @@ from tpgmm_workbench.desk.desk import Desk
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page import words
 from tpgmm_workbench.page.controls import Ask, Button, Text
+from tpgmm_workbench.page.own_thread import in_own_thread
 from tpgmm_workbench.project.activities import Action
 
 
@@ -44,7 +46,9 @@ class SharePanel:
         if client is not None:
             self._give(
                 self._desk.sharing.give,
-                lambda name, content: client.send_file_download(name, content, save_immediately=True),
+                lambda name, content: in_own_thread(
+                    self._server, partial(client.send_file_download, name, content, save_immediately=True)
+                ),
             )
 
     def _take(self, event: GuiEvent[Any]) -> None:

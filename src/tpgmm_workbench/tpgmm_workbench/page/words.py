@@ -271,6 +271,11 @@ def pages(count: int, driver: int | None, page: int, is_open: bool = False) -> s
         number of the one that is told
     is_open
         whether other machines may open pages
+
+    Returns
+    -------
+    str
+        HTML
     """
     lines = []
     if is_open:

@@ -63,6 +63,10 @@ class FramesDisplay:
 
         return follow
 
+    def let_go(self) -> None:
+        """Nobody drags a gizmo any more: who did is gone, in the middle of it perhaps."""
+        self._dragged.clear()
+
     def show(self, frames: Sequence[FrameView], places: dict[str, Array]) -> None:
         """Show what is known.
 

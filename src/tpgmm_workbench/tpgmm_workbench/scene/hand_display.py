@@ -50,6 +50,10 @@ class HandDisplay:
 
         return follow
 
+    def let_go(self) -> None:
+        """Nobody drags the gizmo any more: who did is gone, in the middle of it perhaps."""
+        self._held = False
+
     def show(self, hand: Array | None, aim: Array | None) -> None:
         """Show the hand.
 

@@ -16,8 +16,10 @@ from tpgmm_workbench.scene.placing import place, resize
 from tpgmm_workbench.scene.tube import tube
 from tpgmm_workbench.session.view import ComponentView, ReferenceView
 
-#: Smaller ellipsoids are drawn as large as this, m; changes of opacity below this are not seen.
-SMALLEST, OPACITY_SEEN = 0.003, 0.04
+#: Ellipsoids are drawn not smaller nor larger than this, m: what is beside them is to be seen.
+SMALLEST, LARGEST = 0.003, 0.3
+#: Changes of opacity below this are not seen.
+OPACITY_SEEN = 0.04
 
 
 class ModelDisplay:
@@ -55,7 +57,7 @@ class ModelDisplay:
                 continue
             component = components[i]
             place(node, component.pose)
-            resize(node, np.maximum(component.size, SMALLEST))
+            resize(node, np.clip(component.size, SMALLEST, LARGEST))
             if abs(node.opacity - component.opacity) > OPACITY_SEEN:
                 node.opacity = component.opacity
 
@@ -102,9 +104,9 @@ def ellipsoid(mean: Array, covariance: Array) -> tuple[Array, Array]:
     Returns
     -------
     tuple[Array, Array]
-        pose (7,) of its middle and axes, and its diameters (3,), m
+        pose (7,) of its middle and axes, and its diameters (3,), m, from SMALLEST to LARGEST
     """
     values, vectors = np.linalg.eigh(covariance)
     vectors[:, 0] *= np.sign(np.linalg.det(vectors))
-    size = np.maximum(4.0 * np.sqrt(np.maximum(values, 0.0)), SMALLEST)
+    size = np.clip(4.0 * np.sqrt(np.maximum(values, 0.0)), SMALLEST, LARGEST)
     return np.concatenate([mean, quaternion.from_matrix(vectors)]), size

@@ -13,12 +13,17 @@
   notice.id = "tpgmm-notice";
   notice.setAttribute("role", "alert");
   let wasHeard = false;
+  let isFrozen = false;
   let unheard = "";
 
-  /** Whether the server hears this page: its mark is there, and the library lets it be clicked. */
+  /** Whether the server hears this page: its mark is there, and the library lets it be clicked.
+   * A panel that is folded away has no mark; then STOP counts, and without both, what was so before. */
   function isHeard() {
     const mark = document.getElementById(MARK);
-    return mark !== null && getComputedStyle(mark).pointerEvents !== "none";
+    const shown = mark ?? [...document.querySelectorAll("button")].find((one) => one.textContent.includes("STOP"));
+    if (!shown) return wasHeard && !isFrozen;
+    isFrozen = getComputedStyle(shown).pointerEvents === "none";
+    return !isFrozen && (mark !== null || wasHeard);
   }
 
   function look() {
