@@ -12,7 +12,6 @@ Once all of it is gone, the reference is exactly the course.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -153,9 +152,6 @@ class Continuity:
         """
         shown, result = self.means(means, ahead), []
         for i, seconds in enumerate(ahead.tolist()):
-            mean, covariance = shown[i].copy(), np.array(self._fade.of(covariances[i], seconds))
-            if math.isfinite(mean.sum() + covariance.sum()):
-                result.append(Gaussian._made(mean, covariance, self.manifold))
-            else:
-                result.append(Gaussian(mean, covariance, self.manifold))  # says what is wrong
+            covariance = np.array(self._fade.of(covariances[i], seconds))
+            result.append(Gaussian._of_kernel(shown[i].copy(), covariance, self.manifold))
         return result
