@@ -132,7 +132,20 @@ class Continuity:
         return self._fade.of(covariance, ahead)
 
     def gaussian(self, mean: Array, covariance: Array, ahead: float = 0.0) -> Gaussian:
-        """The reference where the course has `mean` (D,) and `covariance` (n, n); both a time `ahead`, s."""
+        """The reference where the new course says something else.
+
+        Parameters
+        ----------
+        mean, covariance
+            what the course says, (D,) and (n, n)
+        ahead
+            of the present time, s
+
+        Returns
+        -------
+        Gaussian
+            with what remains of the difference to the former course
+        """
         return self.gaussians(mean[None], covariance[None], np.array([ahead], dtype=float))[0]
 
     def gaussians(self, means: Array, covariances: Array, ahead: Array) -> list[Gaussian]:
