@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -144,10 +143,10 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
     bench.lead("home")
     view = bench.look_ahead(20.0)
     assert view.preview is not None
-    if advised := re.search("speed limit at .*: give it ([0-9]+) s", view.preview.words):
-        # how the arm was led depends on the load; the advice has to suffice
-        view = bench.look_ahead(float(advised[1]))
+    if view.preview.advised is not None:  # how the arm was led depends on the load; the advice has to suffice
+        view = bench.look_ahead(float(view.preview.advised))
     assert view.preview is not None and view.preview.may_run, view.preview
+    assert {check.name: check.is_good for check in view.preview.checks}["self-collision"], view.preview.words
     desk.run()
     bench.until(lambda view: view.run.stage == "running" and view.run.phase > 0.1, "the movement")
     desk.coach()

@@ -1,43 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page in a real browser: a demonstration in an empty folder by clicks and keys; `test_workbench_desk.py` goes on.
+"""The page in a real browser: from an empty folder to a skill that runs, by clicks, keys and drags alone.
 
 The robot is simulated, at 250 Hz, since the browser draws without a graphics card. Skipped where there is no Chromium.
-Pictures are written to out/workbench_page/.
+Pictures are written to out/workbench_page/. How long it takes until the skill runs is printed:
+
+    .venv/bin/python -m pytest -q -s test/test_workbench_page.py -k empty_folder
 """
 
 from __future__ import annotations
 
-import shutil
+import re
+import signal
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import viser
-from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
-from ros_graph import ROOT, Inbox
 from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.pose import pose_error
-from tpgmm_ros.messages import conversions
-from tpgmm_ros.messages.qos import STREAM
+from tpgmm_core.geometry.pose import compose, inverse, pose_error
 from tpgmm_workbench.page.access import Access, guarded
+from tpgmm_workbench.page.camera import camera_for
 from tpgmm_workbench.project.project import Project
+from workbench_user import CHROMIUM, FLAGS, PATIENCE, Places, User
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="no Playwright: `make dev` installs it")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: apt-get install --no-install-recommends chromium"),
     pytest.mark.timeout(600),
     pytest.mark.alone,
 ]
-OUTPUT = ROOT / "out" / "workbench_page"
-WIDTH, HEIGHT = 1000, 640
-PATIENCE = 150.0
-FLAGS = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader"]
+#: What the page says while the skill runs.
+RUNS = "Move an object, or hide it"
 
 
 @pytest.fixture
@@ -46,86 +45,6 @@ def browser() -> Iterator[Any]:
         running = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         yield running
         running.close()
-
-
-class User:
-    """Someone at the page, who sees what is on it, and can click and press keys."""
-
-    def __init__(self, browser: Any, node: Node, process: RunningProcess, address: str) -> None:
-        self._node, self._process = node, process
-        self.page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
-        self.page.set_default_timeout(1e3 * PATIENCE)
-        self.asked: list[str] = []
-        self.page.on("request", lambda request: self.asked.append(request.url))
-        self.page.goto(address)
-        self.page.get_by_text("STOP").first.wait_for()
-        self.until(lambda: not self.page.get_by_text("connecting").is_visible(), "the page to be heard")
-
-    def sees(self, text: str, timeout: float = PATIENCE) -> None:
-        """Wait until a text is on the page; topics are served meanwhile."""
-        place = self.page.get_by_text(text).first
-        try:
-            self.until(place.is_visible, f"the page to say {text!r}", timeout)
-        except AssertionError as error:
-            self.shoot("failed")
-            raise AssertionError(f"{error}; it says {self.text()[:2000]}") from None
-
-    def until(self, condition: Callable[[], Any], what: str, timeout: float = PATIENCE) -> None:
-        spin_until(self._node, condition, timeout, what, (self._process,))
-
-    def text(self) -> str:
-        return str(self.page.evaluate("document.body.innerText"))
-
-    def click(self, name: str) -> None:
-        self.page.get_by_role("button", name=name, exact=True).first.click(force=True)
-
-    def sees_stop(self) -> bool:
-        """Whether all of STOP is within the window, and nothing lies over it."""
-        return bool(
-            self.page.evaluate(
-                """() => {
-                const stop = [...document.querySelectorAll('button')].find((one) => one.innerText.includes('STOP'));
-                const box = stop.getBoundingClientRect();
-                const over = document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2);
-                return box.height > 10 && box.y >= 0 && box.bottom <= window.innerHeight && stop.contains(over);
-                }"""
-            )
-        )
-
-    def scroll_down(self) -> float:
-        """Scroll every panel to its end; by how many pixels all in all."""
-        return float(
-            self.page.evaluate(
-                """() => [...document.querySelectorAll('.mantine-ScrollArea-viewport')].map((one) => {
-                one.scrollTop = one.scrollHeight; return one.scrollTop;
-                }).reduce((sum, one) => sum + one, 0)"""
-            )
-        )
-
-    def shoot(self, name: str) -> None:
-        OUTPUT.mkdir(parents=True, exist_ok=True)
-        self.page.screenshot(path=OUTPUT / f"{name}.png")
-
-
-class Places:
-    """Where hand and objects are, as their topics say."""
-
-    def __init__(self, node: Node) -> None:
-        self._inbox = {
-            name: Inbox(node, PoseStamped, topic, STREAM)
-            for name, topic in {
-                "hand": "endpoint/left/pose",
-                "object": "object/pose",
-                "target": "target/pose",
-            }.items()
-        }
-
-    def of(self, name: str) -> Array:
-        return conversions.pose_to_array(self._inbox[name].last.pose)
-
-    @property
-    def are_known(self) -> bool:
-        return all(inbox.last is not None for inbox in self._inbox.values())
 
 
 def start(start_process: StartProcess, domain: int, folder: Path) -> tuple[RunningProcess, Callable[[], str]]:
@@ -142,9 +61,10 @@ def start(start_process: StartProcess, domain: int, folder: Path) -> tuple[Runni
     return process, address
 
 
-def test_a_demonstration_is_taught_by_clicks_and_keys_and_nothing_comes_from_elsewhere(
+def test_an_empty_folder_becomes_a_skill_that_runs_by_clicks_keys_and_drags_and_nothing_comes_from_elsewhere(
     browser: Any, ros_node: Node, ros_domain: int, start_process: StartProcess, tmp_path: Path
 ) -> None:
+    began = time.monotonic()
     folder = tmp_path / "project"
     process, address = start(start_process, ros_domain, folder)
     places = Places(ros_node)
@@ -153,52 +73,30 @@ def test_a_demonstration_is_taught_by_clicks_and_keys_and_nothing_comes_from_els
     user.sees("object: seen")
     user.until(lambda: places.are_known, "the poses of hand and objects")
     user.shoot("page")
+    home = places.of("hand")
 
-    # lead the hand by clicks, record by a key
-    begin = places.of("hand")
-    user.page.keyboard.press("r")
-    user.sees("recording")
-    user.click("to object")
-    user.until(lambda: pose_error(places.of("hand"), places.of("object"))[0] < 0.035, "the hand to be at the object")
-    assert pose_error(places.of("hand"), begin)[0] > 0.05
-    user.shoot("teach")
-    user.page.keyboard.press("r")
-    user.until(lambda: len(Project.open(folder).demonstrations()) == 1, "the demonstration on the disk")
+    grasp = _teach(user, places, folder)
+    _train(user)
+    _look_ahead(user, places, home)
+    user.click("Run [G]")
+    user.sees(RUNS)
+    print(f"\nfrom the start to a skill that runs: {time.monotonic() - began:.0f} s, with two demonstrations")
 
-    # a frame that is hidden is missing, and the page says so
-    user.page.get_by_label("hide target").check(force=True)
-    user.sees("target: missing")
-    user.page.get_by_label("hide target").uncheck(force=True)
-    user.sees("target: seen")
-    user.shoot("taught")
+    # the object is dragged while the hand is on its way, and the hand goes to where it is by then
+    was = places.of("object")
+    user.drag(was, axis=1, way=0.06, camera=camera_for(home))
+    user.until(lambda: pose_error(places.of("object"), was)[0] > 0.03, "the object to be dragged", 20.0)
+    user.shoot("run")
+    user.until(lambda: RUNS not in user.text(), "the end of the movement")
+    wanted = compose(places.of("object"), grasp)
+    assert pose_error(places.of("hand"), wanted)[0] < 0.03, (places.of("hand"), wanted, compose(was, grasp))
 
-    # a comment is kept, whose letters are no keys; the project comes as a file
-    user.page.get_by_text("Notes of one demonstration").click(force=True)
-    comment = user.page.locator("xpath=//*[text()='comment']/following::input[1]")
-    user.until(comment.is_visible, "the notes to be opened")
-    comment.focus()  # keys, since words that come and go move what a mouse would hit
-    comment.press_sequentially("roundabout")
-    user.page.evaluate("new Promise((done) => setTimeout(done, 200))")  # viser sends what is typed 50 ms later
-    user.page.get_by_role("button", name="Keep these notes", exact=True).press("Enter")
-    user.until(lambda: Project.open(folder).demonstration(1).notes.comment == "roundabout", "the comment on the disk")
-    assert len(Project.open(folder).used()) == 1
-    user.shoot("notes")
-    assert user.sees_stop()
-    assert user.scroll_down() > 0.0 and user.sees_stop()
-    user.page.get_by_role("tab", name="Share").click(force=True)
-    with user.page.expect_download() as got:
-        user.click("Export this project")
-    archive = tmp_path / got.value.suggested_filename
-    got.value.save_as(archive)
-    with user.page.expect_file_chooser() as chooser:
-        user.click("Import a project")
-    chooser.value.set_files(archive)
-    user.sees("imported into")
-    user.shoot("share")
-    assert len(Project.open(folder.parent / "project_2").demonstrations()) == 1
+    _hide_and_stop(user)
+    _note(user, folder)
+    _share(user, folder, tmp_path)
 
     # the torques that carry the arm stand beside their limits
-    user.page.get_by_role("tab", name="Robot").click(force=True)
+    user.opens("Robot")
     user.sees("left_s0:")
     assert "of 50 N m" in user.text(), user.text()
     user.shoot("robot")
@@ -208,7 +106,151 @@ def test_a_demonstration_is_taught_by_clicks_and_keys_and_nothing_comes_from_els
     assert not [url for url in user.asked if not url.startswith((address(), "data:", "blob:"))]
     user.page.close()
     again = User(browser, ros_node, process, address())
-    again.sees("Show the movement 3 more times")
+    again.sees("Press Preview")
+
+    # the program is killed: the page says so, and knows it all when the program is there again
+    process.send_signal(signal.SIGKILL)
+    process.wait(PATIENCE)
+    again.process, address = start(start_process, ros_domain, folder)
+    again.page.get_by_text("STOP neither").wait_for()
+    again.page.keyboard.press("t")
+    again.page.get_by_text("The key T was not heard").wait_for()
+    again.shoot("killed")
+    again.until(address, "the address again")
+    again.is_heard()
+    _each_key_is_answered(again)
+
+
+def _teach(user: User, places: Places, folder: Path) -> Array:
+    """Two demonstrations: the hand is led by clicks, and recorded by a key and a button. Returns the grasp (7,)."""
+    home, stop = places.of("hand"), user.stop_box()
+    for number in (1, 2):
+        if number == 2:
+            user.page.keyboard.press("n")
+            _lead_home(user, places, home)
+        user.page.keyboard.press("r")
+        user.sees("recording")
+        user.click("to object")
+        user.until(lambda: pose_error(places.of("hand"), places.of("object"))[0] < 0.03, "the hand at the object")
+        user.shoot("teach")
+        assert user.stop_box() == stop, "STOP stands still, whatever is said beside it"
+        user.click("Finish [R]")
+        user.until(lambda: _has_taught(folder, number), "the demonstration on the disk")  # noqa: B023  at once
+    assert user.stop_box() == stop
+    user.shoot("taught")
+    return compose(inverse(places.of("object")), places.of("hand"))
+
+
+def _has_taught(folder: Path, count: int) -> bool:
+    return len(Project.open(folder).demonstrations()) == count
+
+
+def _lead_home(user: User, places: Places, home: Array) -> None:
+    user.click("home")
+    user.until(lambda: pose_error(places.of("hand"), home)[0] < 0.02, "the hand to be at home")
+
+
+def _train(user: User) -> None:
+    """By a key, which is heard wherever the focus is."""
+    user.opens("Train")
+    user.page.get_by_label("choose method and settings").focus()
+    user.page.keyboard.press("t")
+    user.sees("Model 1")
+    user.shoot("trained")
+
+
+def _look_ahead(user: User, places: Places, home: Array) -> None:
+    """A duration that is too short is refused, and the one that is advised is a click."""
+    user.opens("Teach")
+    _lead_home(user, places, home)
+    user.opens("Run")
+    _give_time(user, 1)
+    user.page.keyboard.press("p")  # in a box of numbers, too
+    user.sees("does not run like this")
+    advised = user.page.get_by_role("button", name=re.compile("^Use [0-9]+ s$"))
+    user.until(advised.is_visible, "the advised duration")
+    user.shoot("too_fast")
+    advised.click(force=True)
+    user.sees("may run")
+    user.until(lambda: not advised.is_visible(), "the advice to be gone")
+    _give_time(user, 15)
+
+
+def _give_time(user: User, duration: int) -> None:
+    """Set the duration of the movement, s."""
+    user.page.locator("input[inputmode=decimal]").first.fill(str(duration))
+    user.page.keyboard.press("Enter")
+
+
+def _hide_and_stop(user: User) -> None:
+    """A frame that is hidden while the skill runs is missing, and the page says so; Esc stops, whatever has focus."""
+    _give_time(user, 40)
+    user.click("Run [G]")
+    user.sees(RUNS)
+    user.opens("Teach")
+    hide = user.page.get_by_label("hide object")
+    hide.check(force=True)
+    user.sees("object: missing")
+    hide.focus()
+    user.page.keyboard.press("Escape")
+    user.until(lambda: RUNS not in user.text(), "the stop")
+    hide.uncheck(force=True)
+    user.sees("object: seen")
+    user.opens("Run")
+    user.sees("stopped")
+
+
+def _note(user: User, folder: Path) -> None:
+    """A comment is kept, of the newest demonstration; its letters are no keys."""
+    user.opens("Teach")
+    user.page.get_by_text("Notes of one demonstration").click(force=True)
+    comment = user.page.locator("xpath=//*[text()='comment']/following::input[1]")
+    user.until(comment.is_visible, "the notes to be opened")
+    comment.focus()  # keys, since words that come and go move what a mouse would hit
+    comment.press_sequentially("roundabout")
+    user.page.evaluate("new Promise((done) => setTimeout(done, 200))")  # viser sends what is typed 50 ms later
+    user.page.get_by_role("button", name="Keep these notes", exact=True).press("Enter")
+    user.until(lambda: Project.open(folder).demonstration(2).notes.comment == "roundabout", "the comment on the disk")
+    assert len(Project.open(folder).used()) == 2
+    user.shoot("notes")
+    assert user.sees_stop()
+    assert user.scroll_down() > 0.0 and user.sees_stop()
+
+
+def _share(user: User, folder: Path, place: Path) -> None:
+    """The project comes as a file, and goes back into a folder of its own."""
+    user.opens("Share")
+    with user.page.expect_download() as got:
+        user.click("Export this project")
+    archive = place / got.value.suggested_filename
+    got.value.save_as(archive)
+    with user.page.expect_file_chooser() as chooser:
+        user.click("Import a project")
+    chooser.value.set_files(archive)
+    user.sees("imported into")
+    user.shoot("share")
+    assert len(Project.open(folder.parent / "project_2").demonstrations()) == 2
+
+
+def _each_key_is_answered(user: User) -> None:
+    """At whatever moment after a page was opened again: a key is obeyed, or it is said that it was not heard."""
+    for wait in (0.0, 0.4, 0.8, None):
+        user.page.reload(wait_until="commit")
+        if wait is None:
+            user.is_heard()
+        else:
+            user.page.wait_for_timeout(1e3 * wait)
+        before = _refusals(user)
+        user.page.keyboard.press("c")
+        user.until(
+            lambda: _refusals(user) > before or "The key C was not heard" in user.notice(),  # noqa: B023  at once
+            f"an answer to a key {wait} s after the page was opened",
+            10.0,
+        )
+
+
+def _refusals(user: User) -> int:
+    return user.process.output.count("only while the skill runs")
 
 
 def test_a_page_that_is_open_to_other_machines_is_seen_with_its_token_alone_which_leaves_the_address(

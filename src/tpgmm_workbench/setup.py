@@ -11,7 +11,7 @@ setup(
     maintainer_email="maintainers@users.noreply.h-seed-91c8a9ef.example",
     license="Apache-2.0",
     packages=find_packages(include=[package_name, f"{package_name}.*"]),
-    package_data={package_name: ["py.typed"]},
+    package_data={package_name: ["py.typed", "page/added/*.js", "page/added/*.css"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gzip
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -15,13 +16,14 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from tpgmm_workbench.page.access import Access, guarded, is_of_this_machine
+from tpgmm_workbench.page.added import MARK, completed
 
 PROTOCOL: Any = [f"viser-v{viser.__version__}"]
 
 
 @pytest.fixture(scope="module")
 def port() -> Iterator[int]:
-    with guarded(Access()):
+    with guarded(Access(), completed):
         server = viser.ViserServer("127.0.0.1", 28080, verbose=False)
     yield server.get_port()
     server.stop()
@@ -54,6 +56,17 @@ def test_the_page_is_served_to_this_machine_and_to_no_other_name_and_stands_in_n
     status, headers = asked(port)
     assert status == 200 and headers["X-Frame-Options"] == "DENY"
     assert asked(port, Host="evil.example")[0] == 403
+
+
+@pytest.mark.parametrize("encoding", ["gzip", "identity"])
+def test_the_page_is_served_with_what_says_that_it_is_not_heard(port: int, encoding: str) -> None:
+    request = urllib.request.Request(f"http://127.0.0.1:{port}/", headers={"Accept-Encoding": encoding})
+    with urllib.request.build_opener().open(request, timeout=20.0) as answer:
+        body = answer.read()
+        assert int(answer.headers["Content-Length"]) == len(body)
+    page = gzip.decompress(body) if encoding == "gzip" else body
+    head = page[: page.index(b"</head>")]
+    assert f'"{MARK}"'.encode() in head and b"dimmed" in head and page.count(b"</head>") == 1
 
 
 def test_a_web_socket_is_opened_for_the_page_itself_and_for_no_other_site(port: int) -> None:

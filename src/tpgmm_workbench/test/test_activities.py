@@ -37,6 +37,7 @@ def test_stop_may_always_be_pressed_from_every_page(activity: Activity, drives: 
         (replace(READY, has_robot=False), "no joint states"),
         (replace(READY, fault="the state is too old"), "the state is too old"),
         (replace(READY, drives=False), "another page drives"),
+        (replace(READY, is_read=False, has_model=False), "still being read"),
     ],
 )
 def test_running_is_refused_with_the_reason(facts: Facts, words: str) -> None:

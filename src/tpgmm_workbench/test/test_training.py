@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.project.quality import quality_of
 from tpgmm_workbench.project.self_collision import SelfCollision
 from tpgmm_workbench.project.situations import Newness
-from tpgmm_workbench.project.suggestion import Region, suggest
+from tpgmm_workbench.project.suggestion import FrameRegion, suggest
 from tpgmm_workbench.project.training import Training, TrainingOptions
 from tpgmm_workbench.project.training_process import train
 
@@ -115,7 +114,7 @@ def test_what_is_suggested_is_newer_than_what_was_shown_and_within_the_region(ta
     for name, pose in found.frames.items():
         places = np.array([situation[name][:3] for situation in seen])
         assert (pose[:3] >= places.min(axis=0) - 1e-9).all() and (pose[:3] <= places.max(axis=0) + 1e-9).all()
-    region = Region((0.6, 0.3, 0.0), (0.7, 0.4, 0.0))
+    region = FrameRegion((0.6, 0.3, 0.0), (0.7, 0.4, 0.0))
     narrow = suggest(taught, {"object": region})
     assert (narrow.frames["object"][:3] >= region.low).all() and (narrow.frames["object"][:3] <= region.high).all()
     newness = Newness.of(taught, taught.shown())
@@ -143,11 +142,12 @@ def test_a_preview_shows_the_whole_robot_and_its_verdict_before_anything_moves(t
 def test_a_preview_refuses_in_words_what_the_robot_cannot_do(taught: Project) -> None:
     robot, model = taught.robot(), taught.load(taught.models()[0])
     situation = taught.demonstration(1).situation
-    verdict = {c.name: c for c in preview(model, situation, robot.home, robot, "left", duration=0.5).checks}
-    said = re.search(r"give it (\d+) s", verdict["speed limits"].words)
-    assert verdict["speed limits"].is_good is False and said is not None
-    slower = preview(model, situation, robot.home, robot, "left", duration=float(said[1]))
+    fast = preview(model, situation, robot.home, robot, "left", duration=0.5)
+    verdict = {check.name: check for check in fast.checks}
+    assert verdict["speed limits"].is_good is False and f"give it {fast.advised} s" in verdict["speed limits"].words
+    slower = preview(model, situation, robot.home, robot, "left", duration=fast.advised)
     assert {c.name: c.is_good for c in slower.checks}["speed limits"], "what is advised must be enough"
+    assert slower.advised is None
     assert verdict["self-collision"].is_good is None
     away = {**situation, "target": situation["target"] + np.array([1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])}
     far = preview(model, away, robot.home, robot, "left")

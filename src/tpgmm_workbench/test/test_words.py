@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from tpgmm_core.retrieval.relevance import Relevance
 from tpgmm_workbench.desk.learning import ModelView
@@ -14,12 +15,14 @@ from tpgmm_workbench.desk.teaching import TaughtView
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.graph.movement import RunView
 from tpgmm_workbench.page import words
+from tpgmm_workbench.page.added import MARK
 from tpgmm_workbench.page.driver import Driver
 from tpgmm_workbench.page.names import names_alone
 from tpgmm_workbench.project.activities import Action, Activity, Facts, may
 from tpgmm_workbench.project.preview import Check, Preview
 from tpgmm_workbench.project.suggestion import Suggestion
 from tpgmm_workbench.project.training import Progress
+from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SEVERAL, SKY, YELLOW, contrast, css, readable_on
 from tpgmm_workbench.session.view import ControllerView, FrameView, GraphView, NodeView, StiffnessView, TorqueView
 
 READY = DeskView(graph=GraphView(joints=np.zeros(2), controller=ControllerView("DAMPING", "no reference yet")))
@@ -116,6 +119,22 @@ def test_torques_are_told_against_their_limits_and_what_is_near_one_says_so() ->
     assert "w2: 0.0 of 15 N m" in rows[3]
     assert "100 to 500 N/m, turning 5.0 to 20.0 N m/rad" in words.stiffness(DeskView(graph=graph))
     assert "No torques" in words.torques(DeskView()) and "nothing is tracked" in words.stiffness(DeskView())
+
+
+def test_each_word_on_a_coloured_ground_can_be_read() -> None:
+    for ground in (*SEVERAL, *FRAME.values(), GREEN, GREY, RED, SKY, YELLOW):
+        text = readable_on(ground)
+        assert contrast(text, ground) >= 4.5
+        assert f"background:{css(ground)};color:{css(text)}" in words.chip("word", ground)
+    assert contrast((0, 0, 0), (255, 255, 255)) == pytest.approx(21.0)
+
+
+def test_each_page_is_told_whether_it_drives_and_the_server_hears_it() -> None:
+    assert MARK in words.pages(1, 4, 4) and "drives" not in words.pages(1, 4, 4)
+    assert "10 pages show this; this one drives" in words.pages(10, 4, 4)
+    assert "another one drives" in words.pages(10, 4, 5)
+    assert "the first that asks" in words.pages(2, None, 5)
+    assert "token" in words.pages(1, 4, 4, is_open=True)
 
 
 def test_of_several_pages_one_drives_and_another_may_take_over() -> None:

@@ -22,14 +22,14 @@ from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.continuity import Continuity
-from tpgmm_core.retrieval.interface import TimeParametrized
+from tpgmm_core.retrieval.interface import Retrieval, TimeParametrized
 from tpgmm_core.retrieval.phase import ClockPhase
 from tpgmm_core.retrieval.regression import AdaptThenRegress
 
 _SECOND = 1_000_000_000
 
 
-class Reproduction:
+class Reproduction(Retrieval):
     """A `Retrieval` that steps through a `TimeParametrized`.
 
     Parameters
@@ -104,7 +104,7 @@ class Reproduction:
         self.phase.speed = speed
 
     def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
-        """Begin a movement; whatever went on before is forgotten. See `Retrieval.start`."""
+        """Begin a movement; whatever went on before is forgotten."""
         self.phase.start(time_ns, phase)
         self._last_ns = time_ns
         self._state = state
@@ -120,26 +120,10 @@ class Reproduction:
         state: Array | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> Reference:
-        """The reference at a time: see `Retrieval.step`.
+        """The reference at a time.
 
         A direction that no frame constrains stays where the robot is, and so follows the state; otherwise the state
         matters to the phase alone.
-
-        Parameters
-        ----------
-        time_ns
-            now, ns
-        frames
-            over [time, data], by name
-        state
-            where the robot is, where it is known
-        weights
-            how far each frame is trusted, 0 to 1
-
-        Returns
-        -------
-        Reference
-            over the data, without time
 
         Raises
         ------
@@ -197,43 +181,14 @@ class Reproduction:
         return means, covariances, activations
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
-        """The next Gaussians, if the frames stay.
-
-        Parameters
-        ----------
-        n
-            how many
-        dt
-            apart, s
-
-        Returns
-        -------
-        list[Gaussian]
-            the first one is dt ahead
-
-        Raises
-        ------
-        ValueError
-            when there was no step yet
-        """
+        """The next n Gaussians, dt (s) apart, if the frames stay."""
         self._require_step()
         ahead = dt * np.arange(1, n + 1, dtype=np.float64)
         means, covariances, _ = self.course.at(self.phase.times(ahead))
         return self._continuity.gaussians(means, covariances, ahead)
 
     def mixture(self) -> GaussianMixture:
-        """The model in the situation of the last step.
-
-        Returns
-        -------
-        GaussianMixture
-            time first
-
-        Raises
-        ------
-        ValueError
-            when there was no step yet
-        """
+        """The model in the situation of the last step, time first."""
         self._require_step()
         return self.course.mixture()
 

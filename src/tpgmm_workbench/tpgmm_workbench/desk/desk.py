@@ -17,7 +17,7 @@ from tpgmm_ros.runtime.background import Background
 from tpgmm_workbench.desk.coaching import Coaching
 from tpgmm_workbench.desk.learning import Learning
 from tpgmm_workbench.desk.sharing import Sharing
-from tpgmm_workbench.desk.table import Table
+from tpgmm_workbench.desk.table import SimulatedTable
 from tpgmm_workbench.desk.teaching import Teaching
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.graph.movement import MovementClient
@@ -82,7 +82,7 @@ class Desk:
         if simulated:
             regions = regions_of(project.task.name, project.task.topics, self.home)
             world = SimulatedWorld(node, project.task, Arrangement(regions, seed))
-        self.table = Table(world, self.home, self._movement, self._refused, self.say)
+        self.table = SimulatedTable(world, self.home, self._movement, self._refused, self.say)
         self._said: list[tuple[float, str]] = []
         self._graph = GraphView()
         self._speed, self._is_paused, self._duration = 1.0, False, 0.0
@@ -130,6 +130,7 @@ class Desk:
             has_model=self._learning.model is not None,
             is_training=self._learning.is_training,
             can_undo=self.teaching.can_undo,
+            is_read=self.teaching.is_read and self._learning.is_read,
             has_robot=graph.joints is not None,
             missing_frames=tuple(frame.name for frame in graph.frames if frame.pose is None),
             is_simulated=self.simulated,
@@ -169,6 +170,7 @@ class Desk:
             aim=self.table.aim,
             to_go=self.table.to_go,
             speed=self._speed,
+            duration=self._duration,
         )
 
     def _refused(self, action: Action) -> bool:
@@ -235,6 +237,8 @@ class Desk:
             self._look_ahead(lambda shown: self.say(f"preview: {shown.words}"))
 
     def _look_ahead(self, then: Callable[[Preview], object]) -> None:
+        if self._learning.is_previewing:
+            self.say("a preview is being made: ask again when its verdict is there")
         if self._learning.is_previewing or self._graph.joints is None:
             return
         frames = {frame.name: frame.pose for frame in self._graph.frames if frame.pose is not None}

@@ -14,6 +14,7 @@ from tpgmm_ros.runtime.background import Background
 from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.preview import Preview, preview
 from tpgmm_workbench.project.project import Project
+from tpgmm_workbench.project.self_collision import SelfCollision
 from tpgmm_workbench.project.training import Progress, Training, TrainingOptions
 
 #: Parts of a movement for which it is shown how much each frame says.
@@ -63,12 +64,15 @@ class Learning:
         the present one; None before
     shown
         the last preview; None where what it was of has changed
+    is_read
+        whether it is known which models there are
     """
 
     def __init__(self, project: Project, background: Background, say: Callable[[str], object]) -> None:
         self.progress: Progress | None = None
         self.model: ModelView | None = None
         self.shown: Preview | None = None
+        self.is_read = False
         self._project, self._background, self._say = project, background, say
         self._training: Training | None = None
         self._is_previewing = False
@@ -100,6 +104,7 @@ class Learning:
         return ModelView(found.number, str(found.path), tuple(found.notes.words), found.notes.misfits, shares)
 
     def _take(self, job: Future[ModelView | None]) -> None:
+        self.is_read = True
         try:
             found = job.result()
         except (OSError, ValueError) as error:
@@ -165,7 +170,8 @@ class Learning:
             if model is None:
                 raise ValueError("there is no model yet: train one first")
             task, robot = self._project.task, self._project.robot()
-            return preview(self._project.load(model), known, joints, robot, task.endpoint, duration)
+            shapes = SelfCollision(robot, self._project.robot_file)
+            return preview(self._project.load(model), known, joints, robot, task.endpoint, duration, shapes=shapes)
 
         def take(job: Future[Preview]) -> None:
             self._is_previewing = False

@@ -58,6 +58,8 @@ class DeskView:
         how far it still is from there, m; None while nobody leads it
     speed
         of the movement; 1: as learned
+    duration
+        of the next movement, s; 0: as taught
     """
 
     graph: GraphView = field(default_factory=GraphView)
@@ -78,3 +80,4 @@ class DeskView:
     aim: Array | None = None
     to_go: float | None = None
     speed: float = 1.0
+    duration: float = 0.0

@@ -148,8 +148,16 @@ def _response(status: HTTPStatus, words: str, **further: str) -> Response:
 
 
 @contextmanager
-def guarded(access: Access) -> Iterator[None]:
-    """Servers of web sockets that are started within this block answer those alone who may see the page."""
+def guarded(access: Access, complete: Callable[[Response], Response] = lambda answer: answer) -> Iterator[None]:
+    """Servers of web sockets that are started within this block answer those alone who may see the page.
+
+    Parameters
+    ----------
+    access
+        who may
+    complete
+        changes what they get before it is sent
+    """
     serve = server.serve
 
     def start(*arguments: Any, process_request: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -161,6 +169,7 @@ def guarded(access: Access) -> Iterator[None]:
             answer = await answer if hasattr(answer, "__await__") else answer
             if answer is not None:  # no other site shows the page within its own, where clicks could be led astray
                 answer.headers["X-Frame-Options"] = "DENY"
+                answer = complete(answer)
             return answer
 
         return serve(*arguments, process_request=check, **options)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from viser import ViserServer
+from viser import ClientHandle, ViserServer
 
 from tpgmm_workbench.page.names import names_alone
 
@@ -15,11 +15,11 @@ type Ask = Callable[..., None]
 
 
 class Text:
-    """HTML in a panel."""
+    """HTML in a panel: of all pages, or of one."""
 
-    def __init__(self, server: ViserServer) -> None:
+    def __init__(self, place: ViserServer | ClientHandle, order: float | None = None) -> None:
         self._shown = ""
-        self._html = server.gui.add_html("", visible=False)
+        self._html = place.gui.add_html("", visible=False, order=order)
 
     def show(self, content: str) -> None:
         """Show this; nothing where it is empty."""
@@ -67,8 +67,10 @@ class Button:
             self._command = server.gui.add_command(label, hotkey=key)
             self._command.on_trigger(asked)
 
-    def show(self, reason: str = "", label: str | None = None) -> None:
-        """Show whether it may be pressed: not where there is a reason; and another label."""
+    def show(self, reason: str = "", label: str | None = None, is_there: bool = True) -> None:
+        """Show whether it may be pressed: not where there is a reason; another label; or nothing of it."""
+        if self._button.visible != is_there:
+            self._button.visible = is_there
         if self._button.disabled != bool(reason):
             self._button.disabled = bool(reason)
         hint = names_alone(reason) or None
@@ -78,3 +80,51 @@ class Button:
             self._button.label = label + self._key
             if self._command is not None:
                 self._command.label = label
+
+
+class Slider:
+    """A slider that shows what is so: where what it was moved to was not obeyed, it goes back.
+
+    Parameters
+    ----------
+    server
+        of the page
+    label
+        what it says
+    do
+        called with the number of the page that moved it, and the value
+    limits
+        lowest and highest value; the highest grows where it is asked to show a higher one
+    step, value
+        between two values; the first value
+    **options
+        of viser's slider
+    """
+
+    def __init__(
+        self,
+        server: ViserServer,
+        label: str,
+        do: Callable[[int | None, float], object],
+        limits: tuple[float, float],
+        step: float,
+        value: float,
+        **options: Any,
+    ) -> None:
+        self._slider: Any = server.gui.add_slider(label, *limits, step, value, **options)
+        self._seen: float | None = None
+
+        def moved(event: Any) -> None:
+            if event.client_id is not None:  # none: this program has set it
+                do(event.client_id, float(event.target.value))
+
+        self._slider.on_update(moved)
+
+    def show(self, value: float) -> None:
+        """Show a value, unless the slider was moved since the last time: that is being asked for."""
+        is_at_rest = self._slider.value == self._seen
+        if self._slider.value != value and is_at_rest:
+            if value > self._slider.max:
+                self._slider.max = value
+            self._slider.value = value
+        self._seen = self._slider.value

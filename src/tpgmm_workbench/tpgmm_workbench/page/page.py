@@ -20,6 +20,7 @@ from tpgmm_workbench.desk.desk import Desk
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page import words
 from tpgmm_workbench.page.access import Access, guarded
+from tpgmm_workbench.page.added import completed
 from tpgmm_workbench.page.camera import camera_for
 from tpgmm_workbench.page.controls import Text
 from tpgmm_workbench.page.driver import Driver
@@ -28,13 +29,13 @@ from tpgmm_workbench.page.share_panel import SharePanel
 from tpgmm_workbench.page.stop_panel import StopPanel
 from tpgmm_workbench.project.preview import Preview
 from tpgmm_workbench.scene.colors import PREVIEW
-from tpgmm_workbench.scene.frames_view import FramesView
-from tpgmm_workbench.scene.hand_view import HandView
-from tpgmm_workbench.scene.model_view import ModelView
-from tpgmm_workbench.scene.robot_view import RobotView
+from tpgmm_workbench.scene.frames_display import FramesDisplay
+from tpgmm_workbench.scene.hand_display import HandDisplay
+from tpgmm_workbench.scene.model_display import ModelDisplay
+from tpgmm_workbench.scene.robot_display import RobotDisplay
 from tpgmm_workbench.scene.shapes import Shapes
-from tpgmm_workbench.scene.stiffness_view import StiffnessView
-from tpgmm_workbench.scene.suggested_view import SuggestedView
+from tpgmm_workbench.scene.stiffness_display import StiffnessDisplay
+from tpgmm_workbench.scene.suggested_display import SuggestedDisplay
 
 #: Texts and trail are renewed this often, s; a ghost moves through its movement in this time, s.
 TEXT_PERIOD, GHOST_TIME = 0.2, 4.0
@@ -67,7 +68,7 @@ class Page:
         self._desk, self._give, self._shapes = desk, ask, shapes
         self.driver = Driver()
         with (
-            guarded(access),
+            guarded(access, completed),
             contextlib.redirect_stdout(io.StringIO()),
         ):  # viser draws a box with an address; ours is said by the node
             self._server = server = ViserServer(access.host, port, label="tpgmm workbench", verbose=False)
@@ -92,16 +93,16 @@ class Page:
         scene.configure_environment_map(hdri=None)
         scene.add_light_ambient("/ambient", intensity=1.2)
         scene.add_grid("/floor", width=4.0, height=4.0, position=(0.0, 0.0, self._lowest()), cell_size=0.25)
-        self._robot = RobotView(scene, desk.robot, self._shapes)
-        self._ghost: RobotView | None = None
+        self._robot = RobotDisplay(scene, desk.robot, self._shapes)
+        self._ghost: RobotDisplay | None = None
         self._shown: Preview | None = None
         self._shown_since = 0.0
         draggable = desk.project.task.topics if desk.simulated else ()
-        self._frames = FramesView(scene, list(desk.project.task.frames), draggable, self._move)
-        self._hand = HandView(scene, self._lead if desk.simulated else None)
-        self._model = ModelView(scene)
-        self._suggested = SuggestedView(scene, list(desk.project.task.sources))
-        self._stiffness = StiffnessView(scene)
+        self._frames = FramesDisplay(scene, list(desk.project.task.frames), draggable, self._move)
+        self._hand = HandDisplay(scene, self._lead if desk.simulated else None)
+        self._model = ModelDisplay(scene)
+        self._suggested = SuggestedDisplay(scene, list(desk.project.task.sources))
+        self._stiffness = StiffnessDisplay(scene)
 
     def _lowest(self) -> float:
         """Where the floor is: below all of the robot, m."""
@@ -117,7 +118,7 @@ class Page:
     def _make_panels(self, server: ViserServer) -> None:
         desk = self._desk
         self._stop = StopPanel(server, lambda: self._give(desk.stop))
-        self._pages = Text(server)
+        self._told: dict[int, Text] = {}
         self._take_over = server.gui.add_button("Drive from this page", visible=False)
         self._take_over.on_click(lambda event: self.driver.take_over(event.client_id))
         tabs = server.gui.add_tab_group()
@@ -145,8 +146,15 @@ class Page:
 
     def _come(self, client: ClientHandle) -> None:
         self.driver.come(client.client_id)
+        told = Text(client, order=-1.0)  # this page alone sees it, and from now on it is heard
+        self._tell(client.client_id, told)
+        self._told[client.client_id] = told
+
+    def _tell(self, page: int, told: Text) -> None:
+        told.show(words.pages(self.driver.pages, self.driver.number, page, is_open=bool(self._access.token)))
 
     def _go(self, client: ClientHandle) -> None:
+        self._told.pop(client.client_id, None)
         if self.driver.go(client.client_id):  # the person who held the hand is gone
             self._give(self._desk.table.let_go)
 
@@ -190,7 +198,8 @@ class Page:
         self._hand.draw_trail()
         self._stop.show(view)
         several = self.driver.pages > 1
-        self._pages.show(words.pages(self.driver.pages, is_open=bool(self._access.token)))
+        for page, told in list(self._told.items()):
+            self._tell(page, told)
         if self._take_over.visible != several:
             self._take_over.visible = several
         for panel in self._panels:
@@ -206,7 +215,7 @@ class Page:
                 self._model.show_tube(view.preview.path[:, :3], view.preview.covariances[:, :3, :3])
         moves = self._shown is not None and not view.run.goes_on
         if self._ghost is None and moves:
-            self._ghost = RobotView(
+            self._ghost = RobotDisplay(
                 self._server.scene, self._desk.robot, self._moving_parts(), "/ghost", PREVIEW, opacity=0.3
             )
         if self._ghost is not None:

@@ -11,7 +11,7 @@ from viser import GuiEvent, ViserServer
 from tpgmm_workbench.desk.desk import Desk
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page import words
-from tpgmm_workbench.page.controls import Ask, Button, Text
+from tpgmm_workbench.page.controls import Ask, Button, Slider, Text
 from tpgmm_workbench.page.notes_panel import NotesPanel
 from tpgmm_workbench.project.activities import Action, Activity
 
@@ -125,22 +125,21 @@ class RunPanel:
     """Look ahead, and run."""
 
     def __init__(self, server: ViserServer, desk: Desk, ask: Ask) -> None:
-        duration = server.gui.add_slider("duration, s", 0.0, 40.0, 1.0, 0.0, hint="Of the movement; 0: as taught")
-        duration.on_update(
-            lambda event: (
-                None if event.client_id is None else ask(event.client_id, desk.set_duration, float(event.target.value))
-            )
-        )
+        self._ask, self._desk = ask, desk
+        self._duration = Slider(
+            server, "duration, s", lambda page, value: ask(page, desk.set_duration, value),
+            (0.0, 40.0), 1.0, 0.0, hint="Of the movement; 0: as taught",
+        )  # fmt: skip
         self._preview = Button(server, "Preview", lambda page: ask(page, desk.preview), "P")
         self._verdict = Text(server)
+        self._advised = 0
+        self._take = Button(server, "Use the advised duration", self._take_advised, visible=False)
         self._run = Button(server, "Run", lambda page: ask(page, desk.run), "G", color="green")
         self._pause = Button(server, "Pause", lambda page: ask(page, desk.pause), "space")
-        self._speed = server.gui.add_slider("speed", -1.0, 2.0, 0.1, 1.0, hint="1: as taught; below 0: back")
-        self._speed.on_update(
-            lambda event: (
-                None if event.client_id is None else ask(event.client_id, desk.set_speed, float(event.target.value))
-            )
-        )
+        self._speed = Slider(
+            server, "speed", lambda page, value: ask(page, desk.set_speed, value),
+            (-1.0, 2.0), 0.1, 1.0, hint="1: as taught; below 0: back",
+        )  # fmt: skip
         self._bar: Any = server.gui.add_progress_bar(0.0)
         self._state = Text(server)
         self._is_coaching = False
@@ -153,6 +152,10 @@ class RunPanel:
         )
         self._coached = Text(server)
 
+    def _take_advised(self, page: int | None) -> None:
+        self._ask(page, self._desk.set_duration, float(self._advised))
+        self._ask(page, self._desk.preview)
+
     def show(self, view: DeskView) -> None:
         """Show what is known."""
         self._is_coaching = view.activity is Activity.COACHING
@@ -164,6 +167,10 @@ class RunPanel:
         self._run.show(view.reasons.get(Action.RUN, ""), "Go on" if is_paused else "Run")
         self._pause.show(view.reasons.get(Action.PAUSE, ""))
         self._verdict.show(words.verdict(view))
+        self._advised = (view.preview.advised if view.preview is not None else None) or 0
+        self._take.show(label=f"Use {self._advised} s" if self._advised else None, is_there=bool(self._advised))
+        self._duration.show(view.duration)
+        self._speed.show(view.speed)
         self._state.show(words.run(view))
         share = round(100.0 * min(1.0, max(0.0, view.run.phase)))
         if self._bar.value != share:

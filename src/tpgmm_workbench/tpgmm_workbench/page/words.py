@@ -8,14 +8,17 @@ from html import escape
 from itertools import cycle
 
 from tpgmm_workbench.desk.view import DeskView
+from tpgmm_workbench.page.added import MARK
 from tpgmm_workbench.project.activities import LEAST, Action, Activity
-from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SEVERAL, SKY, YELLOW, Color, css
+from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SEVERAL, SKY, YELLOW, Color, css, readable_on
 
 #: So many demonstrations before training is suggested: with fewer, hardly anything is known of how exact a skill is.
 SUGGESTED = 4
 #: A hand that is led is there when it is so near, m.
 THERE = 0.012
 _CONTROLLER = {"WAITING": GREY, "ACTIVE": GREEN, "HOLD": YELLOW, "DAMPING": SKY, "FAULT": RED}
+#: Of the words below STOP; more of them are scrolled.
+STATUS_HEIGHT = "9em"
 #: Shares of a torque limit from which on a joint is near it, and at it.
 NEAR_LIMIT, AT_LIMIT = 0.7, 0.98
 _LEVELS: dict[str, tuple[Color, str]] = {
@@ -28,16 +31,15 @@ _LEVELS: dict[str, tuple[Color, str]] = {
 
 def chip(text: str, color: Color) -> str:
     """A word on a coloured ground that can be read."""
-    light = 0.299 * color[0] + 0.587 * color[1] + 0.114 * color[2] > 110
     return (
-        f'<span style="background:{css(color)};color:{"#000" if light else "#fff"};border-radius:0.6em;'
+        f'<span style="background:{css(color)};color:{css(readable_on(color))};border-radius:0.6em;'
         f'padding:0 0.5em;white-space:nowrap">{escape(text)}</span>'
     )
 
 
-def _block(lines: Iterable[str]) -> str:
+def _block(lines: Iterable[str], style: str = "") -> str:
     rows = "".join(f'<div style="margin:0.15em 0">{line}</div>' for line in lines)
-    return f'<div style="font-size:0.85em;line-height:1.35;padding:0 0.6em">{rows}</div>'
+    return f'<div style="font-size:0.85em;line-height:1.35;padding:0 0.6em;{style}">{rows}</div>'
 
 
 def next_step(view: DeskView) -> str:
@@ -71,7 +73,7 @@ def next_step(view: DeskView) -> str:
 
 
 def status(view: DeskView) -> str:
-    """Controller, activity, what to do next, and what was said."""
+    """Controller, activity, what to do next, and what was said; always as high, so that nothing beside it moves."""
     controller = view.graph.controller
     if controller is None:
         first = chip("no controller", GREY) + " nothing on controller_state: is impedance_controller running?"
@@ -80,7 +82,8 @@ def status(view: DeskView) -> str:
     robot = "" if view.graph.joints is not None else chip("no robot", RED) + " no joint states arrive"
     frames = " ".join(chip(f"{frame.name}: {frame.state}", FRAME[frame.state]) for frame in view.graph.frames)
     lines = [first, robot, frames, f"<b>{escape(next_step(view))}</b>"]
-    return _block([line for line in [*lines, *(f"<i>{escape(words)}</i>" for words in view.words)] if line])
+    lines += [f"<i>{escape(words)}</i>" for words in view.words]
+    return _block([line for line in lines if line], f"height:{STATUS_HEIGHT};overflow-y:auto")
 
 
 def led(view: DeskView) -> str:
@@ -253,13 +256,26 @@ def nodes(view: DeskView) -> str:
     return _block(lines or ["No node says anything."])
 
 
-def pages(count: int, is_open: bool = False) -> str:
-    """That the page is not heard yet, that several pages are open, or that other machines may open more."""
+def pages(count: int, driver: int | None, page: int, is_open: bool = False) -> str:
+    """What one page is told of the others: which one drives, and whether other machines may open more.
+
+    It is told nothing before the server hears it: that is what its mark stands for.
+
+    Parameters
+    ----------
+    count
+        of pages that are open
+    driver
+        number of the one that drives; None where nobody does
+    page
+        number of the one that is told
+    is_open
+        whether other machines may open pages
+    """
     lines = []
     if is_open:
         lines.append(chip("open to other machines", YELLOW) + " who has the token may move the robot")
-    if count == 0:
-        lines.append(chip("connecting", GREY) + " what you press is heard in a moment")
-    elif count > 1:
-        lines.append(f"{count} pages show this; one of them drives.")
-    return _block(lines) if lines else ""
+    if count > 1:
+        drives = {None: "the first that asks for something drives", page: "this one drives"}
+        lines.append(f"{count} pages show this; {drives.get(driver, 'another one drives')}.")
+    return f'<span id="{MARK}"></span>' + (_block(lines) if lines else "")

@@ -58,6 +58,8 @@ class Facts:
         whether a training runs in the background
     can_undo
         whether there is something to undo
+    is_read
+        whether the folder of the project has been read: what it holds is not known before
     has_robot
         whether the robot's state arrives
     missing_frames
@@ -75,6 +77,7 @@ class Facts:
     has_model: bool = False
     is_training: bool = False
     can_undo: bool = False
+    is_read: bool = True
     has_robot: bool = True
     missing_frames: tuple[str, ...] = ()
     is_simulated: bool = True
@@ -92,6 +95,10 @@ def _drives(facts: Facts) -> str:
 
 def _idle(facts: Facts) -> str:
     return "" if facts.activity is Activity.IDLE else f"{facts.activity.value}: end that first"
+
+
+def _read(facts: Facts) -> str:
+    return "" if facts.is_read else "the project is still being read: ask again in a moment"
 
 
 def _robot(facts: Facts) -> str:
@@ -137,13 +144,14 @@ def _during(*activities: Activity) -> _Rule:
 RULES: dict[Action, tuple[_Rule, ...]] = {
     Action.RECORD: (_drives, _idle, _robot, _frames, _no_fault),
     Action.END_RECORDING: (_drives, _during(Activity.TEACHING)),
-    Action.UNDO: (_drives, _idle, lambda f: "" if f.can_undo else "there is nothing to undo"),
-    Action.TRAIN: (_drives, _enough, _no_training),
+    Action.UNDO: (_drives, _idle, _read, lambda f: "" if f.can_undo else "there is nothing to undo"),
+    Action.TRAIN: (_drives, _read, _enough, _no_training),
     Action.CANCEL_TRAINING: (_drives, lambda f: "" if f.is_training else "no training is going on"),
-    Action.PREVIEW: (_model, _robot, _frames),
+    Action.PREVIEW: (_read, _model, _robot, _frames),
     Action.RUN: (
         _drives,
         lambda f: "" if f.activity is Activity.PAUSED else _idle(f),
+        _read,
         _model,
         _robot,
         _frames,

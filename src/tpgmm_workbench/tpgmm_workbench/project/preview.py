@@ -40,11 +40,24 @@ COLLISION_STRIDE = 4
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One question about a movement: its name, whether the answer is good (None: it cannot be known), and in words."""
+    """One question about a movement.
+
+    Parameters
+    ----------
+    name
+        of the question
+    is_good
+        the answer; None: it cannot be known
+    words
+        the same in words
+    advised
+        duration that would make it good, s; None where no duration does, or none is needed
+    """
 
     name: str
     is_good: bool | None
     words: str
+    advised: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +88,11 @@ class Preview:
     def may_run(self) -> bool:
         """Whether no answer is bad; what cannot be known does not count."""
         return all(check.is_good is not False for check in self.checks)
+
+    @property
+    def advised(self) -> int | None:
+        """Duration in which the joints are fast enough, s; None where they are in this one."""
+        return next((check.advised for check in self.checks if check.advised is not None), None)
 
     @property
     def words(self) -> str:
@@ -195,7 +213,8 @@ def _speeds(robot: RobotModel, q: Array, times: Array) -> Check:
     words = f"{robot.joint_names[k]} needs {speeds[i, k]:.0%} of its speed limit at {times[i]:.1f} s"
     if speeds[i, k] <= 1.0:
         return Check("speed limits", True, words)
-    return Check("speed limits", False, f"{words}: give it {math.ceil(ROOM * speeds[i, k] * times[-1])} s")
+    advised = math.ceil(ROOM * speeds[i, k] * times[-1])
+    return Check("speed limits", False, f"{words}: give it {advised} s", advised)
 
 
 def _collision(shapes: SelfCollision | None, q: Array, times: Array) -> Check:

@@ -10,8 +10,8 @@ from tpgmm_core.common.types import Array
 
 #: Corners of each ellipse.
 SIDES = 12
-#: A tube is never thinner than this, so that it is seen, m.
-THINNEST = 0.002
+#: A tube is never thinner than this, so that it is seen, nor wider, so that what is beside it is seen, m.
+THINNEST, WIDEST = 0.002, 0.15
 
 
 def tube(path: Array, covariances: Array, deviations: float = 2.0) -> tuple[Array, NDArray[np.int64]]:
@@ -43,7 +43,8 @@ def tube(path: Array, covariances: Array, deviations: float = 2.0) -> tuple[Arra
         )
     across = np.stack(_across(path), axis=2)  # (N, 3, 2)
     values, vectors = np.linalg.eigh(across.transpose(0, 2, 1) @ covariances @ across)
-    axes = across @ vectors * np.maximum(deviations * np.sqrt(np.maximum(values, 0.0)), THINNEST)[:, None, :]
+    radii = np.clip(deviations * np.sqrt(np.maximum(values, 0.0)), THINNEST, WIDEST)
+    axes = across @ vectors * radii[:, None, :]
     angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
     # the same corner of each ellipse lies in the same direction, so that the surface is not wrung
     ways = vectors.transpose(0, 2, 1) @ np.stack([np.cos(angles), np.sin(angles)])  # (N, 2, SIDES)

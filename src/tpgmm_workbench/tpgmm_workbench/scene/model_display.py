@@ -20,7 +20,7 @@ from tpgmm_workbench.session.view import ComponentView, ReferenceView
 SMALLEST, OPACITY_SEEN = 0.003, 0.04
 
 
-class ModelView:
+class ModelDisplay:
     """What the model says, in viser's scene."""
 
     def __init__(self, scene: SceneApi) -> None:
