@@ -2,7 +2,8 @@
 """A smooth trajectory found anew, since a frame has moved: positions (d = 3), poses (d = 6), two hands (d = 12).
 
 One `SmoothTrajectory.situate`: six components of two or three frames adapted, and one Gauss-Newton solution. Share of
-adapting is what Eqs. (5, 6) take of it.
+adapting is what Eqs. (5, 6) take of it. `half_alone` says how far off, in m or rad, the middle of the movement is where
+the middle half of the steps is solved without the rest.
 """
 
 from __future__ import annotations
@@ -64,6 +65,8 @@ def measure(text: str, demos: list[Demonstration], hands: int, steps: int) -> Ro
     solved = 1e3 * durations(lambda: course.situate(next(following)), SITUATIONS)
     adapting = 1e3 * durations(lambda: whole.adapt(next(adapted)), SITUATIONS)
     near = course.duration / 2.0 + np.array([0.0, 0.005, 0.01])
+    grid, q = np.linspace(0.0, course.duration, steps), steps // 4
+    half, full = (whole.retrieve(situations[0], times).positions for times in (grid[q : 3 * q], grid))
     steps_taken = [whole.retrieve(s, np.linspace(0.0, course.duration, steps)).iterations for s in situations]
     return {
         "space": text,
@@ -73,6 +76,7 @@ def measure(text: str, demos: list[Demonstration], hands: int, steps: int) -> Ro
         "adapting": float(np.median(adapting) / np.median(solved)),
         "iterations": float(np.median(steps_taken)),
         "most_iterations": float(np.max(steps_taken)),
+        "half_alone": float(np.abs(whole.manifold.log(full[2 * q], half[q])).max()),
         "at_p50_ms": float(np.median(1e3 * durations(lambda: course.at(near), SITUATIONS))),
     }
 

@@ -7,7 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from random_problems import random_covariance, random_rotation
 from tpgmm_core.geometry import kernels, kernels_rotation
-from tpgmm_core.geometry.kernels_product import fuse
+from tpgmm_core.geometry.kernels_product import FOUND, UNSURE, fuse, search
+from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.kernels_expectation import factorise
 
 rng = np.random.default_rng(0)
@@ -93,3 +94,26 @@ def test_rounding_of_a_large_precision_is_no_information_about_the_free_directio
     np.testing.assert_allclose(u @ mean, u @ target, rtol=1e-9)
     across = np.array([[0.0, 1.0, 0.0], [0.8, 0.0, -0.6]])
     np.testing.assert_allclose(across @ mean, across @ state, atol=0.02)
+
+
+@pytest.mark.parametrize("space", ["R3 x S3", "S3", "R1 x S3 x R2 x S3"])
+def test_steps_by_parts_are_those_of_the_whole_hessian(space: str) -> None:
+    manifold = Manifold.parse(space)
+    n, layout = manifold.tangent_dim, (manifold.ambient_of_tangent, manifold.sphere_starts)
+    base = np.full(manifold.dim, 0.5)  # of unit length on S³
+    weights = np.array([1.0, 0.0, 0.4, 1.0])
+    for _ in range(10):
+        targets = np.stack([manifold.exp(base, 0.3 * rng.normal(size=n)) for _ in weights])
+        precisions = np.stack([w * np.linalg.inv(random_covariance(rng, n)) for w in weights])
+        found = []
+        for by_parts in (True, False):
+            mean, covariance = np.empty(manifold.dim), np.empty((n, n))
+            inputs = targets, precisions, weights, targets[0], 1e-6, *layout
+            assert search(*inputs, by_parts, mean, covariance) == FOUND
+            found.append((mean, covariance))
+        np.testing.assert_allclose(manifold.log(found[1][0], found[0][0]), 0.0, atol=1e-9)
+        np.testing.assert_allclose(found[0][1], found[1][1], rtol=1e-7, atol=1e-9)
+    # a direction that no term knows may have to stay where the state is: only the whole Hessian can tell
+    precisions[:, 0, :] = precisions[:, :, 0] = 0.0
+    alone = np.array([1.0, 0.0, 0.0, 0.0])
+    assert search(targets, precisions, alone, targets[0], 1e-6, *layout, True, mean, covariance) == UNSURE

@@ -170,7 +170,7 @@ def test_the_goal_is_reached_as_the_theorem_says(
         assume("contradict each other" not in str(error))
         raise
     first, dt = system.distance, 10.0**log_time_step
-    top_speed = float(system._law[3])
+    top_speed = float(system._here.law[3])
     assert system.radius == pytest.approx((1.0 + detour) * first)
     longest = first
     time_ns = 0

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Self, overload
@@ -70,6 +71,13 @@ class Gaussian:
         set_covariance(made, covariance)
         set_manifold(made, manifold)
         return made
+
+    @classmethod
+    def _of_kernel(cls, mean: Array, covariance: Array, manifold: Manifold) -> Self:
+        """`_made`, where numbers may not be finite: then the error says so."""
+        if math.isfinite(mean.sum() + covariance.sum()):
+            return cls._made(mean, covariance, manifold)
+        return cls(mean, covariance, manifold)
 
     @property
     def precision(self) -> Array:

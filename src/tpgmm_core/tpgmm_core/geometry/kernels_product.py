@@ -78,11 +78,13 @@ def search(
 
     Parameters
     ----------
-    targets, precisions, weights, state, min_precision, flat, spheres, mean, covariance
+    targets, precisions, weights, state, min_precision, flat, spheres
         of `fuse`
     by_parts
         whether steps are made by parts (`kernels_by_parts`), which is faster, but not possible where a direction may
         have to be kept at the state
+    mean, covariance
+        of `fuse`
 
     Returns
     -------

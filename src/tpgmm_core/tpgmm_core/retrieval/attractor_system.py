@@ -82,6 +82,7 @@ class AttractorSystem(Retrieval, ABC):
         self.start(0)
         for time_ns in (0, 1):
             self.step(time_ns, {self.frame_names[0]: frame})
+        self.horizon(1, 0.001)
         self._last_ns = self._situation = None
 
     @property
@@ -211,12 +212,10 @@ class AttractorSystem(Retrieval, ABC):
         return point
 
     def _shown_ahead(self, seconds: Array) -> list[Gaussian]:
-        gaussians = self._ahead(seconds)
-        if self._fade.is_gone:
-            return gaussians
+        means, covariances = self._ahead(seconds)
         return [
-            Gaussian(g.mean, self._fade.of(g.covariance, ahead), self.manifold)
-            for g, ahead in zip(gaussians, seconds.tolist(), strict=True)
+            Gaussian._of_kernel(mean.copy(), np.array(self._fade.of(covariance, ahead)), self.manifold)
+            for mean, covariance, ahead in zip(means, covariances, seconds.tolist(), strict=True)
         ]
 
     @abstractmethod
@@ -236,8 +235,8 @@ class AttractorSystem(Retrieval, ABC):
         """Mean (D,) and covariance (n, n) of the reference, and the activations (K,)."""
 
     @abstractmethod
-    def _ahead(self, seconds: Array) -> list[Gaussian]:
-        """Gaussians at increasing times (H,), H > 0, from now, s; the state stays as it is."""
+    def _ahead(self, seconds: Array) -> tuple[Array, Array]:
+        """Means (H, D) and covariances (H, n, n) at increasing times (H,), H > 0, from now, s; the state stays."""
 
     @abstractmethod
     def _phase(self) -> float:

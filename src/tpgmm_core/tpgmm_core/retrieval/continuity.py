@@ -12,7 +12,6 @@ Once all of it is gone, the reference is exactly the course.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -133,7 +132,20 @@ class Continuity:
         return self._fade.of(covariance, ahead)
 
     def gaussian(self, mean: Array, covariance: Array, ahead: float = 0.0) -> Gaussian:
-        """The reference where the course has `mean` (D,) and `covariance` (n, n); both a time `ahead`, s."""
+        """The reference where the new course says something else.
+
+        Parameters
+        ----------
+        mean, covariance
+            what the course says, (D,) and (n, n)
+        ahead
+            of the present time, s
+
+        Returns
+        -------
+        Gaussian
+            with what remains of the difference to the former course
+        """
         return self.gaussians(mean[None], covariance[None], np.array([ahead], dtype=float))[0]
 
     def gaussians(self, means: Array, covariances: Array, ahead: Array) -> list[Gaussian]:
@@ -153,9 +165,6 @@ class Continuity:
         """
         shown, result = self.means(means, ahead), []
         for i, seconds in enumerate(ahead.tolist()):
-            mean, covariance = shown[i].copy(), np.array(self._fade.of(covariances[i], seconds))
-            if math.isfinite(mean.sum() + covariance.sum()):
-                result.append(Gaussian._made(mean, covariance, self.manifold))
-            else:
-                result.append(Gaussian(mean, covariance, self.manifold))  # says what is wrong
+            covariance = np.array(self._fade.of(covariances[i], seconds))
+            result.append(Gaussian._of_kernel(shown[i].copy(), covariance, self.manifold))
         return result

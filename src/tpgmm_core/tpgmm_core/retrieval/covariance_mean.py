@@ -44,6 +44,11 @@ class CovarianceMean:
         self._layout = manifold.ambient_of_tangent, manifold.sphere_starts
         self._logs, self._factor, self._goal = np.zeros((K, n, n)), np.eye(n), np.zeros(manifold.dim)
 
+    @property
+    def prepared(self) -> tuple[Array, Array]:
+        """What `exponential` takes: the logarithms (K, n, n), and the factor (n, n) of the covariance at the goal."""
+        return self._logs, self._factor
+
     def take(self, means: Array, covariances: Array, goal: Gaussian) -> bool:
         """Set the covariances.
 

@@ -232,15 +232,14 @@ class DynamicMovementPrimitive(AttractorSystem):
         _, covariances, activations = self._attractors(np.array([self._scaled_time], dtype=np.float64))
         return self._x, covariances[0], activations
 
-    def _ahead(self, seconds: Array) -> list[Gaussian]:
+    def _ahead(self, seconds: Array) -> tuple[Array, Array]:
         times = self._time_scaling.ahead(seconds)
         _, covariances, _ = self._attractors(times + self._scaled_time)
-        x, z, gone, gaussians = self._x, self._z, 0.0, []
-        for time, covariance in zip(times, covariances, strict=True):
+        x, z, gone, means = self._x, self._z, 0.0, np.empty((len(times), len(self._x)))
+        for i, time in enumerate(times.tolist()):
             x, z = self._go(x, z, self._scaled_time + gone, time - gone)
-            gone = time
-            gaussians.append(Gaussian(x, covariance, self.manifold))
-        return gaussians
+            gone, means[i] = time, x
+        return means, covariances
 
     def _phase(self) -> float:
         return min(self._scaled_time, 1.0)

@@ -33,7 +33,6 @@ down. Tests check the bound at every step, on random models, starts and time ste
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping
 
@@ -42,17 +41,15 @@ import numpy as np
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
-from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.learning.endpoints import BEGIN, END, EndpointTPGMM
-from tpgmm_core.model.adaptation import Adapter
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval import kernels_dynamical_system as kernels
 from tpgmm_core.retrieval.attractor_system import AttractorSystem
 from tpgmm_core.retrieval.convergence import Convergence
-from tpgmm_core.retrieval.covariance_mean import CovarianceMean
-from tpgmm_core.retrieval.frame_derivatives import frames_with_derivatives
 from tpgmm_core.retrieval.interface import demonstrated_duration
+from tpgmm_core.retrieval.kernels_look_ahead import look_ahead
+from tpgmm_core.retrieval.situated_dynamics import SituatedDynamics, points_of
 from tpgmm_core.retrieval.spring import Smoothed, critically_damped
 from tpgmm_core.retrieval.velocity_features import with_velocity
 
@@ -116,47 +113,22 @@ class StableDynamics(AttractorSystem):
         blend_time: float = 0.15,
         convergence: Convergence | None = None,
     ) -> None:
-        points = _points(model.manifold_)
+        points = points_of(model.manifold_)
         super().__init__(model, points, duration, horizon_steps, horizon_time_step, blend_time)
         self.convergence = convergence or Convergence()
         known = "duration_s" in model.metadata_
         self._model_duration = demonstrated_duration(model) if known else self.duration
-        n, K = points.tangent_dim, len(model.priors_)
-        self._metric = np.ones(n)
-        for s in points.spheres:
-            self._metric[s.tangent] = self.convergence.metres_per_radian**2
-        self._adapter, self._endpoints = Adapter(model), Adapter(model.endpoints_)
-        self._log_priors = np.log(np.maximum(model.priors_, np.finfo(float).tiny))
-        self._whitening, self._offsets, self._gains = np.empty((K, n, n)), np.empty(K), np.empty((K, n, n))
-        self._activations, self.velocity, self.regressed = np.empty(K), np.zeros(n), np.zeros(n)
-        self._covariances = CovarianceMean(points, K)
-        self._layout = points.ambient_of_tangent, points.sphere_starts
+        self._here = SituatedDynamics(model, points, self.convergence, self._model_duration)
+        self.velocity, self.regressed = np.zeros(points.tangent_dim), self._here.regressed
         self._compile()
 
     def goal(self, frames: Mapping[str, Frame], weights: Mapping[str, float] | None = None) -> Gaussian:
         """Where the movement ends in a situation: the product of the frames' Gaussians of the demonstrations' ends."""
-        return self._end(self._with_derivatives(frames), weights, None, END)
-
-    def _end(
-        self,
-        frames_with_derivatives: Mapping[str, Frame],
-        weights: Mapping[str, float] | None,
-        state: Array | None,
-        which: int,
-    ) -> Gaussian:
-        endpoints = self._endpoints.adapt(frames_with_derivatives, self._with_rest(state), weights)
-        D, n = self.manifold.dim, self.manifold.tangent_dim
-        return Gaussian(endpoints.means[which, :D], endpoints.covariances[which, :n, :n], self.manifold)
-
-    def _with_derivatives(self, frames: Mapping[str, Frame]) -> dict[str, Frame]:
-        return frames_with_derivatives(frames, self.manifold, 1, keeps_time=False)
-
-    def _with_rest(self, state: Array | None) -> Array | None:
-        return None if state is None else np.concatenate([state, np.zeros(self.manifold.tangent_dim)])
+        return self._here.end(frames, weights, None, END)
 
     def _begin(self, situation: Situation, state: Array | None, phase: float) -> None:
         if state is None:
-            state = self._end(self._with_derivatives(situation.frames), situation.weights, None, BEGIN).mean.copy()
+            state = self._here.end(situation.frames, situation.weights, None, BEGIN).mean.copy()
         self._x = state
         self._offset = np.zeros(self.manifold.tangent_dim)
         self._goal_offset, self._goal_rate = np.zeros_like(self._offset), np.zeros_like(self._offset)
@@ -172,39 +144,17 @@ class StableDynamics(AttractorSystem):
     def _situate(self, situation: Situation) -> None:
         slack, seen = self._radius - self.distance, self._seen_goal
         self._take(situation)
-        self._goal_offset = self.manifold.log(self._goal.mean, seen)
+        self._goal_offset = self.manifold.log(self._here.goal.mean, seen)
         self._radius = self.distance + slack  # noise of the goal does not add up
         self._take_velocity(0.0)
 
     def _take(self, situation: Situation) -> None:
-        """Prepare the mixture and the goal of a situation for regression."""
-        frames_with_derivatives, weights = self._with_derivatives(situation.frames), situation.weights
-        self._adapted = self._adapter.adapt(frames_with_derivatives, self._with_rest(self._x), weights)
-        self._goal = self._end(frames_with_derivatives, weights, self._x, END)
-        self._centres = np.ascontiguousarray(self._adapted.means)
-        self._spreads = np.ascontiguousarray(self._adapted.covariances)
-        prepared = self._whitening, self._offsets, self._gains
-        if not (
-            kernels.prepare(self._log_priors, self._centres, self._spreads, self.manifold.dim, *prepared)
-            and self._covariances.take(self._centres, self._spreads, self._goal)
-        ):
-            raise ValueError("a covariance of the adapted mixture is not positive definite")
-        n = self.manifold.tangent_dim
-        scale, T = self.convergence, self._model_duration
-        means, variances = self._centres[:, -n:], np.diagonal(self._spreads, axis1=1, axis2=2)[:, -n:]
-        speeds = np.sqrt(means**2 @ self._metric) + 2.0 * np.sqrt(variances @ self._metric)
-        self._law = np.array([
-            scale.rate / T, scale.goal_rate / T, 0.0, speeds.max(), scale.detour, self._size(self._goal.covariance)
-        ])  # fmt: skip
+        self._here.take(situation, self._x)
         self._reach()
-        self._system = (
-            self._goal.mean.copy(), self._law, self._metric, self._centres, *prepared, *self._layout,
-            self._activations, self.regressed,
-        )  # fmt: skip
 
     def _reach(self, at_least: float = 0.0) -> None:
         """The longest distance from the goal since the start."""
-        self._longest = self._law[2] = max(self._longest, self.distance, at_least)
+        self._longest = self._here.law[2] = max(self._longest, self.distance, at_least)
 
     def _take_velocity(self, seconds: float, astray: Array | float = 0.0) -> None:
         """Compute `velocity` and `regressed` where the system is now; too fast a change goes into the offset.
@@ -217,10 +167,12 @@ class StableDynamics(AttractorSystem):
             (n,), distance between where the last step led and where the former velocity would have led
         """
         former = self.velocity.copy()
-        kernels.stable_velocity(self._x, max(self._radius, 1e-300), *self._system, self.velocity, np.empty(len(former)))
+        kernels.stable_velocity(
+            self._x, max(self._radius, 1e-300), *self._here.system, self.velocity, np.empty(len(former))
+        )
         scale = self._time_scaling.rate * self._model_duration
         change = scale * (self.velocity - former)
-        size, admitted = self._length(change), self._law[3] * scale * seconds / self.blend_time
+        size, admitted = self._length(change), self._here.law[3] * scale * seconds / self.blend_time
         if size > admitted:
             too_fast = 1.0 - admitted / size
             self._offset, self._offset_rate = self._offset - too_fast * astray, self._offset_rate - too_fast * change
@@ -241,7 +193,7 @@ class StableDynamics(AttractorSystem):
     def _go(self, x: Array, radius: float, scaled: float) -> float:
         """Advance x by a scaled time, s as demonstrated; returns the new radius."""
         n_steps = int(min(max(math.ceil(scaled / (MAX_TIME_STEP * self._model_duration)), 1), MAX_STEPS))
-        return float(kernels.go(x, radius, scaled, n_steps, *self._system, np.empty(len(self.velocity))))
+        return float(kernels.go(x, radius, scaled, n_steps, *self._here.system, np.empty(len(self.velocity))))
 
     def _follow(self, robot: Array, seconds: float) -> None:
         """Slow down for a robot that is farther away than the leash, and be pulled along by it.
@@ -259,7 +211,7 @@ class StableDynamics(AttractorSystem):
 
     def _now(self) -> tuple[Array, Array, Array]:
         covariance = self._covariance_at(self._x, self._of_late)
-        return self.manifold.exp(self._x, self._offset), covariance, self._activations.copy()
+        return self.manifold.exp(self._x, self._offset), covariance, self._here.activations.copy()
 
     @property
     def _memory_rate(self) -> float:
@@ -267,28 +219,25 @@ class StableDynamics(AttractorSystem):
 
     def _place(self, x: Array) -> Array:
         """What the covariance goes by: the activations (K,) and the way from the goal to x (n,)."""
-        return np.concatenate([self._activations, self.manifold.log(self._goal.mean, x)])
+        return np.concatenate([self._here.activations, self.manifold.log(self._here.goal.mean, x)])
 
     def _covariance_at(self, x: Array, of_late: Smoothed) -> Array:
-        K = len(self._activations)
+        K = len(self._here.activations)
         d = self._length(of_late.value[K:])
-        near = math.exp(-0.5 * (d / self._law[5]) ** 2)
-        return self._covariances.at(x, (1.0 - near) * of_late.value[:K])
+        near = math.exp(-0.5 * (d / self._here.law[5]) ** 2)
+        return self._here.covariances.at(x, (1.0 - near) * of_late.value[:K])
 
-    def _ahead(self, seconds: Array) -> list[Gaussian]:
-        x, radius = self._x.copy(), self._radius
-        kept = self._activations.copy(), self.regressed.copy()
-        of_late, gaussians, gone, before = copy.copy(self._of_late), [], 0.0, 0.0
-        for time, scaled in zip(
-            seconds.tolist(), self._time_scaling.ahead(seconds) * self._model_duration, strict=True
-        ):
-            radius, gone = self._go(x, radius, scaled - gone), scaled
-            of_late.follow(self._place(x), self._memory_rate, time - before)
-            before = time
-            mean = self.manifold.exp(x, self._offset_after(time)[0])
-            gaussians.append(Gaussian(mean, self._covariance_at(x, of_late), self.manifold))
-        self._activations[:], self.regressed[:] = kept
-        return gaussians
+    def _ahead(self, seconds: Array) -> tuple[Array, Array]:
+        D, n, H = self.manifold.dim, self.manifold.tangent_dim, len(seconds)
+        means, covariances = np.empty((H, D)), np.empty((H, n, n))
+        scaled = self._time_scaling.ahead(seconds) * self._model_duration
+        look_ahead(
+            self._x, self._radius, seconds, scaled, MAX_TIME_STEP * self._model_duration, MAX_STEPS,
+            *self._here.system[:-2], self._of_late.value, self._of_late.velocity, self._memory_rate,
+            self._offset, self._offset_rate, 1.0 / self.blend_time, *self._here.covariances.prepared,
+            means, covariances,
+        )  # fmt: skip
+        return means, covariances
 
     def _offset_after(self, seconds: float) -> tuple[Array, Array]:
         return critically_damped(self._offset, self._offset_rate, 1.0 / self.blend_time, seconds)
@@ -296,7 +245,7 @@ class StableDynamics(AttractorSystem):
     @property
     def _seen_goal(self) -> Array:
         """Position of the goal (D,), smoothed."""
-        return self.manifold.exp(self._goal.mean, self._goal_offset)
+        return self.manifold.exp(self._here.goal.mean, self._goal_offset)
 
     def _phase(self) -> float:
         reference = self.manifold.exp(self._x, self._offset)
@@ -305,7 +254,7 @@ class StableDynamics(AttractorSystem):
         return 1.0 if self._has_arrived else min(max(1.0 - d / self._longest, 0.0), BEFORE_THE_END)
 
     def _mixture(self) -> GaussianMixture:
-        return self._adapted
+        return self._here.mixture
 
     @property
     def radius(self) -> float:
@@ -315,23 +264,7 @@ class StableDynamics(AttractorSystem):
     @property
     def distance(self) -> float:
         """Distance of the system from its goal, m; at most `radius`. The reference differs by the offset alone."""
-        return self._length(self.manifold.log(self._goal.mean, self._x))
-
-    def _size(self, covariance: Array) -> float:
-        """Standard deviation of the length, m."""
-        return math.sqrt(float(np.diagonal(covariance) @ self._metric))
+        return self._length(self.manifold.log(self._here.goal.mean, self._x))
 
     def _length(self, tangent: Array) -> float:
-        return math.sqrt(float(self._metric @ (tangent * tangent)))
-
-
-def _points(manifold: Manifold) -> Manifold:
-    """The space of x, of that of [x, v]. Raises ValueError where there is none."""
-    n, odd = divmod(manifold.tangent_dim, 2)
-    D = manifold.dim - n
-    if odd or n == 0 or any(s.ambient.stop > D for s in manifold.spheres):
-        raise ValueError(
-            "the model is over [x, v], points and their velocities (see with_velocity): D + n dimensions, of which "
-            f"the last n are Euclidean, such as R3 x S3 x R6; got {manifold}"
-        )
-    return manifold.subset(range(D))
+        return math.sqrt(float(self._here.metric @ (tangent * tangent)))

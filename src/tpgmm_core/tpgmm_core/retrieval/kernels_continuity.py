@@ -13,8 +13,8 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.kernels import compiled
-from tpgmm_core.geometry.kernels_manifold import difference, move
-from tpgmm_core.retrieval.spring import left_of_two
+from tpgmm_core.geometry.kernels_manifold import difference, longest, move
+from tpgmm_core.retrieval.spring import damp, left_of_two
 
 
 @compiled
@@ -60,16 +60,11 @@ def advance(left: Array, time_constant: float, swing_time: float, seconds: float
     float
         the largest entries of offset and swing, and of their rates times the time constant, added up
     """
+    damp(left[0], left[1], 1.0 / time_constant, seconds)
+    damp(left[2], left[3], 1.0 / swing_time, seconds)
     total = 0.0
-    for j in range(0, 4, 2):
-        rate = 1.0 / (time_constant if j == 0 else swing_time)
-        remains, away, speed = math.exp(-rate * seconds), 0.0, 0.0
-        for i in range(left.shape[1]):
-            slope = left[j + 1, i] + rate * left[j, i]
-            left[j, i] = remains * (left[j, i] + seconds * slope)
-            left[j + 1, i] = remains * (left[j + 1, i] - rate * seconds * slope)
-            away, speed = max(away, abs(left[j, i])), max(speed, abs(left[j + 1, i]))
-        total += away + time_constant * speed
+    for j in range(4):
+        total += longest(left[j]) * (1.0 if j % 2 == 0 else time_constant)
     return total
 
 

@@ -17,6 +17,9 @@ from tpgmm_core.geometry.kernels import compiled
 from tpgmm_core.geometry.kernels_manifold import difference
 from tpgmm_core.geometry.kernels_rotation import inverse_left_jacobian
 
+ALIKE = 1e-9
+"""Weights of the same times but for a rounding below this, relative, make the same Hessian; gradients are exact."""
+
 
 @compiled
 def _steps(points: Array, t: int, first: int, ahead: Array, flat: Array, spheres: Array, steps: Array) -> None:
@@ -117,21 +120,25 @@ def _turn(own: int, spheres: Array, J: Array, F: Array, out: Array) -> None:
     n, N = len(F) // 3, F.shape[1]
     for s in range(len(spheres)):
         o = own * n + spheres[s, 1]
-        for i in range(3):
-            a, b, c = J[own, s, 0, i], J[own, s, 1, i], J[own, s, 2, i]
-            for k in range(N):
-                out[o + i, k] = a * F[o, k] + b * F[o + 1, k] + c * F[o + 2, k]
+        for k in range(N):
+            x, y, z = F[o, k], F[o + 1, k], F[o + 2, k]
+            for i in range(3):
+                out[o + i, k] = J[own, s, 0, i] * x + J[own, s, 1, i] * y + J[own, s, 2, i] * z
         for p in range(3):
             if p == own:
                 continue
             r = p * n + spheres[s, 1]
-            for i in range(3):
-                a, b, c = J[p, s, i, 0], J[p, s, i, 1], J[p, s, i, 2]
-                for k in range(N):
-                    out[o + i, k] -= a * F[r, k] + b * F[r + 1, k] + c * F[r + 2, k]
-                a, b, c = J[p, s, 0, i], J[p, s, 1, i], J[p, s, 2, i]
-                for k in range(N):
-                    out[r + i, k] = a * F[r, k] + b * F[r + 1, k] + c * F[r + 2, k]
+            a, b, c = J[p, s, 0, 0], J[p, s, 0, 1], J[p, s, 0, 2]
+            d, e, f = J[p, s, 1, 0], J[p, s, 1, 1], J[p, s, 1, 2]
+            g, h, m = J[p, s, 2, 0], J[p, s, 2, 1], J[p, s, 2, 2]
+            for k in range(N):
+                x, y, z = F[r, k], F[r + 1, k], F[r + 2, k]
+                out[o, k] -= a * x + b * y + c * z
+                out[o + 1, k] -= d * x + e * y + f * z
+                out[o + 2, k] -= g * x + h * y + m * z
+                out[r, k] = a * x + d * y + g * z
+                out[r + 1, k] = b * x + e * y + h * z
+                out[r + 2, k] = c * x + f * y + m * z
 
 
 @compiled
@@ -171,11 +178,12 @@ def _rows_on_spheres(n: int, spheres: Array) -> NDArray[np.int64]:
 
 
 @compiled
-def _are_same(weights: Array, t: int) -> bool:
-    """Whether a time's points have the weights of those of the former time; weights (3, T, 3)."""
+def _are_alike(weights: Array, t: int, other: int) -> bool:
+    """Whether two times' points have the same weights, but for rounding; weights (3, T, 3)."""
     for order in range(1, 3):
         for p in range(3):
-            if weights[order, t, p] != weights[order, t - 1, p]:
+            weight = weights[order, t, p]
+            if abs(weights[order, other, p] - weight) > ALIKE * abs(weight):
                 return False
     return True
 
@@ -221,12 +229,10 @@ def assemble(
     downhill[:] = 0.0
     if with_hessian:
         band[:] = 0.0
-    cost, former_own, former_state = 0.0, -1, -1
+    cost, last = 0.0, -1
     for t in range(T):
         precision, mean, base, own = precisions[states[t]], means[states[t]], first[t] * n, t - first[t]
-        is_as_before = own == former_own and _are_same(weights, t)
-        if not is_as_before:
-            _numbers(own, weights, t, flat, numbers)
+        _numbers(own, weights, t, flat, numbers)
         _steps(points, t, first[t], ahead, flat, spheres, steps)
         _rate(steps, t, weights, rates[t])
         difference(points[t], mean[:D], flat, spheres, residual[:n])
@@ -254,13 +260,14 @@ def assemble(
         for r in rows:
             downhill[base + r] -= turned_pull[r, 0]
         if with_hessian:
-            if not (is_as_before and states[t] == former_state):
+            is_folded = last >= 0 and states[last] == states[t] and t - first[t] == last - first[last]
+            if not (is_folded and _are_alike(weights, t, last)):
+                last = t
                 _fold(precision, numbers, half, folded)
                 hessian[:] = folded
             if S > 0:
                 _turn_both(own, spheres, J, folded, rows, half, across, turned, hessian)
             _add_rows(hessian, base, band)
-        former_own, former_state = own, states[t]
     return cost
 
 

@@ -109,7 +109,24 @@ class Spread:
 
 
 def interpolated(grid: Array, smooth: Smooth, manifold: Manifold, times: Array) -> Array:
-    """Points (H, D) at times (H,), s, of a solution at the times of the grid (T,)."""
+    """Points of a solution between its steps.
+
+    Parameters
+    ----------
+    grid
+        (T,), times of the solution, s
+    smooth
+        the solution
+    manifold
+        of its points
+    times
+        (H,), s
+
+    Returns
+    -------
+    Array
+        shape (H, D)
+    """
     means = np.empty((len(times), manifold.dim))
     layout = manifold.ambient_of_tangent, manifold.sphere_starts
     interpolate(grid, smooth.points, smooth.velocities, *layout, times, means)

@@ -30,8 +30,11 @@ WARM_TOLERANCE = 1e-5
 class SmoothTrajectory:
     """A trajectory model as a `TimeParametrized`: solved once for each situation, and interpolated between its steps.
 
-    Where frames have moved little, the search begins at the former solution, which saves most of the Gauss-Newton
-    steps. The result depends on the situation alone, up to 1e-7 m or rad.
+    Where frames have moved little, the search begins at the former solution, which saves most Gauss-Newton steps.
+    The result depends on the situation alone, up to 1e-7 m or rad: steps become shorter by a factor r from one to the
+    next, so that those that are left out after a last step s add up to s (r + r² + ...) = s r / (1 - r) at most. A
+    search from the former solution ends with s <= WARM_TOLERANCE, and there r is below a hundredth. On R^n the first
+    step leads to the solution, and the second one is rounding.
 
     Parameters
     ----------

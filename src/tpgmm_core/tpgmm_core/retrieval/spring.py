@@ -30,9 +30,29 @@ def critically_damped(error: Array, velocity: Array, rate: float, time: float) -
     tuple[Array, Array]
         error and velocity then, (n,)
     """
-    slope = velocity + rate * error
+    error, velocity = np.array(error, dtype=float), np.array(velocity, dtype=float)
+    damp(error, velocity, float(rate), float(time))
+    return error, velocity
+
+
+@compiled
+def damp(error: Array, velocity: Array, rate: float, time: float) -> None:
+    """`critically_damped`, in place.
+
+    Parameters
+    ----------
+    error, velocity
+        (n,), changed
+    rate
+        1/s
+    time
+        s
+    """
     left = math.exp(-rate * time)
-    return left * (error + time * slope), left * (velocity - rate * time * slope)
+    for i in range(len(error)):
+        slope = velocity[i] + rate * error[i]
+        error[i] = left * (error[i] + time * slope)
+        velocity[i] = left * (velocity[i] - rate * time * slope)
 
 
 @compiled
@@ -71,13 +91,13 @@ class Smoothed:
 
     Attributes
     ----------
-    value
+    value, velocity
         (n,), at present
     """
 
     def __init__(self, value: Array) -> None:
         self.value = np.array(value)
-        self._velocity = np.zeros_like(self.value)
+        self.velocity = np.zeros_like(self.value)
 
     def follow(self, target: Array, rate: float, seconds: float) -> None:
         """Let a time pass.
@@ -91,5 +111,5 @@ class Smoothed:
         seconds
             how long, s
         """
-        error, self._velocity = critically_damped(self.value - target, self._velocity, rate, seconds)
+        error, self.velocity = critically_damped(self.value - target, self.velocity, rate, seconds)
         self.value = target + error
