@@ -27,14 +27,14 @@ DATA ?= ../shared/data
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup dev lint format test mutants properties faults fuzz determinism seeds soak demo workbench bags results figures figure5 figure6 bench scaling stress colcon docs reference lock clean
+.PHONY: help setup dev lint format test mutants properties faults fuzz determinism seeds soak networks demo workbench bags results figures figure5 figure6 bench scaling stress colcon docs reference lock clean
 
 help: ## list all targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
 
-setup: $(DONE)/packages $(DONE)/kernels ## install what running needs: virtual environment, ROS wheels, interface packages, compiled kernels
+setup: $(DONE)/packages $(DONE)/kernels ## install everything needed to run: virtual environment, ROS wheels, interface packages, compiled kernels
 
-dev: setup $(DONE)/requirements-dev ## install what running and developing need: also ruff, mypy, pytest, colcon
+dev: setup $(DONE)/requirements-dev ## install everything needed to run and develop: also ruff, mypy, pytest, colcon
 
 lint: dev ## check style and types: ruff, mypy
 	$(PYTHON) -m ruff check
@@ -57,7 +57,7 @@ test: lint ## run lint, then all tests
 properties: dev ## try 10 000 sequences of inputs: no torque and no rate exceeds its limit (`make test` tries fewer)
 	TPGMM_PROPERTY_SEQUENCES=10000 $(PYTHON) -m pytest --timeout 3600 src/tpgmm_core/test/test_controller_properties.py
 
-mutants: dev ## put known faults into a copy of the sources, one at a time; status 1 where no test notices one: out/mutants/ (10 minutes; ONLY=phase for some)
+mutants: dev ## put known faults into a copy of the sources, one at a time; status 1 if no test notices one: out/mutants/ (10 minutes; ONLY=phase for some)
 	$(PYTHON) tools/mutants.py $(if $(ONLY),--only $(ONLY))
 
 fuzz: dev ## try 20 000 untrusted files and messages of each kind: valid, or refused with the reason (`make test` tries fewer)
@@ -74,15 +74,18 @@ seeds: setup ## run the demo in lockstep in many situations and list failures wi
 soak: setup ## run 30 minutes of simulated time with random faults, watch tasks and memory: out/soak/ (MINUTES=5 for less)
 	PYTHONPATH=. $(PYTHON) benchmarks/soak.py --minutes $(MINUTES) --seed $(SEED)
 
-faults: dev ## make every known fault happen to the running nodes and check what they do: out/faults/ (20 minutes; RATE=250 on slow cores)
+networks: setup ## run the demo's task on three hosts whose network loses packets, is slow, and cuts off the camera: out/networks/ (Linux)
+	PYTHONPATH=. $(PYTHON) benchmarks/networks.py --seed $(SEED)
+
+faults: dev ## cause every known fault in the running nodes and check how they react: out/faults/ (20 minutes; RATE=250 on slow cores)
 	PYTHONPATH=.:test $(PYTHON) -m faults $(if $(RATE),--rate $(RATE))
 
-demo: setup ## train a model, start the nodes, do the task, report: out/demo/ (SEED=7 for another situation, SEPARATE=1 for a process for each node)
+demo: setup ## train a model, start the nodes, do the task, report: out/demo/ (SEED=7 for another situation, SEPARATE=1 for one process per node)
 	$(DEMOS)/demo --seed $(SEED) $(if $(SEPARATE),--separate)
 
 # Another folder is another project
 PROJECT ?= out/workbench/project
-workbench: setup ## serve a page on which a simulated robot is taught a skill, and runs it, until Ctrl-C (PROJECT=folder, PORT=8080, ROBOT=robot file, TASK=task file; or URDF= of a robot without a robot file)
+workbench: setup ## serve a page to teach a simulated robot a skill and to run it, until Ctrl-C (PROJECT=folder, PORT=8080, ROBOT=robot file, TASK=task file; or URDF= for a robot without a robot file)
 	$(PYTHON) -m tpgmm_workbench.simulated --project $(PROJECT) $(if $(PORT),--port $(PORT)) $(if $(ROBOT),--robot $(ROBOT)) \
 		$(if $(TASK),--task $(TASK)) $(if $(URDF),--urdf $(URDF))
 
@@ -107,7 +110,7 @@ figures: setup ## draw figures 1 to 4 of the paper, weights of frames, extrapola
 	PYTHONPATH=. $(PYTHON) examples/frame_weights.py
 	PYTHONPATH=. $(PYTHON) examples/extrapolation.py --data $(DATA)/pbdlib
 
-figure5: setup ## figure 5 of the paper, a cup and a sugar cube in two hands that are pushed: out/figure5/ (20 minutes; SEED=7 for other pushes)
+figure5: setup ## figure 5 of the paper, a cup and a sugar cube in two hands, with pushes: out/figure5/ (20 minutes; SEED=7 for other pushes)
 	$(DEMOS)/figure5 --seed $(SEED)
 
 figure6: setup ## figure 6 of the paper, priorities of two hands of a planar robot: out/figures/, out/kinematic_relevance/ (3 minutes)
@@ -115,7 +118,7 @@ figure6: setup ## figure 6 of the paper, priorities of two hands of a planar rob
 	PYTHONPATH=. $(PYTHON) examples/kinematic_relevance.py
 
 BENCHMARKS := em reproduction_step retrieval_step lqr control simulator loop latency kinematic_frames
-bench: setup ## run the benchmarks: tables, and JSON in out/bench/; status 1 where one does not reach its figures (needs two idle cores)
+bench: setup ## run the benchmarks: tables, and JSON in out/bench/; status 1 if one does not reach its bounds (needs two idle cores)
 	@failed=""; for name in $(BENCHMARKS); do PYTHONPATH=.:src/tpgmm_core/test $(PYTHON) benchmarks/$$name.py || failed="$$failed $$name"; \
 		done; if [ -n "$$failed" ]; then echo "not reached:$$failed"; exit 1; fi
 
@@ -124,17 +127,17 @@ scaling: setup ## run the benchmarks of learning, 100 dimensions and a million s
 	PYTHONPATH=. $(PYTHON) benchmarks/scaling.py
 
 SPHINX := $(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going -d out/docs/doctrees -c docs
-docs: setup $(DONE)/requirements-docs ## make a site of the pages, with the API: out/docs/html/index.html (2 minutes)
+docs: setup $(DONE)/requirements-docs ## build a site from the pages, with the API: out/docs/html/index.html (2 minutes)
 	@mkdir -p out/docs && rm -rf out/docs/source && cp -a docs out/docs/source
 	$(SPHINX) out/docs/source out/docs/html
 
-reference: setup ## write the reference pages of nodes, topics, messages and programs from the sources
+reference: setup ## update the reference pages of nodes, topics, messages and programs from the sources
 	$(PYTHON) tools/reference_pages.py
 
-lock: $(DONE)/requirements-dev ## resolve requirements*.in into requirements*.txt, keep locked versions that still fit (UPGRADE=1: take the newest)
+lock: $(DONE)/requirements-dev ## resolve requirements*.in into requirements*.txt, keep locked versions that still fit (UPGRADE=1: use the newest)
 	tools/lock $(BIN)/uv $(if $(UPGRADE),--upgrade)
 
-stress: setup ## run nodes at 1 kHz while incompatible peers come and go, check that none stops: out/executor_stress/ (MINUTES=10)
+stress: setup ## run nodes at 1 kHz while incompatible peers come and go, check that no node stops: out/executor_stress/ (MINUTES=10)
 	PYTHONPATH=. $(PYTHON) benchmarks/executor_stress.py --minutes $(MINUTES)
 
 # As on a full installation, beside what the other targets build. TESTS="-k frame" for some tests only
@@ -146,7 +149,7 @@ colcon: dev ## build and test the packages with colcon: out/colcon/ (15 minutes;
 	$(COLCON) test $(COLCON_PLACES) --executor sequential --event-handlers console_direct+ --return-code-on-test-failure \
 		--packages-select tpgmm_core tpgmm_ros tpgmm_demos tpgmm_workbench $(if $(TESTS),--pytest-args $(TESTS))
 
-clean: ## remove everything that the other targets have made
+clean: ## remove everything that the other targets created
 	rm -rf $(VENV) out .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find src test benchmarks examples tools -name __pycache__ -prune -exec rm -rf {} +
 
@@ -162,18 +165,18 @@ $(DONE)/venv: .python-version
 	@mkdir -p $(DONE) && touch $@
 
 $(DONE)/requirements: requirements.txt tools/install_requirements.py tools/relocate_wheels.py $(DONE)/venv
-	$(call say,what running needs: 162 wheels (some 2 minutes))
+	$(call say,wheels for running: 162 (some 2 minutes))
 	@$(PYTHON) tools/install_requirements.py requirements.txt
 	@$(PYTHON) tools/relocate_wheels.py
 	@touch $@
 
 $(DONE)/requirements-dev: requirements-dev.txt $(DONE)/requirements
-	$(call say,what developing needs beside it: 51 wheels (some 20 seconds))
+	$(call say,wheels for developing: 51 (some 20 seconds))
 	@$(PYTHON) tools/install_requirements.py requirements-dev.txt
 	@touch $@
 
 $(DONE)/requirements-docs: requirements-docs.txt $(DONE)/requirements
-	$(call say,what the site needs: 22 wheels (some 20 seconds))
+	$(call say,wheels for the site: 22 (some 20 seconds))
 	@$(PYTHON) tools/install_requirements.py requirements-docs.txt
 	@touch $@
 

@@ -26,7 +26,8 @@ from sensor_msgs.msg import JointState
 from tpgmm_core.common.report import format_table
 from tpgmm_ros.messages.qos import STREAM
 from tpgmm_ros.programs.reporting import write_report
-from tpgmm_ros.runtime.processes import GraphError, end_with_parent, open_graph, own_domain
+from tpgmm_ros.runtime.graph import open_graph, own_domain
+from tpgmm_ros.runtime.processes import GraphError, end_with_parent
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.runtime.transport import PROFILES, RANGE, TRANSPORTS
 

@@ -22,7 +22,8 @@ from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
 from tpgmm_ros.programs import train
-from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph, Value, open_graph, own_domain
+from tpgmm_ros.runtime.graph import Graph, open_graph, own_domain
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Value
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task
 

@@ -29,7 +29,8 @@ from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.srv import LoadModel
 from tpgmm_ros.programs import train
 from tpgmm_ros.programs.reporting import write_report
-from tpgmm_ros.runtime.processes import Graph, GraphError, NodeProcesses, open_graph, own_domain
+from tpgmm_ros.runtime.graph import Graph, open_graph, own_domain
+from tpgmm_ros.runtime.processes import GraphError, NodeProcesses
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task
 

@@ -19,7 +19,8 @@ from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
 from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
 from tpgmm_core.retrieval.dynamic_features import manifold_with_derivatives, with_derivatives  # noqa: E402
-from tpgmm_core.retrieval.trajectory import SmoothTrajectory, TrajectoryModel  # noqa: E402
+from tpgmm_core.retrieval.smooth_trajectory import SmoothTrajectory  # noqa: E402
+from tpgmm_core.retrieval.trajectory import TrajectoryModel  # noqa: E402
 from workloads import W1, demonstrations, pose_demonstrations  # noqa: E402
 
 SITUATIONS = 200

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 
 _ARRAY = re.compile(r"(?P<item>.+)\[(?P<size>\d+)\]")
 _SEQUENCE = re.compile(r"sequence<(?P<item>.+?)(, (?P<most>\d+))?>")
@@ -68,6 +69,17 @@ class Fuzz:
         else:
             self._spoil_one(message)
         return message
+
+    def damaged(self, good: Any) -> bytes:
+        """The bytes of a message, cut, with some overwritten, or any bytes: a peer of another version, or a bad one."""
+        written = serialize_message(good)
+        kind = self._rng.integers(3)
+        if kind == 0:
+            return written[: int(self._rng.integers(4, len(written)))]  # 4: what says how they are to be read
+        if kind == 1:
+            place = int(self._rng.integers(4, max(5, len(written) - 4)))
+            return written[:place] + bytes(self._rng.choice([0xFF, 0x7F, 0x00], 4).tolist()) + written[place + 4 :]
+        return written[:4] + self._rng.bytes(int(self._rng.integers(len(written) - 3)))
 
     def number(self) -> float:
         kind = self._rng.integers(4)

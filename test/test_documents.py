@@ -21,6 +21,8 @@ from ros_testing import StartProcess, executable
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
+#: The page with the commands that train a model and start the nodes, and the program that asks them.
+NODES_PAGE = DOCS / "how-to" / "run-the-nodes.md"
 PAGES = sorted([ROOT / "README.md", ROOT / "bags" / "README.md", *DOCS.rglob("*.md")])
 #: Rows that `make reference` writes are not commands of a page's own, but what programs say of themselves.
 COMMAND_PAGES = [path for path in PAGES if path != DOCS / "reference" / "programs.md"]
@@ -233,9 +235,9 @@ def test_the_tutorial_in_python_prints_what_it_shows(
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The folder with the model that the README's command trains, and what the command prints."""
+    """The folder with the model that the command of NODES_PAGE trains, and what the command prints."""
     folder = tmp_path_factory.mktemp("trained")
-    (words,) = (words for words in commands(ROOT / "README.md") if words[0] == ".venv/lib/tpgmm_ros/train")
+    (words,) = (words for words in commands(NODES_PAGE) if words[0] == ".venv/lib/tpgmm_ros/train")
     words = [str(ROOT / word) if word.startswith(("config/", "bags/")) else word for word in words]
     run = subprocess.run([executable("train"), *words[1:]], cwd=folder, capture_output=True, text=True, timeout=200)
     assert run.returncode == 0, run.stderr
@@ -248,8 +250,8 @@ def test_the_first_tutorial_trains_the_model_that_its_program_asks(
     """The demonstration itself is `test_demo.py`; here are the command that trains and the program that asks."""
     page = DOCS / "tutorials" / "first-movement.md"
     folder, printed = trained
-    of_readme = [words for words in commands(ROOT / "README.md") if words[0] == ".venv/lib/tpgmm_ros/train"]
-    assert [words for words in commands(page) if Path(words[0]).name == "train"] == of_readme
+    of_nodes_page = [words for words in commands(NODES_PAGE) if words[0] == ".venv/lib/tpgmm_ros/train"]
+    assert [words for words in commands(page) if Path(words[0]).name == "train"] == of_nodes_page
     shown = re.search(r"^    what +value\n((?:    .*\n)+)", page.read_text(), re.MULTILINE)
     assert shown is not None
     for line in shown[1].splitlines():
@@ -261,13 +263,13 @@ def test_the_first_tutorial_trains_the_model_that_its_program_asks(
 
 def test_the_readme_example_without_ros_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    without_ros = [text for text in snippets(ROOT / "README.md") if "rclpy" not in text]
-    assert without_ros
-    for text in without_ros:
+    examples = snippets(ROOT / "README.md")
+    assert examples
+    for text in examples:
         exec(compile(text, "README.md", "exec"), {})
 
 
-def test_the_nodes_of_the_readme_and_its_program_reach_the_end_of_the_movement(
+def test_the_nodes_of_the_page_and_its_program_reach_the_end_of_the_movement(
     trained: tuple[Path, str], start_process: StartProcess
 ) -> None:
     """As they stand, but on simulated time, so that a busy machine only takes longer."""
@@ -278,21 +280,21 @@ def test_the_nodes_of_the_readme_and_its_program_reach_the_end_of_the_movement(
         "impedance_controller": ["-p", "use_sim_time:=true"],
         "reproduction": ["-p", "use_sim_time:=true"],
     }
-    nodes = [words for words in commands(ROOT / "README.md") if "--ros-args" in words and words[0] != "ros2"]
+    nodes = [words for words in commands(NODES_PAGE) if "--ros-args" in words and words[0] != "ros2"]
     assert [Path(words[0]).name for words in nodes] == list(further)
     for words in nodes:
         arguments = [word.replace(":=config/", f":={ROOT}/config/") for word in words[1:]]
         arguments = [word.replace(":=pick_place.tpgmm", f":={folder}/pick_place.tpgmm") for word in arguments]
         name = Path(words[0]).name
         start_process(name, *arguments, *further[name])
-    (program,) = (text for text in snippets(ROOT / "README.md") if "rclpy" in text)
+    (program,) = snippets(NODES_PAGE)
     (folder / "reproduce.py").write_text(program)
     asked = start_process(sys.executable, str(folder / "reproduce.py"), "--ros-args", "-p", "use_sim_time:=true")
     assert asked.wait(240.0) == 0, asked.output
     assert re.search(r"^reached: \d\.\d mm and \d\.\d deg from the model's end", asked.output, re.MULTILINE), (
         asked.output
     )
-    assert re.match(r"reached: \d\.\d mm and \d\.\d deg", printed_after(ROOT / "README.md", program))
+    assert re.match(r"reached: \d\.\d mm and \d\.\d deg", printed_after(NODES_PAGE, program))
 
 
 # -- from the paper to the code

@@ -214,7 +214,8 @@ def test_whatever_message_comes_the_node_goes_on_and_answers_good_ones_as_before
     for _ in range(MESSAGES):
         topic = topics[int(rng.integers(len(topics)))]
         publisher = bench.publishers[topic]
-        publisher.publish(fuzz.spoiled(bench.good(publisher.msg_type)))
+        good = bench.good(publisher.msg_type)
+        publisher.publish(fuzz.damaged(good) if rng.random() < 0.3 else fuzz.spoiled(good))
         ros_node.executor.spin_once(timeout_sec=0.002)  # type: ignore[union-attr]
         assert bench.process.returncode is None, bench.process.output[-4000:]
     bench.inboxes[OUTPUTS[name][1]].clear()

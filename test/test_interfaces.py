@@ -129,4 +129,5 @@ def test_service_and_action_have_the_fields_of_the_contract() -> None:
         "skill",
         "skills",
         "skill_name",
+        "waits",
     ]

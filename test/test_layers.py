@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Folders of a package import one way: each only from those before it, wherever in a module the import is."""
+"""Folders of a package import one way: each only from those before it, wherever in a module the import is.
+
+The name of a type means one thing in all packages.
+"""
 
 from __future__ import annotations
 
@@ -79,3 +82,26 @@ def test_a_package_imports_only_the_packages_that_it_may(package: str) -> None:
     known = set(PACKAGES) | {"tpgmm_msgs", "benchmarks", "examples"}
     used = {name.partition(".")[0] for _, imports in modules(package) for name in imports}
     assert used & known - {package} <= PACKAGES[package]
+
+
+def types_of(path: Path) -> set[str]:
+    """Names of the public classes and type aliases that a module defines."""
+    found = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.TypeAlias):
+            found.add(node.name.id)
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            names = node.targets if isinstance(node, ast.Assign) else [node.target]
+            found |= {name.id for name in names if isinstance(name, ast.Name) and not name.id.isupper()}
+    return {name for name in found if name[0].isupper()}
+
+
+def test_the_name_of_a_type_means_one_thing() -> None:
+    places: dict[str, list[str]] = {}
+    for package in PACKAGES:
+        for path in sorted((SOURCES / package / package).rglob("*.py")):
+            for name in types_of(path):
+                places.setdefault(name, []).append(f"{path.relative_to(SOURCES / package)}")
+    assert {name: paths for name, paths in places.items() if len(paths) > 1} == {}

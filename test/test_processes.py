@@ -15,7 +15,7 @@ from ros_graph import ROBOT_FILE
 PROGRAM = """
 import os, sys
 from pathlib import Path
-from tpgmm_ros.runtime.processes import open_graph, own_domain
+from tpgmm_ros.runtime.graph import open_graph, own_domain
 
 with own_domain(), open_graph("program", Path(sys.argv[1])) as graph:
     graph.processes.start("impedance_controller", robot_file=sys.argv[2])

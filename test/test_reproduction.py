@@ -163,6 +163,45 @@ def test_a_frame_that_disappears_and_comes_back_makes_no_jump_and_the_references
     assert np.abs(np.diff(velocities, axis=0) / (0.5 * (steps[1:] + steps[:-1]))).max() < 1.0
 
 
+def test_a_movement_waits_for_a_frame_that_it_needs_and_is_aborted_where_that_does_not_come(player: Player) -> None:
+    def lose_target() -> float:
+        while player.references[-1].phase < 0.9:
+            player.tick()
+        player.show({**PLACES, "target": None})
+        spin_until(
+            player.node,
+            lambda: player.tick() is not None and bool(player.feedback) and bool(player.feedback[-1].waits),
+            message="the feedback to say why it waits",
+        )
+        assert player.feedback[-1].waits.startswith("without target the reference is known to ")
+        assert set(player.feedback[-1].frames) == {"object", "robot"}
+        for _ in range(round(0.5 * SECOND) // TICK_NS):  # until it has come to rest
+            player.tick()
+        return player.references[-1].phase
+
+    assert set_parameters(player.node, NODE, unknown_timeout=1.0).successful
+    handle = player.start()
+    stands = lose_target()
+    for _ in range(20):
+        player.tick()
+    assert player.references[-1].phase == pytest.approx(stands, abs=1e-3) and stands < 1.0
+    player.show(PLACES)
+    status, result = player.result(handle)
+    assert status == GoalStatus.STATUS_SUCCEEDED and result.final_position_error < 1e-3, result.reason
+    steps = np.linalg.norm(np.diff(means(player.references)[:, :3], axis=0), axis=1)
+    since = next(i for i, reference in enumerate(player.references) if reference.phase >= 0.9)
+    assert steps[since:].max() < 0.5 * steps[:since].max()
+
+    handle = player.start()
+    stands = lose_target()
+    status, result = player.result(handle)
+    assert status == GoalStatus.STATUS_ABORTED and not result.success
+    assert result.reason.startswith("waited for 1 s at phase 0.9") and "without target" in result.reason
+    assert player.references[-1].phase == pytest.approx(stands, abs=1e-3)
+    assert set_parameters(player.node, NODE, unknown_timeout=30.0).successful
+    player.show(PLACES)
+
+
 def test_task_parameters_of_another_size_are_refused_and_those_before_stay_in_use(player: Player) -> None:
     player.start()
 

@@ -17,7 +17,7 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     python_requires=">=3.12",
-    install_requires=["numpy", "scipy", "numba"],
+    install_requires=["joblib", "numpy", "scipy", "numba"],
     extras_require={
         "predictive": ["daqp"],
         "robot": ["pin", "example-robot-data", "pyyaml"],

@@ -135,12 +135,12 @@ def not_seen(bench: GraphBench) -> str:
 
 @fault(
     GraphBench,
-    "an object is lost for good during a movement",
+    "an object is lost for good, once it is not needed any more",
     "MISSING after visible_timeout, hold_time and fade_time; the movement goes on without it, as the diagnostics say",
     quick=False,
 )
 def lost(bench: GraphBench) -> str:
-    goal = bench.move(duration=6.0, until=0.1)
+    goal = bench.move(duration=10.0, until=0.6)
     del bench.places["object"]
     seconds = bench.wait(lambda: bench.seen("object")[-1].status == TaskFrame.MISSING, "MISSING")
     bench.wait(bench.said("reproduction", "reproducing without object"), "the diagnostics to tell")
@@ -148,6 +148,28 @@ def lost(bench: GraphBench) -> str:
     assert result.success, result.reason
     bench.assert_sound()
     return f"MISSING after {seconds:.1f} s, 'reproducing without object', {result.reason}, {assert_smooth(bench)}"
+
+
+@fault(
+    GraphBench,
+    "the target of a movement is lost before its end, and is seen again later",
+    "the movement waits, in words in the diagnostics, and goes on from there without a jump to its end",
+    quick=False,
+)
+def needed(bench: GraphBench) -> str:
+    goal = bench.move(duration=10.0, until=0.5)
+    hidden = bench.places.pop("target")
+    bench.wait(bench.said("reproduction", "waits: without target"), "the diagnostics to tell")
+    waited, phase = bench.references.messages[-1], bench.phase()
+    bench.spin_for(2.0)
+    assert bench.phase() == phase < 1.0, f"the movement went on from {phase} to {bench.phase()}"
+    moved = np.linalg.norm(np.array(bench.references.messages[-1].gaussian.mean[:3]) - waited.gaussian.mean[:3])
+    assert moved < 1e-3, f"the reference went on by {1e3 * moved} mm"
+    bench.places["target"] = hidden
+    result = bench.result(goal)
+    assert result.success, result.reason
+    observed = f"waited at {100 * phase:.0f} % of the way, {1e3 * moved:.2f} mm in 2 s"
+    return f"{observed}; {result.reason}; {assert_smooth(bench)}; {bench.assert_sound()}"
 
 
 @fault(

@@ -66,8 +66,8 @@ def reaching_near(hand: Array, count: int = 10) -> tuple[TPGMM, dict[str, Array]
 
 
 @cache
-def reaching_model() -> TPGMM:
-    """A model of the demonstrations over [time, pose]."""
-    model = TPGMM(n_components=4, reg_covar=1e-5, manifold="R1 x R3 x S3").fit(reaching_demonstrations())
+def reaching_model(count: int = 6) -> TPGMM:
+    """A model of so many demonstrations over [time, pose]."""
+    model = TPGMM(n_components=4, reg_covar=1e-5, manifold="R1 x R3 x S3").fit(reaching_demonstrations(count))
     model.metadata_ = {"duration_s": DURATION}
     return model

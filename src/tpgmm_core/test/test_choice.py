@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import joblib
 import numpy as np
 import pytest
 
@@ -201,6 +202,22 @@ def test_two_processes_choose_what_one_does(found: Search) -> None:
     assert [result.trial.key for result in other.results] == [result.trial.key for result in found.results]
 
 
+def test_a_dask_cluster_chooses_what_one_process_does(found: Search) -> None:
+    """The whole search goes through joblib, so that a backend of its own takes it."""
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install dask distributed")
+    posed, plan = problem()
+    with (
+        distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+        joblib.parallel_config("dask"),
+    ):
+        client.wait_for_workers(2)
+        with distributed.get_task_stream(client) as tasks:
+            other = run_search(posed, plan.rounds, trials=25, workers=2)
+    assert other.best.trial.key == found.best.trial.key and other.best.cost == found.best.cost
+    assert len({task["worker"] for task in tasks.data}) == 2
+
+
 def test_a_budget_of_time_ends_the_search_with_the_best_so_far() -> None:
     posed, plan = problem()
     ticks = iter(range(10_000))
@@ -209,7 +226,8 @@ def test_a_budget_of_time_ends_the_search_with_the_best_so_far() -> None:
     assert search.best.merit == min(result.merit for result in search.results if result.is_complete)
 
 
-def test_an_interruption_leaves_the_best_so_far_and_before_the_first_one_it_ends_all() -> None:
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_interruption_leaves_the_best_so_far_and_before_the_first_one_it_ends_all(workers: int) -> None:
     posed, plan = problem()
     done: list[TrialResult] = []
 
@@ -218,7 +236,7 @@ def test_an_interruption_leaves_the_best_so_far_and_before_the_first_one_it_ends
         if len(done) == 3:
             raise KeyboardInterrupt
 
-    search = run_search(posed, plan.rounds, progress=progress)
+    search = run_search(posed, plan.rounds, workers=workers, progress=progress)
     assert search.ended == "interrupted" and len(search.results) == 3 and search.best in search.results
 
     def at_once(search: Search) -> list[list[Trial]]:

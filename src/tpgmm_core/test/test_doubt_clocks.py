@@ -4,7 +4,8 @@
 import numpy as np
 import pytest
 
-from tpgmm_core.doubt.clocks import ClockError, CommonClock, Nanoseconds, TopicTimes, common_clock, gaps
+from tpgmm_core.common.types import Nanoseconds
+from tpgmm_core.doubt.clocks import ClockError, CommonClock, TopicTimes, common_clock, gaps
 
 START = 1_750_000_000.0
 

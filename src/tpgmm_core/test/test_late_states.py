@@ -17,6 +17,7 @@ pytest.importorskip("pinocchio")
 
 from delayed_loop import DelayedLoop, LoopRecord, joint_reference, pose_reference
 from robots import CONFIG
+from tpgmm_core.control.loop_guard import burden
 from tpgmm_core.control.supervision import ControllerMode
 from tpgmm_core.robot.model import RobotModel
 
@@ -137,6 +138,25 @@ def test_a_delay_that_no_stamp_tells_of_is_found_by_the_swings_and_borne_afterwa
         assert again.modes[-1] == ControllerMode.ACTIVE and again.shares[-1] < 0.7
     assert "it oscillated as if torques came" in again.reasons[-1]
     assert again.fastest(slice(-1000, None), robot.velocity_limits) < 0.1
+
+
+def test_swings_of_an_arm_that_can_hardly_hold_its_weight_are_not_put_down_to_a_delay(
+    robots: dict[str, RobotModel],
+) -> None:
+    robot, arm = robots["baxter"], [f"left_{joint}" for joint in ("s0", "s1", "e0", "e1", "w0", "w1", "w2")]
+    assert burden(robot, robot.home) == ""
+    stretched = robot.home.copy()
+    stretched[robot.indices(arm)] = [-0.17, -0.3, -1.14, 0.68, 0.86, 1.62, -0.37]
+    loop = DelayedLoop(robot, "left", lambda _: 0.06, q0=stretched, tells=False)
+    loop.run(100)
+    record = loop.run(4000, pose_reference(loop.pose() + AWAY, 0.01))
+    assert ControllerMode.DAMPING in record.modes
+    needs = r"left_s1 needs \d+ of its 50 N m to hold the robot's weight"
+    told = " / ".join(record.reasons)
+    assert re.search(rf"does not settle \([^)]*\): {needs}", told) and re.search(
+        f"it oscillated where {needs}", told
+    ), told
+    assert "torques came" not in told
 
 
 def test_an_obstacle_that_goes_away_lets_nothing_leap(robots: dict[str, RobotModel]) -> None:

@@ -9,7 +9,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from reaching import DURATION, frames_at, place, reaching_demonstrations, reaching_model
+from hidden_world import (
+    GOAL,
+    HIDDEN_AT,
+    SEEN,
+    SEEN_AT,
+    SETTLED,
+    SITUATION,
+    START,
+    TICK_NS,
+    between,
+    speeds,
+    waiting,
+    without,
+)
+from hidden_world import run as run_in
+from reaching import DURATION, reaching_demonstrations, reaching_model
 from tpgmm_core import TPGMM, Demonstration, Frame
 from tpgmm_core.geometry.manifold import POSE, Manifold
 from tpgmm_core.learning import model_file
@@ -19,9 +34,6 @@ from tpgmm_core.retrieval.recipe import Recipe
 
 MANIFOLD = Manifold.parse("R1 x R3 x S3")
 DIMENSIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
-START, GOAL = place(0.02, -0.03, 0.2), place(0.5, 0.02, -0.2)
-SITUATION = frames_at(start=START, object=GOAL)
-TICK_NS = 10_000_000
 
 
 @cache
@@ -72,6 +84,30 @@ def test_references_of_every_method_hold_as_many_gaussians_ahead_as_asked_for(me
     reference = retrieval.step(TICK_NS, SITUATION, START)
     assert len(reference.horizon) == steps and reference.horizon_time_step == (0.02 if steps else 0.0)
     assert len(retrieval.horizon(4, 0.01)) == 4
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_waits_for_the_frame_that_it_needs_and_then_comes_to_the_goal(method: str) -> None:
+    references = run_in(waiting(learned(method)), without("object"), 2.0 * DURATION + 1.0)
+    undisturbed = run_in(waiting(learned(method)), SEEN, 2.0 * DURATION + 1.0)
+    assert {r.waits for r in undisturbed} == {""}
+    waits = between(references, HIDDEN_AT + SETTLED, SEEN_AT)
+    assert all(r.waits.startswith("without object the reference is known to ") for r in waits)
+    assert waits[0].phase == pytest.approx(waits[-1].phase, abs=5e-3) and waits[-1].phase < 1.0
+    assert POSE.log(waits[0].gaussian.mean, waits[-1].gaussian.mean) == pytest.approx(np.zeros(6), abs=5e-3)
+    assert waits[-1].frames == ("start",)
+    last = between(references, 0.0, HIDDEN_AT)[-1].gaussian.covariance
+    ratios = np.linalg.eigvals(np.linalg.solve(last, waits[-1].gaussian.covariance)).real
+    assert ratios.max() < 3.0  # 1.7 times the standard deviation: hardly softer than before
+    assert not references[-1].waits and references[-1].phase == pytest.approx(1.0, abs=1e-6)
+    assert np.linalg.norm(POSE.log(references[-1].gaussian.mean, GOAL)[:3]) < 0.02
+    assert speeds(references).max() < 1.2 * speeds(undisturbed).max()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_method_waits_for_a_frame_that_it_does_not_need_any_more(method: str) -> None:
+    references = run_in(waiting(learned(method)), without("start"), 1.5 * DURATION)
+    assert {r.waits for r in references} == {""} and references[-1].phase == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_file_that_is_replaced_while_it_is_read_gives_one_of_both_models(

@@ -19,8 +19,9 @@ from tpgmm_core.retrieval.dynamic_features import (
     point_manifold,
     with_derivatives,
 )
+from tpgmm_core.retrieval.smooth_trajectory import SmoothTrajectory
 from tpgmm_core.retrieval.smoothing import smoothest
-from tpgmm_core.retrieval.trajectory import SmoothTrajectory, Trajectory, TrajectoryModel
+from tpgmm_core.retrieval.trajectory import Trajectory, TrajectoryModel
 from worlds import DURATION, assert_moved, moved, planar_demonstrations, planar_frame, planar_situation, random_world
 
 TIMES = np.linspace(0.0, DURATION, 60)

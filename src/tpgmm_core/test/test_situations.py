@@ -33,13 +33,15 @@ def test_degrees_of_freedom_are_counted_and_what_never_varies_is_named() -> None
     assert found.varied == ("object: x", "object: y", "object: turn about z")
     assert found.constant == ("object: z", "object: turn about x", "object: turn about y")
     assert (found.count, found.least, found.better, found.undetermined) == (5, 4, 8, 0)
-    assert "object (x, y, turn about z) vary: 3 degrees of freedom" in str(found) and "5 were shown" in str(found)
-    assert "Never varied, hence not learned: object (z, turn about x, turn about y)" in str(found)
+    assert "object (x, y, turn about z) varied: 3 degrees of freedom" in str(found) and "5 were demonstrated" in str(
+        found
+    )
+    assert "Never varied, so not learned: object (z, turn about x, turn about y)" in str(found)
 
 
 def test_what_varies_together_only_is_not_determined_and_the_missing_corner_is_asked_for() -> None:
     found = judged(*(place(share, 0.5 * share, 0.0) for share in np.linspace(-0.2, 0.2, 6)))
-    assert found.undetermined == 1 and "1 of the degrees of freedom never vary by themselves" in str(found)
+    assert found.undetermined == 1 and "1 of the degrees of freedom never varied independently" in str(found)
     x, y = (found.most_informative[f"object: {axis}"] for axis in "xy")
     assert x * y < 0.0 and abs(x) == pytest.approx(0.2) and abs(y) == pytest.approx(0.1)
 
@@ -47,7 +49,7 @@ def test_what_varies_together_only_is_not_determined_and_the_missing_corner_is_a
 def test_the_corner_that_no_demonstration_was_near_is_the_most_informative_one() -> None:
     found = judged(*(place(x, y, 0.0) for x, y in ((0, 0), (0, 0.1), (0.1, 0), (0.05, 0.05), (0.02, 0.01))))
     assert found.most_informative == pytest.approx({"object: x": 0.1, "object: y": 0.1})
-    assert "A demonstration with object (x 0.10, y 0.10) would add most" in str(found)
+    assert "The most informative next demonstration: object (x 0.10, y 0.10)" in str(found)
 
 
 def test_the_same_situation_again_and_again_teaches_nothing_of_others() -> None:
@@ -57,7 +59,7 @@ def test_the_same_situation_again_and_again_teaches_nothing_of_others() -> None:
 
 def test_enough_demonstrations_are_not_asked_for_more() -> None:
     found = demonstrated_situations(reaching_demonstrations(20), MANIFOLD)
-    assert len(found.varied) == 6 and found.better == 14 and "would add most" not in str(found)
+    assert len(found.varied) == 6 and found.better == 14 and "most informative" not in str(found)
 
 
 def test_coordinates_of_a_missing_frame_are_not_known_and_those_of_a_moved_world_move_alike() -> None:

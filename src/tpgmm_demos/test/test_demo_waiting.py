@@ -17,7 +17,8 @@ from tpgmm_demos.demo.causes import (
     cause_of_waiting_in_vain,
     machine_figures,
 )
-from tpgmm_ros.runtime.processes import Graph, GraphError, GraphTimeoutError, NodeProcesses
+from tpgmm_ros.runtime.graph import Graph
+from tpgmm_ros.runtime.processes import GraphError, GraphTimeoutError, NodeProcesses
 
 NODES = ("reproduction", "impedance_controller", "baxter_simulator")
 

@@ -54,7 +54,7 @@ def generate_launch_description() -> LaunchDescription:
             "use_sim_time",
             default_value="false",
             choices=["true", "false"],
-            description="the simulator, in lockstep, gives the time on /clock, which poses have their stamps from",
+            description="run the simulator in lockstep; it publishes /clock, which the stamps of poses must use",
         ),
     ]
     clock = {"use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)}

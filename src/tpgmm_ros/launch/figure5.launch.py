@@ -25,7 +25,9 @@ def generate_launch_description() -> LaunchDescription:
         [
             DeclareLaunchArgument("models", description="directory with the models that `figure5` learned"),
             DeclareLaunchArgument(
-                "active", default_value=",".join(TASKS), description="tasks that hold at first, separated by commas"
+                "active",
+                default_value=",".join(TASKS),
+                description="tasks that are active at first, separated by commas",
             ),
             DeclareLaunchArgument(
                 "robot",

@@ -36,24 +36,24 @@ def generate_launch_description() -> LaunchDescription:
             description="joint_motion for a robot that takes positions or poses instead of torques",
         ),
         DeclareLaunchArgument(
-            "outputs", default_value="[joint_trajectory]", description="what joint_motion sends, a list of its outputs"
+            "outputs", default_value="[joint_trajectory]", description="outputs of joint_motion, as a list"
         ),
-        DeclareLaunchArgument("command_rate", default_value="100.0", description="how often joint_motion sends it, Hz"),
+        DeclareLaunchArgument("command_rate", default_value="100.0", description="rate of these outputs, Hz"),
         DeclareLaunchArgument(
             "poses",
             default_value="false",
             choices=["true", "false"],
-            description="compute the poses of the end points, for a robot whose driver publishes joint states alone",
+            description="compute the poses of the end points, for a robot whose driver publishes only joint states",
         ),
         DeclareLaunchArgument(
             "autostart",
             default_value="true",
-            description="configure and activate the nodes; false: leave that to a lifecycle manager",
+            description="configure and activate the nodes; false: a lifecycle manager does this",
         ),
         DeclareLaunchArgument(
             "realtime_priority",
             default_value="0",
-            description="run ahead of ordinary programs (SCHED_FIFO), 1 to 99; 0: no",
+            description="real-time priority (SCHED_FIFO), 1 to 99; 0: none",
         ),
     ]
 

@@ -239,8 +239,8 @@ def test_leave_one_out_reports_every_demonstration(
         assert all(name in fold["baselines"] for fold in result["folds"])
     out = capsys.readouterr().out
     assert all(f"demo_{i}" in out for i in range(COUNT)) and "\nmean " in out
-    assert "coverage: share of the poses left out" in out and "novelty: in what was left out" in out
-    assert re.search(r"situations: object \(.*x, y.*\) vary: \d degrees of freedom", out)
+    assert "coverage: share of the left-out poses" in out and "novelty: in left-out demonstrations" in out
+    assert re.search(r"situations: object \(.*x, y.*\) varied: \d degrees of freedom", out)
 
 
 def test_a_bad_bag_stops_the_training_and_nothing_is_written(

@@ -8,7 +8,7 @@ import pytest
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
-from tpgmm_workbench.scene import stiffness_view
+from tpgmm_workbench.scene import stiffness_display
 from tpgmm_workbench.scene.tube import SIDES, THINNEST, tube
 from tpgmm_workbench.session.arrangement import Arrangement, hand_over, regions_of
 from tpgmm_workbench.session.refusals import LASTS, Refusals
@@ -90,7 +90,7 @@ def test_the_ellipsoid_of_a_hand_is_long_where_it_is_stiff_and_stands_at_the_han
     turn = quaternion.rotation_matrix(quaternion.exp([0.3, -0.2, 0.9]))
     matrix = np.zeros((6, 6))
     matrix[:3, :3] = turn @ np.diag([900.0, 300.0, 100.0]) @ turn.T
-    pose, size = stiffness_view.ellipsoid(HOME[:3], StiffnessView(matrix))
+    pose, size = stiffness_display.ellipsoid(HOME[:3], StiffnessView(matrix))
     np.testing.assert_allclose(pose[:3], HOME[:3])
     np.testing.assert_allclose(size[2] / size[:2], [9.0, 3.0], rtol=1e-9)
     axes = quaternion.rotation_matrix(pose[3:])

@@ -14,7 +14,7 @@ from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.project.quality import quality_of
 from tpgmm_workbench.project.self_collision import SelfCollision
 from tpgmm_workbench.project.situations import Newness
-from tpgmm_workbench.project.suggestion import Region, suggest
+from tpgmm_workbench.project.suggestion import FrameRegion, suggest
 from tpgmm_workbench.project.training import Training, TrainingOptions
 from tpgmm_workbench.project.training_process import train
 
@@ -114,7 +114,7 @@ def test_what_is_suggested_is_newer_than_what_was_shown_and_within_the_region(ta
     for name, pose in found.frames.items():
         places = np.array([situation[name][:3] for situation in seen])
         assert (pose[:3] >= places.min(axis=0) - 1e-9).all() and (pose[:3] <= places.max(axis=0) + 1e-9).all()
-    region = Region((0.6, 0.3, 0.0), (0.7, 0.4, 0.0))
+    region = FrameRegion((0.6, 0.3, 0.0), (0.7, 0.4, 0.0))
     narrow = suggest(taught, {"object": region})
     assert (narrow.frames["object"][:3] >= region.low).all() and (narrow.frames["object"][:3] <= region.high).all()
     newness = Newness.of(taught, taught.shown())

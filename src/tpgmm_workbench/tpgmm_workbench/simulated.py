@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""simulated_workbench: the workbench with a simulated robot; starts the nodes, and says where the page is.
+"""simulated_workbench: the workbench with a simulated robot; starts the nodes, and prints the address of the page.
 
 Starts ``baxter_simulator``, and ``frame_tracker``, ``reproduction`` and ``impedance_controller`` in one process, on a
-ROS domain that nobody else on this machine uses. All of them end with this program. The simulation waits for the
-controller, so that on a busy machine time passes more slowly, and nothing else happens.
+free ROS domain. All of them end with this program. The simulation waits for the controller, so that simulated time
+passes more slowly on a busy machine.
 """
 
 from __future__ import annotations
@@ -154,21 +154,33 @@ def _parser() -> argparse.ArgumentParser:
         "--project",
         type=Path,
         default=Path("out/workbench/project"),
-        help=f"folder of the project; it is made where there is none {shown}",
+        help=f"folder of the project; it is created if it does not exist {shown}",
     )
     parser.add_argument("--task", type=Path, help="task file of a new project (default: config/pick_place.yaml)")
     parser.add_argument("--robot", type=Path, help="robot file of a new project (default: config/baxter.yaml)")
     parser.add_argument(
-        "--urdf", help="of a robot without a robot file, package://NAME/PATH or a path: robot and task are proposed"
+        "--urdf",
+        help="URDF of a robot without a robot file, package://NAME/PATH or a path: robot file and task are proposed",
     )
     parser.add_argument(
-        "--host", default="127.0.0.1", help=f"address of the page; 0.0.0.0: for other machines too, by a token {shown}"
+        "--host",
+        default="127.0.0.1",
+        help=f"address of the page; 0.0.0.0: also for other machines, with a token {shown}",
     )
-    parser.add_argument("--port", type=int, default=8080, help=f"of the page {shown}")
-    parser.add_argument("--rate", type=float, default=FEW_CORES_RATE if few else RATE, help=f"joint states, Hz {shown}")
-    parser.add_argument("--seed", type=int, default=-1, help=f"of the objects' places; -1: others each time {shown}")
-    parser.add_argument("--no-meshes", action="store_true", help="draw simple shapes, which is faster")
-    parser.add_argument("--frame-rate", type=float, default=30.0, help=f"the page is renewed this often, Hz {shown}")
+    parser.add_argument("--port", type=int, default=8080, help=f"port of the page {shown}")
+    parser.add_argument(
+        "--rate", type=float, default=FEW_CORES_RATE if few else RATE, help=f"rate of joint states, Hz {shown}"
+    )
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=-1,
+        help=f"random seed of the objects' places; -1: different places each time {shown}",
+    )
+    parser.add_argument(
+        "--no-meshes", action="store_true", help="draw simple shapes instead of meshes, which is faster"
+    )
+    parser.add_argument("--frame-rate", type=float, default=30.0, help=f"update rate of the page, Hz {shown}")
     parser.add_argument("--domain", type=int, help="ROS domain, to watch with RViz (default: a free one)")
     parser.add_argument("--log", type=Path, default=Path("out/workbench/log"), help=f"logs of the nodes {shown}")
     return parser

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""workbench: a page on which a robot is taught a skill, and runs it: teach, train, preview, run.
+"""workbench: serve a page in the browser to teach a robot a skill and to run it: teach, train, preview, run.
 
-It talks to the running nodes by topics, services and actions alone, and serves a page: for this machine, or for others
-whose users have a token. Beside a real
-robot it records what is led by hand; beside a simulation, the hand and the objects can be dragged, too.
+It uses only topics, services and actions of the running nodes. The page is for this machine, or for other machines
+whose users have a token. With a real robot, it records while you guide the arm by hand; with a simulation, you can also
+drag the hand and the objects.
 """
 
 from __future__ import annotations
@@ -28,26 +28,35 @@ from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.scene.shapes import read_shapes
 
 PARAMETERS = [
-    Declared("project", "workbench", "Folder of the project; it is made where there is none", fixed=True),
+    Declared("project", "workbench", "Folder of the project; it is created if it does not exist", fixed=True),
     Declared("task_file", "", "Task file (YAML) of a new project", fixed=True),
     Declared("robot_file", "", "Robot file (YAML) of a new project", fixed=True),
     Declared(
         "simulated",
         False,
-        "The robot is a simulation: its hand may be dragged, and its objects are moved on the page",
+        "The robot is a simulation: its hand and its objects can be dragged on the page",
         fixed=True,
     ),
     Declared(
         "host",
         "127.0.0.1",
-        "Address at which the page is served; another one than this machine's own lets users of other machines in who "
-        "have the token that is printed",
+        "Address at which the page is served; with 0.0.0.0, users of other machines can open it with the token that is "
+        "printed",
         fixed=True,
     ),
-    Declared("port", 8080, "Port of the page; the next free one where it is taken", 1024, 65535, fixed=True),
-    Declared("meshes", True, "Show the robot by its meshes; else by simple shapes, which are drawn faster", fixed=True),
-    Declared("seed", -1, "Of the places of a simulation's objects; -1: others each time", -1, 2**31 - 1, fixed=True),
-    Declared("frame_rate", 30.0, "How often the page is renewed at most, Hz", 1.0, 30.0, fixed=True),
+    Declared("port", 8080, "Port of the page; if it is taken, the next free one", 1024, 65535, fixed=True),
+    Declared(
+        "meshes", True, "Show the robot by its meshes; otherwise by simple shapes, which are drawn faster", fixed=True
+    ),
+    Declared(
+        "seed",
+        -1,
+        "Random seed of the simulated objects' places; -1: different places each time",
+        -1,
+        2**31 - 1,
+        fixed=True,
+    ),
+    Declared("frame_rate", 30.0, "Largest rate at which the page is updated, Hz", 1.0, 30.0, fixed=True),
 ]
 
 

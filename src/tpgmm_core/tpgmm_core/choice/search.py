@@ -9,16 +9,13 @@ which they finish changes what is chosen from the same number of trials.
 from __future__ import annotations
 
 import math
-import multiprocessing
-import os
-import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 from tpgmm_core.choice.trial import Problem, Trial, TrialResult
+from tpgmm_core.common.side_by_side import side_by_side
 
 LEADERS = 3
 """So many of the best are never given up: the next round starts from them."""
@@ -105,11 +102,11 @@ def run_search(
     seconds
         no trial is begun after this time, and those that go on are given up; the first one is always finished
     workers
-        processes; 1 for none beside this one
+        processes, or what a backend of joblib's takes for them: see `side_by_side`
     progress
         see `TrialProgress`
     clock
-        returns a time in s, the same in all processes
+        returns a time in s; only differences count, so that clocks of machines may differ
 
     Returns
     -------
@@ -120,20 +117,19 @@ def run_search(
     deadline = math.inf if seconds is None else clock() + seconds
     done: set[object] = set()
     try:
-        with _judges(problem, workers, clock) as judge:
-            for asked in rounds(search):
-                new = []
-                for trial in asked:
-                    if trial.key not in done and (trials is None or len(done) < trials):
-                        done.add(trial.key)
-                        new.append(trial)
-                _run_round(search, new, judge, deadline, progress, clock)
-                if clock() > deadline and search.leaders:
-                    search.ended = "time"
-                    break
-                if trials is not None and len(done) >= trials:
-                    search.ended = "trials"
-                    break
+        for asked in rounds(search):
+            new = []
+            for trial in asked:
+                if trial.key not in done and (trials is None or len(done) < trials):
+                    done.add(trial.key)
+                    new.append(trial)
+            _run_round(search, problem, new, workers, deadline, progress, clock)
+            if clock() > deadline and search.leaders:
+                search.ended = "time"
+                break
+            if trials is not None and len(done) >= trials:
+                search.ended = "trials"
+                break
     except KeyboardInterrupt:
         if not search.leaders:
             raise
@@ -141,112 +137,40 @@ def run_search(
     return search
 
 
-type _Limits = Callable[[], tuple[float, float]]
-type _Judge = Callable[[Iterator[Trial], _Limits], Iterator[tuple[int, TrialResult]]]
-
-
 def _run_round(
     search: Search,
+    problem: Problem,
     trials: Sequence[Trial],
-    judge: _Judge,
+    workers: int,
     deadline: float,
     progress: TrialProgress | None,
     clock: Callable[[], float],
 ) -> None:
     """Results are kept in the order of the trials, whichever is finished first."""
-    first = len(search.results)
+    before = list(search.results)
     found: dict[int, TrialResult] = {}
 
-    def in_time() -> Iterator[Trial]:
-        for trial in trials:
+    def asked() -> Iterator[_Asked]:
+        """Each trial with what is known when it is begun."""
+        for number, trial in enumerate(trials):
             if clock() > deadline and search.leaders:
                 return
-            yield trial
+            bound, end = search.limits(deadline)
+            yield number, trial, bound, end - clock()
 
-    for number, result in judge(in_time(), lambda: search.limits(deadline)):
+    for number, result in side_by_side(partial(_judge, problem, clock), asked(), workers, in_order=False):
         found[number] = result
-        search.results[first:] = [found[i] for i in sorted(found)]
+        search.results = before + [found[i] for i in sorted(found)]  # at once, since `asked` may run in another thread
         if progress is not None and search.leaders:
             progress(result, search.leaders[0])
 
 
-@contextmanager
-def _judges(problem: Problem, workers: int, clock: Callable[[], float]) -> Iterator[_Judge]:
-    if workers <= 1:
-
-        def one_by_one(trials: Iterator[Trial], limits: _Limits) -> Iterator[tuple[int, TrialResult]]:
-            for number, trial in enumerate(trials):
-                yield number, _judge(problem, trial, *limits(), clock)
-
-        yield one_by_one
-        return
-    with _single_threaded(), _pool(problem, workers) as pool:
-
-        def side_by_side(trials: Iterator[Trial], limits: _Limits) -> Iterator[tuple[int, TrialResult]]:
-            running: dict[Future[TrialResult], int] = {}
-            for number, trial in enumerate(trials):
-                running[pool.submit(_judge_here, trial, *limits(), clock)] = number
-                if len(running) >= workers:
-                    yield from _finished(running)
-            while running:
-                yield from _finished(running)
-
-        yield side_by_side
+type _Asked = tuple[int, Trial, float, float]
+"""A trial's number, the trial, the merit beyond which it is too poor, and the time that is left, s."""
 
 
-def _finished(running: dict[Future[TrialResult], int]) -> Iterator[tuple[int, TrialResult]]:
-    """Wait for one of those that run, at least; they are taken away."""
-    for future in wait(running, return_when=FIRST_COMPLETED).done:
-        yield running.pop(future), future.result()
-
-
-def _judge(problem: Problem, trial: Trial, bound: float, deadline: float, clock: Callable[[], float]) -> TrialResult:
+def _judge(problem: Problem, clock: Callable[[], float], asked: _Asked) -> tuple[int, TrialResult]:
     """Give up what is too poor or too late."""
-    return problem.judge(trial, lambda merit: merit > bound or clock() > deadline)
-
-
-# -- in the other processes
-
-_problem: Problem | None = None
-
-
-def _judge_here(trial: Trial, bound: float, deadline: float, clock: Callable[[], float]) -> TrialResult:
-    assert _problem is not None  # set by `_begin`
-    return _judge(_problem, trial, bound, deadline, clock)
-
-
-def _begin(problem: Problem) -> None:
-    global _problem
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process decides what an interruption means
-    _problem = problem
-
-
-@contextmanager
-def _pool(problem: Problem, workers: int) -> Iterator[ProcessPoolExecutor]:
-    # spawned, not forked: a fork of a process with threads (of ROS, of BLAS) may never come to its work
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, context, _begin, (problem,))
-    try:
-        yield pool
-        pool.shutdown()
-    except BaseException:
-        for process in list((pool._processes or {}).values()):
-            process.terminate()
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-
-
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Processes that begin within have one thread each for BLAS and numba: they would fight for the same cores."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-    former: Mapping[str, str | None] = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in former.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+    number, trial, bound, seconds = asked
+    begin = clock()
+    return number, problem.judge(trial, lambda merit: merit > bound or clock() - begin > seconds)

@@ -2,11 +2,8 @@
 """Settings with a meaning and a range: said once, checked everywhere, and shown to users as they stand here.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SomeConfig:
+class SomeConfig(Settings):
     hold_time: float = setting(2.0, 0.0, 60.0, "A lost frame keeps its confidence for this long, s")
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 """
 
 from __future__ import annotations
@@ -96,3 +93,19 @@ def check_settings(config: Any) -> None:
             raise ValueError(
                 f"{item.name} is {shown(value)}, expected {known.lower:g} to {known.upper:g} ({known.description})"
             )
+
+
+class Settings:
+    """Base of dataclasses of settings, whose numbers are checked when one is made.
+
+    Raises
+    ------
+    ValueError
+        for a number out of its range
+    """
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        check_settings(self)

@@ -7,3 +7,5 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Nanoseconds = NDArray[np.int64]

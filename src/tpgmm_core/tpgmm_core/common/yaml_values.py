@@ -19,50 +19,22 @@ def is_name(text: str) -> bool:
     return _NAME.fullmatch(text) is not None
 
 
-def a_name(value: Any) -> str:
-    """A value that must be a name.
+def checked_text(is_valid: Callable[[str], object], expected: str) -> Callable[[Any], str]:
+    """A reader of texts that fulfil a condition; `expected` says in words which."""
 
-    Parameters
-    ----------
-    value
-        as YAML holds it
+    def read(value: Any) -> str:
+        if not isinstance(value, str) or not is_valid(value):
+            raise ValueError(expected)
+        return value
 
-    Returns
-    -------
-    str
-        the value
-
-    Raises
-    ------
-    ValueError
-        with what was expected
-    """
-    if not isinstance(value, str) or not is_name(value):
-        raise ValueError("a name of letters, digits and underscores")
-    return value
+    return read
 
 
-def a_text(value: Any) -> str:
-    """A value that must be a text.
-
-    Parameters
-    ----------
-    value
-        as YAML holds it
-
-    Returns
-    -------
-    str
-        the value
-
-    Raises
-    ------
-    ValueError
-        with what was expected
-    """
-    if not isinstance(value, str):
-        raise ValueError("a text; quote it if it looks like something else")
-    return value
+a_name = checked_text(is_name, "a name of letters, digits and underscores")
+a_text = checked_text(lambda text: True, "a text; quote it if it looks like something else")
+a_topic = checked_text(
+    _TOPIC.fullmatch, "a relative topic such as object/pose (no leading slash, so that namespaces work)"
+)
 
 
 def some_names(value: Any) -> tuple[str, ...]:
@@ -88,29 +60,6 @@ def some_names(value: Any) -> tuple[str, ...]:
     if len(set(value)) != len(value):
         raise ValueError("a list of names, none of them twice")
     return tuple(value)
-
-
-def a_topic(value: Any) -> str:
-    """A value that must be a relative topic.
-
-    Parameters
-    ----------
-    value
-        as YAML holds it
-
-    Returns
-    -------
-    str
-        the value
-
-    Raises
-    ------
-    ValueError
-        with what was expected
-    """
-    if not isinstance(value, str) or not _TOPIC.fullmatch(value):
-        raise ValueError("a relative topic such as object/pose (no leading slash, so that namespaces work)")
-    return value
 
 
 def a_number(least: float = -math.inf) -> Callable[[Any], float]:
@@ -186,10 +135,4 @@ def an_integer(least: int) -> Callable[[Any], int]:
 
 def a_choice(*choices: str) -> Callable[[Any], str]:
     """A reader of texts that are one of these."""
-
-    def read(value: Any) -> str:
-        if not isinstance(value, str) or value not in choices:
-            raise ValueError("one of " + ", ".join(choices))
-        return value
-
-    return read
+    return checked_text(lambda text: text in choices, "one of " + ", ".join(choices))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.operational_space import invert_inertia
 from tpgmm_core.model.reference import Reference
@@ -193,12 +193,12 @@ class LawTorques:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LawConfig:
+class LawConfig(Settings):
     """Parameters that all laws have."""
 
     gain_time: float = setting(0.05, 1e-3, 5.0, "Time constant with which stiffness and damping change, s")
     hold_frequency: float = setting(
-        20.0, 0.1, 100.0, "How firmly joints that no reference moves hold still (bandwidth), rad/s"
+        20.0, 0.1, 100.0, "Bandwidth with which joints without a reference are held still, rad/s"
     )
     hand_guiding_damping: float = setting(
         0.3, 1e-3, 50.0, "Damping of an arm without a reference, while a person may guide it by hand, N m s/rad"
@@ -206,10 +206,6 @@ class LawConfig:
     blend_time: float = setting(
         0.5, 1e-3, 60.0, "Time over which the control fades in when a reference comes, and out when it ends, s"
     )
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for values out of their range."""
-        check_settings(self)
 
 
 class ControlLaw[TargetT](Protocol):

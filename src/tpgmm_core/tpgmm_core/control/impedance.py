@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
-from tpgmm_core.control.control_law import DynamicState, Lag, LawTorques
+from tpgmm_core.control.control_law import ControlLaw, DynamicState, Lag, LawTorques
 from tpgmm_core.control.delay_margin import borne_share, delay_margin, fastest_rate
 from tpgmm_core.control.impedance_config import ImpedanceConfig
 from tpgmm_core.control.kernels_impedance import STOP_FREQUENCY, arm_torques, standing_torques
@@ -33,7 +33,7 @@ POSE_MANIFOLD = "R3 x S3"
 TERMS = ("feedforward", "feedback", "null_space", "hold", "hand_guiding")
 
 
-class ImpedanceLaw:
+class ImpedanceLaw(ControlLaw[PoseTarget]):
     """Cartesian impedance of one hand; the joints that do not move it hold the posture in which they were found.
 
     Its terms: "feedforward", gravity and Coriolis torques, also those of the hand's motion; "feedback", the
@@ -103,19 +103,7 @@ class ImpedanceLaw:
         self._posture: Array | None = None
 
     def target(self, reference: Reference, moving: bool) -> PoseTarget:
-        """Prepare a reference: see `ControlLaw.target`.
-
-        Parameters
-        ----------
-        reference
-            over a pose
-        moving
-            whether its velocity counts
-
-        Returns
-        -------
-        PoseTarget
-            the pose, its gains, and the velocity if it is moving
+        """Prepare a reference: the pose, its gains, and its velocity if it is moving.
 
         Raises
         ------
@@ -168,24 +156,10 @@ class ImpedanceLaw:
         return PoseTarget(replace(reference, pose=pose), gains.damping, rate=rate)
 
     def step(self, moment: DynamicState, target: PoseTarget | None, dt: float) -> LawTorques:
-        """Torques of a state: see `ControlLaw.step`.
+        """Torques of a state.
 
         Without a target the last one is released over `blend_time`; what remains is gravity compensation with
         damping. The `reason` is set when the joint velocities are too large to compute with.
-
-        Parameters
-        ----------
-        moment
-            the robot's state
-        target
-            of `target`, or None
-        dt
-            since the last step, s
-
-        Returns
-        -------
-        LawTorques
-            the torques and their terms
         """
         config, nv = self.config, self.robot.nv
         pose, twist = moment.data.pose(self.endpoint), moment.data.twist(self.endpoint)

@@ -21,14 +21,16 @@ class ImpedanceConfig(LawConfig):
         0.02, 1e-6, 1e3, "Cost of acceleration against deviation: larger is softer and smoother"
     )
     characteristic_length: float = setting(
-        0.3, 0.01, 10.0, "Length that compares turning with moving: 1 rad counts as this, m"
+        0.3, 0.01, 10.0, "Length that relates rotations to translations: 1 rad counts as this, m"
     )
     min_stiffness: float = setting(10.0, 1e-3, 1e4, "Smallest stiffness in any direction, per unit of mass, 1/s^2")
     max_stiffness: float = setting(2500.0, 1e-3, 1e4, "Largest stiffness in any direction, per unit of mass, 1/s^2")
     max_linear_speed: float = setting(
         0.4, 1e-3, 5.0, "Largest speed with which the hand approaches a reference that jumps, m/s"
     )
-    max_angular_speed: float = setting(1.2, 1e-3, 20.0, "Largest angular speed with which it approaches one, rad/s")
+    max_angular_speed: float = setting(
+        1.2, 1e-3, 20.0, "Largest angular speed with which the hand approaches a reference that jumps, rad/s"
+    )
     max_linear_acceleration: float = setting(
         40.0, 0.1, 1e3, "Largest acceleration in answer to a position error, m/s^2"
     )

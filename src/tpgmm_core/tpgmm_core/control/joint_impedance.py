@@ -20,9 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tpgmm_core.common.blending import smoothstep
 from tpgmm_core.common.settings import setting
 from tpgmm_core.common.types import Array
-from tpgmm_core.control.control_law import DynamicState, Lag, LawConfig, LawTorques
+from tpgmm_core.control.control_law import ControlLaw, DynamicState, Lag, LawConfig, LawTorques
 from tpgmm_core.control.delay_margin import borne_share
 from tpgmm_core.control.joint_target import JointGains, JointTarget, receding_joint_gains
 from tpgmm_core.control.kernels_impedance import standing_torques
@@ -67,7 +68,7 @@ class JointImpedanceConfig(LawConfig):
             )
 
 
-class JointImpedanceLaw:
+class JointImpedanceLaw(ControlLaw[JointTarget]):
     """Joint-space impedance of any joints, such as those of both arms; the others hold the posture they were found in.
 
     Its terms: "feedforward", gravity, and Coriolis torques of joints that hold; "feedback", the impedance towards the
@@ -132,19 +133,7 @@ class JointImpedanceLaw:
             self.ahead.reset()
 
     def target(self, reference: Reference, moving: bool) -> JointTarget:
-        """Prepare a reference: see `ControlLaw.target`.
-
-        Parameters
-        ----------
-        reference
-            over joint positions
-        moving
-            whether its velocity counts
-
-        Returns
-        -------
-        JointTarget
-            positions, velocities if it is moving, and the precision
+        """Prepare a reference: positions, velocities if it is moving, and the precision.
 
         Raises
         ------
@@ -167,29 +156,15 @@ class JointImpedanceLaw:
         return JointTarget(np.array(gaussian.mean), velocities, precision, course=course)
 
     def step(self, moment: DynamicState, target: JointTarget | None, dt: float) -> LawTorques:
-        """Torques of a state: see `ControlLaw.step`.
+        """Torques of a state.
 
         Without a target the last one is released over `blend_time`; what remains is gravity compensation with
         damping. The `reason` is set when the joint velocities are too large to compute with.
-
-        Parameters
-        ----------
-        moment
-            the robot's state
-        target
-            of `target`, or None
-        dt
-            since the last step, s
-
-        Returns
-        -------
-        LawTorques
-            the torques and their terms
         """
         config, joints, nv, n = self.config, self._joints, self.robot.nv, len(self._joints)
         change = dt / config.blend_time
         self._blend = min(1.0, max(0.0, self._blend + (change if target is not None else -change)))
-        weight = self._blend**2 * (3.0 - 2.0 * self._blend)
+        weight = smoothstep(self._blend)
         if target is not None or weight == 0.0:
             self._target = target
         feedforward, feedback, hold, hand_guiding, given = rows = np.zeros((len(TERMS) + 1, nv))

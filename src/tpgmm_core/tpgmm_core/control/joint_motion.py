@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import Lag
@@ -40,26 +40,22 @@ AT_BOUND = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MotionConfig:
+class MotionConfig(Settings):
     """How joints move."""
 
     speed_share: float = setting(0.4, 0.01, 1.0, "Share of the joints' speed limits that is used, 1")
     max_acceleration: float = setting(5.0, 0.1, 200.0, "Largest acceleration of a joint, rad/s^2 (m/s^2)")
-    tracking_rate: float = setting(4.0, 0.1, 50.0, "How fast what is missing to the reference is made up for, 1/s")
+    tracking_rate: float = setting(4.0, 0.1, 50.0, "Rate at which the distance to the reference is reduced, 1/s")
     approach_speed: float = setting(
-        0.25, 0.001, 5.0, "Largest speed of a hand at which it is made up for, along each axis of its covariance, m/s"
+        0.25, 0.001, 5.0, "Largest speed at which a hand reduces this distance, along each axis of its covariance, m/s"
     )
-    approach_turn: float = setting(1.0, 0.01, 20.0, "The same for turns, rad/s")
+    approach_turn: float = setting(1.0, 0.01, 20.0, "The same for rotations, rad/s")
     joint_deviation: float = setting(
         1.0,
         1e-3,
         1e3,
-        "Speed of a joint that counts as much as to miss one standard deviation of the reference per second, rad/s",
+        "Speed of a joint that costs as much as missing the reference by one standard deviation per second, rad/s",
     )
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,16 +6,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tpgmm_core.common.types import Array
+from tpgmm_core.common.types import Array, Indices
 from tpgmm_core.control.delay_margin import OF_CRITICAL, borne_share, joint_damping
 from tpgmm_core.control.kernels_pose import pose_difference
 from tpgmm_core.control.operational_space import bound_twist, operational_space
 from tpgmm_core.control.torque_limits import fit
 from tpgmm_core.geometry.kernels import compiled, multiply_add
-
-Indices = NDArray[np.intp]
 
 #: The null space keeps this far away from position limits (rad or m), or this share of the range, ...
 STOP_MARGIN, STOP_SHARE = 0.3, 0.15

@@ -4,13 +4,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tpgmm_core.common.types import Array
+from tpgmm_core.common.types import Array, Indices
 from tpgmm_core.control.torque_limits import clamp
 from tpgmm_core.geometry.kernels import cholesky, compiled, invert_lower
-
-Indices = NDArray[np.intp]
 
 
 @compiled

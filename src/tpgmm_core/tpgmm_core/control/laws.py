@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from tpgmm_core.common.blending import smoothstep
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.control.control_law import ControlLaw, DynamicState, LawTorques
 from tpgmm_core.control.impedance import ImpedanceConfig, ImpedanceLaw
@@ -66,7 +67,7 @@ class LawTarget:
     of_law: Any
 
 
-class ReferenceLaw:
+class ReferenceLaw(ControlLaw[LawTarget]):
     """One of `LAWS`, for references of any kind; see the module.
 
     The laws of the end point's pose and of its joints are made at once, so that all is compiled; that of other joints
@@ -136,19 +137,7 @@ class ReferenceLaw:
         self._current.reset()
 
     def target(self, reference: Reference, moving: bool) -> LawTarget:
-        """Prepare a reference by the law of its kind: see `ControlLaw.target`.
-
-        Parameters
-        ----------
-        reference
-            over a pose, or over joint positions
-        moving
-            whether its velocity counts
-
-        Returns
-        -------
-        LawTarget
-            the law, and what its `step` takes
+        """Prepare a reference by the law of its kind.
 
         Raises
         ------
@@ -159,22 +148,7 @@ class ReferenceLaw:
         return LawTarget(law, law.target(reference, moving))
 
     def step(self, moment: DynamicState, target: LawTarget | None, dt: float) -> LawTorques:
-        """Torques of a state: see `ControlLaw.step`.
-
-        Parameters
-        ----------
-        moment
-            the robot's state
-        target
-            of `target`, or None
-        dt
-            since the last step, s
-
-        Returns
-        -------
-        LawTorques
-            during a change of laws the blend of both; gains and error are those of the new law
-        """
+        """Torques of a state; during a change of laws the blend of both, with the new law's gains and error."""
         if target is not None and target.law is not self._current:
             if target.law is self._former:
                 self._share = 1.0 - self._share
@@ -189,7 +163,7 @@ class ReferenceLaw:
         self._share = min(1.0, self._share + dt / self._settings.pose.blend_time)
         if self._share == 1.0:
             self._former = None
-        return _between(before, asked, self._share**2 * (3.0 - 2.0 * self._share))
+        return _between(before, asked, smoothstep(self._share))
 
     def _joints_of(self, reference: Reference) -> Joints:
         manifold = reference.gaussian.manifold

@@ -9,7 +9,8 @@ condition for following again.
   nothing useful is left: DAMPING, until the delay has been well below that for a second, or references have stopped.
 - **Swings.** DAMPING until all joints have been calm for a second; then it follows with gains that are stable with a
   delay of a quarter of the swing's period, which is the delay that makes damping swing like this. After half a minute
-  the gains are the usual ones again. After the third swing it does not try again before the next activation.
+  the gains are the usual ones again. After the third swing it does not try again before the next activation. Where a
+  joint can hardly hold the robot's weight, that is given as the cause.
 - **Hindered.** HOLD: pulled by no more than a few centimetres, so that nothing jumps when the obstacle goes; ACTIVE
   again once the robot is near its reference.
 """
@@ -18,6 +19,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import LawTorques, Loop
 from tpgmm_core.control.controller import TorqueCommand
 from tpgmm_core.control.delay_margin import DELAY_SAFETY
@@ -37,6 +41,8 @@ MOST_ALARMS = 3
 TOLD_FACTOR = 1.1
 #: A share above this is not worth a sentence.
 NEARLY_ALL = 0.95
+#: A joint that needs more than this share of its effort to hold the robot's weight has too little left for control.
+OVERBURDENED = 0.8
 
 
 class LoopGuard:
@@ -73,7 +79,7 @@ class LoopGuard:
         self._swings.forget()
         self._progress.forget()
         self.share, self.tolerated = 1.0, math.inf
-        self._swung, self._alarms = "", 0
+        self._swung, self._alarms, self._burden = "", 0, ""
         self._late, self._longest, self._in_time = "", math.inf, 0.0
         self._told, self._words, self._told_delay = 1.0, "", 0.0
 
@@ -124,21 +130,23 @@ class LoopGuard:
         follows = mode in (ControllerMode.ACTIVE, ControllerMode.HOLD)
         moves, wanted = (0.0, 0.0) if asked is None else (asked.moves, asked.asked)
         if self._swings.step(command.v, moves, wanted, dt) and (follows or self._swung):
-            self._alarm(follows)
+            self._alarm(follows, command)
         if asked is None:
             return
         self._judge_delay(asked, follows, dt)
         if follows:
             self._progress.step(command.q, command.tau, asked, dt)
 
-    def _alarm(self, follows: bool) -> None:
+    def _alarm(self, follows: bool, command: TorqueCommand) -> None:
         swings, robot = self._swings, self._robot
+        self._burden = burden(robot, command.q)
+        cause = self._burden or "states or torques late, or gains too high for the robot's inertia"
         self._alarms += follows
         self.age.suspect(0.5 * swings.half_period)
         unit = robot.joint_units[swings.joint]
         self._swung = (
             f"{robot.joint_names[swings.joint]} oscillates and does not settle ({swings.speed:.2g} {unit}/s, period "
-            f"{2e3 * swings.half_period:.0f} ms): states or torques late, or gains too high for the robot's inertia; "
+            f"{2e3 * swings.half_period:.0f} ms): {cause}; "
         )
         again = "for the third time: activate it again" if self._alarms >= MOST_ALARMS else "softer once it is calm"
         self._swung += again
@@ -167,6 +175,8 @@ class LoopGuard:
 
     def _words_of_late(self, delay: float) -> str:
         self._told_delay = delay
+        if self._burden and self.age.suspected > self.age.usual:
+            return f"{self._lateness()}; gains that are low enough then cannot follow the reference"
         return (
             f"{self._lateness()}, the loop is {1e3 * delay:.0f} ms late in total; its gains are stable up to "
             f"{1e3 * LEAST_SHARE * self._longest:.0f} ms, the softest usable ones up to "
@@ -175,9 +185,34 @@ class LoopGuard:
 
     def _lateness(self) -> str:
         if self.age.suspected > self.age.usual:
-            return f"it oscillated as if torques came {1e3 * self.age.suspected:.0f} ms late"
+            late = f"it oscillated as if torques came {1e3 * self.age.suspected:.0f} ms late"
+            return f"it oscillated where {self._burden}" if self._burden else late
         if self.age.age is None:
             return f"joint states come every {1e3 * self.age.period:.0f} ms"
         return (
             f"joint states are {1e3 * self.age.usual:.0f} ms old by their stamps, every {1e3 * self.age.period:.0f} ms"
         )
+
+
+def burden(robot: RobotModel, q: Array) -> str:
+    """The joint that has hardly any effort left beside holding the robot's weight, in words.
+
+    Parameters
+    ----------
+    robot
+        the robot
+    q
+        (nv,), positions
+
+    Returns
+    -------
+    str
+        empty where each has enough
+    """
+    gravity = np.abs(robot.create_data().gravity(q))
+    i = int(np.argmax(gravity - OVERBURDENED * robot.effort_limits))
+    if gravity[i] <= OVERBURDENED * robot.effort_limits[i]:
+        return ""
+    unit = "N" if robot.joint_units[i] == "m" else "N m"
+    weight = f"{gravity[i]:.0f} of its {robot.effort_limits[i]:.0f} {unit} to hold the robot's weight"
+    return f"{robot.joint_names[i]} needs {weight}, and too little is left to control it"

@@ -8,17 +8,17 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 
 #: Runs a piece of work, at once or in another thread; the future holds its result.
 type Submit[PlanT] = Callable[[Callable[[], PlanT]], Future[PlanT]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PlanConfig:
+class PlanConfig(Settings):
     """Parameters of the laws that look ahead; see `lqr.receding_horizon` for the risk."""
 
-    plan_rate: float = setting(100.0, 1.0, 1000.0, "How often laws that look ahead make a new plan, Hz")
+    plan_rate: float = setting(100.0, 1.0, 1000.0, "Rate at which laws with a horizon make a new plan, Hz")
     risk_share: float = setting(
         0.5,
         -10.0,
@@ -28,13 +28,9 @@ class PlanConfig:
     risk_stiffness: float = setting(
         100.0, 1e-3, 1e4, "Stiffness at which risk_share applies; it grows where the robot is softer, 1/s^2"
     )
-    plan_horizon: float = setting(0.5, 0.05, 5.0, "How far ahead the predictive law plans, s")
+    plan_horizon: float = setting(0.5, 0.05, 5.0, "Horizon of the predictive law, s")
     plan_speed: float = setting(1.0, 1e-2, 10.0, "Largest speed that the predictive law plans for a joint, rad/s")
     plan_margin: float = setting(0.06, 0.0, 1.0, "Distance that the predictive law keeps from position limits, rad")
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for values out of their range."""
-        check_settings(self)
 
 
 @runtime_checkable

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tpgmm_core.common.blending import smoothstep
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.impedance_config import ImpedanceConfig
 from tpgmm_core.control.kernels_pose import approach, lead, waiting_share
@@ -47,7 +48,7 @@ class PoseGovernor:
     @property
     def weight(self) -> float:
         """Weight of the target, 0 to 1, smooth at both ends."""
-        return self.blend**2 * (3.0 - 2.0 * self.blend)
+        return smoothstep(self.blend)
 
     def step(self, target: PoseTarget | None, hand: Array, dt: float, hindered: bool) -> None:
         """Blend a target in, or the last one out.

@@ -123,21 +123,7 @@ class PredictiveLaw(JointImpedanceLaw):
         return self._time - self._begun
 
     def target(self, reference: Reference, moving: bool) -> PredictiveTarget:  # type: ignore[override]
-        """Prepare a reference: where to be, and how firmly, along the horizon.
-
-        Without a horizon, or if it is not moving, the reference stays where it is now.
-
-        Parameters
-        ----------
-        reference
-            over joint positions, with its horizon
-        moving
-            whether its horizon and velocity count
-
-        Returns
-        -------
-        PredictiveTarget
-            positions and precisions along the horizon
+        """Prepare a reference: positions and precisions along the horizon.
 
         Raises
         ------
@@ -159,22 +145,7 @@ class PredictiveLaw(JointImpedanceLaw):
         return PredictiveTarget(means, precisions, course.time_step)
 
     def step(self, moment: DynamicState, target: PredictiveTarget | None, dt: float) -> LawTorques:  # type: ignore[override]
-        """Torques of a state: see `JointImpedanceLaw.step`.
-
-        Parameters
-        ----------
-        moment
-            the robot's state
-        target
-            of `target`, or None
-        dt
-            since the last step, s
-
-        Returns
-        -------
-        LawTorques
-            those of the plan; before the first plan is ready, those without a target
-        """
+        """Torques of a state: those of the plan; before the first plan is ready, those without a target."""
         self._time += dt
         if target is None:
             self._pending = self._planned = None

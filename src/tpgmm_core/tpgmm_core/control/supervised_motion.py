@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.aim_progress import AimProgress
 from tpgmm_core.control.joint_motion import JointMotion, JointStep, MotionConfig
@@ -38,26 +38,24 @@ RESTS_WITHIN, RESTS_FOR = 0.005, 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MotionTimeouts:
+class MotionTimeouts(Settings):
     """When joint states and references are too old, and when a robot does not follow."""
 
     joint_state_timeout: float = setting(0.1, 0.002, 10.0, "Age of joint states at which the joints stop, s")
     reference_timeout: float = setting(0.2, 0.002, 10.0, "Age of a reference at which the joints stop, s")
-    hold_time: float = setting(1.0, 0.0, 600.0, "How long the positions are sent while it holds; then no more, s")
+    hold_time: float = setting(
+        1.0, 0.0, 600.0, "Time for which positions are sent while the joints hold; then no more are sent, s"
+    )
     max_age: float = setting(
         0.2,
         0.0,
         10.0,
-        "Joint states with older stamps are refused, s; 0: their stamps are from another machine's clock",
+        "Joint states with older stamps are refused, s; 0: never, for stamps of a clock that cannot be compared",
     )
     max_future: float = setting(0.05, 0.001, 10.0, "Messages with stamps further in the future are refused, s")
     max_lag: float = setting(
-        0.2, 0.001, 3.2, "Largest distance of a measured joint from what it was told, rad (m); beyond, it stops"
+        0.2, 0.001, 3.2, "Largest distance of a measured joint from its command, rad (m); beyond it, the joints stop"
     )
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 class SupervisedMotion:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 
 #: With fewer joint states than this within `joint_state_timeout`, a late one counts as silence.
 STATES_WITHIN_TIMEOUT = 3
@@ -25,31 +25,27 @@ class ControllerMode(enum.IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Timeouts:
+class Timeouts(Settings):
     """When a joint state or a reference is too old, and which stamps are invalid."""
 
     joint_state_timeout: float = setting(
         0.02, 0.002, 10.0, "Longest pause between joint states before the robot is only damped, s"
     )
     silence_after: float = setting(
-        0.2, 0.0, 10.0, "How long it is damped without joint states; then no more torques are sent, s"
+        0.2, 0.0, 10.0, "Time for which it is damped without joint states; then no more torques are sent, s"
     )
     reference_timeout: float = setting(
         0.1, 0.002, 10.0, "Age at which a reference is no longer followed, but held at rest, s"
     )
-    hold_time: float = setting(1.0, 0.0, 600.0, "How long it is held; then the robot is only damped, s")
+    hold_time: float = setting(1.0, 0.0, 600.0, "Time for which a reference is held; then the robot is only damped, s")
     max_age: float = setting(
         0.1,
         0.0,
         10.0,
-        "Joint states with older stamps are refused, s; 0: their stamps are from another machine's clock",
+        "Joint states with older stamps are refused, s; 0: never, for stamps of a clock that cannot be compared",
     )
-    actuation_delay: float = setting(0.001, 0.0, 0.1, "Delay from sending torques until the motors give them, s")
+    actuation_delay: float = setting(0.001, 0.0, 0.1, "Delay from sending torques to their effect at the motors, s")
     max_future: float = setting(0.05, 0.001, 10.0, "Messages with stamps further in the future are refused, s")
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

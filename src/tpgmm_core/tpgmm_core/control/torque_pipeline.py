@@ -35,7 +35,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.blending import smoothstep
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import DynamicState
 from tpgmm_core.control.delay_margin import OF_CRITICAL, borne_share, joint_damping
@@ -61,7 +62,7 @@ GENTLY = 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TorqueLimits:
+class TorqueLimits(Settings):
     """Parameters of the pipeline."""
 
     torque_rate: float = setting(
@@ -73,20 +74,16 @@ class TorqueLimits:
         10.0, 0.1, 1e3, "Largest speed towards a position limit, per distance that is left, 1/s"
     )
     limit_bandwidth: float = setting(
-        100.0, 1.0, 500.0, "How firmly joints are braked at position and speed limits, 1/s"
+        100.0, 1.0, 500.0, "Bandwidth with which joints are braked at position and speed limits, 1/s"
     )
     repulsion_margin: float = setting(
         0.05, 0.0, 1.0, "Margin before position limits out of which joints are pushed back, rad or m"
     )
     repulsion_frequency: float = setting(
-        20.0, 0.1, 100.0, "How firmly joints are pushed back out of that margin, rad/s"
+        20.0, 0.1, 100.0, "Bandwidth with which joints are pushed back out of that margin, rad/s"
     )
     safe_damping: float = setting(2.0, 0.0, 50.0, "Damping of each joint while the controller only brakes, N m s/rad")
     max_time_step: float = setting(0.005, 1e-3, 1.0, "Longest time step that the controller computes with, s")
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 @compiled
@@ -279,7 +276,7 @@ class TorquePipeline:
             self._previous,
             dt,
             moment.loop.delay,
-            self._blend**2 * (3.0 - 2.0 * self._blend),
+            smoothstep(self._blend),
             robot.lower_limits,
             robot.upper_limits,
             robot.velocity_limits,

@@ -14,9 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tpgmm_core.common.types import Nanoseconds
 from tpgmm_core.doubt.doubts import Doubt
-
-type Nanoseconds = NDArray[np.int64]
 
 DISORDER_S = 0.05
 """Messages that were written in another order than they came by no more than this have only overtaken one another."""

@@ -23,8 +23,8 @@ class Doubt:
     Attributes
     ----------
     kind
-        what is doubted, one word for programs: clock, lag, gap, rate, units, origin, speed, duration, length, still,
-        copy, misfit
+        what is doubted, one word for programs: clock, lag, gap, rate, units, origin, order, speed, duration, length,
+        still, copy, misfit
     about
         names of the recordings that it is about; none where it is about all of them
     text

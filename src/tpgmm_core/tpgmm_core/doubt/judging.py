@@ -3,20 +3,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from tpgmm_core.doubt.agreement import doubts_of_copies, doubts_of_durations, doubts_of_misfits
 from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
+from tpgmm_core.doubt.quaternion_order import doubts_of_quaternion_order
 from tpgmm_core.doubt.values import doubts_of_speed, doubts_of_stillness, doubts_of_units
 
 
-def judged(shown: Sequence[RawDemonstration]) -> list[Doubt]:
+def judged_alone(one: RawDemonstration) -> list[Doubt]:
+    """What makes no sense in one recording, whatever the others are; it takes all samples."""
+    return [*doubts_of_speed(one), *doubts_of_stillness(one)]
+
+
+def judged(
+    shown: Sequence[RawDemonstration], alone: Callable[[RawDemonstration], Sequence[Doubt]] = judged_alone
+) -> list[Doubt]:
     """What makes no sense in recordings of one task.
 
     Parameters
     ----------
     shown
         one or more
+    alone
+        what makes no sense in each by itself: where outlines are judged, what was found before
 
     Returns
     -------
@@ -26,10 +36,11 @@ def judged(shown: Sequence[RawDemonstration]) -> list[Doubt]:
     units = doubts_of_units(shown)
     if any(doubt.refuses for doubt in units):
         return units
-    single = [doubt for one in shown for doubt in (*doubts_of_speed(one), *doubts_of_stillness(one))]
+    single = [doubt for one in shown for doubt in alone(one)]
     return [
         *units,
         *single,
+        *doubts_of_quaternion_order(shown),
         *doubts_of_copies(shown),
         *doubts_of_durations(shown),
         *doubts_of_misfits(shown),

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.doubt.clocks import DISORDER_S, Nanoseconds, breaks
+from tpgmm_core.common.types import Nanoseconds
+from tpgmm_core.doubt.clocks import DISORDER_S, breaks
 
 _NEAR_NS = 500_000_000
 """Topics begin and end so far from one another."""

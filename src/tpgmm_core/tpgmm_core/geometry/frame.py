@@ -100,6 +100,14 @@ class Frame:
         return frame
 
     @classmethod
+    def _made(cls, A: Array, b: Array) -> Frame:
+        """Frame of arrays (D, D_j) and (D,) that a kernel has just made of a frame: in a loop, checks take long."""
+        frame = object.__new__(cls)
+        for setter, value in zip(SETTERS, (A, b, None, None), strict=True):
+            setter(frame, value)
+        return frame
+
+    @classmethod
     def from_pose(cls, position: ArrayLike, orientation: ArrayLike, pose_covariance: ArrayLike | None = None) -> Frame:
         """Frame of an object, for poses [x, y, z, qx, qy, qz, qw].
 
@@ -235,6 +243,10 @@ class Frame:
     def pseudo_inverse(self) -> Array:
         """A^+, or `inverse` where the frame has one of its own, (..., D_j, D)."""
         return np.linalg.pinv(self.A, rcond=RANK_TOLERANCE) if self.inverse is None else self.inverse
+
+
+# of the fields, which a frozen class does not offer
+SETTERS = [vars(Frame)[name].__set__ for name in ("A", "b", "inverse", "pose_covariance")]
 
 
 def is_pose_covariance(P: Array) -> bool:

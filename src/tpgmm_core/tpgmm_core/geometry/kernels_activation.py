@@ -13,7 +13,8 @@ from tpgmm_core.geometry.kernels_moments import NEGLIGIBLE
 from tpgmm_core.geometry.kernels_rotation import quaternion_difference
 
 LOG_NEGLIGIBLE = math.log(NEGLIGIBLE)
-LANES = 16  # of these, what loops take at once: ranges begin at a multiple of it
+SMALLEST = 2.2250738585072014e-308  # normal number: the logarithm of a prior is finite
+LANES = 8  # of these, what loops take at once: ranges begin at a multiple of it
 
 
 @compiled
@@ -94,12 +95,12 @@ def activate(
             logarithm[c] -= top[c]
         begin, end = 0, size  # most components are active for a part of the values only
         if not wanted:
-            while begin < end and logarithm[begin] < LOG_NEGLIGIBLE:
-                begin += 1
-            while begin < end and logarithm[end - 1] < LOG_NEGLIGIBLE:
-                end -= 1
-            if begin < end:  # loops from a multiple of what the processor takes at once, and of as many
-                begin, end = begin // LANES * LANES, min(-(-end // LANES) * LANES, size)
+            while begin < size and all_negligible(logarithm, begin, min(begin + LANES, size)):
+                begin += LANES
+            end = -(-size // LANES) * LANES
+            while end > begin and all_negligible(logarithm, end - LANES, min(end, size)):
+                end -= LANES
+            end = min(end, size)
             logarithm[:begin] = 0.0
             logarithm[end:size] = 0.0
         if begin < end:
@@ -120,52 +121,80 @@ def activate(
 
 
 @compiled
-def factorise(
-    covariance: Array, given: Array, free: Array, scratch: Array, whitening: Array, slopes: Array, within: Array
-) -> bool:
-    """What regression needs of one component.
+def all_negligible(logarithms: Array, begin: int, end: int) -> bool:
+    """Tell whether no activation of a range is worth its time.
 
     Parameters
     ----------
-    covariance
-        (n, n)
-    given, free
-        tangent indices, (n_i,) and (n_o,)
-    scratch
-        (2, n_i, n_i)
-    whitening
-        (n_i, n_i), written: W, lower triangle, S_ii^-1 = W^T W
-    slopes
-        (n_i, n_o), written: V = W S_io; the conditional mean is V^T W d from the mean, for values d from the given mean
-    within
-        (n_o, n_o), written: S_oo - V^T V, the conditional covariance
+    logarithms
+        (T,)
+    begin, end
+        the range
 
     Returns
     -------
     bool
-        False when the covariance of what is given is singular
+        all are below LOG_NEGLIGIBLE
+    """
+    several = 0
+    for x in logarithms[begin:end]:  # counted, since that vectorises
+        several += x >= LOG_NEGLIGIBLE
+    return several == 0
+
+
+@compiled
+def factorise(
+    priors: Array, covariances: Array, given: Array, free: Array, L: Array,
+    log_norms: Array, whitening: Array, slopes: Array, within: Array,
+) -> int:  # fmt: skip
+    """What regression needs of all components.
+
+    Parameters
+    ----------
+    priors, covariances
+        of the mixture, (K,) and (K, n, n)
+    given, free
+        tangent indices, (n_i,) and (n_o,)
+    L
+        (n_i, n_i), scratch
+    log_norms
+        (K,), written: log densities at the means, without what all components share, and with the priors
+    whitening
+        (K, n_i, n_i), written: W, lower triangle, S_ii^-1 = W^T W
+    slopes
+        (K, n_i, n_o), written: V = W S_io; the conditional mean is V^T W d from the mean, for values d from the given
+        mean
+    within
+        (K, n_o, n_o), written: S_oo - V^T V, the conditional covariances
+
+    Returns
+    -------
+    int
+        the first component whose covariance of what is given is singular, or -1
     """
     n_i, n_o = len(given), len(free)
-    S, L = scratch
-    for i in range(n_i):
-        for m in range(i + 1):
-            S[i, m] = covariance[given[i], given[m]]
-    if not cholesky(S, n_i, L):
-        return False
-    invert_lower(L, n_i, whitening)
-    for i in range(n_i):
-        for o in range(n_o):
-            slopes[i, o] = 0.0
+    for k in range(len(priors)):
+        for i in range(n_i):
             for m in range(i + 1):
-                slopes[i, o] += whitening[i, m] * covariance[given[m], free[o]]
-    for o in range(n_o):
-        for m in range(o + 1):
-            total = covariance[free[o], free[m]]
-            for i in range(n_i):
-                total -= slopes[i, o] * slopes[i, m]
-            within[o, m] = total
-            within[m, o] = total
-    return True
+                whitening[k, i, m] = covariances[k, given[i], given[m]]
+        if not cholesky(whitening[k], n_i, L):
+            return k
+        invert_lower(L, n_i, whitening[k])
+        log_norms[k] = math.log(max(priors[k], SMALLEST))
+        for i in range(n_i):
+            log_norms[k] += math.log(whitening[k, i, i])
+            for o in range(n_o):
+                slopes[k, i, o] = whitening[k, i, 0] * covariances[k, given[0], free[o]]
+                for m in range(1, i + 1):
+                    slopes[k, i, o] += whitening[k, i, m] * covariances[k, given[m], free[o]]
+        for o in range(n_o):
+            for m in range(o + 1):
+                total = covariances[k, free[o], free[m]]
+                for i in range(n_i):
+                    total -= slopes[k, i, o] * slopes[k, i, m]
+                within[k, o, m] = total
+                within[k, m, o] = total
+    return -1
 
 
 @compiled

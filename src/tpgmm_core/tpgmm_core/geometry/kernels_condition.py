@@ -14,10 +14,9 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.kernels import cholesky, compiled
-from tpgmm_core.geometry.kernels_activation import activate, factorise
+from tpgmm_core.geometry.kernels_activation import SMALLEST, activate, factorise
 from tpgmm_core.geometry.kernels_moments import NEGLIGIBLE, match_curved, match_flat
 
-SMALLEST = 2.2250738585072014e-308  # normal number: the logarithm of a prior is finite
 BLOCK = 256  # values side by side
 
 NOT_FINITE = -2  # what `condition` returns for values that are not numbers
@@ -108,31 +107,29 @@ def condition(
                 return NOT_FINITE
     D_i, D_o, is_flat = len(given_ambient), len(free_ambient), len(free_spheres) == 0
     width = min(BLOCK, T)
-    # one piece of memory, since each costs as much as many operations
-    per_component = 1 + n_i * n_i + n_i * n_o + n_o * n_o + D_i + D_o
-    room = np.empty(K * (per_component + width * (1 + n_i + n_o)) + width * (4 + n_i) + 2 * n_i * n_i)
+    # Few pieces of memory, since each costs as much as many operations. What loops over the values write has pieces of
+    # its own: these loops vectorise only where the compiler knows that they do not overlap.
+    room = np.empty(K * (1 + n_i * n_i + n_i * n_o + n_o * n_o + D_i + D_o) + n_i * n_i)
     log_norms, room = room[:K], room[K:]
     whitening, room = room[: K * n_i * n_i].reshape(K, n_i, n_i), room[K * n_i * n_i :]
     slopes, room = room[: K * n_i * n_o].reshape(K, n_i, n_o), room[K * n_i * n_o :]
     within, room = room[: K * n_o * n_o].reshape(K, n_o, n_o), room[K * n_o * n_o :]
     given_means, room = room[: K * D_i].reshape(K, D_i), room[K * D_i :]
     free_means, room = room[: K * D_o].reshape(K, D_o), room[K * D_o :]
-    h, room = room[: K * width].reshape(K, width), room[K * width :]
-    z, room = room[: K * n_i * width].reshape(K, n_i, width), room[K * n_i * width :]
-    steps, room = room[: K * n_o * width].reshape(K, n_o, width), room[K * n_o * width :]
-    lanes, room = room[: (4 + n_i) * width].reshape(4 + n_i, width), room[(4 + n_i) * width :]
-    scratch = room.reshape(2, n_i, n_i)
+    lanes, h, z, steps = (
+        np.empty((4 + n_i, width)), np.empty((K, width)), np.empty((K, n_i, width)), np.empty((K, n_o, width))
+    )  # fmt: skip
     active = np.empty((K, 3), dtype=np.int64)
     wanted = len(out_activations) > 0
+    failed = factorise(
+        priors, covariances, given_tangent, free_tangent, room.reshape(n_i, n_i), log_norms, whitening, slopes, within
+    )
+    if failed != -1:
+        return failed
     for k in range(K):
-        if not factorise(covariances[k], given_tangent, free_tangent, scratch, whitening[k], slopes[k], within[k]):
-            return k
-        log_norms[k] = math.log(max(priors[k], SMALLEST))
-        for i in range(n_i):
-            log_norms[k] += math.log(whitening[k, i, i])
-        for i in range(len(given_ambient)):
+        for i in range(D_i):
             given_means[k, i] = means[k, given_ambient[i]]
-        for i in range(len(free_ambient)):
+        for i in range(D_o):
             free_means[k, i] = means[k, free_ambient[i]]
     for start in range(0, T, width):
         size = min(width, T - start)

@@ -42,40 +42,36 @@ def match_flat(
     out_means, out_covariances
         (n, T) and (n, n, T), written from `start` on
     """
-    n, stop = means.shape[1], start + size
+    # unsigned: an index that might be negative, counted from the end, would keep the loops from vectorising
+    n, first, stop = means.shape[1], np.uint64(start), np.uint64(start + size)
     for o in range(n):
-        out_means[o, start:stop] = 0.0
-        for k, begin, end in active:
-            x, mean, w, m = (
-                steps[k, o, begin:end],
-                out_means[o, start + begin : start + end],
-                h[k, begin:end],
-                means[k, o],
-            )
-            for c in range(len(x)):
-                x[c] += m
-                mean[c] += w[c] * x[c]
-        for k, begin, end in active:
-            x, mean = steps[k, o, begin:end], out_means[o, start + begin : start + end]
-            for c in range(len(x)):
-                x[c] -= mean[c]
+        mean = out_means[o]
+        for c in range(first, stop):
+            mean[c] = 0.0
+        for j in range(len(active)):
+            k, begin, end = active[j, 0], np.uint64(active[j, 1]), np.uint64(active[j, 2])
+            x, w, b = steps[k, o], h[k], means[k, o]
+            for c in range(begin, end):
+                x[c] += b
+                mean[first + c] += w[c] * x[c]
+        for j in range(len(active)):
+            k, begin, end = active[j, 0], np.uint64(active[j, 1]), np.uint64(active[j, 2])
+            x = steps[k, o]
+            for c in range(begin, end):
+                x[c] -= mean[first + c]
         for m in range(o + 1):
-            out_covariances[o, m, start:stop] = 0.0
-    for k, begin, end in active:
-        w = h[k, begin:end]
-        for o in range(n):
-            e = steps[k, o, begin:end]
-            for m in range(o + 1):
-                total, f, C = (
-                    out_covariances[o, m, start + begin : start + end],
-                    steps[k, m, begin:end],
-                    within[k, o, m],
-                )
-                for c in range(len(e)):
-                    total[c] += w[c] * (C + e[c] * f[c])
-    for o in range(n):
-        for m in range(o):
-            out_covariances[m, o, start:stop] = out_covariances[o, m, start:stop]
+            total = out_covariances[o, m]
+            for c in range(first, stop):
+                total[c] = 0.0
+            for j in range(len(active)):
+                k, begin, end = active[j, 0], np.uint64(active[j, 1]), np.uint64(active[j, 2])
+                w, e, f, C = h[k], steps[k, o], steps[k, m], within[k, o, m]
+                for c in range(begin, end):
+                    total[first + c] += w[c] * (C + e[c] * f[c])
+            if m < o:
+                other = out_covariances[m, o]
+                for c in range(first, stop):
+                    other[c] = total[c]
 
 
 @compiled

@@ -10,6 +10,7 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels_by_parts import add_sorted, invert_sorted, solve_sorted, sort_dimensions, sort_terms
 from tpgmm_core.geometry.kernels_manifold import along, continued_difference, longest, move
 from tpgmm_core.geometry.kernels_terms import add_error, choose_ways, invert_precision, scratch_for
 
@@ -18,6 +19,7 @@ STEP_TOLERANCE = 1e-10  # Gauss-Newton on S³ stops at steps shorter than this
 SMALL_GAIN = 1e-9  # of the cost: below it a step is not too long, whatever the rounding of the cost says
 ROUNDED_GAIN = 1e-13  # below it a gain that no longer falls is rounding: large precisions of large numbers
 MAX_STEPS = 100
+FOUND, NOT_FOUND, UNSURE = 1, 0, -1
 SLOWEST_RATE = 0.95  # of convergence that extrapolation makes up for
 
 
@@ -59,6 +61,34 @@ def fuse(
         False without convergence in MAX_STEPS, as when correlations ask for more than a whole turn; mean and covariance
         then mean nothing
     """
+    if len(spheres) > 0:
+        found = search(targets, precisions, weights, state, min_precision, flat, spheres, True, mean, covariance)
+        if found != UNSURE:
+            return bool(found == FOUND)
+    found = search(targets, precisions, weights, state, min_precision, flat, spheres, False, mean, covariance)
+    return bool(found == FOUND)
+
+
+@compiled
+def search(
+    targets: Array, precisions: Array, weights: Array, state: Array, min_precision: float, flat: Array, spheres: Array,
+    by_parts: bool, mean: Array, covariance: Array,
+) -> int:  # fmt: skip
+    """`fuse`, with one of two ways to make a step.
+
+    Parameters
+    ----------
+    targets, precisions, weights, state, min_precision, flat, spheres, mean, covariance
+        of `fuse`
+    by_parts
+        whether steps are made by parts (`kernels_by_parts`), which is faster, but not possible where a direction may
+        have to be kept at the state
+
+    Returns
+    -------
+    int
+        FOUND, NOT_FOUND, or UNSURE where by_parts is not possible
+    """
     n, P = len(flat), len(weights)
     gradient, H = np.empty(n), np.empty((n, n))
     step, former_step, scratch = np.zeros(n), np.zeros(n), scratch_for(n)
@@ -87,6 +117,10 @@ def fuse(
             for j in range(P + 1):
                 signed[j, flat[i]] -= base[flat[i]]
             mean[flat[i]] = 0.0
+    order, rest, e, sorted_step = sort_dimensions(flat, spheres), n - 3 * len(spheres), np.empty(n), np.empty(n)
+    terms, L, J, force = np.empty((P, n, n)), np.zeros((n, n)), np.empty((len(spheres), 3, 3)), np.empty(n)
+    if by_parts and not sort_terms(precisions, weights, order, rest, terms, L):
+        return UNSURE
     is_found = False
     former_cost, gain, is_plain = np.inf, np.inf, False
     for _ in range(MAX_STEPS):
@@ -96,8 +130,14 @@ def fuse(
         for j in range(P):
             if weights[j] > 0.0:
                 continued_difference(mean, signed[j], flat, spheres, scratch[0])
-                cost += add_error(precisions[j], spheres, scratch, gradient, H)
-        cost += invert_precision(H, gradient, mean, signed[P], min_precision, flat, spheres, scratch, covariance)
+                if by_parts:
+                    for i in range(n):
+                        e[i] = scratch[0, order[i]]
+                    cost += add_sorted(terms[j], e, rest, J, force, gradient, H)
+                else:
+                    cost += add_error(precisions[j], spheres, scratch, gradient, H)
+        if not by_parts:
+            cost += invert_precision(H, gradient, mean, signed[P], min_precision, flat, spheres, scratch, covariance)
         if cost > former_cost * (1.0 + 1e-12) and gain > SMALL_GAIN * cost:
             for i in range(n):  # too far: half the way back
                 step[i] *= -0.5
@@ -109,14 +149,20 @@ def fuse(
             continue
         former_cost, former_gain = cost, gain
         repeated, squared, former_squared, gain = 0.0, 0.0, 0.0, 0.0
+        if by_parts and not solve_sorted(H, gradient, rest, L, sorted_step):
+            return UNSURE
         for i in range(n):
-            total = 0.0
+            if by_parts:
+                step[order[i]] = sorted_step[i]
+                gain -= sorted_step[i] * gradient[i]
+                continue
+            step[i] = 0.0
             for m in range(n):
-                total -= covariance[i, m] * gradient[m]
-            step[i] = total
-            gain -= total * gradient[i]
-            repeated += total * former_step[i]
-            squared += total * total
+                step[i] -= covariance[i, m] * gradient[m]
+            gain -= step[i] * gradient[i]
+        for i in range(n):
+            repeated += step[i] * former_step[i]
+            squared += step[i] * step[i]
             former_squared += former_step[i] * former_step[i]
         is_short = longest(step) < STEP_TOLERANCE or (gain < ROUNDED_GAIN and gain > 0.25 * former_gain)
         former_step[:] = step
@@ -144,4 +190,6 @@ def fuse(
     for i in range(n):
         if flat[i] >= 0:
             mean[flat[i]] += base[flat[i]]
-    return is_found
+    if by_parts and is_found and not invert_sorted(L, order, H, covariance) * min_precision < 1.0:
+        return UNSURE  # maybe an eigenvalue below min_precision
+    return FOUND if is_found else NOT_FOUND

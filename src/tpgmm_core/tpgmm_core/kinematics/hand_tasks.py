@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tpgmm_core.common.blending import smoothstep
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.kernels import compiled
@@ -254,7 +255,7 @@ class ActiveTasks:
             for name, share in shares.items():
                 change = dt / self.blend_time if name in chosen else -dt / self.blend_time
                 shares[name] = min(1.0, max(0.0, share + change))
-        led = {name: _smooth(share) for name, share in self._led.items() if share > 0.0}
+        led = {name: smoothstep(share) for name, share in self._led.items() if share > 0.0}
         if not self.holding and not led:
             self._rest = None
             joints = self.tasks.joints
@@ -263,15 +264,10 @@ class ActiveTasks:
         if self._rest is None or fading - self._fading:  # a hand that is let go stays where it is
             self._rest = q.copy()
         self._fading = fading
-        weights = {name: _smooth(share) for name, share in self._shares.items()}
+        weights = {name: smoothstep(share) for name, share in self._shares.items()}
         wanted = {name: self._references[name] for name in led}
         scaled = {name: Gaussian(g.mean, g.covariance / led[name], g.manifold) for name, g in wanted.items()}
         return self.tasks.at(q, self._rest, weights, scaled)
-
-
-def _smooth(share: float) -> float:
-    """Smooth at both ends; a precision, of which stiffness is the root, may well begin as a square."""
-    return share**2 * (3.0 - 2.0 * share)
 
 
 def _led(endpoint: str, wanted: Gaussian) -> _View:

@@ -17,7 +17,7 @@ from tpgmm_core.kinematics.moving import ConfigurationProduct, MovingFrames
 from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.model.situation import Situation
-from tpgmm_core.retrieval.interface import demonstrated_duration
+from tpgmm_core.retrieval.interface import Retrieval, demonstrated_duration
 from tpgmm_core.retrieval.time_scaling import TimeScaling
 
 _SECOND = 1_000_000_000
@@ -26,7 +26,7 @@ LEASH = 0.2  # rad
 SPEED_TIME_CONSTANT = 0.1  # s, with which a new speed is taken over
 
 
-class KinematicMovement:
+class KinematicMovement(Retrieval):
     """A `Retrieval` whose states are configurations (n,): at each step the product about its own last reference.
 
     So the reference does not lag behind as the robot does, and stays where it is in directions that frames leave free.
@@ -129,28 +129,12 @@ class KinematicMovement:
         state: Array | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> Reference:
-        """The reference at a time: see `Retrieval.step`.
-
-        Parameters
-        ----------
-        time_ns
-            now, ns
-        frames
-            of the objects, by name
-        state
-            (n,), rad or m, where the robot is
-        weights
-            how far each frame is trusted, 0 to 1
-
-        Returns
-        -------
-        Reference
-            over configurations
+        """The reference at a time, over configurations; states are (n,), rad or m.
 
         Raises
         ------
         ValueError
-            also while no state (n,), rad or m, was ever given
+            before `start`, and while no state was ever given
         """
         if self._last_ns is None:
             raise ValueError("the movement has not been started: call start(time_ns)")
@@ -179,45 +163,18 @@ class KinematicMovement:
         )
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
-        """The last reference n times: if the frames stay, so does its target.
-
-        Parameters
-        ----------
-        n
-            how many
-        dt
-            apart, s
-
-        Returns
-        -------
-        list[Gaussian]
-            n times the same
-
-        Raises
-        ------
-        ValueError
-            before the first step
-        """
-        if self._last is None:
-            raise ValueError("there was no step yet: call start(time_ns) and step(...)")
-        return [self._last] * n
+        """The last reference n times: if the frames stay, so does its target."""
+        return [self._require_step()] * n
 
     def mixture(self) -> GaussianMixture:
-        """The model about the last configuration.
+        """The model about the last configuration: over configurations, or over [time, configuration]."""
+        self._require_step()
+        return self._product.mixture(self._around, self._poses, self._time, self._weights)
 
-        Returns
-        -------
-        GaussianMixture
-            over configurations, or over [time, configuration]
-
-        Raises
-        ------
-        ValueError
-            before the first step
-        """
+    def _require_step(self) -> Gaussian:
         if self._last is None:
             raise ValueError("there was no step yet: call start(time_ns) and step(...)")
-        return self._product.mixture(self._around, self._poses, self._time, self._weights)
+        return self._last
 
     @property
     def _time(self) -> float | None:

@@ -8,13 +8,13 @@ of probabilistic principal component analyzers (Wang and Zhu, IJCAI 2015).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tpgmm_core.common.types import Array
+from tpgmm_core.common.types import Array, Indices
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.initialization import Labels
 from tpgmm_core.learning.estimator import Estimator
@@ -24,6 +24,7 @@ from tpgmm_core.model.samples import Samples
 ROUNDING = 1e-12  # what the cost has to fall by, relatively, for another sweep
 
 
+@dataclass(eq=False, repr=False)
 class DPMeans(Estimator):
     """Clusters of samples that all frames see together; as many as pay for themselves.
 
@@ -65,24 +66,17 @@ class DPMeans(Estimator):
         sweeps that were made, and whether the cost stopped falling
     """
 
-    labels_: Labels
-    n_components_: int
-    dimensions_: dict[str, NDArray[np.intp]]
-    costs_: Array
-    n_iter_: int
-    converged_: bool
+    labels_: Labels = field(init=False)
+    n_components_: int = field(init=False)
+    dimensions_: dict[str, Indices] = field(init=False)
+    costs_: Array = field(init=False)
+    n_iter_: int = field(init=False)
+    converged_: bool = field(init=False)
 
-    def __init__(
-        self,
-        penalty: float = 1.0,
-        dimension_penalty: float | None = None,
-        max_iter: int = 1000,
-        manifold: str | Manifold = "euclidean",
-    ) -> None:
-        self.penalty = penalty
-        self.dimension_penalty = dimension_penalty
-        self.max_iter = max_iter
-        self.manifold = manifold
+    penalty: float = 1.0
+    dimension_penalty: float | None = None
+    max_iter: int = 1000
+    manifold: str | Manifold = "euclidean"
 
     def fit(self, demonstrations: Sequence[Demonstration]) -> Self:
         """Cluster the samples of demonstrations, projected into their frames by Eq. (4).

@@ -41,7 +41,7 @@ FoldProgress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeldOut:
+class HeldOutLikelihood:
     """Log-likelihood of demonstrations under models of the others.
 
     Parameters
@@ -68,7 +68,7 @@ class HeldOut:
 
 def leave_one_out(
     estimator: SelectableEstimator, demonstrations: Sequence[Demonstration], progress: FoldProgress | None = None
-) -> HeldOut:
+) -> HeldOutLikelihood:
     """Log-likelihood of each demonstration under a model of all others.
 
     Parameters
@@ -82,7 +82,7 @@ def leave_one_out(
 
     Returns
     -------
-    HeldOut
+    HeldOutLikelihood
         log-likelihoods per sample, by demonstration
 
     Raises
@@ -103,7 +103,7 @@ def leave_one_out(
         scores.append(model.score([left_out]))
         if progress is not None:
             progress(i + 1, len(demonstrations))
-    return HeldOut(np.array(scores), np.array([len(demonstration.times) for demonstration in demonstrations]))
+    return HeldOutLikelihood(np.array(scores), np.array([len(demonstration.times) for demonstration in demonstrations]))
 
 
 def unfitted(estimator: SelectableEstimator) -> SelectableEstimator:

@@ -20,6 +20,7 @@ from scipy.spatial.distance import squareform
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.estimation.initialization import Labels
 from tpgmm_core.model.demonstration import Demonstration
 
 FEWEST = 3
@@ -31,8 +32,6 @@ LEAST = 1e-9
 """Share of the largest variance that any direction has at least: of demonstrations that are the same."""
 LASTING = 0.1
 """Share of the time that ways differ for, at least."""
-
-type Labels = NDArray[np.int64]
 
 
 def find_modes(

@@ -108,18 +108,19 @@ class DemonstratedSituations:
 
     def __str__(self) -> str:
         if not self.varied:
-            return f"all {self.count} demonstrations have the same situation: none tells how to adapt to another one"
+            return f"all {self.count} demonstrations have the same situation: they cannot show how to adapt to another"
         text = (
-            f"{_grouped(self.varied)} vary: {len(self.varied)} degrees of freedom. {self.least} situations say how the "
-            f"movement follows them, {self.better} how exactly; {self.count} were shown"
+            f"{_grouped(self.varied)} varied: {len(self.varied)} degrees of freedom. At least {self.least} situations "
+            f"are needed to learn how the movement follows them, {self.better} to learn how precisely; "
+            f"{self.count} were demonstrated"
         )
         if self.undetermined:
-            text += f", and {self.undetermined} of the degrees of freedom never vary by themselves"
+            text += f", and {self.undetermined} of the degrees of freedom never varied independently"
         if self.count < self.better or self.undetermined:
             places = _grouped([f"{name} {value:.2f}" for name, value in self.most_informative.items()])
-            text += f". A demonstration with {places} would add most (m; rad from the mean orientation)"
+            text += f". The most informative next demonstration: {places} (m; rad from the mean orientation)"
         if self.constant:
-            text += f". Never varied, hence not learned: {_grouped(self.constant)}"
+            text += f". Never varied, so not learned: {_grouped(self.constant)}"
         return text
 
 

@@ -59,17 +59,7 @@ class TimeStepTPGMM(StepMixture):
     mode: int = 0
 
     def fit(self, demonstrations: Sequence[Demonstration], progress: EmProgress | None = None) -> Self:
-        """Learn from demonstrations: see `TPGMM.fit`.
-
-        Parameters
-        ----------
-        demonstrations, progress
-            as for `TPGMM.fit`
-
-        Returns
-        -------
-        Self
-            itself
+        """Learn from demonstrations, and keep them where `locality` or several ways need them.
 
         Raises
         ------

@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tpgmm_core.common.text import shown
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.covariance.structure import Structure
 from tpgmm_core.learning.estimation import initialization
@@ -21,7 +22,7 @@ from tpgmm_core.learning.estimation.compiled_em import (
 )
 from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
 from tpgmm_core.learning.estimation.em import expectation
-from tpgmm_core.learning.estimation.em_in_parts import PartedWorkspace, SampleParts, start_of_parts
+from tpgmm_core.learning.estimation.em_in_parts import PartedWorkspace, SampleParts, prior_of_parts, start_of_parts
 from tpgmm_core.learning.estimation.emissions import Emissions
 from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.estimation.structured_em import fit_structure
@@ -89,11 +90,13 @@ class TPGMM(LearnedMixture):
     prior_strength: float = 0.0
     n_threads: int = 1
 
-    def fit_parts(self, parts: Iterable[Sequence[Demonstration]], progress: EmProgress | None = None) -> Self:
+    def fit_parts(
+        self, parts: Iterable[Sequence[Demonstration]], progress: EmProgress | None = None, jobs: int = 1
+    ) -> Self:
         """Learn from more demonstrations than fit into the memory: as `fit`, but for the last digits.
 
         Each iteration goes through all parts. There may be one start, from "time", "bins" or a fitted model, of full
-        covariances without `prior_strength`.
+        covariances.
 
         Parameters
         ----------
@@ -102,6 +105,9 @@ class TPGMM(LearnedMixture):
             them anew, such as from bags
         progress
             called with (iteration, log-likelihood per sample)
+        jobs
+            processes, or what a backend of joblib's takes for them, that share the parts of an iteration; the result
+            is the same, bit by bit, for any number
 
         Returns
         -------
@@ -114,14 +120,8 @@ class TPGMM(LearnedMixture):
             for an iterator, for demonstrations that do not agree in frames or dimensions, and for constructor arguments
             that need all samples at once
         """
-        self._check_parameters()
+        self.check_parts()
         init = self.init
-        is_known = isinstance(init, LearnedMixture) or (isinstance(init, str) and init in ("time", "bins"))
-        if self.covariance != "full" or self.prior_strength or self.n_init != 1 or not is_known:
-            raise ValueError(
-                'in parts, a model is learned with covariance="full", prior_strength=0, n_init=1 and init="time", '
-                '"bins" or a fitted model: all else needs all samples at once'
-            )
         found = SampleParts(parts, self.manifold)
         if found.n_samples < self.n_components:
             raise ValueError(f"{self.n_components} components need at least as many samples, got {found.n_samples}")
@@ -136,11 +136,32 @@ class TPGMM(LearnedMixture):
                 return initialization.equal_bins(samples.lengths, self.n_components)
 
             start = start_of_parts(found, labelled, self.n_components, self.reg_covar)
-        rules: dict[str, Any] = {"tol": self.tol, "max_iter": self.max_iter, "progress": progress}
-        state = PartedWorkspace(found, start, self.n_threads)
+        prior = prior_of_parts(found, start, self.reg_covar, self.prior_strength) if self.prior_strength else None
+        rules: dict[str, Any] = {"tol": self.tol, "max_iter": self.max_iter, "prior": prior, "progress": progress}
+        state = PartedWorkspace(found, start, self.n_threads, jobs)
         estimate = iterated(state, reg_covar=self.reg_covar, regularization=self.regularization, **rules)
         self._learned(estimate, found.first.manifold)
         return self
+
+    def check_parts(self) -> None:
+        """Check that `fit_parts` can learn with these constructor arguments.
+
+        Raises
+        ------
+        ValueError
+            for those that need all samples at once, and for those that nothing can be learned with
+        """
+        self._check_parameters()
+        init = self.init
+        is_known = isinstance(init, LearnedMixture) or (isinstance(init, str) and init in ("time", "bins"))
+        for name, is_possible, instead in (
+            ("covariance", self.covariance == "full", '"full"'),
+            ("n_init", self.n_init == 1, "1"),
+            ("init", is_known, '"time", "bins" or a fitted model'),
+        ):
+            if not is_possible:
+                given = shown(getattr(self, name))
+                raise ValueError(f"{name} {given} needs all samples at once; to learn in parts, take {instead}")
 
     def _fit(self, samples: Samples, progress: EmProgress | None) -> Self:
         if samples.n_samples < self.n_components:

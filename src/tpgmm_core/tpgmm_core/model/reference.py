@@ -31,6 +31,8 @@ class Reference:
         names of the frames that were used
     dimensions
         names of the mean's coordinates; empty for a pose
+    waits
+        why the movement waits where it is, in words; empty: it does not
     """
 
     phase: float
@@ -40,6 +42,7 @@ class Reference:
     activations: Array
     frames: tuple[str, ...]
     dimensions: tuple[str, ...] = ()
+    waits: str = ""
 
     def velocity(self) -> Array:
         """Velocity (D_tangent,) of the mean towards the next Gaussian of the horizon; zero where there is none."""

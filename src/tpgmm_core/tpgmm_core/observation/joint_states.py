@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.common.text import listed
-from tpgmm_core.common.types import Array
+from tpgmm_core.common.types import Array, Indices
 from tpgmm_core.observation.streams import SECOND
-
-Places = NDArray[np.intp]
 
 #: The parts of one state may be this far apart by default, s.
 MAX_SPREAD = 0.02
@@ -60,8 +58,8 @@ class JointColumns:
         self.joints, self.fields = tuple(joints), tuple(fields)
         self.names: list[str] | None = None
         self._at = {name: index for index, name in enumerate(self.joints)}
-        self.own: Places = np.zeros(0, dtype=np.intp)
-        self._places: Places = self.own
+        self.own: Indices = np.zeros(0, dtype=np.intp)
+        self._places: Indices = self.own
         self.is_whole = False
 
     def read(self, names: Sequence[str], columns: Sequence[ArrayLike]) -> tuple[Array, ...]:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
@@ -34,27 +34,29 @@ _SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecognitionConfig:
+class RecognitionConfig(Settings):
     """How movements are recognised."""
 
-    n_states: int = setting(50, 2, 1000, "Times of each skill at which the hand is looked for")
-    memory: float = setting(0.2, 1e-3, 60.0, "Time within which what is seen counts as one observation, s")
+    n_states: int = setting(50, 2, 1000, "Number of points in time of each skill that the hand is compared with")
+    memory: float = setting(0.2, 1e-3, 60.0, "Time within which everything that is seen counts as one observation, s")
     begins: float = setting(
-        0.9, 0.0, 1.0, "Probability that a movement is at its beginning when it is first seen; else it may be anywhere"
+        0.9,
+        0.0,
+        1.0,
+        "Probability that a movement is at its beginning when it is first seen; otherwise it may be anywhere",
     )
     expected: float = setting(
-        0.99, 0.5, 0.999999, "Share of what is shown of a skill that lies within the border of what it expects"
+        0.99,
+        0.5,
+        0.999999,
+        "Share of the observations of a skill that lie within its border; beyond it, a movement counts as unknown",
     )
     pause: float = setting(
-        2.0, 0.01, 3600.0, "A hand that was not seen for longer than this begins another movement, s"
+        2.0, 0.01, 3600.0, "Another movement begins after the hand was not seen for longer than this, s"
     )
     unknown_prior: float = setting(
         0.1, 0.0, 0.999, "Probability of an unknown movement, before anything was seen; 0: it is one of the skills"
     )
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

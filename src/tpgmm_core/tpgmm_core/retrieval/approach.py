@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tpgmm_core.common.blending import minimum_jerk
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
@@ -95,9 +96,8 @@ class Approach(Wrapped):
 
     def _left(self, ahead: float, g: Gaussian) -> Gaussian:
         """A Gaussian of the movement, moved by what is left of the way a time ahead, s."""
-        s = min(1.0, (self._passed + ahead) / self._seconds)
-        left = 1.0 - s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-        return g if s == 1.0 else replace(g, mean=self.manifold.exp(g.mean, left * self._apart))
+        left = 1.0 - minimum_jerk((self._passed + ahead) / self._seconds)
+        return g if left == 0.0 else replace(g, mean=self.manifold.exp(g.mean, left * self._apart))
 
     def step(
         self,

@@ -20,13 +20,13 @@ from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.covariance_fade import CovarianceFade
-from tpgmm_core.retrieval.interface import demonstrated_duration
+from tpgmm_core.retrieval.interface import Retrieval, demonstrated_duration
 from tpgmm_core.retrieval.time_scaling import TimeScaling
 
 _SECOND = 1_000_000_000
 
 
-class AttractorSystem(ABC):
+class AttractorSystem(Retrieval, ABC):
     """A `Retrieval` whose scaled time is in units of the duration, and never runs backwards.
 
     Parameters
@@ -64,8 +64,7 @@ class AttractorSystem(ABC):
             )
         duration = demonstrated_duration(model) if duration is None else duration
         positive(duration=duration, horizon_time_step=horizon_time_step, blend_time=blend_time)
-        self.manifold = manifold
-        self.frame_names = model.frame_names_
+        self._manifold, self._frame_names = manifold, model.frame_names_
         self.blend_time = float(blend_time)
         self._horizon_time_step = horizon_time_step if horizon_steps else 0.0
         self._ahead_times: Array = horizon_time_step * np.arange(1, 1 + horizon_steps, dtype=np.float64)
@@ -84,6 +83,16 @@ class AttractorSystem(ABC):
         for time_ns in (0, 1):
             self.step(time_ns, {self.frame_names[0]: frame})
         self._last_ns = self._situation = None
+
+    @property
+    def manifold(self) -> Manifold:
+        """Manifold of the references, without time."""
+        return self._manifold
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """The frames that the model was learned from."""
+        return self._frame_names
 
     @property
     def duration(self) -> float:
@@ -112,16 +121,7 @@ class AttractorSystem(ABC):
         self._time_scaling.target = self._target()
 
     def start(self, time_ns: int, state: ArrayLike | None = None, phase: float = 0.0) -> None:
-        """Begin at rest: see `Retrieval.start`.
-
-        Parameters
-        ----------
-        time_ns
-            of the beginning, ns
-        state
-            (D,), where to begin; None: where the robot is at the first step, or else where demonstrations began
-        phase
-            share of the movement that is already done, 0 to 1
+        """Begin at rest at `state`; None: where the robot is at the first step, or else where demonstrations began.
 
         Raises
         ------
@@ -144,23 +144,7 @@ class AttractorSystem(ABC):
         state: ArrayLike | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> Reference:
-        """The reference at a time: see `Retrieval.step`.
-
-        Parameters
-        ----------
-        time_ns
-            now, ns
-        frames
-            by name
-        state
-            where the robot is, where it is known
-        weights
-            how far each frame is trusted, 0 to 1
-
-        Returns
-        -------
-        Reference
-            over the data, without time
+        """The reference at a time.
 
         Raises
         ------

@@ -60,18 +60,7 @@ class Continued(Wrapped):
         state: Array | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> Reference:
-        """The reference of the new retrieval, with what remains of the difference to the former one.
-
-        Parameters
-        ----------
-        time_ns, frames, state, weights
-            as for `Retrieval.step`
-
-        Returns
-        -------
-        Reference
-            see `Retrieval.step`
-        """
+        """The reference of the new retrieval, with what remains of the difference to the former one."""
         reference = self._retrieval.step(time_ns, frames, state, weights)
         since = max(0.0, (time_ns - self._last_ns) / _SECOND)
         self._last_ns = time_ns

@@ -21,8 +21,8 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.model.frame_buffer import manifold_origin
+from tpgmm_core.retrieval import kernels_continuity as kernels
 from tpgmm_core.retrieval.covariance_fade import CovarianceFade
-from tpgmm_core.retrieval.spring import critically_damped, left_of_two
 
 #: The velocity of a reference is taken from two moments this far apart, s. Short, so that a controller which takes it
 #: from a horizon of such steps sees the velocity that is kept continuous here.
@@ -53,10 +53,15 @@ class Continuity:
         self.time_constant = time_constant
         self.moments: Array = np.array([0.0, MOMENT, time_constant / 8.0, time_constant / 3.0, time_constant])
         self._fade = CovarianceFade(manifold.tangent_dim, time_constant)
+        self._left = np.zeros((4, manifold.tangent_dim))  # offset, its rate, swing, its rate
+        self._layout = manifold.ambient_of_tangent, manifold.sphere_starts
         self.forget()
-        origin = manifold_origin(manifold)
-        manifold.exp(origin, manifold.log(origin, origin))  # compiled, or loaded from the cache
-        self._after(MOMENT)
+        here = np.tile(manifold_origin(manifold), (len(self.moments), 1))
+        manifold.exp(here[0], manifold.log(here[0], here[0]))  # compiled, or loaded from the cache
+        self.take_over(here, here, np.eye(manifold.tangent_dim), np.eye(manifold.tangent_dim)[None])
+        self.means(here, self.moments)
+        self.advance(MOMENT)
+        self.forget()
 
     def forget(self) -> None:
         """Make the reference equal to the course from now on."""
@@ -64,14 +69,14 @@ class Continuity:
         self._forget_offset()
 
     def _forget_offset(self) -> None:
-        self._offset, self._rate, self._swing, self._swing_rate = np.zeros((4, self.manifold.tangent_dim))
+        self._left[:] = 0.0
         self._swing_time = self.time_constant
         self._is_gone = True
 
     def take_over(
         self,
-        former: Sequence[Array],
-        means: Sequence[Array],
+        former: Sequence[Array] | Array,
+        means: Sequence[Array] | Array,
         shown: Array,
         covariances: Array,
         former_covariances: Array | None = None,
@@ -90,37 +95,15 @@ class Continuity:
             of the present and of the former course, (M, n, n) at `moments`. None: without the former ones, the
             difference dies out with `time_constant`
         """
-        apart = [self.manifold.log(mean, one) for mean, one in zip(means, former, strict=True)]
-        changes = [there - self._after(s) for s, there in zip(self.moments.tolist(), apart, strict=False)]
-        # The offset takes the difference of places, the swing that of velocities.
-        self._offset = apart[0] - self._swing
-        self._swing_time = self._time_of_swing(changes)
-        rate = 1.0 / self._swing_time
-        ahead = apart[1] - critically_damped(self._offset, self._rate, 1.0 / self.time_constant, MOMENT)[0]
-        self._swing_rate = (math.exp(rate * MOMENT) * ahead - self._swing) / MOMENT - rate * self._swing
+        self._swing_time = kernels.take_over(
+            np.array(former, dtype=float, order="C"), np.array(means, dtype=float, order="C"), self.moments, MOMENT,
+            SWING, self.time_constant, self._swing_time, *self._layout, self._left,
+        )  # fmt: skip
         self._is_gone = False
         lasts = 1.0
         if former_covariances is not None:
             lasts = self._fade.lasting(former_covariances, covariances, self.moments)
         self._fade.take_over(shown, covariances[0], lasts)
-
-    def _time_of_swing(self, changes: Sequence[Array]) -> float:
-        """Time constant, s, with which the swing goes no farther than the courses are apart within `time_constant`.
-
-        Parameters
-        ----------
-        changes
-            (n,) each, by how much the courses are apart, at `moments`. A swing that is still there counts by its share
-            of the velocity
-        """
-        change = (changes[1] - changes[0]) / MOMENT
-        size = float(np.linalg.norm(change))
-        going_on = float(np.linalg.norm(self._swing_rate) + np.linalg.norm(self._swing) / self._swing_time)
-        if size + going_on == 0.0 or len(changes) == 2:
-            return self.time_constant
-        reach = SWING * max(abs(float(change @ (there - changes[0]))) for there in changes[1:])
-        time = min(max(reach / max(size, np.finfo(float).tiny) ** 2, MOMENT), self.time_constant)
-        return (size * time + going_on * self._swing_time) / (size + going_on)
 
     def advance(self, seconds: float) -> None:
         """Let this time pass, s."""
@@ -130,51 +113,49 @@ class Continuity:
                 self._advance_offset(seconds)
 
     def _advance_offset(self, seconds: float) -> None:
-        rates = 1.0 / self.time_constant, 1.0 / self._swing_time
-        self._offset, self._rate = critically_damped(self._offset, self._rate, rates[0], seconds)
-        self._swing, self._swing_rate = critically_damped(self._swing, self._swing_rate, rates[1], seconds)
-        left = np.abs(self._offset).max() + np.abs(self._swing).max()
-        left += self.time_constant * (np.abs(self._rate).max() + np.abs(self._swing_rate).max())
+        left = kernels.advance(self._left, self.time_constant, self._swing_time, float(seconds))
         if left < NEGLIGIBLE:
             self._forget_offset()
 
     def mean(self, mean: Array, ahead: float = 0.0) -> Array:
         """Mean (D,) of the reference where the course has `mean`; both a time `ahead`, s."""
-        if self._is_gone:
-            return mean
-        return self.manifold.exp(mean, self._after(ahead))
+        return mean if self._is_gone else self.means(mean[None], np.array([ahead], dtype=float))[0]
+
+    def means(self, means: Array, ahead: Array) -> Array:
+        """Means (H, D) of the reference where the course has `means`, both at times (H,) from now, s."""
+        shown = np.array(means, dtype=float, order="C")
+        if not self._is_gone:
+            kernels.lead(shown, self._left, self.time_constant, self._swing_time, ahead, *self._layout)
+        return shown
 
     def covariance(self, covariance: Array, ahead: float = 0.0) -> Array:
         """Covariance (n, n) of the reference where the course has `covariance`; both a time `ahead`, s."""
         return self._fade.of(covariance, ahead)
 
     def gaussian(self, mean: Array, covariance: Array, ahead: float = 0.0) -> Gaussian:
-        """The reference where the new course says something else.
+        """The reference where the course has `mean` (D,) and `covariance` (n, n); both a time `ahead`, s."""
+        return self.gaussians(mean[None], covariance[None], np.array([ahead], dtype=float))[0]
+
+    def gaussians(self, means: Array, covariances: Array, ahead: Array) -> list[Gaussian]:
+        """References where the new course says something else.
 
         Parameters
         ----------
-        mean, covariance
-            what the course says, (D,) and (n, n)
+        means, covariances
+            what the course says, (H, D) and (H, n, n)
         ahead
-            of the present time, s
+            (H,), of the present time, s
 
         Returns
         -------
-        Gaussian
-            with what remains of the difference to the former course
+        list[Gaussian]
+            H of them, with what remains of the difference to the former course
         """
-        mean, covariance = np.array(self.mean(mean, ahead)), np.array(self.covariance(covariance, ahead))
-        if math.isfinite(mean.sum() + covariance.sum()):
-            return Gaussian._made(mean, covariance, self.manifold)
-        return Gaussian(mean, covariance, self.manifold)  # says what is wrong
-
-    def _after(self, seconds: float) -> Array:
-        """Sum of offset and swing, (n,), after a time."""
-        if seconds == 0.0:
-            return self._offset + self._swing
-        left = np.empty_like(self._offset)
-        left_of_two(
-            self._offset, self._rate, 1.0 / self.time_constant, self._swing, self._swing_rate, 1.0 / self._swing_time,
-            seconds, left,
-        )  # fmt: skip
-        return left
+        shown, result = self.means(means, ahead), []
+        for i, seconds in enumerate(ahead.tolist()):
+            mean, covariance = shown[i].copy(), np.array(self._fade.of(covariances[i], seconds))
+            if math.isfinite(mean.sum() + covariance.sum()):
+                result.append(Gaussian._made(mean, covariance, self.manifold))
+            else:
+                result.append(Gaussian(mean, covariance, self.manifold))  # says what is wrong
+        return result

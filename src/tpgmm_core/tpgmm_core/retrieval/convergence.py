@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Convergence:
+class Convergence(Settings):
     """How a system comes to its goal.
 
     Raises
@@ -29,6 +29,3 @@ class Convergence:
     arrival: float = setting(0.002, 1e-6, 0.1, "Distance from the goal at which the movement has ended, m")
     leash: float = setting(0.05, 1e-3, 10.0, "Distance from the reference beyond which the robot pulls it along, m")
     leash_speed: float = setting(0.5, 1e-3, 10.0, "Largest speed with which the robot pulls the reference along, m/s")
-
-    def __post_init__(self) -> None:
-        check_settings(self)

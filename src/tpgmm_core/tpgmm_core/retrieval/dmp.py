@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tpgmm_core.common.blending import smoothstep
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.gaussian import Gaussian
@@ -219,8 +220,7 @@ class DynamicMovementPrimitive(AttractorSystem):
         means, covariances, activations = self._adapter.condition(
             np.exp(-self.parameters.decay_rate * np.minimum(scaled, 1.0))
         )
-        shares = np.clip((scaled - self.goal_from) / (1.0 - self.goal_from), 0.0, 1.0)
-        shares = shares * shares * (3.0 - 2.0 * shares)
+        shares = smoothstep(np.clip((scaled - self.goal_from) / (1.0 - self.goal_from), 0.0, 1.0))
         attractors = list(means)
         for i in np.flatnonzero(shares):
             way = self.manifold.log(means[i], self._goal.mean)

@@ -13,6 +13,7 @@ so that time, point, velocity and acceleration together go through one affine ma
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 
 import numpy as np
 
@@ -21,8 +22,8 @@ from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.differences import derivatives, difference_weights
-from tpgmm_core.retrieval.frame_derivatives import frame_with_derivatives
-from tpgmm_core.retrieval.frames import check_time_kept, without_time
+from tpgmm_core.retrieval.frame_derivatives import frame_with_derivatives, frames_with_derivatives
+from tpgmm_core.retrieval.frames import without_time
 
 
 def manifold_with_derivatives(manifold: str | Manifold) -> Manifold:
@@ -31,6 +32,7 @@ def manifold_with_derivatives(manifold: str | Manifold) -> Manifold:
     return Manifold((*space.factors, ("R", 2 * (space.tangent_dim - 1))))
 
 
+@cache
 def point_manifold(manifold: Manifold) -> Manifold:
     """The manifold of the point alone.
 
@@ -130,9 +132,7 @@ def standing_frames(frames: Mapping[str, Frame], points: Manifold) -> dict[str, 
     moving = [name for name, frame in frames.items() if frame.is_time_varying]
     if moving:
         raise ValueError(f"the frames {moving} vary with time: choose one time step, with frame.at(t_index)")
-    for name, frame in frames.items():
-        check_time_kept(name, frame)
-    return {name: frame_with_derivatives(frame, points, 2, has_time=True) for name, frame in frames.items()}
+    return frames_with_derivatives(frames, points, 2, keeps_time=True)
 
 
 def _with_motion(frame: Frame, points: Manifold, times: Array, window: int) -> Frame:

@@ -51,8 +51,7 @@ from tpgmm_core.retrieval import kernels_dynamical_system as kernels
 from tpgmm_core.retrieval.attractor_system import AttractorSystem
 from tpgmm_core.retrieval.convergence import Convergence
 from tpgmm_core.retrieval.covariance_mean import CovarianceMean
-from tpgmm_core.retrieval.frame_derivatives import frame_with_derivatives
-from tpgmm_core.retrieval.frames import without_time
+from tpgmm_core.retrieval.frame_derivatives import frames_with_derivatives
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.spring import Smoothed, critically_damped
 from tpgmm_core.retrieval.velocity_features import with_velocity
@@ -150,7 +149,7 @@ class StableDynamics(AttractorSystem):
         return Gaussian(endpoints.means[which, :D], endpoints.covariances[which, :n, :n], self.manifold)
 
     def _with_derivatives(self, frames: Mapping[str, Frame]) -> dict[str, Frame]:
-        return {name: frame_with_derivatives(frame, self.manifold) for name, frame in without_time(frames).items()}
+        return frames_with_derivatives(frames, self.manifold, 1, keeps_time=False)
 
     def _with_rest(self, state: Array | None) -> Array | None:
         return None if state is None else np.concatenate([state, np.zeros(self.manifold.tangent_dim)])

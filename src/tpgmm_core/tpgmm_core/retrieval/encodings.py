@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from tpgmm_core.common.old_names import current_name
-from tpgmm_core.common.settings import check_settings, configured, setting
+from tpgmm_core.common.settings import Settings, configured, setting
 from tpgmm_core.common.text import shown
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.learned_mixture import LearnedMixture
@@ -30,7 +30,7 @@ _KEY = "encoding"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Encoding(ABC):
+class Encoding(Settings, ABC):
     """What a model learns of demonstrations; its fields are numbers (see `settings`).
 
     Attributes
@@ -51,9 +51,6 @@ class Encoding(ABC):
     name: ClassVar[str]
     init: ClassVar[str | None] = None
     description: ClassVar[str]
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
     @abstractmethod
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:

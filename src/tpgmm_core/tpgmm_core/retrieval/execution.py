@@ -3,8 +3,9 @@
 
 A retrieval says where to be. An execution knows what was requested, when it may begin, and when it is done: once the
 phase is 1. A movement that goes back waits at its start, from where it may go forward again. One that waits for a robot
-which is held, or which cannot get to its reference, is aborted in the end. An execution still gives references after
-its end, so that the robot stays at the place that it has reached.
+which is held, or which cannot get to its reference, is aborted in the end, and so is one that waits for frames (see
+`waiting`). An execution still gives references after its end, so that the robot stays at the place that it has
+reached.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from tpgmm_core.retrieval.approach import PEAK, Approach, way_time
 from tpgmm_core.retrieval.continued import Continued
 from tpgmm_core.retrieval.interface import Retrieval
 from tpgmm_core.retrieval.outcome import ExecutionConfig, Outcome, distance, judged
+from tpgmm_core.retrieval.waiting import Waiting
 
 _SECOND = 1_000_000_000
 _PROGRESS = 0.01
@@ -53,6 +55,7 @@ class Execution:
 
     def __init__(self, retrieval: Retrieval, config: ExecutionConfig | None = None, hold: float | None = None) -> None:
         self.retrieval = retrieval
+        self._waits_for_frames = isinstance(retrieval, Waiting)
         self.config = config or ExecutionConfig()
         self._hold = hold
         self._former: tuple[Execution, float] | None = None
@@ -66,7 +69,7 @@ class Execution:
         self._first_pose: Array | None = None  # of the robot, since the movement began
         self._settling_pose: Array | None = None
         self._progress_phase = 0.0
-        self._stalled_ns = 0
+        self._stalled_ns = self._waited_ns = 0
         self._stopped_ns: int | None = None
 
     def step(
@@ -76,7 +79,7 @@ class Execution:
         pose: Array | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> Reference | None:
-        """The reference at a time; None before the movement may begin and while no frame is known.
+        """The reference at a time; None before the movement may begin.
 
         Parameters
         ----------
@@ -92,7 +95,7 @@ class Execution:
         Returns
         -------
         Reference | None
-            None before the movement may begin and while no frame is known
+            None before the movement may begin, and while no frame is known, unless the retrieval is a `Waiting`
         """
         if self._asked_ns is None:
             self._asked_ns = time_ns
@@ -100,7 +103,7 @@ class Execution:
             return None
         if self.stage is Stage.ENDED and self.reference is None:
             return None
-        if not frames:
+        if not (frames or self._waits_for_frames):
             return None
         at = time_ns if self._stopped_ns is None else self._stopped_ns
         self.reference = self.retrieval.step(at, frames, pose, weights)
@@ -112,6 +115,10 @@ class Execution:
             self._settling_ns, self._settling_pose, self._near_ns = time_ns, pose, None
         elif self.stage is Stage.SETTLING and self.reference.phase < 1.0:
             self.stage = Stage.MOVING  # it was told to go back
+        if self.reference.waits and self.stage is not Stage.ENDED:
+            self._watch_waiting(time_ns, self.reference, since)
+            return self.reference
+        self._waited_ns = 0
         if self.stage is Stage.SETTLING:
             self._judge(time_ns, self.reference, pose)
         elif self.stage is Stage.MOVING:
@@ -149,12 +156,14 @@ class Execution:
         ValueError
             when its references are on another manifold; the present retrieval then continues
         """
+        waits = isinstance(retrieval, Waiting)
         if self.reference is not None:
             continued = Continued(retrieval, self.reference, self._reference_ns, blend_time)
             retrieval.start(self._reference_ns, pose, self.reference.phase)
             retrieval = continued
         retrieval.speed = self.retrieval.speed
         self.retrieval = retrieval
+        self._waits_for_frames = waits
 
     def follow(self, former: Execution, blend_time: float = 0.15) -> None:
         """Begin where another movement has ended, without a jump of the reference or of its covariance.
@@ -226,6 +235,15 @@ class Execution:
                 "is the robot held, or are the references out of its reach?",
                 is_missed=True,
             )
+
+    def _watch_waiting(self, time_ns: int, reference: Reference, since_ns: int) -> None:
+        """Abort a movement that has waited for frames for too long, unless it is paused; its end waits as well."""
+        self._settling_ns = time_ns
+        self._waited_ns += max(0, since_ns) if self.retrieval.speed else 0
+        timeout = self.config.unknown_timeout
+        if self._waited_ns > timeout * _SECOND:
+            self._stopped_ns = time_ns
+            self._end(f"waited for {timeout:g} s at phase {reference.phase:.2f}: {reference.waits}")
 
     def _judge(self, time_ns: int, reference: Reference, pose: Array | None) -> None:
         gaussian = reference.gaussian

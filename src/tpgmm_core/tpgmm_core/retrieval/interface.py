@@ -154,7 +154,22 @@ class TimeParametrized(Protocol):
         state: Array | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> None:
-        """Change to this situation; parameters and errors are those of `Retrieval.step`."""
+        """Change to this situation.
+
+        Parameters
+        ----------
+        frames
+            over [time, data] (`Frame.with_time`), at least one of the model's
+        state
+            (D,), where the robot is: what no frame constrains stays there; the origin where None
+        weights
+            how far each frame is trusted, 0 to 1; 1 where not named
+
+        Raises
+        ------
+        ValueError
+            like `Adapter.adapt`, and for frames that change time
+        """
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
         """The movement at some of the model's times.

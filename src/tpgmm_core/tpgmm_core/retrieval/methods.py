@@ -36,8 +36,8 @@ from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 from tpgmm_core.retrieval.reproduction import Reproduction
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
+from tpgmm_core.retrieval.smooth_trajectory import SmoothTrajectory
 from tpgmm_core.retrieval.time_steps import TimeSteps
-from tpgmm_core.retrieval.trajectory import SmoothTrajectory
 
 KEY = "retrieval"
 """Key of the method, in metadata and settings."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
@@ -18,7 +18,7 @@ _HARDLY = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ExecutionConfig:
+class ExecutionConfig(Settings):
     """When an execution counts as begun and as done."""
 
     start_timeout: float = setting(
@@ -30,6 +30,9 @@ class ExecutionConfig:
     stall_timeout: float = setting(
         10.0, 0.1, 600.0, "A movement that stalls for this long, although its speed is not 0, is aborted, s"
     )
+    unknown_timeout: float = setting(
+        30.0, 0.1, 3600.0, "Time after which a movement that waits, because too little is known, is aborted, s"
+    )
     position_tolerance: float = setting(0.01, 1e-4, 1.0, "Largest position error at the end that counts as success, m")
     orientation_tolerance: float = setting(
         0.0873, 1e-3, 3.2, "Largest orientation error at the end that counts as success, rad"
@@ -38,15 +41,14 @@ class ExecutionConfig:
         0.05, 1e-3, 3.2, "Largest error of a joint at the end that counts as success, for movements of joints, rad or m"
     )
     transition_speed: float = setting(
-        0.15, 0.001, 10.0, "Speed at most with which a skill makes up for beginning away from the end of another, m/s"
+        0.15,
+        0.001,
+        10.0,
+        "Largest speed of the transition to a skill that begins away from the end of the previous one, m/s",
     )
     transition_rate: float = setting(
-        0.6, 0.001, 30.0, "The same of orientations and of joints, rad/s (of prismatic joints m/s)"
+        0.6, 0.001, 30.0, "The same for orientations and joints, rad/s (prismatic joints: m/s)"
     )
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

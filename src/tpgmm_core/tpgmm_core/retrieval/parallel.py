@@ -97,17 +97,9 @@ class Parallel(Retrieval):
         state: Array | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> Reference:
-        """The product of the references at a time: see `Retrieval.step`.
+        """The product of the references at a time; each movement gets its own frames.
 
-        Parameters
-        ----------
-        time_ns, frames, state, weights
-            as for `Retrieval.step`; each movement gets its own frames of them
-
-        Returns
-        -------
-        Reference
-            activations are those of the components of `mixture`
+        Activations are those of the components of `mixture`.
 
         Raises
         ------

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.retrieval.interface import TimeParametrized
@@ -123,16 +123,12 @@ class ClockPhase:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ArcLengthConfig:
+class ArcLengthConfig(Settings):
     """How the length of a path is measured, and how fast it is travelled."""
 
     metres_per_radian: float = setting(0.25, 0.0, 10.0, "Length that a turn adds to a path, m/rad")
     path_speed: float = setting(0.0, 0.0, 10.0, "Speed along the path, m/s; 0: whatever fits the duration")
     easing: float = setting(0.1, 0.01, 0.5, "Share of the duration for speeding up, and for slowing down")
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 class ArcLengthPhase(ClockPhase):
@@ -207,17 +203,13 @@ def share_at(path: PchipInterpolator, time: float) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StatePhaseConfig:
+class StatePhaseConfig(Settings):
     """How the model's time follows the robot."""
 
     timing_noise: float = setting(0.1, 1e-4, 10.0, "Standard deviation that the model's time gains per second, s")
     memory: float = setting(0.1, 1e-3, 10.0, "Time within which deviations of the robot count as one observation, s")
     response: float = setting(0.05, 1e-3, 1.0, "Time constant with which observations take effect, s")
     catch_up: float = setting(2.0, 1.0, 10.0, "Largest correction, in multiples of the speed as learned")
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 class StatePhase(ClockPhase):

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Self
 
@@ -132,23 +132,105 @@ class Recipe:
             for demonstrations that cannot be encoded or learned from
         """
         space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold)
-        model = self.method.estimator(**self.arguments, manifold=self.encoding.manifold(space))
-        encoded = []
-        for i, demonstration in enumerate(demonstrations):
-            try:
-                encoded.append(self.encoding.encode(demonstration, space))
-            except ValueError as error:
-                raise ValueError(f"demonstration {i}: {error}") from error
-        model.fit(encoded, progress)
+        encoded = _Encoded([demonstrations], self.encoding, space)
+        model = self._model(space)
+        model.fit(next(iter(encoded)), progress)
+        return self._finished(model, encoded, dimensions)
+
+    def check_parts(self) -> None:
+        """Check that `learn_parts` can learn in this way.
+
+        Raises
+        ------
+        ValueError
+            for a method, and for settings, that need all demonstrations at once
+        """
+        if self.method.estimator is not TPGMM:
+            raise ValueError(
+                f"{self.method.name} learns a {self.method.estimator.__name__}, which needs all demonstrations at "
+                "once; Gaussian mixtures over time can be learned in parts"
+            )
+        TPGMM(**self.arguments).check_parts()
+
+    def learn_parts(
+        self,
+        parts: Iterable[Sequence[Demonstration]],
+        manifold: str | Manifold,
+        dimensions: Sequence[str] | None = None,
+        progress: EmProgress | None = None,
+        jobs: int = 1,
+    ) -> LearnedMixture:
+        """What `learn` makes of all parts together, but for the last digits; one part is in the memory at a time.
+
+        Parameters
+        ----------
+        parts
+            see `TPGMM.fit_parts`
+        manifold, dimensions, progress
+            see `learn`
+        jobs
+            processes that share the parts, see `TPGMM.fit_parts`
+
+        Returns
+        -------
+        LearnedMixture
+            a fitted model
+
+        Raises
+        ------
+        ValueError
+            as `learn`, and as `check_parts`
+        """
+        self.check_parts()
+        space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold)
+        encoded = _Encoded(parts, self.encoding, space)
+        model = self._model(space)
+        assert isinstance(model, TPGMM)  # by `check_parts`
+        model.fit_parts(encoded, progress, jobs)
+        return self._finished(model, encoded, dimensions)
+
+    def _model(self, space: Manifold) -> LearnedMixture:
+        return self.method.estimator(**self.arguments, manifold=self.encoding.manifold(space))
+
+    def _finished(self, model: LearnedMixture, encoded: _Encoded, dimensions: Sequence[str] | None) -> LearnedMixture:
         self.encoding.finish(model)
         if dimensions is not None:
-            model.dimensions_ = self.encoding.dimensions(dimensions, space)
+            model.dimensions_ = self.encoding.dimensions(dimensions, encoded.space)
         model.metadata_ = {
             KEY: self.method.name,
             **self.encoding.metadata(),
-            "duration_s": float(np.mean([d.times[-1] - d.times[0] for d in demonstrations])),
+            "duration_s": float(np.mean(encoded.durations)),
         }
         if self.exact is not None:
             model.metadata_[EXACT_KEY] = self.exact
             self.method.course(model)  # raises where it cannot be met
         return model
+
+
+class _Encoded:
+    """Parts of demonstrations over [time, data], encoded each time that they are gone through.
+
+    Attributes
+    ----------
+    space
+        of their data
+    durations
+        of the demonstrations that were gone through last, s
+    """
+
+    def __init__(self, parts: Iterable[Sequence[Demonstration]], encoding: Encoding, space: Manifold) -> None:
+        self._parts, self._encoding, self.space = parts, encoding, space
+        self.durations: list[float] = []
+
+    def __iter__(self) -> Iterator[list[Demonstration]]:
+        self.durations = []
+        for part in self._parts:
+            yield [self._encoded(demonstration) for demonstration in part]
+
+    def _encoded(self, demonstration: Demonstration) -> Demonstration:
+        number = len(self.durations)
+        self.durations.append(float(demonstration.times[-1] - demonstration.times[0]))
+        try:
+            return self._encoding.encode(demonstration, self.space)
+        except ValueError as error:
+            raise ValueError(f"demonstration {number}: {error}") from error

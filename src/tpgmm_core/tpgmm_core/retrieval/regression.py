@@ -15,7 +15,6 @@ The farther a situation is from the demonstrated ones, the more frames contradic
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
 import numpy as np
@@ -32,10 +31,10 @@ from tpgmm_core.model import kernels_regress
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE, Adapter
 from tpgmm_core.model.frame_buffer import FrameBuffer
 from tpgmm_core.retrieval.frames import require_time_kept
-from tpgmm_core.retrieval.interface import demonstrated_duration
+from tpgmm_core.retrieval.interface import TimeParametrized, demonstrated_duration
 
 
-class _Regression(ABC):
+class _Regression(TimeParametrized):
     """What both orders share: all of `TimeParametrized` except `situate`, `at` and `mixture`.
 
     Parameters
@@ -80,46 +79,6 @@ class _Regression(ABC):
             self._space, self._data_space = space, _data_manifold(space)
         return self._data_space
 
-    @abstractmethod
-    def situate(
-        self, frames: Mapping[str, Frame], state: ArrayLike | None = None, weights: Mapping[str, float] | None = None
-    ) -> None:
-        """Change to this situation.
-
-        Parameters
-        ----------
-        frames
-            over [time, data] (`Frame.with_time`), at least one of the model's
-        state
-            (D,), where the robot is: what no frame constrains stays there; the origin where None
-        weights
-            how far each frame is trusted, 0 to 1; 1 where not named
-
-        Raises
-        ------
-        ValueError
-            like `Adapter.adapt`, and for frames that change time
-        """
-
-    @abstractmethod
-    def at(self, times: Array) -> tuple[Array, Array, Array]:
-        """The movement at some of the model's times.
-
-        Parameters
-        ----------
-        times
-            (H,), s
-
-        Returns
-        -------
-        tuple[Array, Array, Array]
-            means (H, D), covariances (H, n, n), and the activations (K,) at the first of the times
-        """
-
-    @abstractmethod
-    def mixture(self) -> GaussianMixture:
-        """The adapted mixture (Eqs. 5, 6) in this situation, over [time, data]."""
-
     def retrieve(
         self,
         frames: Mapping[str, Frame],
@@ -146,7 +105,7 @@ class _Regression(ABC):
         times = np.array(times, dtype=float)
         if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):
             raise ValueError(f"times have shape (T,) with T > 0 and are finite, got {times!r}")
-        self.situate(frames, state, weights)
+        self.situate(frames, None if state is None else np.asarray(state, dtype=float), weights)
         means, covariances, _ = self.at(times)
         return [Gaussian(mean, S, self.manifold) for mean, S in zip(means, covariances, strict=True)]
 
@@ -206,17 +165,7 @@ class RegressThenProduct(_Regression):
         self._inverses = np.ascontiguousarray(self._buffer.inverses[:, 1:, 1:])
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
-        """Regression in each frame at some times, and the product over the frames.
-
-        Parameters
-        ----------
-        times
-            (H,), s
-
-        Returns
-        -------
-        tuple[Array, Array, Array]
-            means (H, D), covariances (H, n, n), and the activations (K,) at the first of the times
+        """Regression in each frame at times (H,), s, and the product over the frames.
 
         Raises
         ------

@@ -22,14 +22,14 @@ from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.continuity import Continuity
-from tpgmm_core.retrieval.interface import TimeParametrized
+from tpgmm_core.retrieval.interface import Retrieval, TimeParametrized
 from tpgmm_core.retrieval.phase import ClockPhase
 from tpgmm_core.retrieval.regression import AdaptThenRegress
 
 _SECOND = 1_000_000_000
 
 
-class Reproduction:
+class Reproduction(Retrieval):
     """A `Retrieval` that steps through a `TimeParametrized`.
 
     Parameters
@@ -75,7 +75,6 @@ class Reproduction:
         self.phase.bind(self.course, duration)
         self._horizon_time_step = horizon_time_step if horizon_steps else 0.0
         self._ahead: Array = horizon_time_step * np.arange(1 + horizon_steps, dtype=np.float64)
-        self._seconds_ahead: list[float] = self._ahead.tolist()
         self._continuity = Continuity(self.course.manifold, blend_time)
         self._last_ns: int | None = None
         self._situation: Situation | None = None
@@ -105,12 +104,12 @@ class Reproduction:
         self.phase.speed = speed
 
     def start(self, time_ns: int, state: Array | None = None, phase: float = 0.0) -> None:
-        """Begin a movement; whatever went on before is forgotten. See `Retrieval.start`."""
+        """Begin a movement; whatever went on before is forgotten."""
         self.phase.start(time_ns, phase)
         self._last_ns = time_ns
         self._state = state
         self._situation = None
-        self._former: list[Array] = []
+        self._former: Array | None = None
         self._is_free = False
         self._continuity.forget()
 
@@ -121,26 +120,10 @@ class Reproduction:
         state: Array | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> Reference:
-        """The reference at a time: see `Retrieval.step`.
+        """The reference at a time.
 
         A direction that no frame constrains stays where the robot is, and so follows the state; otherwise the state
         matters to the phase alone.
-
-        Parameters
-        ----------
-        time_ns
-            now, ns
-        frames
-            over [time, data], by name
-        state
-            where the robot is, where it is known
-        weights
-            how far each frame is trusted, 0 to 1
-
-        Returns
-        -------
-        Reference
-            over the data, without time
 
         Raises
         ------
@@ -159,9 +142,8 @@ class Reproduction:
             self.phase.advance(time_ns)
             means, covariances, activations = self.course.at(self.phase.times(self._ahead))
         self._continuity.advance(since)
-        gaussians = [
-            self._continuity.gaussian(means[i], covariances[i], ahead) for i, ahead in enumerate(self._seconds_ahead)
-        ]
+        H = len(self._ahead)
+        gaussians = self._continuity.gaussians(means[:H], covariances[:H], self._ahead)
         self._covariance = gaussians[0].covariance
         if state is not None:
             self.phase.observe(gaussians[0], state)
@@ -182,60 +164,31 @@ class Reproduction:
         moments = self._continuity.moments
         if self._situation is not None:
             means, self._former_covariances, _ = self.course.at(self.phase.times(moments))
-            self._former = [self._continuity.mean(mean, s) for mean, s in zip(means, moments.tolist(), strict=True)]
+            self._former = self._continuity.means(means, moments)
             self._situation = None  # a situation that is refused must not be used again
         self.course.situate(situation.frames, situation.state, situation.weights)
         self.phase.situated()
         near = self.phase.times(moments)
         self.phase.advance(time_ns)
         means, covariances, activations = self.course.at(np.concatenate([self.phase.times(self._ahead), near]))
-        if self._former:
+        if self._former is not None:
             first = len(self._ahead)
             self._continuity.take_over(
-                self._former, list(means[first:]), self._covariance, covariances[first:], self._former_covariances
+                self._former, means[first:], self._covariance, covariances[first:], self._former_covariances
             )
         self._situation = situation
         self._is_free = float(covariances[0].max()) > 0.5 * UNCONSTRAINED_VARIANCE
         return means, covariances, activations
 
     def horizon(self, n: int, dt: float) -> list[Gaussian]:
-        """The next Gaussians, if the frames stay.
-
-        Parameters
-        ----------
-        n
-            how many
-        dt
-            apart, s
-
-        Returns
-        -------
-        list[Gaussian]
-            the first one is dt ahead
-
-        Raises
-        ------
-        ValueError
-            when there was no step yet
-        """
+        """The next n Gaussians, dt (s) apart, if the frames stay."""
         self._require_step()
         ahead = dt * np.arange(1, n + 1, dtype=np.float64)
         means, covariances, _ = self.course.at(self.phase.times(ahead))
-        return [self._continuity.gaussian(means[i], covariances[i], s) for i, s in enumerate(ahead.tolist())]
+        return self._continuity.gaussians(means, covariances, ahead)
 
     def mixture(self) -> GaussianMixture:
-        """The model in the situation of the last step.
-
-        Returns
-        -------
-        GaussianMixture
-            time first
-
-        Raises
-        ------
-        ValueError
-            when there was no step yet
-        """
+        """The model in the situation of the last step, time first."""
         self._require_step()
         return self.course.mixture()
 

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LeadingConfig:
+class LeadingConfig(Settings):
     """How a person leads a hand; the defaults are those of someone who does it with care."""
 
     stiffness: float = setting(600.0, 1.0, 1e4, "Stiffness of the person's arm, N/m")
@@ -30,10 +30,6 @@ class LeadingConfig:
     max_speed: float = setting(0.25, 0.01, 5.0, "Largest speed at which the hand is led, m/s")
     max_turn: float = setting(1.2, 0.01, 20.0, "Largest angular speed, rad/s")
     follow_rate: float = setting(6.0, 0.1, 100.0, "How fast the spring's end follows a place that leaps, 1/s")
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
 
 
 class LedHand:

@@ -30,15 +30,8 @@ from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.programs import train
 from tpgmm_ros.programs.reporting import run_with_report, write_report
 from tpgmm_ros.runtime.entry import INTERRUPTED
-from tpgmm_ros.runtime.processes import (
-    REALTIME_PRIORITY,
-    Graph,
-    GraphError,
-    GraphTimeoutError,
-    Value,
-    open_graph,
-    own_domain,
-)
+from tpgmm_ros.runtime.graph import Graph, open_graph, own_domain
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, GraphError, GraphTimeoutError, Value
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task
 
@@ -189,7 +182,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--bags", type=Path, default=Path("bags/pick_place"), help="the demonstrations (default: %(default)s)"
     )
-    parser.add_argument("--model", type=Path, help="a model file of the task to use, in place of training one")
+    parser.add_argument("--model", type=Path, help="use this model file of the task, instead of training one")
     parser.add_argument(
         "--output", type=Path, default=Path("out/demo"), help="report, pictures, model, logs (default: %(default)s)"
     )
@@ -203,19 +196,22 @@ def _parser() -> argparse.ArgumentParser:
         "--perception",
         choices=PERCEPTIONS,
         default="camera",
-        help="camera: object and target are seen 30 times per second, 30 ms late, with noise of 1 mm and 0.5 deg; "
+        help="camera: object and target are observed 30 times per second, 30 ms late, with noise of 1 mm and 0.5 deg; "
         "exact: where they are, at once (default: %(default)s)",
     )
     parser.add_argument(
-        "--lockstep", action="store_true", help="as fast as possible on simulated time, not in real time"
+        "--lockstep", action="store_true", help="run on simulated time, as fast as possible, not in real time"
     )
     parser.add_argument(
         "--separate",
         action="store_true",
-        help="run each node in its own process, instead of the robot's loop in one",
+        help="run each node in its own process, instead of all nodes from pose to torque in one",
     )
     parser.add_argument(
-        "--rate", type=float, default=1000.0, help="of joint states and torques, Hz, 100 to 2000 (default: %(default)s)"
+        "--rate",
+        type=float,
+        default=1000.0,
+        help="rate of joint states and torques, Hz, 100 to 2000 (default: %(default)s)",
     )
     parser.add_argument(
         "--domain", type=int, help="ROS domain to run on, to watch with RViz (default: a free one, this machine only)"

@@ -59,16 +59,20 @@ class RunRecord:
         the movement's topic and the frames
     joints
         names of the robot's joints, the order of the recorded torques
+    with_other_hosts
+        False: torques and poses of the hand alone, which a robot's own host publishes
     """
 
-    def __init__(self, node: Node, task: Task, joints: list[str]) -> None:
+    def __init__(self, node: Node, task: Task, joints: list[str], with_other_hosts: bool = True) -> None:
         self.joints = joints
         self._frame_names = list(task.frames)
         self._raw: dict[type, list[bytes]] = {}
         self._subscriptions: list[tuple[Subscription, list[bytes]]] = []
         self._subscribe(node, JointState, "joint_torques")
-        self._subscribe(node, Reference, "reference")
         self._subscribe(node, PoseStamped, task.movement)
+        if not with_other_hosts:
+            return
+        self._subscribe(node, Reference, "reference")
         self._subscribe(node, TaskParameters, "task_parameters")
         self._subscribe(node, DiagnosticArray, "/diagnostics")
 

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
+from tpgmm_core.common.blending import minimum_jerk
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.geometry.pose import pose_error
@@ -62,8 +64,8 @@ class Disturbances:
 
     def pushed(self, place: Array, time: float) -> Array:
         """Where an object that lay at ``place`` lies at a time."""
-        s = float(np.clip((time - self.push_start) / self.push_duration, 0.0, 1.0))
-        return POSE.exp(place, s**3 * (10.0 - 15.0 * s + 6.0 * s**2) * self.push)
+        share = minimum_jerk((time - self.push_start) / self.push_duration)
+        return POSE.exp(place, share * self.push)
 
     def hides(self, frame: str, time: float) -> bool:
         """Whether a frame cannot be seen at a time, s since the start of the movement."""
@@ -88,6 +90,8 @@ class World:
     lockstep
         answer each pose of the hand with one message for each frame, also where it is not seen; the movement starts
         with the first one
+    publish
+        gets what the camera finds, the object's name and its pose; None: published on the task's topics
 
     Attributes
     ----------
@@ -107,6 +111,7 @@ class World:
         disturbances: Disturbances,
         camera: SimulatedCamera,
         lockstep: bool = False,
+        publish: Callable[[str, PoseStamped], None] | None = None,
     ) -> None:
         self.situation = situation
         self.disturbances = disturbances
@@ -119,9 +124,12 @@ class World:
         self.nearest = np.inf, np.inf
         self._answered_ns = -1
         self._said: dict[str, PoseStamped] = {}
-        self._publishers = {
-            name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()
-        }
+        if publish is None:
+            publishers = {
+                name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()
+            }
+            publish = lambda name, said: publishers[name].publish(said)  # noqa: E731
+        self._publish = publish
         node.create_subscription(PoseStamped, task.movement, self._answer, STREAM)
 
     def _answer(self, message: PoseStamped) -> None:
@@ -133,7 +141,7 @@ class World:
             self._answered_ns = stamp_ns
             self._live(conversions.pose_to_array(message.pose), stamp_ns, elapsed)
         for name, said in self._said.items():
-            self._publishers[name].publish(said)
+            self._publish(name, said)
 
     def _live(self, hand: Array, stamp_ns: int, elapsed: float) -> None:
         """What happens until a moment, with the hand where it is then, and what is known of it."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""figure5: a cup held level and a sugar cube held above it, taught apart and done together (Figure 5 of the paper).
+"""figure5: a cup held level and a sugar cube above it, taught separately and done together (Figure 5 of the paper).
 
 Teaches both tasks to a simulated Baxter, each by one short recorded demonstration, learns a single Gaussian in each of
 several candidate frames, and lets the LQR of their product move both arms, while the robot is pushed: the cup alone,

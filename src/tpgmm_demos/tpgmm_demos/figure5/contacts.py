@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tpgmm_core.common.blending import minimum_jerk
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
-from tpgmm_demos.figure5.lessons import ELBOWS, FADE, HANDS, START, Array, Lesson, Poses
+from tpgmm_demos.figure5.lessons import ELBOWS, FADE, HANDS, START, Lesson, Poses
 from tpgmm_demos.figure5.session import Session, Wrench
 from tpgmm_demos.teaching.teacher import Teacher, TeacherConfig
 
@@ -45,12 +47,6 @@ class _Aim:
 def contact(config: TeacherConfig, where: Callable[[float], Array]) -> Wrench:
     """The wrench of someone who means a link to be `where`(time): pose (7,)."""
     return Teacher(_Aim(where), config).wrench
-
-
-def smooth_step(share: float) -> float:
-    """From 0 to 1 with the least jerk, for shares of the time from 0 to 1."""
-    s = min(1.0, max(0.0, share))
-    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
 
 def hand_guiding(
@@ -93,11 +89,11 @@ def to_start(session: Session) -> None:
     bent = {hand: session.pose(elbow(hand))[:3] for hand in HANDS}
 
     def aims(time: float) -> Poses:
-        share = smooth_step(time / WAY)
+        share = minimum_jerk(time / WAY)
         return {hand: POSE.exp(pose, share * POSE.log(pose, START[hand])) for hand, pose in begin.items()}
 
     def elbows(time: float) -> Poses:
-        share = smooth_step(time / WAY)
+        share = minimum_jerk(time / WAY)
         return {hand: place + share * (ELBOWS[hand] - place) for hand, place in bent.items()}
 
     session.run(WAY + REST, hand_guiding(session, aims, elbows))
@@ -158,7 +154,7 @@ def gripped_push(session: Session, link: str, way: Array, duration: float) -> tu
 
 
 def _moving(begin: Array, way: Array, duration: float) -> Callable[[float], Array]:
-    return lambda time: begin + np.concatenate([smooth_step(time / duration) * way, np.zeros(4)])
+    return lambda time: begin + np.concatenate([minimum_jerk(time / duration) * way, np.zeros(4)])
 
 
 class Record:

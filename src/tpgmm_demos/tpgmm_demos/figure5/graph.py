@@ -14,7 +14,8 @@ from rcl_interfaces.srv import SetParameters
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_demos.figure5.measures import LAW
 from tpgmm_demos.figure5.session import START_TIMEOUT, Session
-from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, GraphError, open_graph, own_domain
+from tpgmm_ros.runtime.graph import open_graph, own_domain
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, GraphError
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.runtime.scheduling import end_realtime, request_realtime
 

@@ -11,13 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tpgmm_core.common.blending import smoothstep
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.geometry.pose import compose
 
-Array = NDArray[np.float64]
 Poses = dict[str, Array]
 
 HANDS = ("left", "right")
@@ -61,7 +61,7 @@ class MultisineExcitation:
     def at(self, time: float) -> Array:
         """(n,), zero at both ends of the lesson."""
         edge = np.clip(min(time, LESSON_TIME - time) / FADE, 0.0, 1.0)
-        return np.asarray(edge**2 * (3.0 - 2.0 * edge) * self._amplitudes * np.sin(self._rates * time + self._phases))
+        return np.asarray(smoothstep(edge) * self._amplitudes * np.sin(self._rates * time + self._phases))
 
 
 #: Where the hands should be at a time, s, given where they are.

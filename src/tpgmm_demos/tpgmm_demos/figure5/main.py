@@ -84,12 +84,16 @@ def _parser() -> argparse.ArgumentParser:
         prog="figure5", description=package.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     shown = "(default: %(default)s)"
-    parser.add_argument("--seed", type=int, default=1, help=f"of lessons and pushes {shown}")
+    parser.add_argument("--seed", type=int, default=1, help=f"random seed of demonstrations and pushes {shown}")
     parser.add_argument("--pushes", type=int, default=20, help=f"random pushes of each kind {shown}")
-    parser.add_argument("--bags", type=Path, help="directory of recorded lessons; without it they are recorded again")
+    parser.add_argument(
+        "--bags", type=Path, help="directory of recorded demonstrations; without it they are recorded again"
+    )
     parser.add_argument("--output", type=Path, default=Path("out/figure5"), help=f"report, pictures, models {shown}")
     parser.add_argument("--robot", type=Path, default=config_file("baxter.yaml"), help=f"robot file {shown}")
-    parser.add_argument("--real-time", action="store_true", help="sequences at 1 kHz of real time, not in lockstep")
+    parser.add_argument(
+        "--real-time", action="store_true", help="run the sequences at 1 kHz in real time, not in lockstep"
+    )
     return parser
 
 

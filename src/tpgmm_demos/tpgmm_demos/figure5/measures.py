@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import DynamicState
 from tpgmm_core.control.joint_impedance import JointImpedanceConfig, JointImpedanceLaw
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.kinematics.hand_tasks import HandTask, HandTasks
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_demos.figure5.lessons import CUP_AXIS, HANDS, SUGAR_PLACE, Array
+from tpgmm_demos.figure5.lessons import CUP_AXIS, HANDS, SUGAR_PLACE
 from tpgmm_demos.figure5.session import Trace
 
 ARMS = ("left_arm", "right_arm")

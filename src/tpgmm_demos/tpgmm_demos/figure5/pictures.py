@@ -13,9 +13,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from mpl_toolkits.mplot3d import Axes3D
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_demos.figure5.lessons import CUP_AXIS, HANDS, Array
+from tpgmm_demos.figure5.lessons import CUP_AXIS, HANDS
 from tpgmm_demos.figure5.measures import measure
 from tpgmm_demos.figure5.sequences import AFTER, CUP, HELD, MOVE, SUGAR, SequenceResult
 

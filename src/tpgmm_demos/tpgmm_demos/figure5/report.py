@@ -10,9 +10,9 @@ import numpy as np
 
 from tpgmm_core import TPGMM
 from tpgmm_core.common.report import format_table
+from tpgmm_core.common.types import Array
 from tpgmm_core.kinematics.hand_tasks import HandTask
 from tpgmm_core.robot.model import RobotModel
-from tpgmm_demos.figure5.lessons import Array
 from tpgmm_demos.figure5.measures import Measures, energy, measure
 from tpgmm_demos.figure5.sequences import CUP, HELD, MOVE, SUGAR, Pushed, SequenceResult
 from tpgmm_demos.figure5.session import SAMPLE_RATE

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tpgmm_demos.figure5.contacts import Record, elbow, gripped_push, push, smooth_step, to_start
-from tpgmm_demos.figure5.lessons import HANDS, Array
+from tpgmm_core.common.blending import minimum_jerk
+from tpgmm_core.common.types import Array
+from tpgmm_demos.figure5.contacts import Record, elbow, gripped_push, push, to_start
+from tpgmm_demos.figure5.lessons import HANDS
 from tpgmm_demos.figure5.session import Session, Trace, Wrench
 
 CUP, SUGAR = "hold_cup", "hold_sugar"
@@ -227,4 +229,4 @@ def _probe(session: Session) -> tuple[Probed, ...]:
 
 def _growing(wrench: Array) -> Wrench:
     """A wrench that grows to its full size and stays."""
-    return lambda time, pose: smooth_step(time / PROBE_GROWS) * wrench
+    return lambda time, pose: minimum_jerk(time / PROBE_GROWS) * wrench

@@ -14,16 +14,15 @@ from pathlib import Path
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
-from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointReader
 from tpgmm_ros.messages.qos import STREAM
-from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, Graph
-
-Array = NDArray[np.float64]
+from tpgmm_ros.runtime.graph import Graph
+from tpgmm_ros.runtime.processes import REALTIME_PRIORITY
 
 #: Wrenches per second; so often the simulator publishes poses and, in lockstep, waits for a wrench.
 TOUCH_RATE = 500.0

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tpgmm_core.common.settings import check_settings, setting
+from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 
@@ -22,7 +22,7 @@ _SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CameraConfig:
+class CameraConfig(Settings):
     """What a camera is like; the defaults are those of an ordinary one with a detector of objects behind it.
 
     The noise is that of each image, independent of all others, for each of the three directions alike.
@@ -33,10 +33,6 @@ class CameraConfig:
     delay: float = setting(0.03, 0.0, 1.0, "From the image to the poses that were found in it, s")
     position_noise: float = setting(0.001, 0.0, 0.1, "Standard deviation along each axis, m")
     orientation_noise: float = setting(math.radians(0.5), 0.0, 0.5, "Standard deviation about each axis, rad")
-
-    def __post_init__(self) -> None:
-        """Raises ValueError for a value out of its range."""
-        check_settings(self)
 
     def exact(self, rate: float) -> CameraConfig:
         """One that sees exactly, at once and on its beat, `rate` times per second, Hz."""

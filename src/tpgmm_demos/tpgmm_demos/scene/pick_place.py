@@ -24,7 +24,7 @@ CLEARANCE = 0.10
 
 
 @dataclass(frozen=True, slots=True)
-class Region:
+class PlacementRegion:
     """Where something may lie: a box (m) and how far it may be turned (rad): about the vertical, and tilted."""
 
     lower: tuple[float, float, float]
@@ -42,8 +42,8 @@ class Region:
 
 
 #: On a table in front of the left arm; the target's place may be inclined.
-OBJECT_REGION = Region((0.55, 0.30, -0.05), (0.75, 0.50, 0.02), yaw=0.7, tilt=0.0)
-TARGET_REGION = Region((0.55, 0.00, -0.02), (0.75, 0.18, 0.08), yaw=0.7, tilt=0.17)
+OBJECT_REGION = PlacementRegion((0.55, 0.30, -0.05), (0.75, 0.50, 0.02), yaw=0.7, tilt=0.0)
+TARGET_REGION = PlacementRegion((0.55, 0.00, -0.02), (0.75, 0.18, 0.08), yaw=0.7, tilt=0.17)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
+from tpgmm_core.common.blending import minimum_jerk
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.robot.model import RobotModel
@@ -80,8 +81,7 @@ class Targets:
 def _bump(s: float, begin: float, end: float) -> float:
     """Rises from 0 to 1 and falls again, smoothly, and stays at 1 for a third of the time."""
     u = (s - begin) / (end - begin)
-    edge = min(1.0, max(0.0, 3.0 * min(u, 1.0 - u)))
-    return edge**3 * (10.0 - 15.0 * edge + 6.0 * edge**2)
+    return minimum_jerk(3.0 * min(u, 1.0 - u))
 
 
 @dataclass(frozen=True, slots=True)

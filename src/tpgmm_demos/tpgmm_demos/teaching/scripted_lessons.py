@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""scripted_lessons: record demonstrations of a scripted teacher on a simulated Baxter. `teach --scripted` is the same.
+"""scripted_lessons: record demonstrations by a scripted teacher on a simulated Baxter. `teach --scripted` is the same.
 
-Starts ``baxter_simulator`` and ``impedance_controller`` (gravity compensation), and a scripted teacher leads the
-simulated robot by forces through a lesson, in another situation for each recording: pick-and-place with one hand, or a
-bar between both hands whose targets cannot both be reached, with priority for one of them.
+Starts ``baxter_simulator`` and ``impedance_controller`` (gravity compensation). A scripted teacher guides the simulated
+robot by forces, in another situation for each recording: pick-and-place with one hand, or a bar between both hands
+whose targets cannot both be reached, with priority for one of them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from tpgmm_demos.teaching.pick_place_lesson import ScriptedLesson
 from tpgmm_ros.recordings.bag_recorder import BagRecorder
 from tpgmm_ros.recordings.recorded_topics import JOINT_STATE, needed_topics
 from tpgmm_ros.runtime.executor import StopFlag
-from tpgmm_ros.runtime.processes import GraphError, open_graph, own_domain
+from tpgmm_ros.runtime.graph import open_graph, own_domain
+from tpgmm_ros.runtime.processes import GraphError
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task, TaskError
 
@@ -186,16 +187,16 @@ def main() -> int:
     )
     shown = "(default: %(default)s)"
     parser.add_argument("--scripted", action="store_true", help=argparse.SUPPRESS)  # how `teach` hands over
-    parser.add_argument("--lesson", choices=LESSONS, default="pick_place", help=f"what is taught {shown}")
+    parser.add_argument("--lesson", choices=LESSONS, default="pick_place", help=f"what is demonstrated {shown}")
     parser.add_argument("--task", type=Path, help="task file (default: that of the lesson in config/)")
     parser.add_argument("--output", type=Path, required=True, help="the directory of the bags")
     parser.add_argument("--count", type=int, default=16, help=f"demonstrations to record {shown}")
-    parser.add_argument("--seed", type=int, default=0, help=f"of the scripted teacher's variation {shown}")
+    parser.add_argument("--seed", type=int, default=0, help=f"random seed of the scripted teacher's variation {shown}")
     parser.add_argument(
         "--perception",
         choices=PERCEPTIONS,
         default="camera",
-        help=f"how the objects are seen: 30 Hz, late and with noise, or exact {shown}",
+        help=f"how the objects are observed: camera (30 Hz, late and with noise), or exact {shown}",
     )
     parser.add_argument("--robot", type=Path, default=config_file("baxter.yaml"), help=f"robot file {shown}")
     arguments = parser.parse_args()

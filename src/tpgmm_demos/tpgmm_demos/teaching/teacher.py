@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from tpgmm_core.common.blending import minimum_jerk
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_demos.scene.pick_place import CLEARANCE, Placement, hand_at
@@ -111,7 +112,7 @@ class Intention:
             if time < part.start + part.duration:
                 break
         s = min(1.0, max(0.0, (time - part.start) / part.duration))
-        progress = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        progress = minimum_jerk(s)
         # Reaching too far and coming back: added where the movement ends, gone when it has ended.
         progress += part.overshoot * 27.0 * s**6 * (1.0 - s) ** 2 * 4.0
         step = POSE.log(part.origin, part.goal)

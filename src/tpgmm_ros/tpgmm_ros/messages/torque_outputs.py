@@ -25,12 +25,12 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from tpgmm_core.common.text import listed, shown
+from tpgmm_core.common.types import Array
 from tpgmm_core.control.controller import TorqueCommand
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import COMMANDS, STREAM
 
-Array = NDArray[np.float64]
 Fields = Mapping[str, Any]
 
 

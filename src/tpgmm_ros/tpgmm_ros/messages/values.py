@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from tpgmm_core.common.text import shown
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions
-from tpgmm_ros.messages.conversions import TaskFrameState
+from tpgmm_ros.messages.conversions import MessageError, TaskFrameState
 from tpgmm_ros.messages.frame_messages import frame_of
 from tpgmm_ros.messages.lockstep import is_no_reference, no_reference
 
@@ -60,6 +61,17 @@ class StampedReference:
         nothing = lockstep and is_no_reference(message)
         stamp_ns = conversions.time_to_ns(message.header.stamp)
         return cls(None if nothing else conversions.reference(message), stamp_ns, message.header.frame_id)
+
+    def require_frame(self, base_frame: str) -> None:
+        """Check that it is expressed in the base frame of a robot; an empty name counts as that.
+
+        Raises
+        ------
+        MessageError
+            It is not.
+        """
+        if self.frame_id not in ("", base_frame):
+            raise MessageError(f"the reference is expressed in {shown(self.frame_id)}; expected '{base_frame}'")
 
     def message(self) -> ReferenceMessage:
         """The same as a message."""

@@ -13,9 +13,11 @@ from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_core.retrieval.interface import Retrieval, demonstrated_duration
+from tpgmm_core.retrieval.knowledge import KnowledgeConfig
 from tpgmm_core.retrieval.novelty import Novelty, NoveltyScale
 from tpgmm_core.retrieval.parallel import Parallel
 from tpgmm_core.retrieval.skill_sequence import QueuedSkill
+from tpgmm_core.retrieval.waiting import Waiting
 from tpgmm_ros.models.task_model import TOGETHER, load_task_models, make_task_retrieval
 from tpgmm_ros.task.task_file import Task
 
@@ -113,6 +115,7 @@ def prepare(
     known: Mapping[str, tuple[Frame, float]],
     state: Array | None,
     max_novelty: float,
+    knowledge: KnowledgeConfig,
 ) -> list[Prepared]:
     """Read the models of skills, each file once, and make movements of them that may begin.
 
@@ -135,6 +138,8 @@ def prepare(
         where the robot is; None where not known
     max_novelty
         the largest that is not refused; 0: all
+    knowledge
+        from when on too little is known, so that a movement waits
 
     Returns
     -------
@@ -157,7 +162,9 @@ def prepare(
             chosen = read[request.path] if request.path else tuple(models)
             if not chosen:
                 raise ValueError("no model is loaded: name a model file in the goal, or set the parameter model_file")
-            found.append(_prepared(request, chosen, task, settings, known, state, max_novelty, is_first=i == 0))
+            found.append(
+                _prepared(request, chosen, task, settings, known, state, max_novelty, knowledge, is_first=i == 0)
+            )
         except (ValueError, OSError) as error:
             if len(requests) == 1:
                 raise
@@ -173,14 +180,15 @@ def _prepared(
     known: Mapping[str, tuple[Frame, float]],
     state: Array | None,
     max_novelty: float,
+    knowledge: KnowledgeConfig,
     *,
     is_first: bool,
 ) -> Prepared:
-    movements = [
-        make_task_retrieval(model, task, duration=duration, **settings)
-        for model, duration in zip(models, _durations(models, request.duration), strict=True)
-    ]
-    retrieval = movements[0] if len(movements) == 1 else Parallel(movements)
+    movements = _movements(request, models, task, settings)
+    retrieval = _together(movements)
+    if knowledge.unknown_ratio > 0.0:
+        probe = _together(_movements(request, models, task, {**settings, "horizon_steps": 0}))
+        retrieval = Waiting(retrieval, probe, knowledge)
     derived = DerivedFrames.joined(DerivedFrames.of_metadata(model.metadata_) for model in models)
     name = TOGETHER.join(Path(path).stem for path in request.path.split(TOGETHER))
     skill = QueuedSkill(name, retrieval, derived, request.hold)
@@ -193,6 +201,19 @@ def _prepared(
         for model, movement in zip(models, movements, strict=True)
     ]
     return Prepared(models, skill, newest(judged))
+
+
+def _movements(
+    request: SkillRequest, models: Sequence[LearnedMixture], task: Task, settings: Mapping[str, Any]
+) -> list[Retrieval]:
+    return [
+        make_task_retrieval(model, task, duration=duration, **settings)
+        for model, duration in zip(models, _durations(models, request.duration), strict=True)
+    ]
+
+
+def _together(movements: Sequence[Retrieval]) -> Retrieval:
+    return movements[0] if len(movements) == 1 else Parallel(movements)
 
 
 def newest(judged: Iterable[Novelty | None]) -> Novelty | None:

@@ -11,11 +11,11 @@ from tpgmm_core.choice.baselines import BASELINES, Learner
 from tpgmm_core.choice.calibration import knows_time, squared_distances_of
 from tpgmm_core.choice.novelty import novelty_of
 from tpgmm_core.choice.reproducing import reproduce_gaussians
+from tpgmm_core.common.side_by_side import side_by_side
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.geometry.pose import compose, inverse
-from tpgmm_ros.models.side_by_side import side_by_side
-from tpgmm_ros.recordings.bag_messages import Array
 from tpgmm_ros.recordings.bags import Recording, align
 
 _METRES_PER_RADIAN = 0.1

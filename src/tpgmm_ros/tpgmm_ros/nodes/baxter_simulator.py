@@ -14,15 +14,14 @@ import sys
 import time
 from dataclasses import dataclass
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from numpy.typing import NDArray
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.observation.poses import check_pose, wrong_frame
 from tpgmm_core.observation.streams import SECOND, Stamp, StreamWatch
 from tpgmm_core.robot.led_hand import LedHand
@@ -47,7 +46,7 @@ PARAMETERS = [
     Declared(
         "real_time_factor",
         0.0,
-        "Lockstep: simulated seconds per second at most; a busy machine takes longer; 0: as fast as it can",
+        "Lockstep: largest number of simulated seconds per second; 0: as fast as possible",
         0.0,
         100.0,
     ),
@@ -56,17 +55,16 @@ PARAMETERS = [
     Declared("pose_rate", 100.0, "End point poses per second of simulated time, Hz", 1.0, 1000.0, fixed=True),
     BROADCAST_ROBOT,
     Declared("command_timeout", 0.1, "Time without torques after which the robot brakes, s", 0.002, 10.0),
-    Declared("braking_rate", 20.0, "How fast it brakes while no torques come, 1/s", 0.0, 50.0),
+    Declared("braking_rate", 20.0, "Rate at which the robot brakes while no torques come, 1/s", 0.0, 50.0),
     Declared(
         "wrench_timeout",
         0.2,
-        "Time after which an external wrench, or leading a hand, ends unless repeated, s",
+        "Time after which an external wrench, or guiding a hand, ends unless repeated, s",
         0.002,
         10.0,
     ),
 ]
 
-Array = NDArray[np.float64]
 #: Torques answer joint states: none may be stamped so far ahead of the newest one, s.
 MAX_FUTURE = 0.05
 #: In lockstep, a state without an answer is published again after this long, s: best effort may lose a message.

@@ -48,7 +48,7 @@ PARAMETERS = [
     Declared(
         "use_covariances",
         True,
-        "A pose that comes with a covariance counts less where that is large; otherwise as if it was exact",
+        "Use covariances that come with poses, so that uncertain poses count less; false: all poses count as exact",
         fixed=True,
     ),
     Declared(

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
 from tpgmm_core.common.text import one_line
+from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.outcome import Outcome
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.runtime.composition import guarded
@@ -49,23 +50,20 @@ class Goals:
         """Carry this one out from now on."""
         self._goal = goal
 
-    def tell(self, phase: float, frames: Sequence[str], skill: tuple[int, int, str]) -> None:
+    def tell(self, reference: Reference, skill: tuple[int, int, str]) -> None:
         """Feedback to the client of the goal that is being carried out, if one is.
 
         Parameters
         ----------
-        phase
+        reference
             of the present skill
-        frames
-            names of those that take part
         skill
             its number, from 1, how many there are, and its name
         """
         if self._goal is not None:
-            number, of, name = skill
-            self._goal.publish_feedback(
-                Reproduce.Feedback(phase=phase, frames=list(frames), skill=number, skills=of, skill_name=name)
-            )
+            feedback = Reproduce.Feedback(phase=reference.phase, frames=list(reference.frames), waits=reference.waits)
+            feedback.skill, feedback.skills, feedback.skill_name = skill
+            self._goal.publish_feedback(feedback)
 
     def end(self, outcome: Outcome) -> None:
         """Give the client of the goal that is being carried out, if one is, the outcome."""

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import sys
 import time
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
@@ -37,14 +35,14 @@ from tpgmm_ros.messages.lockstep import Barrier
 from tpgmm_ros.messages.qos import LATCHED, STATES, STREAM
 from tpgmm_ros.messages.torque_outputs import OUTPUTS, TorqueOutputs
 from tpgmm_ros.messages.values import StampedReference
-from tpgmm_ros.nodes.controller_status import limited, loop_values
-from tpgmm_ros.nodes.joint_states import SPREAD
+from tpgmm_ros.nodes.controller_status import TorqueStatus, limited, loop_values
+from tpgmm_ros.nodes.joint_states import JOINT_STATE_RATE, SPREAD
 from tpgmm_ros.runtime.background import Background
 from tpgmm_ros.runtime.batches import Batches
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.lifecycle import ManagedNode
 from tpgmm_ros.runtime.local_topics import receive_values
-from tpgmm_ros.runtime.monitor import Monitor, RecentTimes
+from tpgmm_ros.runtime.monitor import Monitor
 from tpgmm_ros.runtime.parameters import Declared, Parameters, declared_of, fill
 from tpgmm_ros.runtime.timing import clock_trouble, loop_clock
 
@@ -52,14 +50,7 @@ PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
     Declared("law", "infinite_horizon", f"Control law: {', '.join(LAWS)}", fixed=True),
     Declared("endpoint", "left", "End point (hand) that follows pose references", fixed=True),
-    Declared(
-        "joint_state_rate",
-        1000.0,
-        "Rate at which joint states are expected, Hz: lost ones are counted",
-        1.0,
-        10000.0,
-        fixed=True,
-    ),
+    JOINT_STATE_RATE,
     SPREAD,
     Declared("autostart", False, "Configure and activate at start, without a lifecycle manager", fixed=True),
     Declared(
@@ -79,7 +70,6 @@ PARAMETERS = [
     *{item.name: item for config in CONFIGS for item in declared_of(config)}.values(),
     *declared_of(TorqueLimits),
 ]
-STATE_PERIOD_NS = 100_000_000
 #: How often silence is looked for, and the safe torque sent meanwhile, s.
 WATCH_PERIOD = 0.005
 #: Step of the last torques, which lead to the safe one, s; and how long that may take.
@@ -94,11 +84,9 @@ class ImpedanceControllerNode(ManagedNode):
         # Every value may be in its range and the whole still make no sense.
         self.parameters = Parameters(self, PARAMETERS, check=self._check_parameters, changed=self._reconfigure)
         self.law: ReferenceLaw | None = None
-        self._background = Background(self)
+        self._background, self.status = Background(self), TorqueStatus(self)
         self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"], self._slow)
         self._active = False
-        self._mode, self._reason = ControllerMode.WAITING, "not active"
-        self._actions: Counter[str] = Counter()
         if self.parameters["autostart"]:
             self.start_itself()
 
@@ -154,7 +142,8 @@ class ImpedanceControllerNode(ManagedNode):
         self._joint_states = JointStates(self._names, ("position", "velocity"), self.parameters[SPREAD.name])
         self._loop_clock = loop_clock(self)
         self._simulated = bool(self.get_parameter("use_sim_time").value)
-        self._states = self.create_lifecycle_publisher(ControllerState, "controller_state", LATCHED)
+        states = self.create_lifecycle_publisher(ControllerState, "controller_state", LATCHED)
+        self.status.begin(states, self.robot.base_frame)
         references = self.create_subscription(ReferenceMessage, "reference", self._take_reference, STREAM)
         receive_values(references, self._take_stamped_reference)
         Batches(self, JointState, "joint_states", self._take_states, STATES, JointStateDecoder())
@@ -172,11 +161,9 @@ class ImpedanceControllerNode(ManagedNode):
         self.controller.start()
         self._joint_states.forget()
         self._barrier = Barrier(("reference",), self._answer) if self.parameters["lockstep"] else None
-        self._state_due_ns = 0
-        self._actions.clear()
-        self._ages = RecentTimes()
+        self.status.forget()
         self._active = True
-        self._change(ControllerMode.WAITING, self.controller.decision.reason, self._loop_clock.now().nanoseconds)
+        self.status.change(ControllerMode.WAITING, self.controller.decision.reason, self._loop_clock.now().nanoseconds)
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -202,9 +189,9 @@ class ImpedanceControllerNode(ManagedNode):
             if command is not None:
                 self._publish(command, self.controller.stamp_ns)
         self._active = False
-        if self._actions:
-            self.get_logger().info(f"torques were limited: {limited(self._actions)}")
-        self._change(ControllerMode.WAITING, "not active", self._loop_clock.now().nanoseconds)
+        if self.status.actions:
+            self.get_logger().info(f"torques were limited: {limited(self.status.actions)}")
+        self.status.end(self._loop_clock.now().nanoseconds)
 
     # -- inputs -------------------------------------------------------------------------------------------------------
 
@@ -223,17 +210,15 @@ class ImpedanceControllerNode(ManagedNode):
         if not self._active:
             return
         if stamped.reference is not None:
-            self._follow_reference(stamped.reference, stamped.stamp_ns, stamped.frame_id)
+            self._follow_reference(stamped, stamped.reference)
         if self._barrier is not None:
             self._barrier.came("reference", stamped.stamp_ns)
 
-    def _follow_reference(self, reference: Reference, stamp_ns: int, frame_id: str) -> None:
-        now_ns, clock_ns = self._times(stamp_ns)
-        base = self.robot.base_frame
+    def _follow_reference(self, stamped: StampedReference, reference: Reference) -> None:
+        now_ns, clock_ns = self._times(stamped.stamp_ns)
         try:
-            if frame_id not in ("", base):
-                raise MessageError(f"the reference is expressed in {shown(frame_id)}; expected '{base}'")
-            self.controller.take_reference(reference, stamp_ns, now_ns, clock_ns)
+            stamped.require_frame(self.robot.base_frame)
+            self.controller.take_reference(reference, stamped.stamp_ns, now_ns, clock_ns)
         except ValueError as error:
             self._refuse_reference(error)
             return
@@ -286,7 +271,7 @@ class ImpedanceControllerNode(ManagedNode):
         answer = self.controller.take_state(q, v, sample.stamp_ns, now_ns, clock_ns)
         self._report(answer, now_ns)
         if (age := self.controller.guard.age.age) is not None:
-            self._ages.add(age)
+            self.status.ages.add(age)
         if answer is not None:
             self.monitor.done += 1
             self.monitor.step.add(time.perf_counter() - start)
@@ -299,69 +284,28 @@ class ImpedanceControllerNode(ManagedNode):
         if now_ns:
             self._report(self.controller.watch(now_ns), now_ns)
         elif not self.controller.stamp_ns:  # a simulated clock that has not come yet
-            self._change(ControllerMode.WAITING, clock_trouble(self), now_ns)
+            self.status.change(ControllerMode.WAITING, clock_trouble(self), now_ns)
 
     def _report(self, answer: Answer | None, now_ns: int) -> None:
         """Send torques, if any, and tell what is done and why."""
         if answer is not None:
             self._publish(answer.command, answer.stamp_ns)
         decision = self.controller.decision
-        self._change(decision.mode, decision.reason, now_ns)
-        if answer is not None and self._is_due(now_ns):
-            self._tell(answer.command, now_ns)
+        self.status.change(decision.mode, decision.reason, now_ns)
+        if answer is not None:
+            self.status.tell(answer.command, self._names, now_ns)
 
     def _publish(self, command: TorqueCommand, stamp_ns: int) -> None:
         self._outputs.publish(command, stamp_ns)
-        self._actions.update(command.actions)
-
-    # -- what others are told -----------------------------------------------------------------------------------------
-
-    def _change(self, mode: ControllerMode, reason: str, now_ns: int) -> None:
-        """Each change of the mode is told at once; other words for the same mode when the next message is due."""
-        if mode is self._mode and (reason == self._reason or not self._is_due(now_ns)):
-            return
-        self._mode, self._reason = mode, reason
-        text = f"{mode.name}: {reason}"
-        if mode is ControllerMode.FAULT:
-            self.get_logger().error(text)
-        else:
-            self.get_logger().info(text)
-        self._states.publish(self._state_message())
-
-    def _is_due(self, now_ns: int) -> bool:
-        return not 0 < self._state_due_ns - now_ns <= STATE_PERIOD_NS
-
-    def _state_message(self) -> ControllerState:
-        message = ControllerState(state=int(self._mode), reason=self._reason)
-        message.header.stamp = self.get_clock().now().to_msg()
-        message.header.frame_id = self.robot.base_frame
-        return message
-
-    def _tell(self, command: TorqueCommand, now_ns: int) -> None:
-        self._state_due_ns = now_ns + STATE_PERIOD_NS
-        message = self._state_message()
-        message.joints = self._names
-        feedforward = command.tau if command.law is None else command.law.terms["feedforward"]
-        message.feedforward_torque = conversions.floats(feedforward)
-        message.feedback_torque = conversions.floats(command.tau - feedforward)
-        message.term_names, message.terms = conversions.torque_terms(command.terms)
-        if command.law is not None:
-            message.stiffness = conversions.floats(command.law.stiffness)
-            message.damping = conversions.floats(command.law.damping)
-        self._states.publish(message)
+        self.status.actions.update(command.actions)
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
-        level = DiagnosticStatus.OK
-        if self._mode is ControllerMode.FAULT:
-            level = DiagnosticStatus.ERROR
-        elif self._mode in (ControllerMode.HOLD, ControllerMode.WAITING):
-            level = DiagnosticStatus.WARN
-        values = {"torques_limited": limited(self._actions)}
+        values = {"torques_limited": limited(self.status.actions)}
         if self._active:
-            values |= loop_values(self.controller.guard, self._ages)
+            values |= loop_values(self.controller.guard, self.status.ages)
         if self.law is not None and self.law.plan_age is not None:
             values["plan_age_ms"] = f"{1e3 * self.law.plan_age:.1f}"
-        return level, f"{self._mode.name}: {self._reason}", values
+        return self.status.diagnosis(values)
 
 
 def main() -> int:

@@ -14,7 +14,6 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 
@@ -23,16 +22,15 @@ from tpgmm_core.control.hand_stiffness import StiffnessConfig, hand_stiffness
 from tpgmm_core.control.joint_motion import JointStep, MotionConfig
 from tpgmm_core.control.motion_aims import Aim
 from tpgmm_core.control.supervised_motion import MotionTimeouts, SupervisedMotion
-from tpgmm_core.control.supervision import ControllerMode
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
-from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointStates, MessageError
 from tpgmm_ros.messages.joint_state_bytes import JointStateDecoder, JointStateValues
 from tpgmm_ros.messages.motion_outputs import ACTION, NAMES, Motion, MotionOutputs, check_outputs
 from tpgmm_ros.messages.qos import LATCHED, STATES, STREAM
 from tpgmm_ros.messages.values import StampedReference
+from tpgmm_ros.nodes.controller_status import ControllerStatus
 from tpgmm_ros.nodes.joint_states import SPREAD
 from tpgmm_ros.nodes.trajectory_goals import TrajectoryGoals
 from tpgmm_ros.runtime.batches import Batches
@@ -45,16 +43,19 @@ from tpgmm_ros.runtime.timing import clock_trouble, loop_clock
 
 PARAMETERS = [
     Declared("robot_file", "", "Robot file (YAML): URDF, end points, limits", fixed=True),
-    Declared("endpoint", "left", "End point (hand) whose pose references of poses mean", fixed=True),
+    Declared("endpoint", "left", "End point (hand) that follows pose references", fixed=True),
     Declared(
-        "joints", "", "Joint group that moves, in the order of the positions; empty: that of the end point", fixed=True
+        "joints",
+        "",
+        "Joint group that is moved, in the order of the positions; empty: the group of the end point",
+        fixed=True,
     ),
-    Declared("outputs", ["joint_trajectory"], f"What is sent, any of {', '.join(NAMES)}", fixed=True),
-    Declared("command_rate", 100.0, "Rate at which it is sent, Hz", 1.0, 1000.0, fixed=True),
+    Declared("outputs", ["joint_trajectory"], f"Outputs that are sent, any of {', '.join(NAMES)}", fixed=True),
+    Declared("command_rate", 100.0, "Rate at which outputs are sent, Hz", 1.0, 1000.0, fixed=True),
     Declared(
         "horizon",
         0.03,
-        "Time that the robot has to get to the first point of a trajectory, s: two to four periods of `command_rate`",
+        "Time that the robot has to reach the first point of a trajectory, s: two to four periods of `command_rate`",
         0.001,
         1.0,
     ),
@@ -65,8 +66,6 @@ PARAMETERS = [
     *declared_of(StiffnessConfig),
 ]
 CONFIGS = (MotionConfig, MotionTimeouts, StiffnessConfig)
-#: Other words for the same mode are told this often at most, ns.
-WORDS_PERIOD_NS = 100_000_000
 #: How much longer than the joints need the end may take, s.
 RELEASE_TIME = 0.5
 
@@ -79,7 +78,7 @@ class JointMotionNode(ManagedNode):
         self.motion: SupervisedMotion | None = None
         self._goals: TrajectoryGoals | None = None
         self._active = False
-        self._mode, self._reason, self._told_ns = ControllerMode.WAITING, "not active", 0
+        self.status = ControllerStatus(self)
         self.parameters = Parameters(self, PARAMETERS, check=self._check, changed=self._reconfigure)
         self.monitor = Monitor(self, self._status, self.parameters["command_rate"])
         if self.parameters["autostart"]:
@@ -112,7 +111,8 @@ class JointMotionNode(ManagedNode):
         self._stiffness = self.parameters.fill(StiffnessConfig)
         self._joint_states = JointStates(self.robot.joint_names, ("position",), self.parameters[SPREAD.name])
         self._loop_clock = loop_clock(self)
-        self._states = self.create_lifecycle_publisher(ControllerState, "controller_state", LATCHED)
+        states = self.create_lifecycle_publisher(ControllerState, "controller_state", LATCHED)
+        self.status.begin(states, self.robot.base_frame)
         references = self.create_subscription(ReferenceMessage, "reference", self._take_reference, STREAM)
         receive_values(references, self._take_stamped_reference)
         Batches(self, JointState, "joint_states", self._take_states, STATES, JointStateDecoder())
@@ -172,7 +172,7 @@ class JointMotionNode(ManagedNode):
                 break
             self._send(step)
         self._active = False
-        self._change(ControllerMode.WAITING, "not active")
+        self.status.end(time.monotonic_ns())
 
     # -- inputs -------------------------------------------------------------------------------------------------------
 
@@ -188,10 +188,8 @@ class JointMotionNode(ManagedNode):
     def _take_stamped_reference(self, stamped: StampedReference) -> None:
         if not self._active or self.motion is None or stamped.reference is None:
             return
-        base = self.robot.base_frame
         try:
-            if stamped.frame_id not in ("", base):
-                raise MessageError(f"the reference is expressed in {shown(stamped.frame_id)}; expected '{base}'")
+            stamped.require_frame(self.robot.base_frame)
             aim = Aim.of_reference(self.robot, self.motion.endpoint, stamped.reference)
             self.motion.take_reference([aim], stamped.stamp_ns, *self._times())
         except ValueError as error:
@@ -262,28 +260,14 @@ class JointMotionNode(ManagedNode):
 
     def _tell(self) -> None:
         assert self.motion is not None
-        self._change(self.motion.mode, self.motion.reason)
-
-    def _change(self, mode: ControllerMode, reason: str) -> None:
-        """Each change of the mode is told at once; other words for the same mode now and then."""
-        now_ns = time.monotonic_ns()
-        if mode is self._mode and (reason == self._reason or now_ns - self._told_ns < WORDS_PERIOD_NS):
-            return
-        self._mode, self._reason, self._told_ns = mode, reason, now_ns
-        self.get_logger().info(f"{mode.name}: {reason}")
-        message = ControllerState(state=int(mode), reason=reason)
-        message.header = conversions.header_at(self.get_clock().now().nanoseconds, self.robot.base_frame)
-        self._states.publish(message)
+        self.status.change(self.motion.mode, self.motion.reason, time.monotonic_ns())
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
-        level = DiagnosticStatus.OK if self._mode is ControllerMode.ACTIVE else DiagnosticStatus.WARN
         values = {}
         if self._active and self.motion is not None:
             lag, joint = self.motion.lag
             values = {"robot_lag_rad": f"{lag:.4f}", "robot_lag_joint": joint}
-        if trouble := clock_trouble(self) if self._active else "":
-            return level, f"{self._mode.name}: {trouble}", values
-        return level, f"{self._mode.name}: {self._reason}", values
+        return self.status.diagnosis(values, clock_trouble(self) if self._active else "")
 
 
 def main() -> int:

@@ -29,7 +29,7 @@ from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
-from tpgmm_ros.nodes.joint_states import SPREAD, Heard, JointStateStream
+from tpgmm_ros.nodes.joint_states import JOINT_STATE_RATE, SPREAD, Heard, JointStateStream
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.monitor import Monitor
 from tpgmm_ros.runtime.parameters import Declared, Parameters
@@ -40,7 +40,7 @@ PARAMETERS = [
     Declared("task_files", [""], "Task files (YAML), one per hand task", fixed=True),
     Declared("model_files", [""], "Model files (.tpgmm) of these tasks, in the same order", fixed=True),
     Declared("joints", ["left_arm", "right_arm"], "Joints or joint groups that the references are for", fixed=True),
-    Declared("led", [""], "End points that follow movements too, from the topics <end point>/reference", fixed=True),
+    Declared("led", [""], "End points that also follow movements, from the topics <end point>/reference", fixed=True),
     Declared("active", "", "Names of the active tasks, separated by commas; empty: none"),
     Declared(
         "rest_deviation",
@@ -51,14 +51,7 @@ PARAMETERS = [
         fixed=True,
     ),
     Declared("blend_time", 0.5, "Time over which a task fades in or out, s", 0.001, 60.0, fixed=True),
-    Declared(
-        "joint_state_rate",
-        1000.0,
-        "Rate at which joint states are expected, Hz: lost ones are counted",
-        1.0,
-        10000.0,
-        fixed=True,
-    ),
+    JOINT_STATE_RATE,
     SPREAD,
 ]
 #: A longer pause between two joint states counts as this long, s.

@@ -29,10 +29,18 @@ SPREAD = Declared(
     1.0,
     fixed=True,
 )
+JOINT_STATE_RATE = Declared(
+    "joint_state_rate",
+    1000.0,
+    "Rate at which joint states are expected, Hz: lost ones are counted",
+    1.0,
+    10000.0,
+    fixed=True,
+)
 BROADCAST_ROBOT = Declared(
     "broadcast_transforms",
     False,
-    "Publish robot_description, and the links on /tf, for viewers: where no robot_state_publisher does",
+    "Publish robot_description, and the links on /tf, for viewers; only if no robot_state_publisher runs",
     fixed=True,
 )
 MAX_FUTURE = Declared("max_future", 0.05, "Messages with stamps further in the future are refused, s", 0.001, 10.0)

@@ -20,6 +20,7 @@ from tpgmm_core import Frame, LearnedMixture
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.common.types import Array
 from tpgmm_core.model.reference import Reference
+from tpgmm_core.retrieval.knowledge import KnowledgeConfig
 from tpgmm_core.retrieval.novelty import Novelty
 from tpgmm_core.retrieval.outcome import ExecutionConfig, Outcome
 from tpgmm_core.retrieval.skill_sequence import QueuedSkill, SkillSequence
@@ -51,7 +52,7 @@ class Movements:
     models
         in use, as long as no other is loaded: one, several whose movements go on at the same time, or none
     parameters
-        of the node; RETRIEVAL_SETTINGS and those of ExecutionConfig
+        of the node; RETRIEVAL_SETTINGS and those of ExecutionConfig and KnowledgeConfig
     why_silent
         called where no ticks come: why, in words
     controller
@@ -161,8 +162,8 @@ class Movements:
         """Read the models in files (the one in use where there is none) and make them ready."""
         settings: dict[str, Any] = {name: self._parameters[name] for name in RETRIEVAL_SETTINGS}
         settings["method"] = settings.pop("retrieval") or None
-        most = self._parameters["max_novelty"]
-        work = partial(prepare, requests, self._models, self._task, settings, self._known, self.state, most)
+        limits = self._parameters["max_novelty"], self._parameters.fill(KnowledgeConfig)
+        work = partial(prepare, requests, self._models, self._task, settings, self._known, self.state, *limits)
         self._background.run(work, then)
 
     @property

@@ -30,7 +30,7 @@ from tpgmm_ros.task.task_file import Task
 PARAMETERS = [
     Declared("task_file", "", "Task file (YAML): frames, and the topic of the hand", fixed=True),
     Declared("skills", [""], "Skills: NAME=FILE with a model of these frames, or NAME=FILE=PRIOR", fixed=True),
-    Declared("ahead", 0.5, "Where the hand will be is predicted for so long ahead, s", 0.0, 60.0),
+    Declared("ahead", 0.5, "How far ahead the position of the hand is predicted, s", 0.0, 60.0),
     *(replace(declared, fixed=True) for declared in declared_of(RecognitionConfig)),
 ]
 

@@ -13,99 +13,40 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from visualization_msgs.msg import MarkerArray
 
-from tpgmm_core.common.text import listed, shown
+from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.observation.poses import check_pose
 from tpgmm_core.observation.streams import Beat, Stamp
-from tpgmm_core.retrieval.methods import METHODS, method_named
-from tpgmm_core.retrieval.outcome import ExecutionConfig
+from tpgmm_core.retrieval.methods import method_named
 from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions
-from tpgmm_ros.messages.broadcasting import TransformBroadcaster
 from tpgmm_ros.messages.conversions import TaskFrameState
 from tpgmm_ros.messages.lockstep import Barrier
-from tpgmm_ros.messages.markers import Scene
 from tpgmm_ros.messages.qos import LATCHED, STREAM
 from tpgmm_ros.messages.values import StampedFrames, StampedReference
 from tpgmm_ros.models.task_model import known_frames, load_task_models
 from tpgmm_ros.nodes.controller_words import ControllerWords
 from tpgmm_ros.nodes.joint_states import MAX_FUTURE, SPREAD, Heard, JointStateStream
 from tpgmm_ros.nodes.movements import Movements
+from tpgmm_ros.nodes.reference_views import ReferenceViews, Seldom, reproduction_status
+from tpgmm_ros.nodes.reproduction_parameters import PARAMETERS
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.lifecycle import ManagedNode
 from tpgmm_ros.runtime.local_topics import publish_value, receive_values
 from tpgmm_ros.runtime.monitor import Monitor
-from tpgmm_ros.runtime.parameters import Declared, Parameters, declared_of
+from tpgmm_ros.runtime.parameters import Parameters
 from tpgmm_ros.runtime.timing import loop_clock
 from tpgmm_ros.task.task_file import Task
 
-PARAMETERS = [
-    Declared("task_file", "", "Task file (YAML): frames and the movement's topic", fixed=True),
-    Declared(
-        "model_file",
-        "",
-        "Model file (.tpgmm) that is loaded when the node is configured; several, for movements at the same time: with "
-        "' + ' between them",
-        fixed=True,
-    ),
-    Declared(
-        "joint_state_rate",
-        1000.0,
-        "Rate at which joint states are expected, Hz: lost ones are counted",
-        1.0,
-        10000.0,
-        fixed=True,
-    ),
-    SPREAD,
-    MAX_FUTURE,
-    Declared("autostart", False, "Configure and activate at start, without a lifecycle manager", fixed=True),
-    Declared(
-        "lockstep_rate",
-        0.0,
-        "Lockstep: rate of poses and task parameters, Hz; each step waits for those of its tick; 0: no lockstep",
-        0.0,
-        1000.0,
-        fixed=True,
-    ),
-    Declared("broadcast_transforms", False, "Publish the reference on /tf too, as TASK/reference", fixed=True),
-    Declared("rate", 0.0, "Rate of references on a timer, Hz; 0: one for each joint state", 0.0, 2000.0, fixed=True),
-    Declared("retrieval", "", f"Retrieval method: {', '.join(METHODS)}; empty: what the model was learned for"),
-    Declared("phase", "clock", f"What drives the model's time: {', '.join(PHASES)}"),
-    Declared("speed", 1.0, "Speed of the movement; 1: as learned; 0: pause; below 0: backwards", -2.0, 2.0),
-    Declared("horizon_steps", 1, "Number of future Gaussians in each reference", 0, 50),
-    Declared("horizon_time_step", 0.005, "Time between future Gaussians, s", 0.001, 1.0),
-    Declared(
-        "blend_time",
-        0.15,
-        "Time constant with which the reference adapts to frames that moved, were lost or came back, s",
-        0.001,
-        5.0,
-    ),
-    Declared(
-        "max_novelty",
-        0.0,
-        "A movement is refused in a situation that is newer to the model than this; 1: as new as what was left out in "
-        "training with --leave-one-out; 0: never",
-        0.0,
-        1.0e6,
-    ),
-    *declared_of(ExecutionConfig),
-]
 WATCH_PERIOD = 0.5  # s
-TRACKER_TIMEOUT = 1.0  # s
 FEEDBACK_PERIOD_NS = 100_000_000
-POSE_PERIOD_NS = 33_000_000
-MARKER_PERIOD_NS = 100_000_000
 
 
 class ReproductionNode(ManagedNode):
@@ -120,11 +61,10 @@ class ReproductionNode(ManagedNode):
         # A tracker that stopped is noticed by a clock that does not stop.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._received_ns = 0
-        self._done_ns: dict[str, int] = {}
+        self._feedback_due = Seldom(FEEDBACK_PERIOD_NS)
         self._beat = Beat()
         self._simulated = bool(self.get_parameter("use_sim_time").value)
         self._sent: StampedReference | None = None
-        self._scene = Scene()
         self._barrier: Barrier[int] | None = None
         if rate := self.parameters["lockstep_rate"]:
             self._barrier = Barrier(("task_parameters", "pose"), self._answer, round(1e9 / rate))
@@ -152,9 +92,7 @@ class ReproductionNode(ManagedNode):
         except (ValueError, OSError) as error:
             return self.refuse(error)
         self._references = self.create_lifecycle_publisher(ReferenceMessage, "reference", STREAM)
-        self._reference_poses = self.create_lifecycle_publisher(PoseWithCovarianceStamped, "reference_pose", STREAM)
-        self._markers = self.create_lifecycle_publisher(MarkerArray, "markers", STREAM)
-        self._transforms = TransformBroadcaster(self) if self.parameters["broadcast_transforms"] else None
+        self._views = ReferenceViews(self, self.task, self.parameters["broadcast_transforms"])
         task_parameters = self.create_subscription(
             TaskParameters, "task_parameters", self._take_task_parameters, LATCHED
         )
@@ -192,7 +130,7 @@ class ReproductionNode(ManagedNode):
         """End the movement that goes on, and take no more goals."""
         if self.movements is not None:
             self.movements.deactivate()
-        self._hide(self.get_clock().now().nanoseconds)
+        self._views.hide(self.get_clock().now().nanoseconds)
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -290,14 +228,14 @@ class ReproductionNode(ManagedNode):
 
     def _step(self, stamp_ns: int, is_tick: bool = True) -> None:
         if self.movements is None or self.movements.sequence is None:
-            self._hide(stamp_ns)
+            self._views.hide(stamp_ns)
             return
         start = time.perf_counter()
         if is_tick:
             self.monitor.tick(stamp_ns)
         reference = self.movements.step(stamp_ns)
         if reference is None:
-            self._hide(stamp_ns)
+            self._views.hide(stamp_ns)
             return
         named = replace(reference, dimensions=self._dimensions)
         self._send(StampedReference(named, stamp_ns, self.task.base_frame))
@@ -307,56 +245,14 @@ class ReproductionNode(ManagedNode):
 
     def _show(self, stamp_ns: int, movements: Movements, reference: Reference) -> None:
         """What is published more rarely, for people and for the action's client."""
-        frame_id = self.task.base_frame
         sequence = movements.sequence
         assert sequence is not None
-        if self._is_due("feedback", stamp_ns, FEEDBACK_PERIOD_NS):
-            skill = sequence.index + 1, len(sequence.skills), sequence.name
-            movements.goals.tell(reference.phase, reference.frames, skill)
-        if reference.gaussian.manifold != POSE:  # what is shown are poses, and Gaussians of poses
-            return
-        if self._is_due("pose", stamp_ns, POSE_PERIOD_NS):
-            self._reference_poses.publish(conversions.pose_with_covariance(reference.gaussian, stamp_ns, frame_id))
-            if self._transforms is not None:
-                pose = {f"{self.task.name}/reference": reference.gaussian.mean}
-                self._transforms.send(stamp_ns, frame_id, pose)
-        if self._markers.get_subscription_count() and self._is_due("markers", stamp_ns, MARKER_PERIOD_NS):
-            mixture = sequence.execution.retrieval.mixture()
-            shown = self._scene.show(mixture, reference.activations, sequence.frames, stamp_ns, frame_id)
-            self._markers.publish(shown)
-
-    def _hide(self, stamp_ns: int) -> None:
-        """Nothing is reproduced any more: viewers forget what they were shown."""
-        if not self._scene.is_empty:
-            self._markers.publish(self._scene.clear(stamp_ns, self.task.base_frame))
-
-    def _is_due(self, what: str, stamp_ns: int, period_ns: int) -> bool:
-        if 0 <= stamp_ns - self._done_ns.get(what, -period_ns) < period_ns:
-            return False
-        self._done_ns[what] = stamp_ns
-        return True
+        if self._feedback_due.is_due(stamp_ns):
+            movements.goals.tell(reference, (sequence.index + 1, len(sequence.skills), sequence.name))
+        self._views.show(stamp_ns, sequence, reference)
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
-        sequence = None if self.movements is None else self.movements.sequence
-        if self.movements is None or sequence is None:
-            return DiagnosticStatus.OK, "waiting for a request", {}
-        execution, frames = sequence.execution, sequence.frames
-        reference = execution.reference
-        values = {"stage": execution.stage.value, "frames": ", ".join(frames)}
-        if len(sequence.skills) > 1:
-            values["skill"] = f"{sequence.index + 1} of {len(sequence.skills)}: {sequence.name}"
-        if reference is not None:
-            values["phase"] = f"{reference.phase:.3f}"
-        if self.movements.novelty is not None:
-            values["novelty"] = f"{self.movements.novelty.score:.2f}"
-            values["novelty_percentile"] = f"{100.0 * self.movements.novelty.percentile:.0f}"
-        silence = 1e-9 * (self._steady.now().nanoseconds - self._received_ns)
-        if silence > TRACKER_TIMEOUT:
-            return DiagnosticStatus.ERROR, f"no task parameters for {silence:.1f} s: is frame_tracker alive?", values
-        missing = [name for name in execution.retrieval.frame_names if name not in frames]
-        if missing:
-            return DiagnosticStatus.WARN, f"reproducing without {listed(missing)}", values
-        return DiagnosticStatus.OK, "reproducing", values
+        return reproduction_status(self.movements, 1e-9 * (self._steady.now().nanoseconds - self._received_ns))
 
 
 def main() -> int:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads a robot file and its URDF, and prints them as the nodes use them: joints, limits, end points, workspace.
 
-Suspicious values that can be used are listed at the end. The exit status is 1 where the file cannot be used.
+Usable but suspicious values are listed at the end. The exit status is 1 where the file cannot be used.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""compose: several nodes in one process, from pose to torque without the middleware in between.
+"""compose: run several nodes in one process, from pose to torque without the middleware in between.
 
-Each node keeps its name, parameters, topics, services and diagnostics. What one of them publishes is handed to the
-others directly; it is also published for other processes. Name the nodes in the order of the data:
+Each node keeps its name, parameters, topics, services and diagnostics. What one of them publishes is passed to the
+others directly, and also published if another process subscribes. List the nodes in the order of the data flow:
 
   ros2 run tpgmm_ros compose frame_tracker reproduction impedance_controller --ros-args \
     -p task_file:=TASK -p reproduction:model_file:=MODEL -p robot_file:=ROBOT -p autostart:=true
 
-A parameter goes to all nodes that have it; NODE:NAME:=VALUE is for one of them. An error in one node ends that node
-alone; a signal, or the end of the process, ends all of them.
+A parameter is set for all nodes that have it; NODE:NAME:=VALUE sets it for one of them. An error in one node ends only
+that node; a signal, or the end of the process, ends all of them.
 """
 
 from __future__ import annotations

@@ -42,12 +42,12 @@ examples:
   convert --to bags/mine --movement "observation.state[0:7]" datasets/mine          (LeRobot v3.0)
   convert --to datasets/mine --lerobot --task my_task.yaml --rate 30 bags/mine      (to LeRobot v3.0)
 
-Each element of an array of structs or cells (MATLAB), and of the first axis of numpy arrays with three axes, is a
-demonstration of its own, and each episode of a LeRobot dataset, whose features are columns. No file is executed:
+Each element of an array of structs or cells (MATLAB), each element of the first axis of numpy arrays with three axes,
+and each episode of a LeRobot dataset (whose features are columns) is a separate demonstration. No file is executed:
 pickled objects are refused.
 
-exit status: 0 all was written, read back bit by bit, and fits the task file; 1 it was not, the reason is said;
-2 wrong arguments
+exit status: 0 everything was written, read back bit by bit, and fits the task file; 1 it was not, the reason is
+printed; 2 wrong arguments
 """
 TASK_FILE = "task.yaml"
 
@@ -202,7 +202,7 @@ def _text(report: dict[str, Any]) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="convert",
-        description="Convert arrays of other programs to bags, one for each demonstration, with a task file for "
+        description="Convert arrays from other programs to bags, one for each demonstration, with a task file for "
         "them; or bags to a LeRobot dataset.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -216,16 +216,19 @@ def _parser() -> argparse.ArgumentParser:
         "of them",
     )
     parser.add_argument(
-        "--to", required=True, type=Path, metavar="FOLDER", help="where the bags and task.yaml go, or the dataset"
+        "--to", required=True, type=Path, metavar="FOLDER", help="folder of the bags and task.yaml, or of the dataset"
     )
-    parser.add_argument("--lerobot", action="store_true", help="write one LeRobot dataset (v3.0) of bags")
+    parser.add_argument("--lerobot", action="store_true", help="write one LeRobot dataset (v3.0) from bags")
     parser.add_argument(
-        "--task", type=Path, metavar="TASK_FILE", help="of the bags, with --lerobot; its name becomes that of the task"
+        "--task",
+        type=Path,
+        metavar="TASK_FILE",
+        help="task file of the bags, with --lerobot; its name becomes that of the task",
     )
     parser.add_argument(
         "--movement",
         metavar="COLUMNS",
-        help="poses of the hand: names with commas between, an array, or columns of one by number, such as poses[0:7]; "
+        help="poses of the hand: names separated by commas, an array, or columns of one by number, such as poses[0:7]; "
         "2 (x, y), 3, 7 (with a quaternion), 6 (see --orientation) or 16 (4 by 4 transforms) of them",
     )
     parser.add_argument("--time", metavar="COLUMN", help="times of the samples (a LeRobot dataset has its own)")
@@ -233,32 +236,31 @@ def _parser() -> argparse.ArgumentParser:
         "--rate",
         type=_positive,
         metavar="HZ",
-        help="samples per second, where there are no times; with --lerobot a whole number (default: that of the bags)",
+        help="samples per second, if there are no times; with --lerobot a whole number (default: that of the bags)",
     )
     parser.add_argument(
         "--frame",
         action="append",
         default=[],
         metavar="NAME=COLUMNS",
-        help="poses of a task frame; one pose holds all the time, where rows are not finite it was not seen; again for "
-        "more",
+        help="poses of a task frame; one pose is constant, rows that are not finite mean not seen; may be repeated",
     )
     parser.add_argument(
         "--number",
         action="append",
         default=[],
         metavar="TOPIC=COLUMN",
-        help="a further number, such as a gripper's width, as std_msgs/Float64; again for more",
+        help="another number, such as a gripper's width, as std_msgs/Float64; may be repeated",
     )
     parser.add_argument("--split", metavar="COLUMN", help="a demonstration begins where this number changes")
-    parser.add_argument("--unit", choices=UNITS, default="m", help="of positions (default: m)")
-    parser.add_argument("--time-unit", choices=TIME_UNITS, default="s", help="of times (default: s)")
+    parser.add_argument("--unit", choices=UNITS, default="m", help="unit of positions (default: m)")
+    parser.add_argument("--time-unit", choices=TIME_UNITS, default="s", help="unit of times (default: s)")
     parser.add_argument(
         "--orientation", choices=ORIENTATIONS, default="xyzw", help="how orientations are written, angles in rad"
     )
-    parser.add_argument("--base-frame", default="base", help="in which all poses are (default: base)")
-    parser.add_argument("--name", default="converted", help="of the task (default: converted)")
-    parser.add_argument("--json", action="store_true", help="print all that was found as JSON")
+    parser.add_argument("--base-frame", default="base", help="frame of all poses (default: base)")
+    parser.add_argument("--name", default="converted", help="name of the task (default: converted)")
+    parser.add_argument("--json", action="store_true", help="print everything that was found as JSON")
     return parser
 
 

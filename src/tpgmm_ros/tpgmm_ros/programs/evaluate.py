@@ -35,7 +35,7 @@ examples:
   evaluate --task config/pick_place.yaml --held-out bags/new -- bags/pick_place
   evaluate --task config/pick_place.yaml --model a.tpgmm --model b.tpgmm bags/new
 
-exit status: 0 all that was asked for was evaluated; 1 something could not be, the reason is said; 2 wrong arguments
+exit status: 0 everything was evaluated; 1 something could not be evaluated, the reason is printed; 2 wrong arguments
 """
 LEVEL = 0.9
 
@@ -140,9 +140,9 @@ def _parser() -> argparse.ArgumentParser:
         "--held-out", nargs="+", type=Path, metavar="BAG", help="learn from the other bags, evaluate on these"
     )
     parser.add_argument(
-        "--model", action="append", type=Path, metavar="FILE", help="evaluate this model on the bags; again for more"
+        "--model", action="append", type=Path, metavar="FILE", help="evaluate this model on the bags; may be repeated"
     )
-    parser.add_argument("--json", action="store_true", help="print all of it as JSON, with each demonstration")
+    parser.add_argument("--json", action="store_true", help="print everything as JSON, with each demonstration")
     add_jobs(parser)
     add_reading_options(parser)
     return parser

@@ -23,11 +23,11 @@ from tpgmm_ros.task.task_file import Task
 
 EXAMPLES = """\
 examples:
-  inspect bags/mine                                  (topics, rates, pauses, doubts, a suggested task file)
+  inspect bags/mine                                  (topics, rates, pauses, problems, a suggested task file)
   inspect --write my_task.yaml bags/mine             (writes the suggested task file)
-  inspect --task config/pick_place.yaml bags/mine    (doubts as train has them for this task)
+  inspect --task config/pick_place.yaml bags/mine    (problems that train would report for this task)
 
-exit status: 0 the bags can be read; 1 one of them cannot, or has doubts and --strict is given; 2 wrong arguments
+exit status: 0 the bags can be read; 1 one of them cannot, or has problems and --strict is given; 2 wrong arguments
 """
 
 
@@ -152,7 +152,7 @@ def _text(found: dict[str, Any]) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="inspect",
-        description="Show what is in recorded bags, what makes no sense in them, and suggest a task file.",
+        description="Show the content of recorded bags and problems in them, and suggest a task file.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -163,15 +163,19 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         help="bag, one of its files, or a directory with several of them",
     )
-    parser.add_argument("--task", type=Path, help="task file by which the bags are judged (default: the suggested one)")
-    parser.add_argument("--write", type=Path, metavar="FILE", help="write the suggested task file; none is overwritten")
+    parser.add_argument(
+        "--task", type=Path, help="task file by which the bags are checked (default: the suggested one)"
+    )
+    parser.add_argument(
+        "--write", type=Path, metavar="FILE", help="write the suggested task file; existing files are not overwritten"
+    )
     parser.add_argument(
         "--separate",
         action="store_true",
-        help="bags that go on where another one ends are demonstrations of their own, not parts of one recording",
+        help="bags that continue another bag are separate demonstrations, not parts of one recording",
     )
-    parser.add_argument("--strict", action="store_true", help="end with status 1 where there is any doubt")
-    parser.add_argument("--json", action="store_true", help="print all of it as JSON")
+    parser.add_argument("--strict", action="store_true", help="exit status 1 if there is any problem")
+    parser.add_argument("--json", action="store_true", help="print everything as JSON")
     return parser
 
 

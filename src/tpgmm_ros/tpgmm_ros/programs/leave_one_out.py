@@ -70,7 +70,7 @@ def validate(
     print(format_table(("left out", *columns, *(f"n. {column}" for column in columns)), rows))
     baselines = mean_baselines(folds)
     others = [(name, *cells_of(errors), count) for name, (errors, count) in baselines.items()]
-    print("\nother kinds of models, with as many components; means over those left out that they have an answer for")
+    print("\nother kinds of models, with as many components; means over the demonstrations that they can reproduce")
     print(format_table(("", *columns, "left out"), [("this model", *cells_of(mean), len(folds)), *others]))
     print("\nmean position error in each tenth of the movement, m")
     print(
@@ -119,7 +119,7 @@ def _calibrate(folds: list[Fold], recipe: Recipe, trained: LearnedMixture) -> Ca
         (f"{level:.0%}", f"{share:.2f}", f"{found.scaled_coverage[level]:.2f}")
         for level, share in found.coverage.items()
     ]
-    print("\ncoverage: share of the poses left out that lie in the model's region of so many per cent")
+    print("\ncoverage: share of the left-out poses inside the model's region of this probability")
     print(format_table(("region", "as learned", "scaled"), rows))
     print(f"covariances are scaled by {found.scale:.2f}, standard deviations by {found.scale**0.5:.2f}")
     return found
@@ -129,14 +129,14 @@ def _novelty(folds: list[Fold], demonstrations: list[Demonstration], trained: Le
     """Write what novelty was for what was left out into the model; returns its rank correlation with the error."""
     against, far = zip(*(fold.novelty for fold in folds), strict=True)
     if not np.isfinite(against).all():
-        print("\nnovelty: not judged, since the frames of a demonstration left out contradict each other too much")
+        print("\nnovelty: not computed, because the frames of a left-out demonstration contradict each other too much")
         return None
     scale = NoveltyScale(range_of(trained, demonstrations, POSE), against, far)
     trained.metadata_ |= scale.metadata()
     errors = [fold.model.position_rmse_m for fold in folds]
     print(
-        f"\nnovelty: in what was left out, frames contradict each other by {min(against):.2g} to {max(against):.2g} "
-        f"standard deviations, and are up to {max(far):.2g} from where they were otherwise"
+        f"\nnovelty: in left-out demonstrations, frames contradict each other by {min(against):.2g} to "
+        f"{max(against):.2g} standard deviations, and are up to {max(far):.2g} from their places in the others"
     )
     if min(np.ptp(against), np.ptp(errors)) == 0.0:
         return None

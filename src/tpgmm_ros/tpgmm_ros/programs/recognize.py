@@ -135,7 +135,7 @@ def _run(options: argparse.Namespace) -> dict[str, Any]:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="recognize",
-        description="Tell which of several skills is shown in recordings, or which of them a long recording holds.",
+        description="Recognise which of several skills recordings show, or find the skills in a long recording.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -146,21 +146,23 @@ def _parser() -> argparse.ArgumentParser:
         required=True,
         action="append",
         metavar="NAME=FILE[=PRIOR]",
-        help="a skill and its model file; how probable it is, against the others (default: 1). Several are told apart",
+        help="a skill, its model file and its prior weight against the others (default: 1); may be repeated",
     )
-    parser.add_argument("--expect", metavar="NAME", help="status 1 unless every recording is taken for this at its end")
-    parser.add_argument("--segments", action="store_true", help="take each recording apart into skills")
+    parser.add_argument(
+        "--expect", metavar="NAME", help="exit status 1 unless every recording is recognised as this skill at its end"
+    )
+    parser.add_argument("--segments", action="store_true", help="split each recording into skills")
     default = RecognitionConfig()
     parser.add_argument(
         "--memory", type=float, default=default.memory, metavar="S",
-        help="time within which what is seen counts as one observation, s (default: %(default)s)",
+        help="time within which everything that is seen counts as one observation, s (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--unknown-prior", type=float, default=default.unknown_prior, metavar="P",
         help="probability of a movement that is none of the skills (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument("--every", type=int, default=1, metavar="N", help="use every N-th sample (default: all)")
-    parser.add_argument("--report", type=Path, metavar="DIR", help="where report.json is written")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="directory of report.json")
     return parser
 
 

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""record: demonstrations of a task on any robot, one bag (MCAP) for each, from start to stop.
+"""record: record demonstrations of a task on any robot, one bag (MCAP) for each, from start to stop.
 
-It records what the task file names (the sources of the hand and of the frames), the joint states, and what draws the
-robot elsewhere: robot_description, /tf and /tf_static. At a terminal, space or Enter starts and stops, u takes the last
-demonstration back, q ends; the services ~/start, ~/stop and ~/undo (std_srvs/Trigger) do the same. What was published
-once is in every bag. A finished demonstration stays, whatever becomes of the program or of the disk; of one that was
-cut short, all but the last half second is kept in FOLDER/.partial, and `--recover` makes a bag of it.
+It records the topics that the task file names (the sources of the hand and of the frames), the joint states, and the
+topics that viewers need: robot_description, /tf and /tf_static. At a terminal, space or Enter starts and stops, u
+undoes the last demonstration, q quits; the services ~/start, ~/stop and ~/undo (std_srvs/Trigger) do the same. Messages
+that are published only once are in every bag. A finished demonstration stays, whatever happens to the program or the
+disk; of one that was cut short, all but the last half second is kept in FOLDER/.partial, and `--recover` makes a bag of
+it.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ examples:
   ros2 service call /record/start std_srvs/srv/Trigger       (from elsewhere: ~/stop and ~/undo too)
   record --to bags/mine --recover bags/mine/.partial/demo_04
 
-exit status: 0 all that was asked for is recorded; 1 it is not, the reason is on stderr; 2 wrong arguments
+exit status: 0 everything was recorded; 1 it was not, the reason is on stderr; 2 wrong arguments
 """
 #: After the last signal, s: what came before it is still to be taken.
 DRAIN_TIME = 0.3
@@ -212,7 +213,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME",
         action="append",
         default=[],
-        help="record this topic too, of any type; again for more",
+        help="record this topic too, of any type; may be repeated",
     )
     parser.add_argument(
         "--recover",

@@ -31,7 +31,7 @@ EXAMPLES = """\
 examples:
   show pick_place.tpgmm
   show --json pick_place.tpgmm | jq .relevance
-  show --costs costs.json pick_place.tpgmm    (what the frames weigh over time, for a solver of your own)
+  show --costs costs.json pick_place.tpgmm    (the frames' weights over time, for your own solver)
 
 exit status: 0 the file is a model; 1 it is not, the reason is on stderr; 2 wrong arguments
 """
@@ -271,14 +271,17 @@ def _exactness(found: Mapping[str, Any]) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="show",
-        description="Show what is in a model file: frames, when each counts, how it was learned, how exact it is.",
+        description="Show the content of a model file: frames and when each counts, how it was learned, its accuracy.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("model", metavar="MODEL", type=Path, help="model file, such as task.tpgmm")
-    parser.add_argument("--json", action="store_true", help="print all of it as JSON")
+    parser.add_argument("--json", action="store_true", help="print everything as JSON")
     parser.add_argument(
-        "--costs", metavar="FILE", type=Path, help="write the frames' quadratic costs over time as JSON, for a solver"
+        "--costs",
+        metavar="FILE",
+        type=Path,
+        help="write the frames' quadratic costs over time as JSON, for another solver",
     )
     return parser
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""teach: record demonstrations of a task, from the topics of a robot that is led by hand.
+"""teach: record a demonstration of a task, from the topics of a robot that is guided by hand.
 
-It records what is on the topics of the task file until Ctrl-C: lead the arm of your robot. With ``--scripted`` a
-scripted teacher leads a simulated Baxter instead (package tpgmm_demos): ``teach --scripted --help``.
+It records the topics of the task file until Ctrl-C, while you guide the arm of your robot. With ``--scripted``, a
+scripted teacher guides a simulated Baxter instead (package tpgmm_demos): ``teach --scripted --help``.
 """
 
 from __future__ import annotations

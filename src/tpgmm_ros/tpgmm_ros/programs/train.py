@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from tpgmm_core import LearnedMixture
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
+from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.situations import demonstrated_situations
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
@@ -31,15 +33,16 @@ from tpgmm_ros.programs.train_options import parser_of_train
 from tpgmm_ros.programs.train_update import load_online, online, said_twice, update
 from tpgmm_ros.programs.training_page import write_page
 from tpgmm_ros.recordings.bags import Recording, align
+from tpgmm_ros.recordings.one_by_one import OneByOne, Parts
 from tpgmm_ros.runtime.entry import INTERRUPTED
 from tpgmm_ros.task.task_file import Task
 
-type Learn = Callable[..., LearnedMixture]
-"""Takes what `Recipe.learn` takes."""
+type Learn = Callable[[Manifold, Sequence[str] | None, EmProgress], LearnedMixture]
+"""Takes what `Recipe.learn` takes after the demonstrations."""
 
 
 @dataclass(frozen=True, slots=True)
-class Training:
+class TrainingResult:
     """A fitted model, and what it was fitted to."""
 
     model: LearnedMixture
@@ -56,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.output is None and not options.leave_one_out:
         parser.error("nothing to do: give --output to save a model, --leave-one-out to measure one, or both")
     report: dict[str, Any] = {"passed": False}
-    learned: list[Training] = []
+    learned: list[TrainingResult] = []
     folds: list[Fold] = []
     status = 1
     try:
@@ -84,18 +87,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return status
 
 
-def _run(options: argparse.Namespace, report: dict[str, Any], learned: list[Training], folds: list[Fold]) -> None:
+def _run(options: argparse.Namespace, report: dict[str, Any], learned: list[TrainingResult], folds: list[Fold]) -> None:
     if options.output is not None and options.output.is_dir():
         raise TrainingError(f"{options.output} is a directory; give the name of a model file, such as model.tpgmm")
     task = Task.load(options.task)
     recipe = _recipe(task, options)
-    recordings = read_bags(options, task, report)
-    if options.update is not None:
-        training = _update(task, options, recordings, report)
-    elif options.auto:
-        training = _choose_and_train(task, options, recordings, report)
+    if options.one_by_one:
+        with OneByOne(task) as kept:
+            recordings = read_bags(options, task, report, kept)
+            learn = partial(recipe.learn_parts, Parts(kept, recordings), jobs=options.jobs)
+            training = _train(task, recipe, recordings, learn)
     else:
-        training = _train(task, recipe, recordings)
+        recordings = read_bags(options, task, report)
+        if options.update is not None:
+            training = _update(task, options, recordings, report)
+        elif options.auto:
+            training = _choose_and_train(task, options, recordings, report)
+        else:
+            training = _train(task, recipe, recordings, partial(recipe.learn, align(recordings)[0]))
+    if not options.auto and options.update is None:
+        training.model.metadata_ |= task.derived.metadata()
     learned.append(training)
     _summarize(training, task, report)
     if options.leave_one_out:
@@ -133,23 +144,34 @@ def _recipe(task: Task, options: argparse.Namespace) -> Recipe:
     if options.online and options.auto:
         raise TrainingError("--auto chooses how the model is learned, and --online says it: leave one of them out")
     recipe = task.space.recipe(settings, options.retrieval)
+    if options.one_by_one:
+        others = ("auto", "leave_one_out", "online", "update")
+        named = [f"--{name.replace('_', '-')}" for name in others if getattr(options, name)]
+        if named:
+            raise TrainingError(f"--one-by-one learns one model of all recordings: leave out {listed(named)}")
+        try:
+            recipe.check_parts()
+        except ValueError as error:
+            raise TrainingError(f"--one-by-one: {one_line(error)}; change the task file, or leave it out") from None
     return online(recipe) if options.online else recipe
 
 
 def _choose_and_train(
     task: Task, options: argparse.Namespace, recordings: list[Recording], report: dict[str, Any]
-) -> Training:
+) -> TrainingResult:
     choice = choose_for(task, recordings, options.retrieval, options.trials, options.budget, options.workers)
     names = [recording.name for recording in recordings]
     print(f"{words(choice, names)}\n")
     report["auto"] = {"demonstrations": names, **choice.to_dict()}
-    training = _train(task, choice.best.trial.recipe, recordings, choice.learn)
+    training = _train(task, choice.best.trial.recipe, recordings, partial(choice.learn, align(recordings)[0]))
     mean = choice.best.mean()
     keep_errors(training.model, "train --auto", mean.position, mean.end, math.degrees(mean.orientation))
     return training
 
 
-def _update(task: Task, options: argparse.Namespace, recordings: list[Recording], report: dict[str, Any]) -> Training:
+def _update(
+    task: Task, options: argparse.Namespace, recordings: list[Recording], report: dict[str, Any]
+) -> TrainingResult:
     model = load_online(options.update, task)
     start = time.perf_counter()
     with _em_progress(model.max_iter) as progress:
@@ -157,7 +179,7 @@ def _update(task: Task, options: argparse.Namespace, recordings: list[Recording]
     if twice:
         print(f"warning: {said_twice(twice)}", file=sys.stderr)
     method = str(model.metadata_[KEY])
-    return Training(model, method, recordings, demonstrated_duration(model), time.perf_counter() - start)
+    return TrainingResult(model, method, recordings, demonstrated_duration(model), time.perf_counter() - start)
 
 
 @contextlib.contextmanager
@@ -171,12 +193,10 @@ def _em_progress(max_iter: int) -> Iterator[EmProgress]:
         yield progress
 
 
-def _train(task: Task, recipe: Recipe, recordings: list[Recording], learn: Learn | None = None) -> Training:
-    demonstrations, duration = align(recordings)
+def _train(task: Task, recipe: Recipe, recordings: list[Recording], learn: Learn) -> TrainingResult:
     start = time.perf_counter()
     with _em_progress(recipe.max_iter) as progress:
-        learned = recipe.learn if learn is None else learn
-        model = learned(demonstrations, task.space.manifold(), task.space.dimensions(), progress)
+        model = learn(task.space.manifold(), task.space.dimensions(), progress)
     elapsed = time.perf_counter() - start
     if not np.isfinite(model.log_likelihood_):
         raise TrainingError(
@@ -188,22 +208,21 @@ def _train(task: Task, recipe: Recipe, recordings: list[Recording], learn: Learn
         "movement": task.movement,
         "endpoint": task.endpoint,
         "demonstrations": len(recordings),
-        "samples": sum(len(recording.times) for recording in recordings),
+        "samples": sum(recording.n_samples for recording in recordings),
     }
     keep_recordings(model, [recording.name for recording in recordings])
-    if learn is None:
-        model.metadata_ |= task.derived.metadata()
-    return Training(model, recipe.method.name, recordings, duration, elapsed)
+    duration = float(np.mean([recording.duration for recording in recordings]))
+    return TrainingResult(model, recipe.method.name, recordings, duration, elapsed)
 
 
-def _summarize(training: Training, task: Task, report: dict[str, Any]) -> None:
+def _summarize(training: TrainingResult, task: Task, report: dict[str, Any]) -> None:
     model, durations = training.model, [recording.duration for recording in training.recordings]
     report |= {
         "task": task.name,
         "frames": list(model.frame_names_),
         "retrieval": training.method,
         "demonstrations": len(durations),
-        "samples": sum(len(recording.times) for recording in training.recordings),
+        "samples": sum(recording.n_samples for recording in training.recordings),
         "duration_s": training.duration_s,
         "duration_min_s": min(durations),
         "duration_max_s": max(durations),

@@ -20,6 +20,7 @@ examples:
   train --task config/pick_place.yaml --output dmp.tpgmm --retrieval dmp bags/
   train --task config/pick_place.yaml --output first.tpgmm --online bags/monday
   train --task config/pick_place.yaml --output better.tpgmm --update first.tpgmm bags/tuesday
+  train --task config/pick_place.yaml --output all.tpgmm --one-by-one bags/
   train --task config/pick_place.yaml --output few.tpgmm --components 4 --every 5 --skip-bad bags/
 
 exit status: 0 the model was trained and saved; 1 it was not, the reason is on stderr; 2 wrong arguments;
@@ -47,7 +48,7 @@ def parser_of_train() -> argparse.ArgumentParser:
         type=current_name,
         choices=METHODS,
         metavar="METHOD",
-        help=f"what the model is for, instead of retrieval of the task file: {', '.join(METHODS)}",
+        help=f"retrieval method of the model, instead of retrieval of the task file: {', '.join(METHODS)}",
     )
     parser.add_argument("--seed", type=int, help="seed of random choices, instead of random_state of the task file")
     parser.add_argument(
@@ -57,34 +58,43 @@ def parser_of_train() -> argparse.ArgumentParser:
     )
     add_jobs(parser)
     parser.add_argument(
+        "--one-by-one",
+        action="store_true",
+        help="keep only one recording in memory at a time, if not all of them fit; their numbers are kept in a "
+        "temporary folder (TMPDIR), and --jobs processes share each iteration of EM",
+    )
+    parser.add_argument(
         "--auto",
         action="store_true",
-        help="choose frames, method and settings by reproducing demonstrations that were left out; --retrieval, where "
-        "given, is not chosen",
+        help="choose frames, method and settings by reproducing demonstrations that were left out; "
+        "--retrieval fixes the method",
     )
     parser.add_argument(
-        "--budget", type=_seconds, metavar="TIME", help="for --auto: time to choose, such as 60s (the default) or 5min"
+        "--budget",
+        type=_seconds,
+        metavar="TIME",
+        help="for --auto: time for the search, such as 60s (the default) or 5min",
     )
-    parser.add_argument("--trials", type=_positive, metavar="N", help="for --auto: try at most N ways of learning")
+    parser.add_argument("--trials", type=_positive, metavar="N", help="for --auto: try at most N configurations")
     parser.add_argument(
-        "--workers", type=_positive, metavar="N", help="for --auto: processes (default: one for each core)"
+        "--workers", type=_positive, metavar="N", help="for --auto: number of processes (default: one for each core)"
     )
     parser.add_argument(
         "--online",
         action="store_true",
-        help="learn a model that keeps what it needs to learn from more bags later, without these (--update)",
+        help="learn a model that can later learn from more bags without these (--update)",
     )
     parser.add_argument(
         "--update",
         type=Path,
         metavar="MODEL",
-        help="go on to learn with this model, which was learned with --online, from the BAGs in addition",
+        help="continue to learn with this model, which was learned with --online, from the BAGs",
     )
     parser.add_argument(
         "--report",
         type=Path,
         metavar="WHERE",
-        help="write what was found: FILE.html is a page with pictures, anything else the directory of report.json",
+        help="write a report: FILE.html is a page with pictures, anything else the directory of report.json",
     )
     add_reading_options(parser)
     return parser
@@ -97,7 +107,7 @@ def add_jobs(parser: argparse.ArgumentParser) -> None:
         type=_positive,
         default=1,
         metavar="N",
-        help="processes that leave demonstrations out, through joblib (default: 1); the numbers are the same",
+        help="number of processes for leave-one-out, through joblib (default: 1); the numbers stay the same",
     )
 
 
@@ -121,13 +131,13 @@ def add_reading_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--separate",
         action="store_true",
-        help="bags that go on where another one ends are demonstrations of their own, not parts of one recording",
+        help="bags that continue another bag are separate demonstrations, not parts of one recording",
     )
     parser.add_argument(
-        "--strict", action="store_true", help="refuse recordings about which there is any doubt, where it is only said"
+        "--strict", action="store_true", help="refuse recordings with any problem, instead of printing a warning"
     )
-    parser.add_argument("--skip-bad", action="store_true", help="go on with the good bags when some are bad")
-    parser.add_argument("-v", "--verbose", action="store_true", help="say what each bag holds")
+    parser.add_argument("--skip-bad", action="store_true", help="continue with the good bags if some are bad")
+    parser.add_argument("-v", "--verbose", action="store_true", help="print the content of each bag")
 
 
 def _seconds(text: str) -> float:

@@ -11,17 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tpgmm_core.common.text import listed, one_line
+from tpgmm_core.common.types import Array, Nanoseconds
 from tpgmm_ros.recordings.storage.bag_error import BagError
 from tpgmm_ros.recordings.storage.bag_reader import BagReader, BagTopic, Decoding
 from tpgmm_ros.recordings.storage.message_types import decoder
 
 __all__ = ["BagError", "Messages", "Stream", "read_messages", "take_messages", "topics_named", "topics_of_type"]
-
-Array = NDArray[np.float64]
-Nanoseconds = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

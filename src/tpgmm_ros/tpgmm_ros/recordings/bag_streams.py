@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tpgmm_core.common.types import Array, Nanoseconds
 from tpgmm_core.doubt.clocks import gaps
 from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_core.doubt.rough_clock import RoughClock
@@ -17,7 +18,7 @@ from tpgmm_core.doubt.values import LARGEST_M
 from tpgmm_core.observation.gate import MotionLimits
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_core.observation.tracking import TrackingConfig
-from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds
+from tpgmm_ros.recordings.bag_messages import BagError
 from tpgmm_ros.recordings.pose_streams import without_leaps
 from tpgmm_ros.recordings.recording import Recording
 from tpgmm_ros.task.task_file import Task

@@ -133,7 +133,11 @@ def _thinned(recording: Recording, every: int) -> Recording:
 
 
 def read_recordings(
-    paths: Sequence[str | Path], task: Task, every: int = 1, progress: Callable[[Path], None] | None = None
+    paths: Sequence[str | Path],
+    task: Task,
+    every: int = 1,
+    progress: Callable[[Path], None] | None = None,
+    keep: Callable[[Recording], Recording] = lambda recording: recording,
 ) -> tuple[list[Recording], list[BagError]]:
     """Read several bags.
 
@@ -147,6 +151,8 @@ def read_recordings(
         keep every n-th sample of the movement, and the last one
     progress
         called after each bag
+    keep
+        what stays in the memory of a recording: by default, all
 
     Returns
     -------
@@ -159,7 +165,7 @@ def read_recordings(
         path = given if isinstance(given, Path) else Path(given)  # a BagPath stays one
         try:
             takes, wrong = read_takes(path, task, every)
-            good += takes
+            good += map(keep, takes)
             bad += wrong
         except BagError as error:
             bad.append(error)

@@ -3,16 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
-from tpgmm_core.doubt.judging import judged
+from tpgmm_core.doubt.judging import judged, judged_alone
 from tpgmm_ros.recordings.recording import Recording
 from tpgmm_ros.task.task_file import Task
 
 
-def doubts_about(recordings: Sequence[Recording], task: Task) -> list[Doubt]:
+def doubts_about(
+    recordings: Sequence[Recording],
+    task: Task,
+    alone: Callable[[RawDemonstration], Sequence[Doubt]] = judged_alone,
+) -> list[Doubt]:
     """What makes no sense in recordings of a task.
 
     Parameters
@@ -21,6 +25,8 @@ def doubts_about(recordings: Sequence[Recording], task: Task) -> list[Doubt]:
         one or more
     task
         that they are of
+    alone
+        see `judged`
 
     Returns
     -------
@@ -28,7 +34,7 @@ def doubts_about(recordings: Sequence[Recording], task: Task) -> list[Doubt]:
         each with the places of the recordings that it is about
     """
     own = [replace(doubt, about=(one.place,)) for one in recordings for doubt in one.doubts]
-    return _together([*own, *judged([shown_in(recording, task) for recording in recordings])])
+    return _together([*own, *judged([shown_in(recording, task) for recording in recordings], alone)])
 
 
 def _together(doubts: Sequence[Doubt]) -> list[Doubt]:

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from tpgmm_core.common.text import listed, one_line
-from tpgmm_ros.recordings.bag_messages import Array, BagError, Nanoseconds, topics_named
+from tpgmm_core.common.types import Array, Nanoseconds
+from tpgmm_ros.recordings.bag_messages import BagError, topics_named
 from tpgmm_ros.recordings.storage.bag_reader import BagReader
 
 _PART = re.compile(r"(\w+)(?:\[([^\[\]]+)\])?")

@@ -136,7 +136,7 @@ def _usable(numbers: list[tuple[float, ...]]) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Suggestion:
+class SuggestedTask:
     """A task file for bags: its text, or why there is none; and what to look at in it."""
 
     text: str
@@ -144,7 +144,7 @@ class Suggestion:
     hints: tuple[str, ...] = ()
 
 
-def suggested_task(bags: Sequence[BagOverview]) -> Suggestion:
+def suggested_task(bags: Sequence[BagOverview]) -> SuggestedTask:
     """Suggest a task file: the movement is what goes furthest, frames are the other poses, best those that vary.
 
     Parameters
@@ -154,14 +154,14 @@ def suggested_task(bags: Sequence[BagOverview]) -> Suggestion:
 
     Returns
     -------
-    Suggestion
+    SuggestedTask
         the text of a task file, which is to be looked at before it is used
     """
     common = [t.name for t in bags[0].topics if all(t.name in {o.name for o in bag.topics} for bag in bags)]
     stamped = [name for name in common if _all_of(bags, name, POSE_STAMPED)]
     arrays = [name for name in common if _all_of(bags, name, POSE_ARRAY)]
     if not stamped and not arrays:
-        return Suggestion("", "no topic of PoseStamped or PoseArray with poses is in all of these bags")
+        return SuggestedTask("", "no topic of PoseStamped or PoseArray with poses is in all of these bags")
     array = not stamped
     names = arrays if array else stamped
     movement = max(names, key=lambda name: np.median([t.path_m for t in _each(bags, name)]))
@@ -202,11 +202,11 @@ def suggested_task(bags: Sequence[BagOverview]) -> Suggestion:
             lines.append(f"recordings: {{pose_array: {movement.strip('/')}, period: 0.05, frames: {FRAMES_FILE}}}")
             hints.append(f"a PoseArray has no times: `period` is a guess; the poses of frames stand in {FRAMES_FILE}")
         else:
-            return Suggestion("", f"{movement} holds several PoseArrays a bag: one, the whole movement, is expected")
+            return SuggestedTask("", f"{movement} holds several PoseArrays a bag: one, the whole movement, is expected")
     components = 5 if len(bags) < 5 else 7
     settings = f"n_components: {components}, reg_covar: 1.0e-3, init: time, max_iter: 200, random_state: 0"
     lines.append(f"model: {{{settings}}}")
-    return Suggestion("\n".join(lines) + "\n", hints=tuple(hints))
+    return SuggestedTask("\n".join(lines) + "\n", hints=tuple(hints))
 
 
 def _frames_beside(bag: Path) -> list[str]:

@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from tpgmm_core.common.safe_yaml import YamlError
+from tpgmm_core.common.types import Array
 from tpgmm_core.common.yaml_sections import Section
 from tpgmm_core.common.yaml_values import a_quaternion, numbers
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_ros.messages.fields import pose_numbers
-from tpgmm_ros.recordings.bag_messages import Array, BagError, Stream, read_messages
+from tpgmm_ros.recordings.bag_messages import BagError, Stream, read_messages
 from tpgmm_ros.recordings.pose_streams import Observed, usable_poses
 from tpgmm_ros.task.recordings_section import PoseArraySpec
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tpgmm_core.common.text import listed, shown
+from tpgmm_core.common.types import Array, Nanoseconds
 from tpgmm_core.geometry.pose import compose
 from tpgmm_core.observation.gate import MotionLimits
 from tpgmm_core.observation.plausible_poses import plausible_poses
@@ -17,9 +18,7 @@ from tpgmm_core.observation.poses import ROUNDING, check_poses, doubtful_units, 
 from tpgmm_core.observation.transforms import NO_TRANSFORM, TransformError
 from tpgmm_ros.messages.sources import Source, TopicSource, TransformSource
 from tpgmm_ros.recordings.bag_messages import (
-    Array,
     BagError,
-    Nanoseconds,
     Stream,
     take_messages,
 )

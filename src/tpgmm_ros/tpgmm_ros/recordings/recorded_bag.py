@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.doubt.clocks import ClockError, CommonClock, TopicTimes, common_clock
 from tpgmm_core.doubt.rough_clock import RoughClock
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
-from tpgmm_ros.recordings.bag_messages import Array, BagError, Stream
+from tpgmm_ros.recordings.bag_messages import BagError, Stream
 from tpgmm_ros.recordings.bag_streams import JOINTS, MOVEMENT, ROUNDING_S, BagStreams
 from tpgmm_ros.recordings.joint_movement import read_link_stream
 from tpgmm_ros.recordings.joint_streams import read_joint_stream

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core import Demonstration, Frame
+from tpgmm_core.common.types import Array
 from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_core.model.derived_frames import DerivedFrames
-from tpgmm_ros.recordings.bag_messages import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +42,8 @@ class Recording:
         what makes no sense in this bag
     take
         number of the demonstration among those of its bag, from 1; 0: the bag holds no other
+    outline_of
+        number of the samples of which these are some, where only an outline is kept; 0: these are all
     """
 
     path: Path
@@ -54,6 +56,12 @@ class Recording:
     derived: DerivedFrames = field(default_factory=DerivedFrames)
     doubts: tuple[Doubt, ...] = ()
     take: int = 0
+    outline_of: int = 0
+
+    @property
+    def n_samples(self) -> int:
+        """Samples that were recorded, also where only an outline of them is kept."""
+        return self.outline_of or len(self.times)
 
     @property
     def name(self) -> str:

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from tpgmm_core.common.text import listed
+from tpgmm_core.common.types import Array
 from tpgmm_core.observation.transforms import TransformTree, TransformWatch
 from tpgmm_ros.messages.fields import time_to_ns, transform_numbers
 from tpgmm_ros.messages.sources import TF, TF_MESSAGE, TF_STATIC, TransformSource
-from tpgmm_ros.recordings.bag_messages import Array, BagError, Stream, read_messages, topics_of_type
+from tpgmm_ros.recordings.bag_messages import BagError, Stream, read_messages, topics_of_type
 
 
 class RecordedTransforms:

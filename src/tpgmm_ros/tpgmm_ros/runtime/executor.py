@@ -35,7 +35,7 @@ PROCESS = [
     Declared(
         "realtime_priority",
         0,
-        "Run ahead of ordinary programs (SCHED_FIFO), 1 to 99; 0: as one of them",
+        "Real-time priority (SCHED_FIFO), 1 to 99; 0: none",
         0,
         99,
         fixed=True,

@@ -8,9 +8,11 @@ from typing import Any
 
 from tpgmm_core.common.text import shown
 from tpgmm_core.common.yaml_sections import Section
-from tpgmm_core.common.yaml_values import a_choice, a_name
+from tpgmm_core.common.yaml_values import a_choice, a_name, checked_text
 from tpgmm_core.kinematics.hierarchy import Level
 from tpgmm_core.kinematics.tasks import KinematicTask
+
+a_robot_file = checked_text(bool, "the path of a robot file, from this file")
 
 
 def read_tasks(section: Section, objects: Collection[str]) -> tuple[dict[str, KinematicTask], frozenset[str]]:
@@ -157,26 +159,3 @@ def joint_groups(value: Any) -> tuple[str, ...]:
     if not names or not all(isinstance(name, str) and name for name in names):
         raise ValueError("joints or groups of joints of the robot file, such as [left_arm, right_arm]")
     return tuple(names)
-
-
-def a_robot_file(value: Any) -> str:
-    """A value that must be the path of a robot file.
-
-    Parameters
-    ----------
-    value
-        as YAML holds it
-
-    Returns
-    -------
-    str
-        the path
-
-    Raises
-    ------
-    ValueError
-        with what was expected
-    """
-    if not isinstance(value, str) or not value:
-        raise ValueError("the path of a robot file, from this file")
-    return value

@@ -17,7 +17,7 @@ from typing import Any
 
 from tpgmm_core.common.text import shown
 from tpgmm_core.common.yaml_sections import Section
-from tpgmm_core.common.yaml_values import a_number, a_text, a_topic
+from tpgmm_core.common.yaml_values import a_number, a_text, a_topic, checked_text
 from tpgmm_ros.messages.sources import (
     SOURCES,
     DetectionSource,
@@ -31,6 +31,11 @@ from tpgmm_ros.messages.sources import (
 
 KEYS = ("topic", "type", "tf", "child", "class", "id", "min_score")
 """Keys of an entry that names a source."""
+
+a_frame_id = checked_text(
+    lambda text: not text.startswith("/") and text.split() == [text],
+    "the frame_id of the poses, without a leading slash",
+)
 
 
 def read_source(entry: Section, base_frame: str) -> Source:
@@ -107,29 +112,6 @@ def _refuse_options(entry: Section, *known: str) -> None:
         if key in KEYS and key not in known:
             kind = "tf" if "tf" in known else entry.values.get("type", "geometry_msgs/PoseStamped")
             raise entry.error(f"has {key!r}, which {shown(kind)} has not; expected {', '.join(known)}")
-
-
-def a_frame_id(value: Any) -> str:
-    """A frame id without a leading slash.
-
-    Parameters
-    ----------
-    value
-        as YAML holds it
-
-    Returns
-    -------
-    str
-        the value
-
-    Raises
-    ------
-    ValueError
-        with what was expected
-    """
-    if not isinstance(value, str) or not value or value.startswith("/") or value.split() != [value]:
-        raise ValueError("the frame_id of the poses, without a leading slash")
-    return value
 
 
 def _a_type(value: Any) -> str:

@@ -17,7 +17,7 @@ from tpgmm_ros.runtime.background import Background
 from tpgmm_workbench.desk.coaching import Coaching
 from tpgmm_workbench.desk.learning import Learning
 from tpgmm_workbench.desk.sharing import Sharing
-from tpgmm_workbench.desk.table import Table
+from tpgmm_workbench.desk.table import SimulatedTable
 from tpgmm_workbench.desk.teaching import Teaching
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.graph.movement import MovementClient
@@ -82,7 +82,7 @@ class Desk:
         if simulated:
             regions = regions_of(project.task.name, project.task.topics, self.home)
             world = SimulatedWorld(node, project.task, Arrangement(regions, seed))
-        self.table = Table(world, self.home, self._movement, self._refused, self.say)
+        self.table = SimulatedTable(world, self.home, self._movement, self._refused, self.say)
         self._said: list[tuple[float, str]] = []
         self._graph = GraphView()
         self._speed, self._is_paused, self._duration = 1.0, False, 0.0

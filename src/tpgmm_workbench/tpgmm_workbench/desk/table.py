@@ -16,7 +16,7 @@ from tpgmm_workbench.session.arrangement import hand_over
 from tpgmm_workbench.session.view import GraphView
 
 
-class Table:
+class SimulatedTable:
     """What only a simulation lets a user do.
 
     Parameters

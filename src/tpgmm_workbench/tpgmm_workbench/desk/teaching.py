@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 from tpgmm_core.common.text import one_line
 from tpgmm_ros.runtime.background import Background
-from tpgmm_workbench.graph.recording import Recording
+from tpgmm_workbench.graph.demonstration_recorder import DemonstrationRecorder
 from tpgmm_workbench.project.notes import MAX_COMMENT
 from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.project.quality import Quality, quality_of
@@ -100,7 +100,7 @@ class Teaching:
     ) -> None:
         self._node, self._project, self._background = node, project, background
         self._say, self._changed = say, changed
-        self._recording: Recording | None = None
+        self._recording: DemonstrationRecorder | None = None
         self._began = 0.0
         self._pending = 0
         self._qualities: dict[_Part, Quality] = {}
@@ -137,7 +137,7 @@ class Teaching:
     def begin(self) -> None:
         """Record from now on."""
         try:
-            self._recording = Recording(self._node, self._project.new_demonstration(), self._project.task)
+            self._recording = DemonstrationRecorder(self._node, self._project.new_demonstration(), self._project.task)
         except (OSError, ValueError) as error:
             self._say(f"nothing is recorded: {one_line(error)}")
             return

@@ -31,13 +31,13 @@ from tpgmm_workbench.page.share_panel import SharePanel
 from tpgmm_workbench.page.stop_panel import StopPanel
 from tpgmm_workbench.project.preview import Preview
 from tpgmm_workbench.scene.colors import PREVIEW
-from tpgmm_workbench.scene.frames_view import FramesView
-from tpgmm_workbench.scene.hand_view import HandView
-from tpgmm_workbench.scene.model_view import ModelView
-from tpgmm_workbench.scene.robot_view import RobotView
+from tpgmm_workbench.scene.frames_display import FramesDisplay
+from tpgmm_workbench.scene.hand_display import HandDisplay
+from tpgmm_workbench.scene.model_display import ModelDisplay
+from tpgmm_workbench.scene.robot_display import RobotDisplay
 from tpgmm_workbench.scene.shapes import Shapes
-from tpgmm_workbench.scene.stiffness_view import StiffnessView
-from tpgmm_workbench.scene.suggested_view import SuggestedView
+from tpgmm_workbench.scene.stiffness_display import StiffnessDisplay
+from tpgmm_workbench.scene.suggested_display import SuggestedDisplay
 
 #: Texts and trail are renewed this often, s; a ghost moves through its movement in this time, s.
 TEXT_PERIOD, GHOST_TIME = 0.2, 4.0
@@ -96,16 +96,16 @@ class Page:
         scene.configure_environment_map(hdri=None)
         scene.add_light_ambient("/ambient", intensity=1.2)
         scene.add_grid("/floor", width=4.0, height=4.0, position=(0.0, 0.0, self._lowest()), cell_size=0.25)
-        self._robot = RobotView(scene, desk.robot, self._shapes)
-        self._ghost: RobotView | None = None
+        self._robot = RobotDisplay(scene, desk.robot, self._shapes)
+        self._ghost: RobotDisplay | None = None
         self._shown: Preview | None = None
         self._shown_since = 0.0
         draggable = desk.project.task.topics if desk.simulated else ()
-        self._frames = FramesView(scene, list(desk.project.task.frames), draggable, self._move)
-        self._hand = HandView(scene, self._lead if desk.simulated else None)
-        self._model = ModelView(scene)
-        self._suggested = SuggestedView(scene, list(desk.project.task.sources))
-        self._stiffness = StiffnessView(scene)
+        self._frames = FramesDisplay(scene, list(desk.project.task.frames), draggable, self._move)
+        self._hand = HandDisplay(scene, self._lead if desk.simulated else None)
+        self._model = ModelDisplay(scene)
+        self._suggested = SuggestedDisplay(scene, list(desk.project.task.sources))
+        self._stiffness = StiffnessDisplay(scene)
 
     def _dress(self, dark: bool) -> None:
         self._server.gui.configure_theme(
@@ -223,7 +223,7 @@ class Page:
                 self._model.show_tube(view.preview.path[:, :3], view.preview.covariances[:, :3, :3])
         moves = self._shown is not None and not view.run.goes_on
         if self._ghost is None and moves:
-            self._ghost = RobotView(
+            self._ghost = RobotDisplay(
                 self._server.scene, self._desk.robot, self._moving_parts(), "/ghost", PREVIEW, opacity=0.3
             )
         if self._ghost is not None:

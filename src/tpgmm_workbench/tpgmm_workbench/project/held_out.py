@@ -28,7 +28,7 @@ FAR_M = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class HeldOut:
+class HeldOutErrors:
     """What was found by leaving out each demonstration in turn.
 
     Parameters
@@ -81,7 +81,7 @@ def leave_each_out(
     task: Task,
     learned_as: LearnedAs,
     progress: Callable[[int], None] | None = None,
-) -> HeldOut:
+) -> HeldOutErrors:
     """Reproduce each recording with a model of the others.
 
     Parameters
@@ -97,7 +97,7 @@ def leave_each_out(
 
     Returns
     -------
-    HeldOut
+    HeldOutErrors
         without errors where models of the others cannot be learned
     """
     few = [thin(recording) for recording in recordings]
@@ -109,11 +109,11 @@ def leave_each_out(
             if progress is not None:
                 progress(len(folds))
     except (ValueError, np.linalg.LinAlgError):  # of one or two demonstrations no model may come
-        return HeldOut(())
-    return HeldOut(tuple(_errors(fold, tuple(task.sources)) for fold in folds), tuple(folds))
+        return HeldOutErrors(())
+    return HeldOutErrors(tuple(_errors(fold, tuple(task.sources)) for fold in folds), tuple(folds))
 
 
-def judge_itself(model: LearnedMixture, recordings: Sequence[Recording], found: HeldOut) -> None:
+def judge_itself(model: LearnedMixture, recordings: Sequence[Recording], found: HeldOutErrors) -> None:
     """Write into a model how exact its references are, and what is new to it, as `train --leave-one-out` does."""
     if len(found.folds) < 2:
         return

@@ -24,6 +24,7 @@ import numpy as np
 
 from tpgmm_core import LearnedMixture
 from tpgmm_core.choice.reproducing import reproduce
+from tpgmm_core.common.blending import smoothstep
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.geometry.pose import compose, inverse
@@ -138,8 +139,7 @@ def fade(shares: Array, begin: float, end: float) -> Array:
         (T,) from 0 to 1
     """
     outside = np.maximum(np.maximum(begin - shares, shares - end), 0.0) / FADES
-    near = np.clip(1.0 - outside, 0.0, 1.0)
-    return np.asarray(near**2 * (3.0 - 2.0 * near))
+    return smoothstep(np.clip(1.0 - outside, 0.0, 1.0))
 
 
 def frame_of(

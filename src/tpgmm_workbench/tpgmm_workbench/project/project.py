@@ -27,10 +27,10 @@ from tpgmm_ros.models.task_model import load_task_model
 from tpgmm_ros.task.state_space import PoseSpace
 from tpgmm_ros.task.task_file import Task, TaskError
 from tpgmm_workbench.project import folder as files
+from tpgmm_workbench.project.demonstration_store import DemonstrationStore
 from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.notes import ModelNotes, read_notes, write_notes
 from tpgmm_workbench.project.taught import TaughtDemonstration
-from tpgmm_workbench.project.teaching import Teaching
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class TrainedModel:
     notes: ModelNotes
 
 
-class Project(Teaching):
+class Project(DemonstrationStore):
     """A project's folder; make one with `create` or `open`. Its methods may be called from several threads.
 
     Attributes

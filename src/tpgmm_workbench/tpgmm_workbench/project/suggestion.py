@@ -24,7 +24,7 @@ APART_M = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Region:
+class FrameRegion:
     """Where a frame may be put: corners of a box in the base frame, m, and how it may be turned about z, rad."""
 
     low: tuple[float, float, float]
@@ -51,7 +51,7 @@ class Suggestion:
     words: str
 
 
-def suggest(project: Project, regions: Mapping[str, Region] | None = None, random_state: int = 0) -> Suggestion:
+def suggest(project: Project, regions: Mapping[str, FrameRegion] | None = None, random_state: int = 0) -> Suggestion:
     """Suggest where the frames should be for the next demonstration.
 
     Parameters
@@ -118,7 +118,7 @@ class _Places:
     is_widened: bool
 
     @classmethod
-    def of(cls, seen: Sequence[Array], region: Region | None) -> _Places:
+    def of(cls, seen: Sequence[Array], region: FrameRegion | None) -> _Places:
         upright = quaternion.IDENTITY if not seen else np.asarray(seen[0][3:])
         if region is not None:
             return cls(np.array(region.low), np.array(region.high), region.yaw, upright, False)

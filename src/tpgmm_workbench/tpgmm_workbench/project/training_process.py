@@ -24,7 +24,7 @@ from tpgmm_ros.recordings.recording import Recording, align
 from tpgmm_ros.task.task_file import Task
 from tpgmm_workbench.project.activities import Action, Facts, may
 from tpgmm_workbench.project.errors import ProjectError
-from tpgmm_workbench.project.held_out import HeldOut, judge_itself, leave_each_out, millimetres
+from tpgmm_workbench.project.held_out import HeldOutErrors, judge_itself, leave_each_out, millimetres
 from tpgmm_workbench.project.lessons import lessons_of
 from tpgmm_workbench.project.notes import ModelNotes
 from tpgmm_workbench.project.project import Project, TrainedModel, used_parts
@@ -36,7 +36,7 @@ FEWEST_TO_CHOOSE = 3
 NICE = 10
 """The robot's loop comes first."""
 
-type Tell = Callable[[float, str], None]
+type TrainingProgress = Callable[[float, str], None]
 """Called with the share that is done, and what is being done."""
 
 
@@ -81,7 +81,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def train(project: Project, options: TrainingOptions, tell: Tell) -> TrainedModel:
+def train(project: Project, options: TrainingOptions, tell: TrainingProgress) -> TrainedModel:
     """Learn from the demonstrations that are used, and keep the model: see `learn`.
 
     Parameters
@@ -97,7 +97,7 @@ def train(project: Project, options: TrainingOptions, tell: Tell) -> TrainedMode
     return project.keep(*learn(project, options, tell))
 
 
-def learn(project: Project, options: TrainingOptions, tell: Tell) -> tuple[LearnedMixture, ModelNotes]:
+def learn(project: Project, options: TrainingOptions, tell: TrainingProgress) -> tuple[LearnedMixture, ModelNotes]:
     """Learn from the demonstrations that are used.
 
     Parameters
@@ -157,7 +157,9 @@ def learn(project: Project, options: TrainingOptions, tell: Tell) -> tuple[Learn
     return model, replace(notes, seconds=round(time.monotonic() - begin, 2))
 
 
-def _chosen(recordings: Sequence[Recording], task: Task, options: TrainingOptions, tell: Tell) -> tuple[LearnedAs, str]:
+def _chosen(
+    recordings: Sequence[Recording], task: Task, options: TrainingOptions, tell: TrainingProgress
+) -> tuple[LearnedAs, str]:
     """How to learn, and why so."""
     given = LearnedAs.of_task(task, options.method, options.n_components)
     if not options.is_automatic or options.n_components is not None:
@@ -188,7 +190,7 @@ def _chosen(recordings: Sequence[Recording], task: Task, options: TrainingOption
 
 
 def _words(
-    found: HeldOut, numbers: Sequence[int], misfits: dict[int, str], learned_as: LearnedAs, why: str
+    found: HeldOutErrors, numbers: Sequence[int], misfits: dict[int, str], learned_as: LearnedAs, why: str
 ) -> tuple[str, ...]:
     return (
         *found.words(numbers),

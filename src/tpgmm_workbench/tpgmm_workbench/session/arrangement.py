@@ -10,7 +10,7 @@ import numpy as np
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.pose import compose
-from tpgmm_demos.scene.pick_place import OBJECT_REGION, TARGET_REGION, Region
+from tpgmm_demos.scene.pick_place import OBJECT_REGION, TARGET_REGION, PlacementRegion
 
 #: Where objects of any task lie: beside one another on a table below the hand, m.
 BELOW, BESIDE, ROOM = 0.13, 0.22, 0.09
@@ -18,7 +18,7 @@ BELOW, BESIDE, ROOM = 0.13, 0.22, 0.09
 AT, CLEARANCE = 0.02, 0.10
 
 
-def regions_of(task: str, frames: Iterable[str], hand: Array) -> dict[str, Region]:
+def regions_of(task: str, frames: Iterable[str], hand: Array) -> dict[str, PlacementRegion]:
     """Where the objects of a task may lie in a simulation.
 
     Parameters
@@ -32,7 +32,7 @@ def regions_of(task: str, frames: Iterable[str], hand: Array) -> dict[str, Regio
 
     Returns
     -------
-    dict[str, Region]
+    dict[str, PlacementRegion]
         a region for each frame
     """
     names = list(frames)
@@ -42,7 +42,7 @@ def regions_of(task: str, frames: Iterable[str], hand: Array) -> dict[str, Regio
     regions = {}
     for i, name in enumerate(names):
         side = y + BESIDE * (0.5 * (len(names) - 1) - i)
-        regions[name] = Region(
+        regions[name] = PlacementRegion(
             (x - ROOM, side - ROOM, z - BELOW - 0.02), (x + ROOM, side + ROOM, z - BELOW + 0.02), yaw=0.6, tilt=0.0
         )
     return regions
@@ -66,7 +66,7 @@ class Arrangement:
         names of those that nobody sees
     """
 
-    def __init__(self, regions: dict[str, Region], seed: int | None = None) -> None:
+    def __init__(self, regions: dict[str, PlacementRegion], seed: int | None = None) -> None:
         self._regions = regions
         self._random = np.random.default_rng(seed)
         self.places: dict[str, Array] = {}

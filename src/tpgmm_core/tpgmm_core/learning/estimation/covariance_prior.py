@@ -21,14 +21,13 @@ demonstration has in a component on average, so that `strength` counts demonstra
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.model.samples import Samples
 
 if TYPE_CHECKING:
@@ -72,15 +71,48 @@ class CovariancePrior:
         CovariancePrior
             one for each component and frame
         """
-        K = responsibilities.shape[1]
-        scales = {}
-        for (name, x), seen in zip(samples.X.items(), samples.seen, strict=True):
-            weights = responsibilities * seen[:, None]
-            manifold = samples.manifolds[name]
-            scales[name] = np.stack(
-                [_scale(manifold, x, samples.times, weights[:, k], means[name][k]) for k in range(K)]
-            )
-        return cls(strength * samples.n_samples / (len(samples.lengths) * K), scales)
+        return cls.of_parts(lambda: [(samples, responsibilities)], means, strength)
+
+    @classmethod
+    def of_parts(
+        cls, parts: Callable[[], Iterable[tuple[Samples, Array]]], means: Mapping[str, Array], strength: float
+    ) -> CovariancePrior:
+        """The prior of the module, from samples that are not in the memory all at once.
+
+        Parameters
+        ----------
+        parts
+            called four times; parts of the samples, each with its responsibilities (N, K) at the start of EM
+        means
+            name → shape (K, D_j), of the components at the start of EM
+        strength
+            in demonstrations, from 0
+
+        Returns
+        -------
+        CovariancePrior
+            one for each component and frame
+        """
+        K = len(next(iter(means.values())))
+        most = {(name, k): 1e-300 for name in means for k in range(K)}
+        n_samples, n_demonstrations = 0, 0
+        for samples, responsibilities in parts():
+            n_samples += samples.n_samples
+            n_demonstrations += len(samples.lengths)
+            for name, seen in zip(samples.X, samples.seen, strict=True):
+                for k, largest in enumerate((responsibilities * seen[:, None]).max(axis=0).tolist()):
+                    most[name, k] = max(most[name, k], largest)
+        found = {key: _Scale() for key in most}
+        for work in (_Scale.add_weights, _Scale.add_means, _Scale.add_spread):
+            for samples, responsibilities in parts():
+                for (name, x), seen in zip(samples.X.items(), samples.seen, strict=True):
+                    weights = responsibilities * seen[:, None]
+                    for k in range(K):
+                        rows = np.flatnonzero(weights[:, k] > 1e-6 * most[name, k])
+                        d = samples.manifolds[name].log(means[name][k], x[rows])
+                        work(found[name, k], weights[rows, k], samples.times[rows], d)
+        scales = {name: np.stack([found[name, k].scale() for k in range(K)]) for name in means}
+        return cls(strength * n_samples / (n_demonstrations * K), scales)
 
     def divided(self, n_parts: int) -> CovariancePrior:
         """The prior of components that are each divided into n_parts of the same size."""
@@ -117,14 +149,36 @@ class CovariancePrior:
         return total
 
 
-def _scale(manifold: Manifold, x: Array, times: Array, weights: Array, mean: Array) -> Array:
-    """B (n, n) of one component in one frame; zeros where it saw nothing."""
-    rows = np.flatnonzero(weights > 1e-6 * max(float(weights.max()), 1e-300))
-    share = weights[rows] / max(float(weights[rows].sum()), 1e-300)
-    d = manifold.log(mean, x[rows])
-    d = d - share @ d
-    t = times[rows] - share @ times[rows]
-    variance = float(share @ t**2)
-    motion = (share * t) @ d / np.sqrt(variance) if variance > 0.0 else np.zeros(d.shape[1])
-    spread = share @ d**2 - motion**2
-    return np.asarray(np.outer(motion, motion) + np.diag(np.maximum(spread, 0.0)))
+class _Scale:
+    """B of one component in one frame, by sums that are made one after the other; zeros where it saw nothing."""
+
+    def __init__(self) -> None:
+        self._weight, self._time, self._variance = 0.0, 0.0, 0.0
+        self._mean: Array | float = 0.0
+        self._motion: Array | float = 0.0
+        self._spread: Array | float = 0.0
+
+    def add_weights(self, weights: Array, times: Array, d: Array) -> None:
+        """First, for all parts: of rows with weights (S,) at times (S,), that are d (S, n) from the mean."""
+        self._weight += float(weights.sum())
+
+    def add_means(self, weights: Array, times: Array, d: Array) -> None:
+        """Then, for all parts."""
+        share = weights / max(self._weight, 1e-300)
+        self._mean = self._mean + share @ d
+        self._time += float(share @ times)
+
+    def add_spread(self, weights: Array, times: Array, d: Array) -> None:
+        """At last, for all parts."""
+        share = weights / max(self._weight, 1e-300)
+        t = times - self._time
+        d = np.asarray(d - self._mean)
+        self._variance += float(share @ t**2)
+        self._motion = np.asarray(self._motion + (share * t) @ d)
+        self._spread = self._spread + share @ d**2
+
+    def scale(self) -> Array:
+        """B (n, n)."""
+        spread = np.asarray(self._spread)
+        motion = self._motion / np.sqrt(self._variance) if self._variance > 0.0 else np.zeros(spread.shape)
+        return np.asarray(np.outer(motion, motion) + np.diag(np.maximum(spread - motion**2, 0.0)))

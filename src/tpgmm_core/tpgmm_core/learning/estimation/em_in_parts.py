@@ -9,13 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from tpgmm_core.common.side_by_side import side_by_side
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.covariance.structure import Structure
 from tpgmm_core.learning.estimation import kernels_em
 from tpgmm_core.learning.estimation.compiled_em import MixtureParameters, Workspace
+from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
+from tpgmm_core.learning.estimation.em import expectation
+from tpgmm_core.learning.estimation.emissions import Emissions
 from tpgmm_core.learning.estimation.initialization import Labels
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.samples import Samples
@@ -171,8 +177,37 @@ def start_of_parts(
     return MixtureParameters(counts / counts.sum(), {name: means[name][taken[name]] for name in names}, covariances)
 
 
+def prior_of_parts(parts: SampleParts, start: MixtureParameters, reg_covar: float, strength: float) -> CovariancePrior:
+    """The prior of the covariances that all samples give, see `covariance_prior`.
+
+    Parameters
+    ----------
+    parts
+        of the samples
+    start
+        parameters of K components
+    reg_covar
+        see `TPGMM`, in squared units of the data
+    strength
+        in demonstrations, from 0
+
+    Returns
+    -------
+    CovariancePrior
+        one for each component and frame
+    """
+    emissions = Emissions.from_gaussians(
+        Structure(reg_covar=reg_covar), parts.first, parts.n_samples * start.priors, start.means, start.covariances
+    )
+    return CovariancePrior.of_parts(
+        lambda: ((samples, expectation(start.priors, emissions, samples)[0]) for samples in parts),
+        start.means,
+        strength,
+    )
+
+
 class PartedWorkspace(Workspace):
-    """`Workspace` whose sums are those of all parts.
+    """`Workspace` whose sums are those of all parts, which are added in their order.
 
     Parameters
     ----------
@@ -182,16 +217,18 @@ class PartedWorkspace(Workspace):
         parameters of K components
     n_threads
         that share the samples of a part
+    jobs
+        processes that share the parts, see `side_by_side`; the result is the same, bit by bit, for any number
     """
 
-    def __init__(self, parts: SampleParts, start: MixtureParameters, n_threads: int = 1) -> None:
+    def __init__(self, parts: SampleParts, start: MixtureParameters, n_threads: int = 1, jobs: int = 1) -> None:
         super().__init__(parts.first, start, n_threads)
-        self._parts, self._start = parts, start
+        self._parts, self._start, self._jobs = parts, start, jobs
         self.n_samples = parts.n_samples
 
     def expectation(self) -> float:
         """See `Workspace.expectation`."""
-        return sum(self._merged(self.means, lambda part: part.expectation()))
+        return self._merged(self.means, None)
 
     def recentre(self) -> None:
         """See `Workspace.recentre`; responsibilities, which would be as many as samples, are computed again."""
@@ -199,24 +236,35 @@ class PartedWorkspace(Workspace):
             return
         before = self.means.copy()
         kernels_em.move_means(self.layout, self.flat, self.spheres, self.means, self.counts, self.first)
+        self._merged(before, self.means)
 
-        def about_new_means(part: Workspace) -> float:
-            part.expectation()
-            part.means = self.means
-            part.moments_about_means()
-            return 0.0
-
-        sum(self._merged(before, about_new_means))
-
-    def _merged(self, means: Array, work: Callable[[Workspace], float]) -> Iterator[float]:
-        """Work on each part with the present parameters; its sums are added here."""
+    def _merged(self, means: Array, about: Array | None) -> float:
+        """Make the sums of all parts with these means, and with moments about others; the total log-likelihood."""
+        parameters = (self.log_priors, means, self.factors, self.log_norms)
         for sums in (self.counts, self.first, self.second):
             sums[:] = 0.0
-        for samples in self._parts:
-            part = Workspace(samples, self._start, self._n_threads)
-            part.log_priors, part.means = self.log_priors, means
-            part.factors, part.log_norms = self.factors, self.log_norms
-            yield work(part)
-            self.counts += part.counts
-            self.first += part.first
-            self.second += part.second
+        work = partial(_sums, self._start, self._n_threads, parameters, about)
+        log_likelihood = 0.0
+        for part in side_by_side(work, self._parts, self._jobs):
+            self.counts += part[0]
+            self.first += part[1]
+            self.second += part[2]
+            log_likelihood += part[3]
+        return log_likelihood
+
+
+def _sums(
+    start: MixtureParameters,
+    n_threads: int,
+    parameters: tuple[Array, Array, Array, Array],
+    about: Array | None,
+    samples: Samples,
+) -> tuple[Array, Array, Array, float]:
+    """Counts, first and second moments and the log-likelihood of one part."""
+    part = Workspace(samples, start, n_threads)
+    part.log_priors, part.means, part.factors, part.log_norms = parameters
+    log_likelihood = part.expectation()
+    if about is not None:
+        part.means = about
+        part.moments_about_means()
+    return part.counts, part.first, part.second, log_likelihood

@@ -123,6 +123,29 @@ class Chain(ABC):
     def arrays(self) -> dict[str, Array]:
         """The parameters, as a model file holds them."""
 
+    @classmethod
+    @abstractmethod
+    def from_arrays(cls, arrays: Mapping[str, Array], n_states: int) -> Self:
+        """Make a chain from what `arrays` gave.
+
+        Parameters
+        ----------
+        arrays
+            by name
+        n_states
+            K
+
+        Returns
+        -------
+        Self
+            the chain
+
+        Raises
+        ------
+        ValueError
+            for arrays that are no chain of K states
+        """
+
     def _no_durations(self, n_states: int) -> Array:
         """Zeros for the expected durations."""
         return np.zeros((n_states, 0))

@@ -178,7 +178,7 @@ class TPHMM(TPGMM):
         return found.log_likelihood / samples.n_samples
 
     def state_probabilities(self, n_steps: int) -> Array:
-        """Probabilities of the states when nothing is observed.
+        """Probabilities (n_steps, K) of the states when nothing is observed.
 
         With the Gaussians of `adapt` they are a reference to track.
 

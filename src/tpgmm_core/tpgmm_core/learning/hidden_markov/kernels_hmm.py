@@ -54,28 +54,6 @@ def step(log_from: Array, log_transitions: Array, scratch: Array, out: Array) ->
 
 
 @compiled
-def step_back(log_to: Array, log_transitions: Array, scratch: Array, out: Array) -> None:
-    """out[i] = log sum_j exp(log_transitions[i, j] + log_to[j]).
-
-    Parameters
-    ----------
-    log_to
-        (K,)
-    log_transitions
-        (K, K)
-    scratch
-        (K,)
-    out
-        (K,), written
-    """
-    K = len(log_to)
-    for i in range(K):
-        for j in range(K):
-            scratch[j] = log_transitions[i, j] + log_to[j]
-        out[i] = log_sum(scratch, K)
-
-
-@compiled
 def forward(log_start: Array, log_transitions: Array, log_densities: Array, alpha: Array) -> float:
     """The forward recursion, alpha[t, k] = log p(samples 0..t, state k at t).
 
@@ -148,7 +126,7 @@ def posteriors(
                 term = alpha[t - 1, i] + log_transitions[i, j] + ahead[j]
                 if term > -np.inf:
                     transitions[i, j] += math.exp(term - log_likelihood)
-        step_back(ahead, log_transitions, scratch, beta)
+        step(ahead, log_transitions.T, scratch, beta)
     for k in range(K):
         starts[k] += occupancy[0, k]
     return log_likelihood

@@ -76,25 +76,7 @@ class MarkovChain(Chain):
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array], n_states: int) -> MarkovChain:
-        """Make a chain from the arrays that `arrays` gave.
-
-        Parameters
-        ----------
-        arrays
-            by name
-        n_states
-            K
-
-        Returns
-        -------
-        MarkovChain
-            the chain
-
-        Raises
-        ------
-        ValueError
-            for arrays that are no chain of K states
-        """
+        """Make a chain of K states from what `arrays` gave."""
         start, transitions = checked_probabilities(arrays, n_states)
         return cls(start, transitions)
 
@@ -173,18 +155,7 @@ class SemiMarkovChain(Chain):
         return SemiMarkovChain(*self._most_probable(found), self.durations.maximised(found.durations))
 
     def state_probabilities(self, n_steps: int) -> Array:
-        """Probabilities of the states when nothing is observed; a state that nothing follows goes on.
-
-        Parameters
-        ----------
-        n_steps
-            number of steps
-
-        Returns
-        -------
-        Array
-            shape (n_steps, K)
-        """
+        """Probabilities (n_steps, K) of the states when nothing is observed; a state that nothing follows goes on."""
         K, L = self.durations.natural.shape[0], self.durations.max_duration
         p = np.exp(self.durations.log_probabilities)
         begins = np.zeros((n_steps + 1, K))
@@ -212,19 +183,7 @@ class SemiMarkovChain(Chain):
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array], n_states: int) -> SemiMarkovChain:
-        """Make a chain from the arrays that `arrays` gave.
-
-        Parameters
-        ----------
-        arrays
-            by name
-        n_states
-            K
-
-        Returns
-        -------
-        SemiMarkovChain
-            the chain
+        """Make a chain of K states from what `arrays` gave.
 
         Raises
         ------

@@ -27,12 +27,12 @@ from tpgmm_ros.recordings.storage.mcap_records import (
     MESSAGE_START,
     RECORD,
     DamageError,
-    Fields,
+    RecordReader,
     end_of_whole_records,
     placed_records,
     wanted_message,
 )
-from tpgmm_ros.recordings.storage.storage_file import FileTopic, RawMessage
+from tpgmm_ros.recordings.storage.storage_file import FileTopic, RawMessage, StorageFile
 
 RECOVER = "'record --recover' or 'mcap recover' may save what is whole; else record it again"
 
@@ -59,7 +59,7 @@ class _Chunk:
     """Topics that have messages in it; empty where the index does not tell."""
 
 
-class McapFile:
+class McapFile(StorageFile):
     """One MCAP file; see `StorageFile`.
 
     Parameters
@@ -127,7 +127,7 @@ class McapFile:
         told: tuple[int, int, int] | None = None
         try:
             for opcode, record, _ in placed_records(self._data[begin : self._end], 0):
-                fields = Fields(record)
+                fields = RecordReader(record)
                 if opcode == _CHUNK_INDEX:
                     fields.data(16)
                     at, _ = fields.number(8), fields.number(8)
@@ -175,7 +175,7 @@ class McapFile:
         self.first_ns, self.last_ns = first or 0, last
 
     def _declare(self, opcode: int, record: memoryview) -> None:
-        fields = Fields(record)
+        fields = RecordReader(record)
         if opcode == _SCHEMA:
             key = fields.number(2)
             self._schemas[key] = _Schema(fields.text(), fields.text(), bytes(fields.block()))
@@ -186,12 +186,7 @@ class McapFile:
             self._channels[key] = FileTopic(key, topic, kind, encoding, schema.definition, schema.format, 0)
 
     def messages(self, keys: Collection[int]) -> Iterator[RawMessage]:
-        """See `StorageFile`.
-
-        Returns
-        -------
-        Iterator[RawMessage]
-            in the order of writing
+        """Messages of some topics in the order of writing.
 
         Raises
         ------
@@ -228,7 +223,7 @@ class McapFile:
 
     def _content(self, record: memoryview) -> memoryview:
         """The records in a chunk, unpacked and checked."""
-        fields = Fields(record)
+        fields = RecordReader(record)
         _, _, size, checksum = _CHUNK_START.unpack(fields.data(_CHUNK_START.size))
         compression = fields.text()
         packed = fields.data(fields.number(8))
@@ -253,7 +248,7 @@ class McapFile:
         return BagError(self._label, f"cannot be read: it is damaged inside ({error}). {RECOVER}")
 
     def close(self) -> None:
-        """See `StorageFile`."""
+        """Close the file."""
         with contextlib.suppress(BufferError):  # of parts that somebody still holds
             self._data.release()
             self._map.close()

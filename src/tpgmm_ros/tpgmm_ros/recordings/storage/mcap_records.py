@@ -18,7 +18,7 @@ class DamageError(Exception):
     """What is wrong at some byte, in words."""
 
 
-class Fields:
+class RecordReader:
     """Fields of a record, one after the other."""
 
     def __init__(self, data: memoryview) -> None:

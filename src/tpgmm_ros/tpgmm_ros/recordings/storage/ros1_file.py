@@ -11,7 +11,7 @@ from rosbags.rosbag1 import Reader, ReaderError
 
 from tpgmm_core.common.text import one_line
 from tpgmm_ros.recordings.storage.bag_error import BagError
-from tpgmm_ros.recordings.storage.storage_file import FileTopic, RawMessage
+from tpgmm_ros.recordings.storage.storage_file import FileTopic, RawMessage, StorageFile
 
 MAGIC = b"#ROSBAG V"
 _REASONS = (
@@ -33,7 +33,7 @@ class _Place(NamedTuple):
     time: int
 
 
-class Ros1File:
+class Ros1File(StorageFile):
     """One ROS 1 bag; see `StorageFile`.
 
     Parameters
@@ -66,12 +66,7 @@ class Ros1File:
         self.last_ns = self._reader.end_time - 1 if has_messages else 0
 
     def messages(self, keys: Collection[int]) -> Iterator[RawMessage]:
-        """See `StorageFile`.
-
-        Returns
-        -------
-        Iterator[RawMessage]
-            in the order of writing
+        """Messages of some topics in the order of writing.
 
         Raises
         ------
@@ -95,5 +90,5 @@ class Ros1File:
         return BagError(self._label, f"cannot be read: {reason.format(error=said)}")
 
     def close(self) -> None:
-        """See `StorageFile`."""
+        """Close the file."""
         self._reader.close()

@@ -9,13 +9,13 @@ from pathlib import Path
 from urllib.parse import quote
 
 from tpgmm_ros.recordings.storage.bag_error import BagError
-from tpgmm_ros.recordings.storage.storage_file import FileTopic, RawMessage
+from tpgmm_ros.recordings.storage.storage_file import FileTopic, RawMessage, StorageFile
 
 MAGIC = b"SQLite format 3\x00"
 RECOVER = "'sqlite3 FILE .recover' may save what is whole; else record it again"
 
 
-class SqliteFile:
+class SqliteFile(StorageFile):
     """One SQLite file; see `StorageFile`.
 
     Parameters
@@ -76,12 +76,7 @@ class SqliteFile:
             self.topics.append(FileTopic(key, name, kind, encoding, definition, found, counts.get(key, 0)))
 
     def messages(self, keys: Collection[int]) -> Iterator[RawMessage]:
-        """See `StorageFile`.
-
-        Returns
-        -------
-        Iterator[RawMessage]
-            in the order of writing
+        """Messages of some topics in the order of writing.
 
         Raises
         ------
@@ -100,7 +95,7 @@ class SqliteFile:
         return BagError(self._label, f"cannot be read: it is damaged inside (SQLite: {error}). {RECOVER}")
 
     def close(self) -> None:
-        """See `StorageFile`."""
+        """Close the file."""
         self._database.close()
 
 

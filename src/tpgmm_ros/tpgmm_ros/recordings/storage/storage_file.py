@@ -56,7 +56,23 @@ class StorageFile(Protocol):
     last_ns: int
 
     def messages(self, keys: Collection[int]) -> Iterator[RawMessage]:
-        """Messages of some topics in the order of writing."""
+        """Messages of some topics in the order of writing.
+
+        Parameters
+        ----------
+        keys
+            of the topics
+
+        Returns
+        -------
+        Iterator[RawMessage]
+            key of the topic, time and bytes of each
+
+        Raises
+        ------
+        BagError
+            the file is damaged inside.
+        """
 
     def close(self) -> None:
         """Close the file."""

@@ -22,7 +22,7 @@ SMALLEST, LARGEST = 0.003, 0.3
 OPACITY_SEEN = 0.04
 
 
-class ModelView:
+class ModelDisplay:
     """What the model says, in viser's scene."""
 
     def __init__(self, scene: SceneApi) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Teaching`: the demonstrations of a project's folder, what is noted of them, and how they come there."""
+"""`DemonstrationStore`: the demonstrations of a project's folder, what is noted of them, and how they come there."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tpgmm_workbench.project.notes import Correction, Notes, read_notes, write_n
 from tpgmm_workbench.project.taught import NOTES, TaughtDemonstration, trimmed
 
 
-class Teaching:
+class DemonstrationStore:
     """What was taught, in a folder. Its methods may be called from several threads.
 
     Parameters

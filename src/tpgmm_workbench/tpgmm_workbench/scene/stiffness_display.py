@@ -10,13 +10,13 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_workbench.scene.colors import STIFFNESS
 from tpgmm_workbench.scene.placing import place, resize
-from tpgmm_workbench.session.view import StiffnessView as Stiffness
+from tpgmm_workbench.session.view import StiffnessView
 
 #: Diameter for 1 N/m, m; the smallest and the largest one that are drawn, m.
 PER_STIFFNESS, SMALLEST, LARGEST = 2e-4, 0.01, 0.4
 
 
-class StiffnessView:
+class StiffnessDisplay:
     """The ellipsoid of the hand's stiffness."""
 
     def __init__(self, scene: SceneApi) -> None:
@@ -24,7 +24,7 @@ class StiffnessView:
             "/stiffness", 0.5, STIFFNESS, subdivisions=2, opacity=0.25, cast_shadow=False, visible=False
         )
 
-    def show(self, hand: Array | None, stiffness: Stiffness | None) -> None:
+    def show(self, hand: Array | None, stiffness: StiffnessView | None) -> None:
         """Show it at the hand (7,); nothing where one of them is not known."""
         if hand is None or stiffness is None:
             if self._node.visible:
@@ -37,7 +37,7 @@ class StiffnessView:
             self._node.visible = True
 
 
-def ellipsoid(middle: Array, stiffness: Stiffness) -> tuple[Array, Array]:
+def ellipsoid(middle: Array, stiffness: StiffnessView) -> tuple[Array, Array]:
     """The ellipsoid of a stiffness of positions.
 
     Parameters

@@ -17,7 +17,7 @@ from tpgmm_workbench.scene.placing import place, pose_of
 LONGEST, APART = 250, 0.004
 
 
-class HandView:
+class HandDisplay:
     """The hand.
 
     Parameters

@@ -17,7 +17,7 @@ from tpgmm_workbench.session.view import FrameView
 BOX = (0.06, 0.06, 0.03)
 
 
-class FramesView:
+class FramesDisplay:
     """The frames of a task.
 
     Parameters

@@ -15,7 +15,7 @@ from tpgmm_workbench.scene.placing import place
 from tpgmm_workbench.scene.shapes import Shapes
 
 
-class RobotView:
+class RobotDisplay:
     """A robot in viser's scene.
 
     Parameters

@@ -15,7 +15,7 @@ from tpgmm_ros.task.task_file import Task
 KEEP_EVERY = {"joint_states": 5}
 
 
-class Recording:
+class DemonstrationRecorder:
     """A demonstration that is being recorded; it begins at once.
 
     Parameters

@@ -9,11 +9,11 @@ from viser import SceneApi
 
 from tpgmm_core.common.types import Array
 from tpgmm_workbench.scene.colors import SUGGESTED
-from tpgmm_workbench.scene.frames_view import BOX
+from tpgmm_workbench.scene.frames_display import BOX
 from tpgmm_workbench.scene.placing import place
 
 
-class SuggestedView:
+class SuggestedDisplay:
     """A ghost for each observed frame.
 
     Parameters

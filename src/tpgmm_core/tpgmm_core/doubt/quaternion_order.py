@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Quaternions that look as if they were written w, x, y, z, where x, y, z, w is read.
+
+Read in the wrong order, a rotation R becomes P R^T Q with constant rotations P and Q: angles between rotations stay as
+they are. So a movement by itself, however smooth, says nothing. What can tell:
+
+- demonstrations agree in some frame in the one order, and disagree in the other: where the hand is in the frame of an
+  object that is turned from one recording to the next, and how it is turned there;
+- objects stand upright and are turned about the vertical in the one order, and hang upside down and are turned about
+  their horizontal x axis in the other;
+- all that was observed, hand and objects, begins near no rotation in the one order, and upside down in the other; or
+  an orientation that nobody measured is 1 0 0 0, bit by bit.
+
+A hand alone that points downwards is 1 0 0 0 in the right order, as no rotation is in the wrong one: nothing is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tpgmm_core.common.text import listed
+from tpgmm_core.common.types import Array
+from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
+from tpgmm_core.geometry import quaternion
+
+MOVEMENT = "the movement"
+SHARES = 50
+LEAST = 3
+"""Recordings from which on it is judged how they agree."""
+TURNED_RAD = 0.3
+"""By which a frame has to be turned from recording to recording, so that its orders can be told apart."""
+AGREE_M, AGREE_RAD = 0.02, 0.15
+BETTER = 3.0
+"""How many times nearer to one another demonstrations have to be in the other order."""
+NEAR_IDENTITY = 0.97
+"""|w| of rotations by less than 28 degrees."""
+NEAR_AXIS = 0.1
+
+
+def doubts_of_quaternion_order(shown: Sequence[RawDemonstration]) -> list[Doubt]:
+    """A suspicion, where one is likely: nothing is corrected.
+
+    Parameters
+    ----------
+    shown
+        one or more
+
+    Returns
+    -------
+    list[Doubt]
+        one at most, about all of them
+    """
+    common = [name for name in shown[0].frames if all(len(one.seen(name)) for one in shown if name in one.frames)]
+    frames = [name for name in common if all(name in one.frames for one in shown)]
+    reasons: dict[str, str] = {}
+    for name in frames:
+        reason = _unmeasured([one.seen(name) for one in shown])
+        reason = reason or _upside_down([one.seen(name) for one in shown]) or _places_agree(shown, name)
+        if reason:
+            reasons[name] = reason
+    others = [one.movement for one in shown]
+    reason = _unmeasured(others) or next(
+        filter(None, (_turns_agree(shown, name, name in reasons) for name in frames)), ""
+    )
+    if reason:
+        reasons[MOVEMENT] = reason
+    if not reasons and frames and all(_begins_so([one.seen(name)[:1] for one in shown]) for name in frames):
+        if _begins_so([one.movement[:1] for one in shown]):
+            reasons[listed([MOVEMENT, *frames])] = (
+                "all begin near 1 0 0 0, which in the order that is read is upside down, and no rotation with w first"
+            )
+    if not reasons:
+        return []
+    text = (
+        f"quaternions look as if they were in the order w, x, y, z, where x, y, z, w is read: "
+        f"{'; '.join(f'{name}: {why}' for name, why in reasons.items())}. Nothing was changed. If it is so, convert "
+        "arrays with --orientation wxyz, or mend what publishes the poses (geometry_msgs/Quaternion is x, y, z, w), "
+        "and record again"
+    )
+    return [Doubt("order", (), text)]
+
+
+def w_first(q: Array) -> Array:
+    """Quaternions (..., 4) read in the other order: what stands first is taken for w."""
+    return np.roll(q, -1, axis=-1)
+
+
+def _unmeasured(poses: Sequence[Array]) -> str:
+    """The number 1 0 0 0, in all samples: what is written where no orientation is known, in the other order."""
+    is_so = all((np.abs(each[:, 3:]) == [1.0, 0.0, 0.0, 0.0]).all() for each in poses)
+    return "is 1 0 0 0 in every sample, as what nobody measured is with w first" if is_so else ""
+
+
+def _upside_down(poses: Sequence[Array]) -> str:
+    q = np.concatenate([each[:, 3:] for each in poses])
+    q = q * np.where(q[:, :1] < 0.0, -1.0, 1.0)
+    angles = 2.0 * np.arctan2(q[:, 3], q[:, 0])
+    if np.abs(q[:, 1:3]).max() > NEAR_AXIS or np.ptp(angles) < TURNED_RAD or np.mean(q[:, 0]) < 0.8:
+        return ""
+    return (
+        "as it is read, it hangs upside down and is turned about its horizontal x axis; with w first, it stands "
+        f"upright and is turned about the vertical, by {np.degrees(np.ptp(angles)):.0f} deg in all"
+    )
+
+
+def _places_agree(shown: Sequence[RawDemonstration], frame: str) -> str:
+    """Whether the hand is at the same place of a frame in the other order only."""
+    found = _at_shares(shown, frame)
+    if found is None:
+        return ""
+    hand, place = found
+    way = hand[..., :3] - place[..., :3]
+    spreads = []
+    for q in (place[..., 3:], w_first(place[..., 3:])):
+        seen = np.einsum("msji,msj->msi", quaternion.rotation_matrix(q), way)
+        spreads.append(np.sqrt(np.mean(np.sum((seen - seen.mean(axis=0)) ** 2, axis=-1), axis=0)).min())
+    is_upright = np.abs(place[..., 3]).mean() > np.abs(place[..., 6]).mean()
+    if not is_upright or spreads[1] > AGREE_M or spreads[0] < max(AGREE_M, BETTER * spreads[1]):
+        return ""
+    return (
+        f"the hand comes to places in it that differ by {spreads[0]:.2g} m from recording to recording, and with w "
+        f"first by {spreads[1]:.2g} m"
+    )
+
+
+def _turns_agree(shown: Sequence[RawDemonstration], frame: str, frame_is_w_first: bool) -> str:
+    """Whether the hand is turned alike in a frame in the other order only."""
+    found = _at_shares(shown, frame)
+    if found is None:
+        return ""
+    hand, place = (poses[..., 3:] for poses in found)
+    place = w_first(place) if frame_is_w_first else place
+    given, other = (_spread(quaternion.multiply(quaternion.conjugate(place), q)).min() for q in (hand, w_first(hand)))
+    if other > AGREE_RAD or given < max(2.0 * AGREE_RAD, BETTER * other):
+        return ""
+    return (
+        f"in the frame {frame} it is turned by {np.degrees(given):.0f} deg from recording to recording, and with w "
+        f"first by {np.degrees(other):.0f} deg"
+    )
+
+
+def _at_shares(shown: Sequence[RawDemonstration], frame: str) -> tuple[Array, Array] | None:
+    """Poses of the hand and of a frame, (M, S, 7), where all saw it; None where its order cannot be told."""
+    samples = [np.linspace(0, len(one.times) - 1, SHARES).round().astype(int) for one in shown]
+    hand, place = (
+        np.array([poses[at] for poses, at in zip(each, samples, strict=True)])
+        for each in ([one.movement for one in shown], [one.frames[frame] for one in shown])
+    )
+    were_seen = [
+        one.visible.get(frame, np.ones(len(one.times), bool))[at] for one, at in zip(shown, samples, strict=True)
+    ]
+    seen = np.all(were_seen, axis=0)
+    if len(shown) < LEAST or not seen.any():
+        return None
+    hand, place = hand[:, seen], place[:, seen]
+    place[..., 3:] = quaternion.normalize(place[..., 3:])
+    return (hand, place) if _spread(place[..., 3:]).max() > TURNED_RAD else None
+
+
+def _spread(q: Array) -> Array:
+    """Mean angle (S,) of rotations (M, S, 4) from their mean."""
+    mean = np.linalg.eigh(np.einsum("msi,msj->sij", q, q))[1][..., -1]
+    return np.asarray(quaternion.angle_between(mean[None], q).mean(axis=0))
+
+
+def _begins_so(first: Sequence[Array]) -> bool:
+    return all(bool((np.abs(poses[:, 3]) > NEAR_IDENTITY).all()) for poses in first)
