@@ -119,7 +119,7 @@ def test_the_tests_of_the_core_import_the_core_alone() -> None:
     """Beside it what lies beside them, and what `setup.py` and `package.xml` ask for: no other part of the project."""
     here = Path(__file__).parent
     beside = {path.stem for path in here.glob("*.py")}
-    installed = {"daqp", "hypothesis", "numba", "numpy", "pinocchio", "pytest", "scipy", "sklearn", "yaml"}
+    installed = {"daqp", "hypothesis", "joblib", "numba", "numpy", "pinocchio", "pytest", "scipy", "sklearn", "yaml"}
     known = beside | installed | set(sys.stdlib_module_names) | {"tpgmm_core"}
     for path in here.glob("*.py"):
         unknown = {name.partition(".")[0] for name in imports_of(path.read_text())} - known
