@@ -47,6 +47,18 @@ def enter_own_network() -> None:
     os.execvp(command[0], command)
 
 
+def require_own_network() -> None:
+    """Refuse to go on where other machines could see this program.
+
+    Raises
+    ------
+    SystemExit
+        `enter_own_network` did not start it
+    """
+    if not os.environ.get(_INSIDE):
+        sys.exit("this program runs on a host of its own: start benchmarks/networks.py")
+
+
 class Host:
     """A network namespace with the address 10.77.0.NUMBER on its interface eth0."""
 

@@ -10,6 +10,7 @@ import rclpy
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
+from benchmarks.lossy_switch import require_own_network
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
 from tpgmm_ros.runtime.executor import init
@@ -20,6 +21,7 @@ from tpgmm_ros.task.task_file import Task
 def main() -> None:
     """Publish until the input ends."""
     task = Task.load(config_file("pick_place.yaml"))
+    require_own_network()
     init([])
     node = Node("camera")
     publishers = {name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()}

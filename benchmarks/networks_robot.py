@@ -10,6 +10,7 @@ import argparse
 import json
 import math
 import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionClient
 from rclpy.node import Node
 
+from benchmarks.lossy_switch import require_own_network
 from tpgmm_core.geometry.pose import pose_error
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_demos.demo.recording import RunRecord
@@ -34,6 +36,8 @@ from tpgmm_ros.task.task_file import Task
 
 #: Time that nodes may take to find each other, and the movement to end, s.
 START_TIMEOUT, END_TIMEOUT = 120.0, 200.0
+#: DDS finds topics one by one, and where packets are lost this takes a while, s.
+FINDING_TIME = 10.0
 #: Of the movement, s: slow enough for the disturbances and for the time without a camera.
 DURATION = 20.0
 
@@ -50,6 +54,7 @@ def main() -> None:
     random = np.random.default_rng([arguments.seed, 0xDE, 0x40])
     situation = random_placement(random)
     disturbances = Disturbances.random(random, DURATION)
+    require_own_network()
     init([])
     with (
         open_graph("robot_host", arguments.output / "robot", False) as graph,
@@ -68,7 +73,8 @@ def main() -> None:
             "robot",
             {
                 "impedance_controller": {
-                    "robot_file": config_file("baxter.yaml"), "joint_state_rate": arguments.rate, "autostart": True
+                    "robot_file": config_file("baxter.yaml"), "joint_state_rate": arguments.rate, "autostart": True,
+                    "joint_state_timeout": 5.0 / arguments.rate, "max_time_step": 2.0 / arguments.rate,
                 },
                 "baxter_simulator": {
                     "robot_file": config_file("baxter.yaml"), "rate": arguments.rate,
@@ -79,6 +85,8 @@ def main() -> None:
         graph.wait_for(recording.hand_is_known, START_TIMEOUT, "the hand's pose")
         client = ActionClient(graph.node, Reproduce, "reproduce")
         graph.wait_for(client.server_is_ready, START_TIMEOUT, "the action 'reproduce'")
+        found_by = time.monotonic() + FINDING_TIME
+        graph.wait_for(lambda: time.monotonic() > found_by, START_TIMEOUT, "the others to find the topics of this host")
         phases: list[float] = []
         asked = client.send_goal_async(
             Reproduce.Goal(duration=DURATION), lambda told: phases.append(told.feedback.phase)

@@ -149,7 +149,7 @@ def test_tests_and_programs_keep_to_this_machine(ros_domain: int) -> None:
     programs = [path for folder in (ROOT / "benchmarks", *packages) for path in folder.rglob("*.py")]
     starting = {path: text for path in programs if "open_graph(" in (text := path.read_text())}
     assert len(starting) > 3
-    assert all("own_domain(" in text for text in starting.values())
+    assert all("own_domain(" in text or "require_own_network(" in text for text in starting.values())
     by_hand = {
         path: text for path in programs if "NodeProcesses(" in (text := path.read_text()) and path not in starting
     }

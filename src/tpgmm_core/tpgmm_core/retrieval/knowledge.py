@@ -32,7 +32,7 @@ class KnowledgeConfig:
     """From when on too little is known to go on."""
 
     unknown_ratio: float = setting(
-        5.0,
+        10.0,
         0.0,
         1.0e6,
         "A movement waits if missing frames make the reference's standard deviation larger by more than this factor, "
