@@ -26,7 +26,8 @@ SETTLED = 0.5
 
 def waiting(model: LearnedMixture, **config: float) -> Waiting:
     """A movement of a model that waits."""
-    return Waiting(make_retrieval(model), make_retrieval(model, horizon_steps=0), KnowledgeConfig(**{"unknown_ratio": 5.0, **config}))
+    limits = KnowledgeConfig(**{"unknown_ratio": 5.0, **config})
+    return Waiting(make_retrieval(model), make_retrieval(model, horizon_steps=0), limits)
 
 
 @dataclass
