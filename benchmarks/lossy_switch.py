@@ -10,16 +10,15 @@ from __future__ import annotations
 
 import heapq
 import os
+import random
 import select
 import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
-
-import numpy as np
 
 #: Packets that wait for a cable are dropped beyond this, bytes, as switches do.
 QUEUE = 20_000
@@ -110,10 +109,10 @@ class LossySwitch:
 
     def __init__(self, hosts: Sequence[Host], loss: float, rate: float, seed: int = 0) -> None:
         self._hosts, self._loss, self._rate = hosts, loss, rate
-        self._random = np.random.default_rng(seed)
+        self._random = random.Random(seed)
         self._where: dict[bytes, int] = {}  # address -> number of the host
         self._free_at = [[0.0, 0.0] for _ in hosts]  # when a cable has sent what waits: from the host, to it
-        self._waiting: list[tuple[float, int, int, bytes]] = []
+        self._waiting: list[tuple[float, int, bytes]] = []
         self._unplugged: dict[str, float] = {}
         self.counts = {"sent": 0, "lost": 0, "queue full": 0, "unplugged": 0}
         self._ends = False
@@ -140,7 +139,7 @@ class LossySwitch:
                 self._take(cables[number])
             now = time.monotonic()
             while self._waiting and self._waiting[0][0] <= now:
-                _, _, to, frame = heapq.heappop(self._waiting)
+                _, to, frame = heapq.heappop(self._waiting)
                 self._pass_on(to, frame)
 
     def _pass_on(self, to: int, frame: bytes) -> None:
@@ -181,7 +180,7 @@ class LossySwitch:
             return
         at = self._take_time(self._free_at[to], 1, len(frame), self._free_at[come_from][0])
         if at is not None:
-            heapq.heappush(self._waiting, (at, self.counts["sent"] + len(self._waiting), to, frame))
+            heapq.heappush(self._waiting, (at, to, frame))
 
     def _take_time(self, free_at: list[float], direction: int, size: int, earliest: float = 0.0) -> float | None:
         """When a frame has gone through a cable, s; None where too much waits."""
@@ -206,16 +205,3 @@ def without_checksum(frame: bytes) -> bytes:
         return frame
     at = 14 + 4 * (frame[14] & 15) + 6
     return frame[:at] + b"\0\0" + frame[at + 2 :]
-
-
-def lines_of(process: subprocess.Popen[str], tell: Callable[[str], None]) -> threading.Thread:
-    """A thread that hands over what a process says, line by line."""
-
-    def read() -> None:
-        assert process.stdout is not None
-        for line in process.stdout:
-            tell(line.rstrip("\n"))
-
-    thread = threading.Thread(target=read, daemon=True)
-    thread.start()
-    return thread

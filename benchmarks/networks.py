@@ -14,11 +14,12 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
-from benchmarks.lossy_switch import Host, LossySwitch, enter_own_network, lines_of
+from benchmarks.lossy_switch import Host, LossySwitch, enter_own_network
 from tpgmm_core.common.report import format_table
 from tpgmm_ros.programs import train
 from tpgmm_ros.programs.reporting import write_report
@@ -86,7 +87,7 @@ def run(arguments: argparse.Namespace, model_file: Path) -> dict[str, Any]:
             stack.callback(_end, process)
         os.close(seen)
         os.close(shown)
-        lines_of(processes["robot"], hear)
+        _hear_lines(processes["robot"], hear)
         deadline = time.monotonic() + TIMEOUT
         if has_started.wait(TIMEOUT):
             time.sleep(UNPLUGGED_AFTER)  # what the camera's host does meanwhile is what is measured
@@ -101,6 +102,17 @@ def run(arguments: argparse.Namespace, model_file: Path) -> dict[str, Any]:
     whole["nothing ended"] = len(alive) == 2
     whole["passed"] = bool(told.get("passed")) and len(alive) == 2
     return whole
+
+
+def _hear_lines(process: subprocess.Popen[str], tell: Callable[[str], None]) -> None:
+    """Hand over what a process says, line by line, in a thread."""
+
+    def read() -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            tell(line.rstrip("\n"))
+
+    threading.Thread(target=read, daemon=True).start()
 
 
 def _log(arguments: argparse.Namespace, name: str) -> dict[str, Any]:

@@ -124,12 +124,7 @@ class World:
         self.nearest = np.inf, np.inf
         self._answered_ns = -1
         self._said: dict[str, PoseStamped] = {}
-        if publish is None:
-            publishers = {
-                name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()
-            }
-            publish = lambda name, said: publishers[name].publish(said)  # noqa: E731
-        self._publish = publish
+        self._publish = publish or _publisher(node, task)
         node.create_subscription(PoseStamped, task.movement, self._answer, STREAM)
 
     def _answer(self, message: PoseStamped) -> None:
@@ -167,3 +162,9 @@ class World:
     def _is_in_sight(self, name: str, time: float) -> bool:
         is_held = name == "object" and self.grasp.holds
         return not is_held and not self.disturbances.hides(name, time)
+
+
+def _publisher(node: Node, task: Task) -> Callable[[str, PoseStamped], None]:
+    """What publishes the pose of an object on its topic."""
+    publishers = {name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()}
+    return lambda name, pose: publishers[name].publish(pose)
