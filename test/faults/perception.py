@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseStamped
 
 from faults.graph_bench import GraphBench
 from faults.table import fault
-from ros_graph import SECOND
+from ros_graph import SECOND, set_parameters
 from tpgmm_msgs.msg import TaskFrame
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
@@ -157,6 +157,7 @@ def lost(bench: GraphBench) -> str:
     quick=False,
 )
 def needed(bench: GraphBench) -> str:
+    assert set_parameters(bench.node, "reproduction", unknown_position=0.03, unknown_orientation=0.175).successful
     goal = bench.move(duration=10.0, until=0.5)
     hidden = bench.places.pop("target")
     bench.wait(bench.said("reproduction", "waits: without target"), "the diagnostics to tell")
