@@ -177,3 +177,25 @@ def test_one_that_goes_elsewhere_is_named_with_when() -> None:
     assert doubt.kind == "misfit" and doubt.about == ("demo_5",) and " s it is 0.3" in doubt.text
     begin = float(doubt.text.split("from ")[1].split(" to ")[0])
     assert 0.4 < begin / several[5].duration < 0.7
+
+
+def test_a_pause_with_a_slow_movement_in_it_is_no_leap() -> None:
+    several = group()
+    kept = np.r_[0:30, 41:80]
+    several[2] = replace(
+        several[2],
+        times=several[2].times[kept],
+        movement=several[2].movement[kept],
+        frames={},
+        visible={},
+    )
+    assert not [doubt for doubt in judged(several) if doubt.kind == "speed"]
+
+
+def test_two_publishers_by_turns_on_one_topic_are_said() -> None:
+    several = group()
+    movement = several[1].movement.copy()
+    movement[::2, 1] += 0.02
+    several[1] = replace(several[1], movement=movement)
+    (doubt,) = [doubt for doubt in judged(several) if "two programs publish" in doubt.text]
+    assert doubt.about == ("demo_1",)

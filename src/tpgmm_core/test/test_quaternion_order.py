@@ -97,3 +97,10 @@ def test_a_hand_that_points_downwards_and_objects_that_do_not_matter_are_not_sus
 
 def test_the_other_order_is_that_of_w_first() -> None:
     np.testing.assert_array_equal(w_first(np.array([1.0, 2.0, 3.0, 4.0])), [2.0, 3.0, 4.0, 1.0])
+
+
+def test_one_recording_in_another_order_than_the_others_is_named() -> None:
+    several = [reaching(seed, [0.0, 0.05, 0.1]) for seed in range(6)]
+    assert not doubts_of_quaternion_order([*several[:3], miswritten(several[3], frames=False), *several[4:]])
+    (doubt,) = doubts_of_quaternion_order([*several[:3], miswritten(several[3]), *several[4:]])
+    assert doubt.about == ("demo_3",) and "object: " in doubt.text

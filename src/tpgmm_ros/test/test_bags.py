@@ -221,7 +221,7 @@ def test_an_absent_topic_is_named_with_those_that_are_there(absent: str, storage
 
 
 def test_a_bag_without_topics_says_so(tmp_path: Path) -> None:
-    refused(write_bag(tmp_path / "demo", {}), "no PoseStamped topics|cannot be read")
+    refused(write_bag(tmp_path / "demo", {}), "holds no message at all|cannot be read")
 
 
 def test_a_topic_without_messages_is_refused(tmp_path: Path) -> None:
@@ -384,6 +384,14 @@ def test_one_bad_bag_does_not_lose_the_others(tmp_path: Path) -> None:
 # Finding bags
 
 
+@pytest.mark.parametrize("factor", [25.0, 1e6])
+def test_positions_in_another_unit_that_pass_for_leaps_are_called_so(factor: float, tmp_path: Path) -> None:
+    topics = reach(0, duration=2.0)
+    topics["/endpoint/pose"].poses[:, :3] *= factor
+    with pytest.raises(BagError, match="goes on smoothly, but at .* m/s, .*its positions are not in m"):
+        read_recording(write_bag(tmp_path / "demo", topics), TASK)
+
+
 def test_bags_are_found_in_order_and_once(tmp_path: Path) -> None:
     two, one = (write_bag(tmp_path / name, reach(0)) for name in ("demo_2", "demo_1"))
     old = write_bag(tmp_path / "demo_3.bag", reach(0), "ros1")
@@ -401,6 +409,23 @@ def test_what_holds_no_bag_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.txt").write_text("")
     with pytest.raises(BagError, match="is not a bag and contains none"):
         find_bags([tmp_path / "text.txt"])
+
+
+def test_folders_of_folders_are_named_and_what_is_hidden_is_passed_over(tmp_path: Path) -> None:
+    bags = [write_bag(tmp_path / kind / "demo_1", reach(0)) for kind in ("left", "right")]
+    (tmp_path / "pictures").mkdir()
+    with pytest.raises(BagError, match="bags lie in its folders: left, right. Give those"):
+        find_bags([tmp_path])
+    (tmp_path / "left" / ".trash").mkdir()
+    for name in (".trash/old.mcap", "._demo_1.mcap"):
+        (tmp_path / "left" / name).write_bytes(b"")
+    assert find_bags([tmp_path / "left"]) == bags[:1]
+
+
+def test_a_bag_that_is_given_twice_by_other_paths_is_one(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "demo_1", reach(0))
+    (tmp_path / "link").symlink_to(bag)
+    assert find_bags([bag, tmp_path / "link", next(bag.glob("*.mcap"))]) == [bag]
 
 
 # Recordings that nobody here made

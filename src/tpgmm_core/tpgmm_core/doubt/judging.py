@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 from tpgmm_core.doubt.agreement import doubts_of_copies, doubts_of_durations, doubts_of_misfits
 from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
 from tpgmm_core.doubt.quaternion_order import doubts_of_quaternion_order
-from tpgmm_core.doubt.values import doubts_of_speed, doubts_of_stillness, doubts_of_units
+from tpgmm_core.doubt.values import doubts_of_speed, doubts_of_stillness, doubts_of_turns_taken, doubts_of_units
 
 
 def judged_alone(one: RawDemonstration) -> list[Doubt]:
     """What makes no sense in one recording, whatever the others are; it takes all samples."""
-    return [*doubts_of_speed(one), *doubts_of_stillness(one)]
+    return [*doubts_of_speed(one), *doubts_of_turns_taken(one), *doubts_of_stillness(one)]
 
 
 def judged(

@@ -8,6 +8,7 @@ they are. So a movement by itself, however smooth, says nothing. What can tell:
   object that is turned from one recording to the next, and how it is turned there;
 - objects stand upright and are turned about the vertical in the one order, and hang upside down and are turned about
   their horizontal x axis in the other;
+- one recording is turned far from all others in the one order, and is among them in the other;
 - all that was observed, hand and objects, begins near no rotation in the one order, and upside down in the other; or
   an orientation that nobody measured is 1 0 0 0, bit by bit.
 
@@ -16,7 +17,7 @@ A hand alone that points downwards is 1 0 0 0 in the right order, as no rotation
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -37,6 +38,10 @@ BETTER = 3.0
 NEAR_IDENTITY = 0.97
 """|w| of rotations by less than 28 degrees."""
 NEAR_AXIS = 0.1
+ALIKE_RAD = 0.7
+"""Each of the others is turned as one of them is, within this, so that one that is not stands out."""
+ODD_RAD = 1.5
+"""By which one recording has to be turned from all others, so that its order is doubted alone."""
 
 
 def doubts_of_quaternion_order(shown: Sequence[RawDemonstration]) -> list[Doubt]:
@@ -50,7 +55,7 @@ def doubts_of_quaternion_order(shown: Sequence[RawDemonstration]) -> list[Doubt]
     Returns
     -------
     list[Doubt]
-        one at most, about all of them
+        one about all of them; else those that are about single ones, which are not as the others
     """
     common = [name for name in shown[0].frames if all(len(one.seen(name)) for one in shown if name in one.frames)]
     frames = [name for name in common if all(name in one.frames for one in shown)]
@@ -71,15 +76,49 @@ def doubts_of_quaternion_order(shown: Sequence[RawDemonstration]) -> list[Doubt]
             reasons[listed([MOVEMENT, *frames])] = (
                 "all begin near 1 0 0 0, which in the order that is read is upside down, and no rotation with w first"
             )
-    if not reasons:
-        return []
+    if reasons:
+        return [_suspicion((), reasons)]
+    return [_suspicion((shown[i].name,), found) for i, found in _odd_ones(shown, frames).items()]
+
+
+def _suspicion(about: tuple[str, ...], reasons: Mapping[str, str]) -> Doubt:
     text = (
         f"quaternions look as if they were in the order w, x, y, z, where x, y, z, w is read: "
         f"{'; '.join(f'{name}: {why}' for name, why in reasons.items())}. Nothing was changed. If it is so, convert "
         "arrays with --orientation wxyz, or mend what publishes the poses (geometry_msgs/Quaternion is x, y, z, w), "
         "and record again"
     )
-    return [Doubt("order", (), text)]
+    return Doubt("order", about, text)
+
+
+def _odd_ones(shown: Sequence[RawDemonstration], frames: Sequence[str]) -> dict[int, dict[str, str]]:
+    """Recordings whose turns are far from those of all others, and near them in the other order; by what is so."""
+    found: dict[int, dict[str, str]] = {}
+    if len(shown) < LEAST + 1:
+        return found
+    streams = {MOVEMENT: [one.movement[[0, -1], 3:] for one in shown]}
+    streams |= {name: [quaternion.normalize(one.seen(name)[[0, -1], 3:]) for one in shown] for name in frames}
+    for name, turns in streams.items():
+        q = np.array(turns)
+        for i in range(len(shown)):
+            others = np.delete(q, i, axis=0)
+            apart = np.array([_nearest(one, np.delete(others, j, axis=0)) for j, one in enumerate(others)]).max(axis=0)
+            angles, in_order = _nearest(q[i], others), _nearest(w_first(q[i]), others)
+            alike = apart < ALIKE_RAD
+            if (alike & (angles > ODD_RAD) & (in_order < np.maximum(AGREE_RAD, 1.5 * apart))).any():
+                k = int(np.argmax(angles - in_order))
+                as_read, other = angles[k], in_order[k]
+                found.setdefault(i, {})[name] = (
+                    f"as it is read, it is {np.degrees(as_read):.0f} deg from how it is in any other recording, and "
+                    f"with w first {np.degrees(other):.0f} deg from the nearest"
+                )
+    # a hand that points downwards and takes hold turned by half a turn is as one in the other order: frames must say it
+    return {i: reasons for i, reasons in found.items() if set(reasons) != {MOVEMENT}}
+
+
+def _nearest(q: Array, others: Array) -> Array:
+    """Angles (S,) of rotations (S, 4) from the nearest of others (M, S, 4)."""
+    return np.asarray(quaternion.angle_between(q[None], others).min(axis=0))
 
 
 def w_first(q: Array) -> Array:

@@ -23,7 +23,9 @@ FASTEST_TURN = 20.0
 """rad/s."""
 LEAP_M, LEAP_RAD = 0.05, 0.5
 LEAP = 6.0
-"""A step that is so many times as long as the longest of 98 % of all steps is a leap."""
+"""A step that is so many times as fast as the fastest of 98 % of all steps is a leap."""
+ZIGZAG_M, ZIGZAG = 0.005, 0.3
+"""Poses this far off the line between their neighbours, and by so little off that of every second one: two by turns."""
 MOST_TURN = 4.0 * np.pi
 """rad: no joint of an arm is two turns away from its zero."""
 WINDOW_S = 0.02
@@ -62,8 +64,8 @@ def doubts_of_units(shown: Sequence[RawDemonstration]) -> list[Doubt]:
         about = () if len(large) == len(shown) else tuple(one.name for one in large)
         text = (
             f"positions span {np.median([one.extent for one in large]):.4g}, which is far for an arm in m: they look "
-            "like millimetres. The model will be in that unit, and settings in m, such as reg_covar, mean something "
-            "else; publish poses in m (REP 103)"
+            "like millimetres, centimetres or inches. The model will be in that unit, and settings in m, such as "
+            "reg_covar, mean something else; publish poses in m (REP 103)"
         )
         found.append(Doubt("units", about, text))
     return found
@@ -122,7 +124,8 @@ def doubts_of_speed(one: RawDemonstration) -> list[Doubt]:
         (ways, LEAP_M, FASTEST, "the hand moves", "m", 1.0),
         (turns, LEAP_RAD, FASTEST_TURN, "the hand turns", "deg", 180.0 / np.pi),
     ):
-        leaps = (amounts > least) & ((amounts / seconds > fastest) | (amounts > LEAP * _usual(amounts)))
+        speeds = amounts / seconds
+        leaps = (amounts > least) & ((speeds > fastest) | (speeds > LEAP * _usual(speeds)))
         if leaps.any():
             k = int(np.argmax(leaps))
             text = (
@@ -136,6 +139,36 @@ def doubts_of_speed(one: RawDemonstration) -> list[Doubt]:
 
 def _usual(amounts: Array) -> float:
     return float(np.quantile(amounts, 0.98))
+
+
+def doubts_of_turns_taken(one: RawDemonstration) -> list[Doubt]:
+    """A hand that goes to and fro with every message, as where two publishers take turns on its topic.
+
+    Parameters
+    ----------
+    one
+        a recording
+
+    Returns
+    -------
+    list[Doubt]
+        one at most
+    """
+    if len(one.times) < 5:
+        return []
+    near, far = (_off_the_line(one.movement[:, :3], k) for k in (1, 2))
+    if near <= ZIGZAG_M or far >= ZIGZAG * near:
+        return []
+    text = (
+        f"the hand goes to and fro by {near:.3g} m with every message, and every second pose goes on smoothly: two "
+        "programs publish on its topic. Stop one of them, and record again"
+    )
+    return [Doubt("speed", (one.name,), text)]
+
+
+def _off_the_line(places: Array, k: int) -> float:
+    """Median distance of places (T, 3) from the middle between those k samples before and after."""
+    return float(np.median(np.linalg.norm(places[k:-k] - 0.5 * (places[: -2 * k] + places[2 * k :]), axis=1)))
 
 
 def doubts_of_joint_units(joints: Sequence[str], positions: Array) -> tuple[Doubt, ...]:

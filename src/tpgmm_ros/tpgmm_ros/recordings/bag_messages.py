@@ -16,7 +16,7 @@ from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.common.types import Array, Nanoseconds
 from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_ros.recordings.storage.bag_error import BagError
-from tpgmm_ros.recordings.storage.bag_reader import BagReader, BagTopic, Decoding
+from tpgmm_ros.recordings.storage.bag_reader import BagReader, BagTopic, Decoding, check_not_empty
 from tpgmm_ros.recordings.storage.message_types import decoder
 
 __all__ = ["BagError", "Messages", "Stream", "read_messages", "take_messages", "topics_named", "topics_of_type"]
@@ -188,6 +188,7 @@ def topics_named(
     BagError
         a topic is absent, empty or of another type, or in several namespaces.
     """
+    check_not_empty(path, there)
     kind = f"{message_type.rsplit('/', 1)[-1]} " if message_type else ""
     by_name: dict[str, list[BagTopic]] = {}
     for topic in there:

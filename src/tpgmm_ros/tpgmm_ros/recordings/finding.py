@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_ros.recordings.edits import SUFFIX, Edits
 from tpgmm_ros.recordings.storage import metadata
@@ -31,7 +32,7 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
     ----------
     paths
         each a bag, or a directory with bags directly inside. A directory of files without metadata.yaml holds as many
-        bags as files.
+        bags as files. What is hidden inside a directory, as its name begins with a dot, is passed over.
 
     Returns
     -------
@@ -43,25 +44,49 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
     BagError
         a path does not exist, or is neither.
     """
-    bags: list[Path] = []
+    bags: dict[Path, Path] = {}
     for path in map(Path, paths):
         if not path.exists():
             raise BagError(path, "does not exist; expected a bag, or a directory of bags")
         if path.is_dir() and not (path / metadata.NAME).exists():
-            there = [bag for child in sorted(path.iterdir()) for bag in _bags_of(child)]
+            there = [bag for child in _inside(path) for bag in _bags_of(child)]
             found = [bag for bag in there if not Edits.of(bag).leave_out]
             if there and not found:
                 raise BagError(path, f"all of its bags are left out by their edits (NAME{SUFFIX}): keep one at least")
         else:
             found = [path] if path.is_dir() or has_known_format(path) else _bags_of(path)
         if not found:
-            raise BagError(
-                path,
-                "is not a bag and contains none; expected a rosbag2 directory (metadata.yaml and .mcap "
-                "or .db3), a .bag, .mcap or .db3 file, or a directory of such bags",
-            )
-        bags += (bag for bag in found if bag not in bags)
-    return bags
+            raise BagError(path, _why_none(path))
+        for bag in found:
+            bags.setdefault(_itself(bag), bag)
+    return list(bags.values())
+
+
+def _inside(folder: Path) -> list[Path]:
+    """What is in a folder, in order of name, without what is hidden: trash, and what macOS puts beside files."""
+    return sorted(child for child in folder.iterdir() if not child.name.startswith("."))
+
+
+def _itself(bag: Path) -> Path:
+    """Where a bag lies, whatever links lead there; the only file of a folder is the same bag as the folder."""
+    place = bag.resolve()
+    if place.is_file() and (place.parent / metadata.NAME).exists():
+        return place.parent if len([one for one in place.parent.iterdir() if is_storage_file(one)]) == 1 else place
+    return place
+
+
+def _why_none(path: Path) -> str:
+    deeper = [child for child in _inside(path) if child.is_dir()] if path.is_dir() else []
+    with_bags = [child.name for child in deeper if any(_bags_of(one) for one in _inside(child))]
+    if with_bags:
+        return (
+            f"holds no bag itself, but bags lie in its folders: {listed(with_bags)}. Give those of these folders that "
+            "show one task"
+        )
+    return (
+        "is not a bag and contains none; expected a rosbag2 directory (metadata.yaml and .mcap or .db3), a .bag, .mcap "
+        "or .db3 file, or a directory of such bags"
+    )
 
 
 def _bags_of(path: Path) -> list[Path]:
@@ -70,7 +95,7 @@ def _bags_of(path: Path) -> list[Path]:
         return [path] if is_storage_file(path) else []
     if (path / metadata.NAME).exists():
         return [path]
-    return sorted(filter(is_storage_file, path.iterdir()))
+    return list(filter(is_storage_file, _inside(path)))
 
 
 @dataclass(frozen=True, slots=True)

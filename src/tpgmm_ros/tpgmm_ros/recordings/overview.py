@@ -19,7 +19,7 @@ from tpgmm_core.doubt.clocks import gaps
 from tpgmm_core.doubt.values import LARGEST_M
 from tpgmm_core.geometry import quaternion
 from tpgmm_ros.recordings.storage.bag_error import BagError
-from tpgmm_ros.recordings.storage.bag_reader import BagReader, BagTopic
+from tpgmm_ros.recordings.storage.bag_reader import BagReader, BagTopic, check_not_empty
 from tpgmm_ros.recordings.storage.message_types import quick_decoder
 
 FRAMES_FILE = "frames.yaml"
@@ -97,9 +97,10 @@ def overview_of(path: Path) -> BagOverview:
     Raises
     ------
     BagError
-        it cannot be read.
+        it cannot be read, or holds no message.
     """
     with BagReader(path) as reader:
+        check_not_empty(path, reader.topics)
         topics = tuple(_looked_at(reader, topic) for topic in reader.topics)
         return BagOverview(path, 1e-9 * (reader.last_ns - reader.first_ns), topics)
 

@@ -25,6 +25,8 @@ from tpgmm_ros.recordings.bag_messages import (
 from tpgmm_ros.recordings.storage.message_types import quick_decoder
 from tpgmm_ros.recordings.transforms import RecordedTransforms
 
+STEADY = 0.8
+"""Of what goes straight on, two steps together are as long as each for itself; of what leaps, far less."""
 MOST_BAD = 0.5
 """Where a larger share of the poses cannot be used, the source is at fault, not a pose."""
 
@@ -270,6 +272,13 @@ def without_leaps(
             f"and {limits.turn_rate:g} rad/s, first {first:.2f} s after the start"
         )
         if left >= MOST_BAD * len(poses):
+            if speed := _steady_speed(times, poses):
+                raise BagError(
+                    path,
+                    f"{topic} goes on smoothly, but at {speed:.3g} m/s, where {limits.speed:g} m/s is the most: its "
+                    "positions are not in m (but in inches, centimetres or millimetres), or its times are not in s. "
+                    "Publish m, or allow more by max_speed in the part tracking of the task file",
+                )
             raise BagError(
                 path,
                 f"{topic}: {left} of {len(poses)} poses {what}; what sees it mixes things up, or two things "
@@ -281,3 +290,11 @@ def without_leaps(
         at = ", ".join(f"{time:.2f}" for time in found.followed[:5])
         notes.append(f"{topic} leaps and stays there, {len(found.followed)} times, at {at} s: followed")
     return times[found.kept], poses[found.kept], notes
+
+
+def _steady_speed(times: Nanoseconds, poses: Array) -> float:
+    """Median speed of what goes on in its direction from pose to pose, m/s; 0 of what leaps to and fro."""
+    one, two = (np.linalg.norm(poses[k:, :3] - poses[:-k, :3], axis=1) for k in (1, 2))
+    if len(two) < 2 or two.sum() < STEADY * (one[1:] + one[:-1]).sum():
+        return 0.0
+    return float(np.median(one / (1e-9 * np.diff(times))))

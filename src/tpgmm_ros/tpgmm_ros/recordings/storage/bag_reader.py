@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from backports import zstd
 
-from tpgmm_core.common.text import one_line
+from tpgmm_core.common.text import listed, one_line
 from tpgmm_ros.recordings.storage import metadata
 from tpgmm_ros.recordings.storage.bag_error import BagError
 from tpgmm_ros.recordings.storage.formats import is_storage_file, open_storage
@@ -72,6 +72,17 @@ class BagTopic:
     type: str
     count: int
     sources: tuple[tuple[int, FileTopic], ...]
+
+
+def check_not_empty(path: Path, topics: Collection[BagTopic]) -> None:
+    """Raise a BagError for a recording without a single message."""
+    if not any(topic.count for topic in topics):
+        names = f"; its topics are {listed([one_line(topic.name, 60) for topic in topics])}" if topics else ""
+        raise BagError(
+            path,
+            f"holds no message at all{names}. Nothing was published while it was recorded, or the recorder was not "
+            "subscribed (other domain, other QoS): record again, and watch the rates",
+        )
 
 
 def parts_of(path: Path) -> list[Path]:
