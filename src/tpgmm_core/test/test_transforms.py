@@ -111,3 +111,21 @@ def test_a_watch_tells_each_time_once_and_when_all_of_the_chain_is_known() -> No
     static.add("base", "cup", [0, 1, 0, 0, 0, 0, 1], 0, is_static=True)
     found = TransformWatch(static, "cup", "base").news()
     assert found is not None and found[0] is None
+
+
+def test_two_parents_by_turns_are_refused_and_a_thing_that_is_grasped_is_not() -> None:
+    tree, cup = TransformTree(), a_pose()
+    for parent, times in (("base", range(10)), ("hand", range(10, 20)), ("base", range(1020, 1030))):
+        for k in times:
+            tree.add("base", "hand", a_pose(), 2 * k * MS)
+            tree.add(parent, "cup", cup, 2 * k * MS)
+            tree.pose("cup", "base", 2 * k * MS)
+    for parent, k in (("hand", 2060), ("base", 2062)):
+        tree.add("base", "hand", a_pose(), k * MS)
+        tree.add(parent, "cup", cup, k * MS)
+    with pytest.raises(TransformError, match="'cup' has two parents by turns, 'hand' and 'base': two programs publish"):
+        tree.pose("cup", "base", 2062 * MS)
+    for k in range(2070, 3110, 10):
+        tree.add("base", "hand", a_pose(), k * MS)
+        tree.add("hand", "cup", cup, k * MS)
+    tree.pose("cup", "base", 3100 * MS)

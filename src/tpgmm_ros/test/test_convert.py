@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,46 @@ def test_csv_becomes_bags_that_train(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert status == 0, said.err
     again = run(capsys, "--to", bags, *COLUMNS, *files)
     assert "exists, and is not overwritten" in again["error"]
+
+
+@pytest.mark.parametrize(
+    ("change", "encoding"),
+    [
+        (lambda text: text.replace(",", ";"), "utf-8"),
+        (lambda text: text.replace(",", ";").replace(".", ","), "utf-8"),
+        (lambda text: text.replace(",", "\t").replace(".", ","), "utf-8"),
+        (lambda text: text.replace("\n", "\r\n"), "utf-8-sig"),
+        (lambda text: text, "utf-16"),
+        (lambda text: "# hand of robot 1, in \u00b0 and m\n\n" + text + "\n\n", "latin-1"),
+        (lambda text: "# " + text, "utf-8"),
+        (lambda text: "\n".join(",".join(f'"{c}"' for c in line.split(",")) for line in text.splitlines()), "utf-8"),
+        (lambda text: text.replace(",", " "), "utf-8"),
+    ],
+    ids=["semicolons", "decimal commas", "tabs", "BOM CRLF", "UTF-16", "comments", "names in #", "quotes", "blanks"],
+)
+def test_csv_of_any_country_is_read_alike(
+    change: Callable[[str], str], encoding: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "shown.csv").write_bytes(change(csv_of(*shown(0))).encode(encoding))
+    assert run(capsys, "--to", tmp_path / "bags", *COLUMNS, tmp_path / "shown.csv")["passed"]
+    holds(tmp_path / "bags", 0, *shown(0))
+
+
+def test_what_was_not_measured_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = csv_of(*shown(0)).splitlines()
+    lines[9] = ",".join([lines[9].split(",")[0], "n/a", "", *lines[9].split(",")[3:]])
+    (tmp_path / "shown.csv").write_text("\n".join(lines))
+    found = run(capsys, "--to", tmp_path / "bags", *COLUMNS, tmp_path / "shown.csv")
+    assert found["bags"][0]["samples"] == 40 and "1 of 41 rows are not finite" in found["bags"][0]["notes"][0]
+
+
+def test_times_in_another_unit_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, factor in (("ms", 1e3), ("ns", 1e9)):
+        (tmp_path / f"{name}.csv").write_text(csv_of(*shown(0), TIMES * factor))
+    found = run(capsys, "--to", tmp_path / "ms", *COLUMNS, tmp_path / "ms.csv")
+    assert "its samples are 100 s apart: if its times are not in s" in found["bags"][0]["notes"][0]
+    found = run(capsys, "--to", tmp_path / "ns", *COLUMNS, tmp_path / "ns.csv")
+    assert "would last 4.63e+04 days: its times are not in s" in found["error"]
 
 
 def test_quaternions_with_w_first_are_suspected_until_it_is_said(
@@ -176,7 +217,12 @@ def no_numbers(path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "movement", "words"),
     [
-        ("a.csv", "x,y,z\n1,2,3\n1,b,3\n", "x,y,z", "cannot be read: could not convert string 'b'"),
+        ("a.csv", "x,y,z\n1,2,3\n1,b,3\n", "x,y,z", "a.csv: line 3, column 1 .y.: 'b' is no number"),
+        ("a.csv", "x,y\n2026-01-01T00:00:00,2\n", "x,y", "looks like a date or a time of day: write seconds"),
+        ("a.csv", "x,y\n0,1,0,2\n0,1,0,3\n", "x,y", "are these decimal commas. Then separate the columns by ; or"),
+        ("a.csv", "x,y\n1,2\n1\n", "x,y", "line 3 has 1 values, the lines before have 2"),
+        ("a.csv", "\0\1\2", "x", "is no text: it begins with"),
+        ("a.csv", "1,2\n" * 12, "x,y", "has no column or array 'x'.* by its number"),
         ("a.csv", "", "x", "is empty"),
         ("a.csv", "x,x\n1,2\n", "x", "the same name twice"),
         ("a.csv", "x,y\n" + "1,2\n" * 12, "x,z", "has no column or array 'z'; there are"),

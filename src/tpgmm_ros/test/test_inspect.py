@@ -6,10 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from synthetic_bags import REACH_TASK, reach, write_bag, write_pose_arrays
 from tpgmm_ros.programs import train
 from tpgmm_ros.programs.inspect import main
+from tpgmm_ros.programs.reporting import json_text
 from tpgmm_ros.task.task_file import Task
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -128,3 +131,36 @@ def test_nearly_the_task_files_of_real_recordings_are_suggested(name: str, capsy
     ours = Task.load(ROOT / "config" / f"{name}.yaml")
     assert (found.base_frame, found.movement, found.recordings) == (ours.base_frame, ours.movement, ours.recordings)
     assert list(found.frames) == list(ours.frames)
+
+
+def test_sources_of_other_types_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    typestore = get_typestore(Stores.ROS2_JAZZY)
+    kinds = {
+        "/tf": "tf2_msgs/msg/TFMessage",
+        "/joint_states": "sensor_msgs/msg/JointState",
+        "/odom": "nav_msgs/msg/Odometry",
+    }
+    with Writer(tmp_path / "demo", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for name, kind in kinds.items():
+            writer.write(writer.add_connection(name, kind, typestore=typestore), 10**18, b"\0\1\0\0")
+    assert main(["--json", str(tmp_path)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert not found["suggested_task"] and "no topic of PoseStamped" in found["no_task_because"]
+    hints = " ".join(found["hints"])
+    assert "{tf: FRAME}" in hints and "{joint_states: TOPIC" in hints
+    assert "{topic: odom, type: nav_msgs/Odometry}" in hints
+
+
+def test_without_a_bag_there_is_an_error_and_no_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_bag(tmp_path / "left" / "demo_1", reach(0))
+    assert main(["--json", str(tmp_path)]) == 1
+    said = capsys.readouterr()
+    assert not said.out and "bags lie in its folders: left" in said.err
+    write_bag(tmp_path / "empty", {})
+    assert main(["--json", str(tmp_path / "empty")]) == 1
+    assert "holds no message at all" in json.loads(capsys.readouterr().out)["bad_bags"][0]["error"]
+
+
+def test_numbers_that_are_not_finite_are_null_in_json() -> None:
+    values = {"a": [float("nan"), 1.5, True, None], "b": (float("inf"), Path("x"))}
+    assert json.loads(json_text(values)) == {"a": [None, 1.5, True, None], "b": [None, "x"]}

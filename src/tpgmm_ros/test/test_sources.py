@@ -200,6 +200,19 @@ def test_poses_in_a_cameras_frame_are_transformed_by_what_the_bag_holds(is_stati
     assert recording.notes == ("/object/pose: 100 poses in 'camera' transformed to 'base' by /tf",)
 
 
+def test_transforms_without_stamps_have_the_times_of_the_recorder(tmp_path: Path) -> None:
+    topics = reach(0)
+    hand, thing = topics["/endpoint/pose"], topics["/object/pose"]
+    messages = of_type("tf", "", hand.poses, hand.recorded, "hand")
+    messages += of_type("tf", "", thing.poses, hand.recorded, "cup")
+    for message in messages:
+        message[3].transforms[0].header.stamp = TYPES["builtin_interfaces/msg/Time"](0, 0)
+    task = task_with(object={"tf": "cup"}, movement={"tf": "hand"})
+    recording = read_recording(write(tmp_path / "demo", messages), task)
+    np.testing.assert_allclose(recording.movement, hand.poses, atol=1e-12)
+    assert recording.notes == ("/tf has stamps that never change: times of the recorder used",)
+
+
 def test_a_frame_behind_static_transforms_alone_is_fixed(tmp_path: Path) -> None:
     hand = reach(0)["/endpoint/pose"]
     tf = TYPES["tf2_msgs/msg/TFMessage"]
@@ -241,10 +254,17 @@ def test_a_movement_is_the_pose_of_a_link_by_the_robots_joints(tmp_path: Path) -
     np.testing.assert_allclose(
         quaternion.angle_between(recording.movement[:, 3:], np.array(expected)[:, 3:]), 0, atol=1e-6
     )
-    assert not recording.doubts
-    for item in messages:
-        if item[1] == "/joint_states":
-            item[3].position[:] = np.degrees(item[3].position)
+    assert not recording.doubts and not recording.notes
+    states = [item[3].position for item in messages if item[1] == "/joint_states"]
+    usual = states[40][0]
+    states[40][0] = np.nan
+    recording = read_recording(write(tmp_path / "gap", messages), Task.from_text(text))
+    assert len(recording.times) == 99 and "1 of 100 messages left out, the first is number 40" in recording.notes[0]
+    states[40][0] = usual + 9.0
+    recording = read_recording(write(tmp_path / "beyond", messages), Task.from_text(text))
+    assert any("the joint panda_joint7 is at" in doubt.text for doubt in recording.doubts)
+    for position in states:
+        position[:] = np.degrees(position)
     with pytest.raises(BagError, match="the joint panda_joint.* looks like degrees"):
         read_recording(write(tmp_path / "degrees", messages), Task.from_text(text))
 

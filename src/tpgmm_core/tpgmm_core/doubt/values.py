@@ -28,6 +28,8 @@ ZIGZAG_M, ZIGZAG = 0.005, 0.3
 """Poses this far off the line between their neighbours, and by so little off that of every second one: two by turns."""
 MOST_TURN = 4.0 * np.pi
 """rad: no joint of an arm is two turns away from its zero."""
+BEYOND_LIMITS = 0.1
+"""rad or m: encoders and soft stops are less far off."""
 WINDOW_S = 0.02
 """Speeds are means over this time, since those of two samples are mostly noise at high rates."""
 
@@ -196,6 +198,35 @@ def doubts_of_joint_units(joints: Sequence[str], positions: Array) -> tuple[Doub
     text = (
         f"the joint {one_line(joints[k])} is {most[k]:.4g} from its zero, which as rad is {turns:.0f} turns: it looks "
         "like degrees, or steps of an encoder. Nothing was changed; publish rad (REP 103), and record again"
+    )
+    return (Doubt("units", (), text),)
+
+
+def doubts_of_joint_limits(joints: Sequence[str], positions: Array, lower: Array, upper: Array) -> tuple[Doubt, ...]:
+    """Positions that a robot's joints cannot have.
+
+    Parameters
+    ----------
+    joints
+        n names
+    positions
+        (T, n), rad or m
+    lower, upper
+        (n,) limits
+
+    Returns
+    -------
+    tuple[Doubt, ...]
+        one at most, about the joint that is furthest beyond
+    """
+    past = np.maximum(positions - upper, lower - positions)
+    row, k = map(int, np.unravel_index(int(np.argmax(past)), past.shape))
+    if past[row, k] <= BEYOND_LIMITS:
+        return ()
+    text = (
+        f"the joint {one_line(joints[k])} is at {positions[row, k]:.3g}, beyond its limits {lower[k]:.3g} to "
+        f"{upper[k]:.3g}: is this another robot, another zero, or another unit than rad and m? Correct the robot file "
+        "of the task, or what publishes the joint states"
     )
     return (Doubt("units", (), text),)
 

@@ -25,6 +25,10 @@ from tpgmm_core.observation.streams import SECOND
 NO_TRANSFORM = "no transform: "
 
 
+BY_TURNS_S = 1.0
+"""A frame that comes back to a parent so soon after it left it has two publishers; a thing that is grasped does not."""
+
+
 class TransformError(ValueError):
     """A frame whose place is not known: kind, ":", details.
 
@@ -47,6 +51,16 @@ class _Link:
     is_static: bool
     stamps: list[int] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)
+    former: tuple[str, int] = ("", 0)
+    contested_ns: int | None = None
+
+    def follows(self, other: _Link) -> None:
+        """Remember the parent before; one that comes back so soon after it was left, comes by turns."""
+        self.former = other.parent, other.stamps[-1]
+        self.contested_ns = other.contested_ns
+        parent, last_ns = other.former
+        if parent == self.parent and self.stamps[-1] - last_ns < BY_TURNS_S * SECOND:
+            self.contested_ns = self.stamps[-1]
 
 
 class TransformTree:
@@ -101,6 +115,8 @@ class TransformTree:
         if link is None or is_static or (link.parent, link.is_static) != (parent, False):
             # a child has one parent; what it had before does not count
             self._links[child] = _Link(parent, is_static, [stamp_ns], [checked])
+            if link is not None and not is_static and not link.is_static:
+                self._links[child].follows(link)
             return ""
         at = len(link.stamps) if stamp_ns > link.stamps[-1] else bisect_left(link.stamps, stamp_ns)
         if at < len(link.stamps) and link.stamps[at] == stamp_ns:
@@ -203,6 +219,11 @@ class TransformTree:
     def _upwards(self, frame: str) -> list[str]:
         names = [frame]
         while (link := self._links.get(names[-1])) is not None:
+            if link.contested_ns is not None and link.stamps[-1] - link.contested_ns < BY_TURNS_S * SECOND:
+                raise TransformError(
+                    f"{NO_TRANSFORM}{shown(names[-1])} has two parents by turns, {shown(link.former[0])} and "
+                    f"{shown(link.parent)}: two programs publish it; stop one of them"
+                )
             if link.parent in names:
                 raise TransformError(f"{NO_TRANSFORM}those above {shown(frame)} lead in a circle")
             names.append(link.parent)

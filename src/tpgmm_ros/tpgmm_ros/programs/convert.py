@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from collections.abc import Callable, Sequence
@@ -21,12 +20,14 @@ from tpgmm_core.common.yaml_values import is_name
 from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_ros.programs.convert_lerobot import to_lerobot
 from tpgmm_ros.programs.reading import TrainingError, progress_bar
+from tpgmm_ros.programs.reporting import json_text
 from tpgmm_ros.recordings.bags import read_recordings
 from tpgmm_ros.recordings.conversion.columns import ORIENTATIONS, TIME_UNITS, UNITS
+from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
 from tpgmm_ros.recordings.conversion.demonstrations import Columns, Shown, demonstrations_of
 from tpgmm_ros.recordings.conversion.lerobot_layout import is_dataset
 from tpgmm_ros.recordings.conversion.lerobot_reading import TIME, read_dataset
-from tpgmm_ros.recordings.conversion.tables import ConversionError, Table, read_tables
+from tpgmm_ros.recordings.conversion.tables import Table, read_tables
 from tpgmm_ros.recordings.conversion.written import MOVEMENT, audit, topic_of, write_bag
 from tpgmm_ros.recordings.judging import doubts_about
 from tpgmm_ros.task.task_file import Task
@@ -75,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OSError, ValueError, TrainingError) as error:
         report["error"] = one_line(error)
         print(f"error: {report['error']}", file=sys.stderr)
-    print(json.dumps(report, indent=2) if options.json else _text(report))
+    print(json_text(report) if options.json else _text(report))
     return 0 if report["passed"] else 1
 
 

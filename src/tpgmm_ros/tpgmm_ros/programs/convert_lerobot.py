@@ -11,10 +11,10 @@ import numpy as np
 
 from tpgmm_ros.programs.reading import TrainingError, progress_bar
 from tpgmm_ros.recordings.bags import find_bags, join_parts, read_recordings
+from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
 from tpgmm_ros.recordings.conversion.lerobot_layout import parquet
 from tpgmm_ros.recordings.conversion.lerobot_writing import write_dataset
 from tpgmm_ros.recordings.conversion.resampling import rate_of, sampled
-from tpgmm_ros.recordings.conversion.tables import ConversionError
 from tpgmm_ros.recordings.judging import doubts_about
 from tpgmm_ros.task.task_file import Task
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -24,6 +23,7 @@ from tpgmm_ros.models.task_model import load_task_model
 from tpgmm_ros.models.validation import Tried, mean_errors, tried, tried_by_others
 from tpgmm_ros.programs.leave_one_out import cells_of
 from tpgmm_ros.programs.reading import TrainingError, progress_bar, read_bags
+from tpgmm_ros.programs.reporting import json_text
 from tpgmm_ros.programs.train_options import add_jobs, add_reading_options
 from tpgmm_ros.recordings.bags import Recording, align
 from tpgmm_ros.task.task_file import Task
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         report["error"] = one_line(error)
         print(f"error: {report['error']}", file=sys.stderr)
     if options.json:
-        print(json.dumps(report, indent=2))
+        print(json_text(report))
     elif "results" in report:
         print(_table(report))
     return 0 if report["passed"] else 1

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -15,6 +14,7 @@ from tpgmm_core.common.atomic_file import write_atomically
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.doubt.doubts import Doubt
+from tpgmm_ros.programs.reporting import json_text
 from tpgmm_ros.recordings.bags import BagError, Recording, find_bags, join_parts, read_recordings
 from tpgmm_ros.recordings.judging import doubts_about
 from tpgmm_ros.recordings.overview import BagOverview, overview_of, suggested_task
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     for bag in found["bad_bags"]:
         print(f"bad bag: {one_line(bag['error'])}", file=sys.stderr)
-    print(json.dumps(found, indent=2) if options.json else _text(found))
+    print(json_text(found) if options.json else _text(found))
     return 0 if found["passed"] else 1
 
 

@@ -12,7 +12,6 @@ it.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shutil
 import sys
@@ -30,6 +29,7 @@ from std_srvs.srv import Trigger
 from tpgmm_core.common.text import one_line
 from tpgmm_ros.nodes.frame_watch import FrameWatch
 from tpgmm_ros.programs.record_session import RecordSession, answered
+from tpgmm_ros.programs.reporting import json_text
 from tpgmm_ros.recordings.bag_recorder import BagRecorder
 from tpgmm_ros.recordings.recorded_topics import topics_of
 from tpgmm_ros.recordings.recovery import recover
@@ -72,7 +72,7 @@ def main(args: list[str] | None = None) -> int:
         report["error"] = one_line(error)
         print(f"error: {report['error']}", file=sys.stderr)
     if options.json:
-        print(json.dumps(report, indent=2, default=str))
+        print(json_text(report))
     return 0 if report["passed"] else 1
 
 

@@ -1,14 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """Programs that leave a report, whatever happens."""
 
+import json
+import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from tpgmm_core.common.report import write_json
 from tpgmm_core.common.text import one_line
 from tpgmm_ros.runtime.entry import INTERRUPTED
+
+
+def json_text(values: Any) -> str:
+    """Values as JSON that every program reads: numbers that are not finite become null, paths become text."""
+    return json.dumps(_plain(values), indent=2, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(one) for one in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, (str, int, bool)) else str(value)
 
 
 def write_report(directory: str | Path, values: dict[str, Any] | list[dict[str, Any]]) -> Path:

@@ -26,6 +26,7 @@ from tpgmm_core.retrieval.novelty import NoveltyScale
 from tpgmm_core.retrieval.relevance import relevance
 from tpgmm_core.retrieval.sub_objectives import quadratic_costs
 from tpgmm_ros.models.training_record import expected_errors, learned_from
+from tpgmm_ros.programs.reporting import json_text
 
 EXAMPLES = """\
 examples:
@@ -57,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OSError, ValueError) as error:
         print(f"error: {one_line(error)}", file=sys.stderr)
         return 1
-    print(json.dumps(found, indent=2, allow_nan=False) if options.json else _text(found))
+    print(json_text(found) if options.json else _text(found))
     return 0
 
 

@@ -22,6 +22,10 @@ from tpgmm_ros.recordings.storage.message_types import decoder
 __all__ = ["BagError", "Messages", "Stream", "read_messages", "take_messages", "topics_named", "topics_of_type"]
 
 
+MOST_BAD = 0.5
+"""Where a larger share of messages or poses cannot be used, the source is at fault, not one of them."""
+
+
 @dataclass(frozen=True, slots=True)
 class Messages:
     """Messages of one topic, in the order of writing.

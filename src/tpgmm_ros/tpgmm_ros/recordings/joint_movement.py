@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tpgmm_core.doubt.values import doubts_of_joint_limits
 from tpgmm_core.robot.description import RobotFileError
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.messages.sources import JointStateSource
@@ -58,10 +59,13 @@ def read_link_stream(path: Path, source: JointStateSource, base_frame: str) -> S
     states = read_joint_stream(path, source.topic, joints)
     if states.doubts:  # poses out of them would mean nothing, and leap
         raise BagError(path, f"{states.topic}: {states.doubts[0].text}")
+    beyond = doubts_of_joint_limits(
+        joints, states.values, robot.lower_limits[robot.indices(joints)], robot.upper_limits[robot.indices(joints)]
+    )
     data, q, at = robot.create_data(), robot.home.copy(), robot.indices(joints)
     poses = np.empty((len(states.values), 7))
     for k, positions in enumerate(states.values):
         q[at] = positions
         data.update(q)
         poses[k] = data.frame_pose(frame_id)
-    return replace(states, values=poses)
+    return replace(states, values=poses, doubts=beyond)

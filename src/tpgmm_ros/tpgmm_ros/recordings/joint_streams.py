@@ -12,7 +12,7 @@ import numpy as np
 from tpgmm_core.doubt.values import doubts_of_joint_units
 from tpgmm_core.observation.joint_states import JointStateAssembler, JointStateError
 from tpgmm_core.observation.streams import RESTARTED_AFTER, SECOND, Stamp, StreamWatch
-from tpgmm_ros.recordings.bag_messages import BagError, Stream, take_messages
+from tpgmm_ros.recordings.bag_messages import MOST_BAD, BagError, Stream, take_messages
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
@@ -35,25 +35,26 @@ def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> Stream:
     Returns
     -------
     Stream
-        positions (T, n) in the order of `joints`, with their stamps, and a doubt where they look like degrees
+        positions (T, n) in the order of `joints`, with their stamps; a note of what was left out, a doubt where they
+        look like degrees
 
     Raises
     ------
     BagError
         the bag is damaged or incomplete, the topic is absent, empty or of another type, some joint never
-        came, or a message names a joint twice, or has a position of one that is not finite.
+        came, or most messages cannot be used: they name a joint twice, or have a position that is not finite.
     """
     assembler, watch = JointStateAssembler(joints, ["position"]), StreamWatch()
     stamps, at, positions = array("q"), array("q"), array("d")
-    count = 0
+    count, bad, first = 0, 0, ""
 
     def take(_: str, recorded: int, message: Any) -> None:
-        nonlocal count
+        nonlocal count, bad, first
         stamp_ns = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         try:
             sample = assembler.take(list(message.name), [message.position], stamp_ns)
         except JointStateError as error:
-            raise BagError(path, f"/{topic.strip('/')}: {error}, in message {count}; record it again") from error
+            sample, bad, first = None, bad + 1, first or f"number {count}: {error}"
         count += 1
         # overtaken ones are left out; what runs backwards for good, or never changes, is for others to judge
         if sample is None or watch.judge(sample.stamp_ns, recorded, 0, RESTARTED_AFTER, math.inf) is Stamp.OLD:
@@ -64,6 +65,12 @@ def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> Stream:
         positions.extend(sample.values[0])
 
     name = take_messages(path, [topic], JOINT_STATE, take)[topic]
+    if bad > MOST_BAD * count:
+        raise BagError(
+            path,
+            f"{name} has {bad} of {count} messages that cannot be used, the first is {first}. Correct what publishes "
+            "it, and record again",
+        )
     if not stamps:
         raise BagError(
             path,
@@ -72,4 +79,5 @@ def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> Stream:
         )
     numbers = np.array(positions).reshape(-1, len(joints))
     doubts = doubts_of_joint_units(joints, numbers)
-    return Stream(name, np.array(stamps, np.int64), np.array(at, np.int64), numbers, doubts=doubts)
+    notes = (f"{name}: {bad} of {count} messages left out, the first is {first}",) if bad else ()
+    return Stream(name, np.array(stamps, np.int64), np.array(at, np.int64), numbers, notes, doubts)

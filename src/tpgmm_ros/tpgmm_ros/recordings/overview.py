@@ -18,6 +18,8 @@ from tpgmm_core.common.yaml_values import is_name
 from tpgmm_core.doubt.clocks import gaps
 from tpgmm_core.doubt.values import LARGEST_M
 from tpgmm_core.geometry import quaternion
+from tpgmm_ros.messages.sources import SOURCES, TF_MESSAGE, TF_STATIC, short_type
+from tpgmm_ros.recordings.joint_streams import JOINT_STATE
 from tpgmm_ros.recordings.storage.bag_error import BagError
 from tpgmm_ros.recordings.storage.bag_reader import BagReader, BagTopic, check_not_empty
 from tpgmm_ros.recordings.storage.message_types import quick_decoder
@@ -25,6 +27,11 @@ from tpgmm_ros.recordings.storage.message_types import quick_decoder
 FRAMES_FILE = "frames.yaml"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 POSE_ARRAY = "geometry_msgs/msg/PoseArray"
+OTHER_SOURCES = {
+    short_type(TF_MESSAGE): "{tf: FRAME}",
+    short_type(JOINT_STATE): "recordings: {movement: {joint_states: TOPIC, robot: FILE, link: LINK}}",
+}
+"""Sources that a task file names otherwise than by topic and type."""
 STILL_M, STILL_RAD = 0.01, 0.05
 """What moves by less within a bag, or from bag to bag, stands still."""
 LONGEST_GAP_S, GAP_PERIODS = 0.5, 10.0
@@ -195,15 +202,17 @@ def suggested_task(bags: Sequence[BagOverview]) -> SuggestedTask:
     common = [t.name for t in bags[0].topics if all(t.name in {o.name for o in bag.topics} for bag in bags)]
     stamped = [name for name in common if _all_of(bags, name, POSE_STAMPED)]
     arrays = [name for name in common if _all_of(bags, name, POSE_ARRAY)]
+    others = _other_sources(bags)
     if not stamped and not arrays:
-        return SuggestedTask("", "no topic of PoseStamped or PoseArray with poses is in all of these bags")
+        reason = "no topic of PoseStamped or PoseArray with poses is in all of these bags"
+        return SuggestedTask("", reason, tuple(others))
     array = not stamped
     names = arrays if array else stamped
     movement = max(names, key=lambda name: np.median([t.path_m for t in _each(bags, name)]))
     moving = _each(bags, movement)
     frame_ids = dict.fromkeys(frame for name in names for t in _each(bags, name) for frame in t.frame_ids if frame)
     base = next(iter(frame_ids), "base").strip("/")
-    hints = []
+    hints = others
     if len(frame_ids) > 1:
         hints.append(f"poses are in different frames ({', '.join(frame_ids)}): all have to be in base_frame")
     if max(np.ptp(t.poses[:, :3], axis=0).max() for t in moving) > LARGEST_M:
@@ -242,6 +251,23 @@ def suggested_task(bags: Sequence[BagOverview]) -> SuggestedTask:
     settings = f"n_components: {components}, reg_covar: 1.0e-3, init: time, max_iter: 200, random_state: 0"
     lines.append(f"model: {{{settings}}}")
     return SuggestedTask("\n".join(lines) + "\n", hints=tuple(hints))
+
+
+def _other_sources(bags: Sequence[BagOverview]) -> list[str]:
+    """Topics that say where things are in another way than by poses, with what names them in a task file."""
+    found = []
+    for topic in bags[0].topics:
+        everywhere = all(any(t.name == topic.name and t.count for t in bag.topics) for bag in bags)
+        kind = short_type(topic.type)
+        if kind in OTHER_SOURCES:
+            entry = OTHER_SOURCES[kind]
+        elif kind in SOURCES and topic.type != POSE_STAMPED:
+            entry = f"{{topic: {topic.name.strip('/')}, type: {kind}}}"
+        else:
+            continue
+        if everywhere and topic.name != f"/{TF_STATIC}":
+            found.append(f"{topic.name} ({kind}) also says where things are: in a task file it is named by {entry}")
+    return found
 
 
 def _frames_beside(bag: Path) -> list[str]:

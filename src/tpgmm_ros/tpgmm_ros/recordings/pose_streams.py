@@ -17,18 +17,12 @@ from tpgmm_core.observation.plausible_poses import plausible_poses
 from tpgmm_core.observation.poses import ROUNDING, check_poses, doubtful_units, wrong_frame
 from tpgmm_core.observation.transforms import NO_TRANSFORM, TransformError
 from tpgmm_ros.messages.sources import Source, TopicSource, TransformSource
-from tpgmm_ros.recordings.bag_messages import (
-    BagError,
-    Stream,
-    take_messages,
-)
+from tpgmm_ros.recordings.bag_messages import MOST_BAD, BagError, Stream, take_messages
 from tpgmm_ros.recordings.storage.message_types import quick_decoder
 from tpgmm_ros.recordings.transforms import RecordedTransforms
 
 STEADY = 0.8
 """Of what goes straight on, two steps together are as long as each for itself; of what leaps, far less."""
-MOST_BAD = 0.5
-"""Where a larger share of the poses cannot be used, the source is at fault, not a pose."""
 
 
 class PoseStreams(NamedTuple):

@@ -72,7 +72,7 @@ class RecordedBag:
             by_part = True
         if by_part:
             self._recorded = recorded
-            self.notes = tuple(note for name, stream in recorded.items() if name != JOINTS for note in stream.notes)
+            self.notes = tuple(dict.fromkeys(note for stream in recorded.values() for note in stream.notes))
 
     def recording(self, begin_s: float, end_s: float) -> Recording:
         """A part of it as a recording: see `BagStreams.recording`.
@@ -213,9 +213,9 @@ def on_one_clock(
     recorded = streams[MOVEMENT].recorded[clock.kept[MOVEMENT]]
     for name, stream in streams.items():
         values[name] = stream.values[clock.kept[name]]
+        notes += stream.notes
         if name == JOINTS:
             continue
-        notes += stream.notes
         fresh = np.diff(times[name], prepend=times[name][0] - 1) > 0
         if not fresh.all():
             notes.append(f"{stream.topic}: {np.count_nonzero(~fresh)} messages with repeated stamps dropped")
@@ -223,7 +223,7 @@ def on_one_clock(
         times[name], values[name] = times[name][fresh], values[name][fresh]
     topics = {name: stream.topic for name, stream in streams.items()}
     doubts = (*clock.doubts, *(doubt for stream in streams.values() for doubt in stream.doubts))
-    found = BagStreams(path, task, times, values, topics, fixed, recorded, tuple(notes), doubts)
+    found = BagStreams(path, task, times, values, topics, fixed, recorded, tuple(dict.fromkeys(notes)), doubts)
     return found, clock.by_recorder
 
 

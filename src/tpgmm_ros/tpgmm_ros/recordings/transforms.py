@@ -12,7 +12,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.observation.transforms import TransformTree, TransformWatch
 from tpgmm_ros.messages.fields import time_to_ns, transform_numbers
 from tpgmm_ros.messages.sources import TF, TF_MESSAGE, TF_STATIC, TransformSource
-from tpgmm_ros.recordings.bag_messages import BagError, Stream, read_messages, topics_of_type
+from tpgmm_ros.recordings.bag_messages import BagError, Messages, Stream, read_messages, topics_of_type
 
 
 class RecordedTransforms:
@@ -29,6 +29,7 @@ class RecordedTransforms:
         self._tree: TransformTree | None = None
         self._moving: list[tuple[int, Any]] = []
         self._refused: dict[str, int] = {}
+        self._by_recorder = False
 
     @property
     def tree(self) -> TransformTree:
@@ -40,18 +41,22 @@ class RecordedTransforms:
                 if not any(f"/{name}".endswith(f"/{topic}") for name in there):
                     continue
                 found = read_messages(self._path, [topic], TF_MESSAGE)[topic]
+                if topic == TF:
+                    self._by_recorder = _never_stamped(found)
                 for recorded, message in zip(found.recorded.tolist(), found.messages, strict=True):
-                    self._add(self._tree, message, topic == TF_STATIC)
+                    for kind in self._add(self._tree, message, recorded, topic == TF_STATIC):
+                        self._refused[kind] = self._refused.get(kind, 0) + 1
                     if topic == TF:
                         self._moving.append((recorded, message))
         return self._tree
 
-    def _add(self, tree: TransformTree, message: Any, is_static: bool) -> None:
+    def _add(self, tree: TransformTree, message: Any, recorded: int, is_static: bool) -> Iterator[str]:
+        """Kinds of reasons why transforms are not used."""
         for item in message.transforms:
-            stamp_ns, numbers = time_to_ns(item.header.stamp), transform_numbers(item.transform)
+            stamp_ns = recorded if self._by_recorder else time_to_ns(item.header.stamp)
+            numbers = transform_numbers(item.transform)
             if reason := tree.add(item.header.frame_id, item.child_frame_id, numbers, stamp_ns, is_static):
-                kind = reason.split(":", 1)[0]
-                self._refused[kind] = self._refused.get(kind, 0) + 1
+                yield reason.split(":", 1)[0]
 
     def stream(self, source: TransformSource) -> Stream | Array:
         """Where a frame was, at the times at which all transforms to it are known.
@@ -82,6 +87,8 @@ class RecordedTransforms:
         if whole[0] is None:
             return whole[1]
         notes = [f"/tf: {count} transforms left out ({kind})" for kind, count in self._refused.items()]
+        if self._by_recorder:
+            notes.append("/tf has stamps that never change: times of the recorder used")
         seen = list(self._seen(source))
         if not seen:
             raise BagError(self._path, f"/tf never has all transforms to {source.frame} at one time; {watch.reason}")
@@ -94,7 +101,14 @@ class RecordedTransforms:
         tree = self.tree.still()
         watch = TransformWatch(tree, source.frame, source.base)
         for recorded, message in self._moving:
-            self._add(tree, message, False)
+            for _ in self._add(tree, message, recorded, False):
+                pass  # these were counted before
             news = watch.news()
             if news is not None and news[0] is not None:
                 yield news[0], recorded, news[1]
+
+
+def _never_stamped(found: Messages) -> bool:
+    """Whether several messages have one stamp, such as 0."""
+    stamps = {time_to_ns(item.header.stamp) for message in found.messages for item in message.transforms}
+    return len(found.messages) > 1 and len(stamps) == 1

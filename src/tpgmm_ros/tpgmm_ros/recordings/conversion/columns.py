@@ -16,7 +16,8 @@ import numpy as np
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
-from tpgmm_ros.recordings.conversion.tables import ConversionError, Table
+from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
+from tpgmm_ros.recordings.conversion.tables import Table
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -57,7 +58,8 @@ def columns_of(table: Table, text: str) -> Array:
         name = "" if found is None else str(found[1]).strip()
         if found is None or name not in table:
             there = [f"{key or '(no name)'} {_upright(value).shape}" for key, value in table.items()]
-            raise ConversionError(f"has no column or array {shown(item.strip())}; there are {listed(there, 12)}")
+            hint = "; name a column without a name by its number, such as [0:3]" if set(table) == {""} else ""
+            raise ConversionError(f"has no column or array {shown(item.strip())}; there are {listed(there, 12)}{hint}")
         array = _upright(table[name])
         if found[2] is not None:
             first = int(found[2])

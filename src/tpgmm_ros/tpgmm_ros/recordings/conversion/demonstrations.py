@@ -10,9 +10,12 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_ros.recordings.conversion.columns import TIME_UNITS, columns_of, names_in, poses_of
-from tpgmm_ros.recordings.conversion.tables import ConversionError, Table
+from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
+from tpgmm_ros.recordings.conversion.tables import Table
 
 FEWEST = 10
+LONGEST_S, SLOWEST_S = 1e7, 1.0
+"""No demonstration lasts longer; samples that are further apart are said."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +130,11 @@ def demonstrations_of(table: Table, columns: Columns) -> list[Shown]:
         at = np.arange(first, last)[finite]
         if len(at) < FEWEST:
             raise ConversionError(f"has {len(at)} samples from row {first} on, expected at least {FEWEST} finite ones")
+        if abs(lasts := float(times[at[-1]] - times[at[0]])) > LONGEST_S:
+            raise ConversionError(
+                f"would last {lasts / 86400.0:.3g} days: its times are not in {columns.time_unit}; give their unit by "
+                "--time-unit s, ms, us or ns, or name another column"
+            )
         ns = np.round(1e9 * (times[at] - times[at[0]])).astype(np.int64)
         if not (np.diff(ns) > 0).all():
             k = int(np.argmin(np.diff(ns) > 0))
@@ -136,6 +144,11 @@ def demonstrations_of(table: Table, columns: Columns) -> list[Shown]:
             )
         left_out = int((~finite).sum())
         said = [f"{left_out} of {last - first} rows are not finite: left out"] if left_out else []
+        if (period := 1e-9 * float(np.median(np.diff(ns)))) > SLOWEST_S:
+            said.append(
+                f"its samples are {period:.4g} s apart: if its times are not in {columns.time_unit}, give their "
+                "unit by --time-unit"
+            )
         found.append(
             Shown(
                 ns,

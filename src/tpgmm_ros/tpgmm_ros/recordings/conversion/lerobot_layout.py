@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from tpgmm_core.common.text import listed, one_line, shown
-from tpgmm_ros.recordings.conversion.tables import ConversionError
+from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
 
 VERSION = "v3.0"
 INFO = Path("meta", "info.json")

@@ -13,6 +13,7 @@ import numpy as np
 
 from tpgmm_core.common.text import listed, one_line, shown
 from tpgmm_core.common.types import Array
+from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
 from tpgmm_ros.recordings.conversion.lerobot_layout import (
     BOOKKEEPING,
     DATA,
@@ -25,7 +26,7 @@ from tpgmm_ros.recordings.conversion.lerobot_layout import (
     Info,
     parquet,
 )
-from tpgmm_ros.recordings.conversion.tables import ConversionError, Table
+from tpgmm_ros.recordings.conversion.tables import Table
 
 TIME = "timestamp"
 _TIME_TOLERANCE_S = 1e-4

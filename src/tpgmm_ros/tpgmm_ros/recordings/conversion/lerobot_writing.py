@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from tpgmm_core.common.types import Array
+from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
 from tpgmm_ros.recordings.conversion.lerobot_layout import (
     ACTION,
     BOOKKEEPING,
@@ -28,7 +29,6 @@ from tpgmm_ros.recordings.conversion.lerobot_layout import (
     parquet,
 )
 from tpgmm_ros.recordings.conversion.lerobot_reading import TIME, read_dataset
-from tpgmm_ros.recordings.conversion.tables import ConversionError
 from tpgmm_ros.recordings.recording import Recording
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")

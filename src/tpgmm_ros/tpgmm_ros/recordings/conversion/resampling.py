@@ -10,7 +10,7 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
-from tpgmm_ros.recordings.conversion.tables import ConversionError
+from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
 from tpgmm_ros.recordings.recording import Recording
 
 _SAME_S = 1e-6

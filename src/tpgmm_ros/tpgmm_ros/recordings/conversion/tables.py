@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import csv
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
@@ -14,13 +13,11 @@ import scipy.io
 
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.common.types import Array
+from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
+from tpgmm_ros.recordings.conversion.csv_file import read_csv
 
 type Table = Mapping[str, Array]
 """Arrays (T, k) by name; a single array without a name is called ""."""
-
-
-class ConversionError(ValueError):
-    """What cannot be converted; the text names the file, what was found, what was expected and what to do."""
 
 
 def read_tables(path: Path, wanted: Collection[str]) -> list[Table]:
@@ -45,9 +42,9 @@ def read_tables(path: Path, wanted: Collection[str]) -> list[Table]:
         the file is none of these, is damaged, or holds no numbers.
     """
     readers: dict[str, Callable[[Path], dict[str, Any]]] = {
-        ".csv": _csv,
-        ".tsv": _csv,
-        ".txt": _csv,
+        ".csv": read_csv,
+        ".tsv": read_csv,
+        ".txt": read_csv,
         ".npy": _npy,
         ".npz": _npz,
         ".mat": _mat,
@@ -70,35 +67,6 @@ def read_tables(path: Path, wanted: Collection[str]) -> list[Table]:
         if "allow_pickle" in why:
             why = "it holds Python objects (pickle), which are never loaded; save arrays of numbers"
         raise ConversionError(f"{path}: cannot be read: {why}") from None
-
-
-def _csv(path: Path) -> dict[str, Any]:
-    """Columns by the names in the first line, and all of them together as ""."""
-    lines = [line for line in path.read_text("utf-8-sig").splitlines() if line.strip()]
-    if not lines:
-        raise ConversionError(f"{path}: is empty")
-    delimiter = next((mark for mark in (",", ";", "\t") if mark in lines[0]), None)
-    names: list[str] = []
-    first = lines[0].lstrip("# ")
-    words = first.split() if delimiter is None else next(csv.reader([first], delimiter=delimiter))
-    if not all(map(_is_number, words)):
-        names, lines = [word.strip() for word in words], lines[1:]
-    if not lines:
-        raise ConversionError(f"{path}: holds names and no numbers")
-    values = np.loadtxt(lines, delimiter=delimiter, ndmin=2)
-    if names and len(names) != values.shape[1]:
-        raise ConversionError(f"{path}: has {len(names)} names in its first line and {values.shape[1]} columns")
-    if len(set(names)) != len(names):
-        raise ConversionError(f"{path}: has the same name twice in its first line: {listed(names)}")
-    return {"": values} | {name: values[:, k] for k, name in enumerate(names)}
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _npy(path: Path) -> dict[str, Any]:

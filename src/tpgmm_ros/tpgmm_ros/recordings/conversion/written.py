@@ -10,8 +10,8 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_ros.recordings.bag_messages import read_messages
+from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
 from tpgmm_ros.recordings.conversion.demonstrations import Shown
-from tpgmm_ros.recordings.conversion.tables import ConversionError
 from tpgmm_ros.recordings.numeric_fields import read_numbers
 from tpgmm_ros.recordings.storage.bag_writer import BagWriter
 from tpgmm_ros.recordings.storage.definitions import types_for

@@ -75,7 +75,20 @@ class BagTopic:
 
 
 def check_not_empty(path: Path, topics: Collection[BagTopic]) -> None:
-    """Raise a BagError for a recording without a single message."""
+    """Refuse a recording without a single message.
+
+    Parameters
+    ----------
+    path
+        of the bag, for the error
+    topics
+        all that it has
+
+    Raises
+    ------
+    BagError
+        none of them has a message.
+    """
     if not any(topic.count for topic in topics):
         names = f"; its topics are {listed([one_line(topic.name, 60) for topic in topics])}" if topics else ""
         raise BagError(
