@@ -11,8 +11,9 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.pose import pose_error
 from tpgmm_core.observation.streams import SECOND
 
-#: A frame's way is measured from one pose to one that is at least so much later, s, and so many ways are remembered.
-PERIOD, REMEMBERED = 0.5, 10
+#: A frame's way is measured from one pose to one that is at least so much later, s, and so many ways are remembered:
+#: what rested for the time of all these was pushed before, and is at rest now.
+PERIOD, REMEMBERED = 0.5, 2
 #: Standard deviations of the noise that a way has to exceed.
 BEYOND_NOISE = 4.0
 #: Standard deviations beyond which a frame that is not seen is simply not known, m and rad.
@@ -20,7 +21,7 @@ UNKNOWN = 100.0, 3.0
 
 
 class SeenMotion:
-    """The fastest motion of a frame in its last seconds in sight.
+    """The fastest motion of a frame in its last second in sight.
 
     Attributes
     ----------

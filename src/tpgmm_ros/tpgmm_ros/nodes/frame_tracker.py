@@ -17,7 +17,8 @@ from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.observation.health import FrameHealth
 from tpgmm_core.observation.poses import Observation, wrong_frame
-from tpgmm_core.observation.tracking import FrameStatus, FrameTracker, TrackedFrame, TrackingConfig
+from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame, TrackingConfig
+from tpgmm_core.observation.tracking import FrameTracker
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.broadcasting import TransformBroadcaster

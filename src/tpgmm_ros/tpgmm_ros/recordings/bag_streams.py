@@ -17,7 +17,7 @@ from tpgmm_core.doubt.rough_clock import RoughClock
 from tpgmm_core.doubt.values import LARGEST_M
 from tpgmm_core.observation.gate import MotionLimits
 from tpgmm_core.observation.streams import SECOND
-from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_core.observation.tracked import TrackingConfig
 from tpgmm_ros.recordings.bag_messages import BagError
 from tpgmm_ros.recordings.pose_streams import without_leaps
 from tpgmm_ros.recordings.recording import Recording

@@ -35,7 +35,7 @@ from tpgmm_core.common.yaml_values import (
 )
 from tpgmm_core.learning.covariance.structure import STRUCTURES
 from tpgmm_core.model.derived_frames import DerivedFrames
-from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_core.observation.tracked import TrackingConfig
 from tpgmm_core.retrieval.encodings import ENCODINGS
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
