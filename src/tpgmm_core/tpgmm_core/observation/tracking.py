@@ -4,7 +4,8 @@
 A frame that is not seen for a moment keeps its last pose. Its confidence, which scales its precision in the product
 of Gaussians (Eqs. 5, 6), falls to zero slowly and rises slowly, so that a frame that disappears or comes back never
 makes the movement jump. A frame may also stay where it was last seen (`unknown_after`): then its pose is known worse
-with the time out of sight and the speed that it was seen to have (`motion`). A noisy pose is averaged while the frame
+with the time out of sight and the speed that it was seen to have (`motion`). Or it moves with the hand, if it was seen
+to (`in_hand`). A noisy pose is averaged while the frame
 is at rest (`pose_filter`). What is no pose, lies about its time, or leaps is refused (`poses`, `clocks`, `gate`).
 
 Two clocks enter, as arguments: the *stamp* of an observation (ROS time, when the camera saw it) and the *steady* time
@@ -14,7 +15,7 @@ of its arrival. The status follows the steady clock, which no clock step can sta
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,6 +25,7 @@ from tpgmm_core.geometry.pose import pose_error
 from tpgmm_core.observation.clocks import LeadMeter
 from tpgmm_core.observation.gate import NOISE_TURN, NOISE_WAY, Leap, LeapGate
 from tpgmm_core.observation.health import FrameHealth, FrameRecord
+from tpgmm_core.observation.in_hand import Hand, carried_covariance
 from tpgmm_core.observation.motion import SeenMotion
 from tpgmm_core.observation.pose_filter import PoseFilter
 from tpgmm_core.observation.poses import check_pose
@@ -61,11 +63,14 @@ class FrameTracker:
     unknown_after
         for some of the frames: out of sight they are where they were last seen, for so long, s; `math.inf`: for ever.
         The others keep their weight for the time that `config` says
+    with_hand
+        those of them that move with the hand while they are not seen, if they were seen to
 
     Raises
     ------
     ValueError
-        for no frames, a fixed pose that is invalid, and times that are negative or of other frames
+        for no frames, a fixed pose that is invalid, times that are negative or of other frames, and frames with the
+        hand that have no such time
     """
 
     def __init__(
@@ -74,6 +79,7 @@ class FrameTracker:
         fixed: dict[str, ArrayLike] | None = None,
         config: TrackingConfig | None = None,
         unknown_after: Mapping[str, float] | None = None,
+        with_hand: Collection[str] = (),
     ) -> None:
         self.config = config or TrackingConfig()
         memory, motion = self.config.filter_time, self.config.motion
@@ -84,6 +90,9 @@ class FrameTracker:
                     f"unknown_after is a time >= 0 s of one of {list(self._tracks)}, got {name}: {seconds}"
                 )
             self._tracks[name].unknown_after = seconds
+        if not set(with_hand) <= set(unknown_after or {}):
+            raise ValueError(f"with_hand names some of {list(unknown_after or {})}, got {list(with_hand)}")
+        self._hand = Hand(with_hand)
         for name, pose in (fixed or {}).items():
             self._tracks[name] = _Track(fixed=True, filter=PoseFilter(0.0), gate=LeapGate(motion))
             if reason := self.fix(name, pose):
@@ -178,8 +187,29 @@ class FrameTracker:
         track.pose, track.stamp_ns, track.seen_ns = track.filter.observe(checked, stamp_ns), stamp_ns, steady_ns
         track.covariance = covariance
         track.motion.take(track.pose, stamp_ns, track.filter.noise)
+        if name in self._hand:
+            self._hand.see(name, checked, stamp_ns)
         track.record.take(pose, checked, stamp_ns, track.filter)
         return None
+
+    def observe_hand(self, pose: ArrayLike, stamp_ns: int, steady_ns: int) -> str:
+        """See the hand, with which frames move.
+
+        Parameters
+        ----------
+        pose
+            (7,) in the base frame
+        stamp_ns
+            when it was there, ROS time
+        steady_ns
+            steady time at arrival
+
+        Returns
+        -------
+        str
+            why it is not used; empty where it is
+        """
+        return self._hand.take(pose, stamp_ns, steady_ns)
 
     def refuse(self, name: str, reason: str) -> str:
         """Count an observation that is not used; returns the reason with the frame's name.
@@ -241,10 +271,23 @@ class FrameTracker:
                     rate=None if period is None else 1.0 / period,
                     noise=track.filter.noise,
                     refused=dict(record.refused),
-                    notes=record.notes(track.clock.lead_ns),
+                    notes=(*record.notes(track.clock.lead_ns), *self._whereabouts(name, track, steady_ns)),
                     doubts=record.doubts(),
                 )
         return found
+
+    def _whereabouts(self, name: str, track: _Track, steady_ns: int) -> tuple[str, ...]:
+        """In words, where a frame is that may move with the hand and is not seen."""
+        if name not in self._hand or (steady_ns - track.seen_ns) / SECOND <= self.config.visible_timeout:
+            return ()
+        if not self._hand.moves(name):
+            return ("not seen; stays where it was: it was not seen to move with the hand",)
+        if self._is_hand_lost(steady_ns):
+            return ("not seen; it was with the hand, whose pose does not come",)
+        return ("not seen; moves with the hand, as it did when it was last seen",)
+
+    def _is_hand_lost(self, steady_ns: int) -> bool:
+        return self._hand.age(steady_ns) > self.config.visible_timeout
 
     def forget(self) -> None:
         """Forget all observations (time jumped backwards: a looped bag, a restarted simulation)."""
@@ -254,6 +297,7 @@ class FrameTracker:
                 track.covariance = None
                 for part in (track.filter, track.gate, track.clock, track.record, track.motion):
                     part.forget()
+        self._hand.forget()
         self._updated_ns = None
 
     def update(self, steady_ns: int) -> list[TrackedFrame]:
@@ -269,7 +313,9 @@ class FrameTracker:
         config = self.config
         unseen = math.inf if track.pose is None else (steady_ns - track.seen_ns) / SECOND
         hold_time = config.hold_time if track.unknown_after is None else track.unknown_after
+        carried = unseen > config.visible_timeout and name in self._hand and self._hand.moves(name)
         trusted = track.pose is not None and unseen <= config.visible_timeout + hold_time
+        trusted &= not (carried and self._is_hand_lost(steady_ns))
         # Before the first update no confidence was published, so there is nothing to be continuous with.
         change = 1.0 if first else elapsed / config.fade_time
         if trusted:
@@ -282,10 +328,13 @@ class FrameTracker:
             status = FrameStatus.HELD
         else:
             status = FrameStatus.MISSING
-        covariance = track.covariance
-        if status is FrameStatus.HELD and track.unknown_after is not None:
+        pose, covariance = track.pose, track.covariance
+        if carried and pose is not None:
+            place = self._hand.place(name)
+            pose, covariance = place, carried_covariance(covariance, pose, place)
+        elif status is FrameStatus.HELD and track.unknown_after is not None:
             covariance = track.motion.covariance(covariance, unseen)
-        return TrackedFrame(name, status, track.confidence, track.stamp_ns, track.pose, covariance)
+        return TrackedFrame(name, status, track.confidence, track.stamp_ns, pose, covariance)
 
 
 def _are_near(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:

@@ -194,6 +194,11 @@ class Task:
         return {spec.name: spec.unknown_after for spec in specs if spec.unknown_after is not None}
 
     @property
+    def with_hand(self) -> tuple[str, ...]:
+        """Frames that move with the hand while they are not seen, if they were seen to."""
+        return tuple(spec.name for spec in self.frames.values() if spec.with_hand)
+
+    @property
     def topics(self) -> dict[str, str]:
         """Topics of the frames that are observed as PoseStamped, by frame name."""
         return {name: source.topic for name, source in self.sources.items() if isinstance(source, PoseStampedSource)}
