@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace, model_file: Path) -> dict[str, Any]:
         for process in processes.values():
             stack.callback(_end, process)
         os.close(seen)
-        os.close(shown)
+        stack.callback(os.close, shown)  # what is shown to the camera has no end before its program is looked after
         _hear_lines(processes["robot"], hear)
         deadline = time.monotonic() + TIMEOUT
         if has_started.wait(TIMEOUT):
