@@ -22,8 +22,9 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.task import Future
+from sensor_msgs.msg import JointState
 
-from benchmarks.lossy_switch import require_own_network
+from benchmarks.lossy_switch import NETWORK, require_own_network
 from tpgmm_core.geometry.pose import pose_error
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_demos.demo.recording import RunRecord
@@ -33,7 +34,7 @@ from tpgmm_demos.scene.perception import SimulatedCamera, perception
 from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.messages import conversions
-from tpgmm_ros.messages.qos import EVENTS
+from tpgmm_ros.messages.qos import EVENTS, STREAM
 from tpgmm_ros.runtime.executor import init
 from tpgmm_ros.runtime.graph import ASK_AGAIN, Graph, open_graph
 from tpgmm_ros.runtime.resources import config_file
@@ -45,6 +46,32 @@ START_TIMEOUT, END_TIMEOUT = 120.0, 200.0
 FRESH = 3.0
 #: Of the movement, s: slow enough for the disturbances and for the time without a camera.
 DURATION = 20.0
+
+
+class Thinned:
+    """Publishes every so many messages of a topic of this host once more, for the others: the cables are slow.
+
+    Parameters
+    ----------
+    node
+        subscribes and publishes
+    kind
+        of the messages
+    topic
+        of this host; the others get it below `NETWORK`
+    every
+        so many
+    """
+
+    def __init__(self, node: Node, kind: type, topic: str, every: int) -> None:
+        self._every, self._count = every, 0
+        self._publisher = node.create_publisher(kind, f"{NETWORK}/{topic}", STREAM)
+        node.create_subscription(kind, topic, self._take, STREAM, raw=True)
+
+    def _take(self, message: Any) -> None:
+        if self._count % self._every == 0:
+            self._publisher.publish(message)
+        self._count += 1
 
 
 class Others:
@@ -120,6 +147,7 @@ def main() -> None:
     """Run the task; says on standard output when the movement starts and what was measured, as JSON."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--rate", type=float, required=True)
+    parser.add_argument("--network-rate", type=float, required=True)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--sightings", type=int, required=True, help="the pipe's number")
     parser.add_argument("--output", type=Path, required=True)
@@ -156,6 +184,8 @@ def main() -> None:
                 },
             },
         )  # fmt: skip
+        for kind, topic in ((JointState, "joint_states"), (PoseStamped, task.movement)):
+            Thinned(graph.node, kind, topic, round(arguments.rate / arguments.network_rate))
         graph.wait_for(recording.hand_is_known, START_TIMEOUT, "the hand's pose")
         client = ActionClient(graph.node, Reproduce, "reproduce")
         graph.wait_for(client.server_is_ready, START_TIMEOUT, "the action 'reproduce'")
