@@ -62,6 +62,11 @@ def noisy_in_hand(t: float) -> Array:
     return np.concatenate([in_hand(t)[:3] + random.normal(scale=0.001, size=3), turn])
 
 
+def pose_of(frame: TrackedFrame) -> Array:
+    assert frame.pose is not None
+    return frame.pose
+
+
 def tracked(thing: Callable[[float], Array], delay: float = 0.0, hand_until: float = DURATION) -> list[TrackedFrame]:
     """What a tracker says at TIMES of a thing that is not seen from HIDDEN on; a camera tells it late."""
     tracker = FrameTracker(["thing"], config=CONFIG, unknown_after={"thing": math.inf}, with_hand=["thing"])
@@ -83,7 +88,7 @@ def test_what_was_seen_to_move_with_the_hand_moves_with_it_and_is_known_worse(
 ) -> None:
     last = tracked(thing, delay)[-1]
     assert last.status is FrameStatus.HELD and last.confidence == 1.0
-    way, turn = pose_error(last.pose, in_hand(TIMES[-1]))
+    way, turn = pose_error(pose_of(last), in_hand(TIMES[-1]))
     assert way < 0.005 and turn < 0.04
     assert last.covariance is not None
     gone, turned = pose_error(in_hand(TIMES[-1]), in_hand(LAST))
@@ -95,7 +100,7 @@ def test_what_was_seen_to_move_with_the_hand_moves_with_it_and_is_known_worse(
 def test_what_was_not_seen_to_move_with_the_hand_stays(thing: Callable[[float], Array]) -> None:
     last = tracked(thing)[-1]
     assert last.status is FrameStatus.HELD
-    np.testing.assert_allclose(last.pose, thing(LAST), atol=1e-12)
+    np.testing.assert_allclose(pose_of(last), thing(LAST), atol=1e-12)
     assert (last.covariance is None) == (thing in (at_rest, put_down)), "what was in motion may have gone on"
 
 
@@ -119,12 +124,12 @@ def test_a_frame_is_followed_again_as_soon_as_it_is_seen_and_a_time_that_jumps_b
         live(t, in_hand(t) if t < HIDDEN else None)
     assert "moves with the hand" in tracker.health(round(SECOND * (100 + DURATION)))["thing"].notes[-1]
     found = live(DURATION, at_rest(0.0))
-    np.testing.assert_array_equal(found.pose, at_rest(0.0))
+    np.testing.assert_array_equal(pose_of(found), at_rest(0.0))
     assert found.status is FrameStatus.VISIBLE and found.covariance is None
     tracker.forget()
     assert live(0.0, None).status is FrameStatus.MISSING
     live(0.1, in_hand(0.1))
-    np.testing.assert_array_equal(live(3.0, None).pose, in_hand(0.1))
+    np.testing.assert_array_equal(pose_of(live(3.0, None)), in_hand(0.1))
 
 
 @pytest.mark.parametrize("thing", [in_hand, noisy_in_hand, picked_up, at_rest, put_down, slipping, pushed_by_others])
@@ -141,7 +146,7 @@ def test_a_recording_says_the_same_as_the_tracker(thing: Callable[[float], Array
     np.testing.assert_array_equal(moved, hidden & moved.any())
     np.testing.assert_array_equal(poses[~hidden], held[~hidden])
     tolerance = 0.005 if thing is noisy_in_hand else 1e-9  # the tracker's filter
-    np.testing.assert_allclose(poses[hidden], np.array([f.pose for f in live])[hidden], atol=tolerance)
+    np.testing.assert_allclose(poses[hidden], np.array([pose_of(frame) for frame in live])[hidden], atol=tolerance)
 
 
 def test_only_frames_that_stay_can_move_with_the_hand() -> None:
@@ -151,4 +156,4 @@ def test_only_frames_that_stay_can_move_with_the_hand() -> None:
 
 def test_the_hand_may_be_anywhere_before_and_a_thing_keeps_its_place_in_it() -> None:
     last = tracked(in_hand)[-1]
-    np.testing.assert_allclose(compose(inverse(hand_at(TIMES[-1])), last.pose), IN_HAND, atol=1e-9)
+    np.testing.assert_allclose(compose(inverse(hand_at(TIMES[-1])), pose_of(last)), IN_HAND, atol=1e-9)
