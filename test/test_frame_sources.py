@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -266,7 +267,7 @@ def test_a_frame_that_was_seen_to_move_with_the_hand_goes_on_with_it_and_one_bes
         for name in ("hand/pose", *seen):
             publishers[name].publish(conversions.pose_stamped(places[name], stamp, "base"))
 
-    def latest(name: str) -> TaskFrame | None:
+    def latest(name: str) -> Any:
         return next((item for item in inbox.last.frames if item.name == name), None) if inbox.last else None
 
     def carried_far() -> bool:
