@@ -183,6 +183,11 @@ PERIODIC = RetrievalMethod(
 ALL_METHODS = {**METHODS, PERIODIC.name: PERIODIC}
 
 
+def like(name: str) -> tuple[str, ...]:
+    """Names of the methods that learn movements of the same kind as the method of a name: with an end, or repeated."""
+    return (PERIODIC.name,) if name == PERIODIC.name else tuple(METHODS)
+
+
 def method_named(name: str) -> RetrievalMethod:
     """The method of a name, or of a name that it had in an earlier version (`old_names`).
 
