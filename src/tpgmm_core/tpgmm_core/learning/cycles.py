@@ -210,7 +210,22 @@ def _mean_cycle(phases: Array, x: Array) -> Array:
 
 
 def at_phases(grid: Array, first: float, cycle: int) -> Array:
-    """Phases of a cycle, counted from that of the first sample on, that are those of the grid but for whole turns."""
+    """Phases of a cycle that are those of a grid but for whole turns.
+
+    Parameters
+    ----------
+    grid
+        (T,), rad
+    first
+        phase at which the first cycle begins, rad
+    cycle
+        its number, from 0
+
+    Returns
+    -------
+    Array
+        (T,), rad, from the beginning of the cycle to its end
+    """
     return np.asarray(first + TURN * cycle + np.mod(grid - first, TURN))
 
 
