@@ -113,7 +113,24 @@ def isotropic_blocks(space: Manifold) -> list[slice]:
 
 
 def resampled(space: Manifold, times: Array, points: Array, asked: Array) -> Array:
-    """Points (T, D) at the times asked for (T,), between the samples (N, D) at increasing times (N,)."""
+    """Points at times, on the way between the samples.
+
+    Parameters
+    ----------
+    space
+        of the points
+    times
+        (N,), increasing
+    points
+        (N, D), the samples
+    asked
+        (T,), in the units of `times`; before the first and after the last, these last
+
+    Returns
+    -------
+    Array
+        (T, D)
+    """
     i = np.clip(np.searchsorted(times, asked, side="right") - 1, 0, len(times) - 2)
     share = np.clip((asked - times[i]) / (times[i + 1] - times[i]), 0.0, 1.0)
     return np.stack(
