@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tpgmm_core.common.old_names import RENAMED
 from tpgmm_core.common.safe_yaml import MAX_BYTES
 from tpgmm_core.model.derived_frames import HAND, FrameSource
-from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_core.retrieval.methods import ALL_METHODS, METHODS
 from tpgmm_ros.messages.sources import PoseStampedSource
 from tpgmm_ros.task.frames_section import TaskFrameSpec
 from tpgmm_ros.task.task_file import Task, TaskError
@@ -48,9 +48,9 @@ def test_a_task_file_is_read() -> None:
     assert task.model == {"n_components": 5, "reg_covar": 1e-6, "init": "time"}
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ALL_METHODS)
 def test_the_model_section_takes_every_setting_of_an_estimator_that_a_file_can_hold(method: str) -> None:
-    estimator = METHODS[method].estimator
+    estimator = ALL_METHODS[method].estimator
     others = {"manifold", "covariance_options", "transitions"}  # of the space and of arrays
     settings = {
         name: parameter.default

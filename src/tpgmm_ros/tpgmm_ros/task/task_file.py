@@ -37,7 +37,7 @@ from tpgmm_core.learning.covariance.structure import STRUCTURES
 from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_core.observation.tracked import TrackingConfig
 from tpgmm_core.retrieval.encodings import ENCODINGS
-from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_core.retrieval.methods import ALL_METHODS
 from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
 from tpgmm_ros.task.frames_section import TaskFrameSpec, read_frames
 from tpgmm_ros.task.kinematic_section import KinematicSpec
@@ -248,4 +248,4 @@ def _model(section: Section, space: StateSpace) -> dict[str, Any]:
 
 def _retrieval_method(value: Any) -> str:
     """The method's present name; files of earlier versions may have an older one."""
-    return str(a_choice(*METHODS)(current_name(value) if isinstance(value, str) else value))
+    return str(a_choice(*ALL_METHODS)(current_name(value) if isinstance(value, str) else value))
