@@ -69,7 +69,7 @@ def test_large_times_and_coordinates_give_what_small_ones_give(
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("distance", [10.0, 100.0])
 def test_an_object_far_away_is_refused_by_its_distance(method: type, distance: float) -> None:
-    with pytest.raises(ValueError, match="relation between place and orientation") as error:
+    with pytest.raises(ValueError, match="dependence of the orientation on the position") as error:
         for direction in np.vstack([np.eye(3), -np.eye(3)]):  # some of them may agree
             method(model()).retrieve(situation(OBJECT + distance * direction), [2.0, 3.0, 4.0])
     found = re.search(r"what 'object' and 'robot' expect lies ([\d.e+]+) m apart, ([\d.]+) standard", str(error.value))

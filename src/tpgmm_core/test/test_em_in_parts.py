@@ -91,7 +91,7 @@ def test_the_size_of_the_parts_does_not_matter() -> None:
 
 def test_what_cannot_be_learned_in_parts_is_said() -> None:
     shown = demonstrations(False)
-    with pytest.raises(ValueError, match="no iterator"):
+    with pytest.raises(ValueError, match="can be read only once"):
         TPGMM(3).fit_parts(iter([shown]))
     refused: list[dict[str, Any]] = [{"covariance": "diag"}, {"n_init": 2}, {"init": "kmeans"}]
     for settings in refused:

@@ -177,8 +177,8 @@ def test_another_kind_of_xml_is_called_so(tmp_path: Path, kind: str) -> None:
 
 def test_a_urdf_that_is_not_there_is_named_with_its_folder(tmp_path: Path) -> None:
     reason = refusal(tmp_path, changes={"urdf": "arm.urdf.xacro"})
-    assert f"no URDF 'arm.urdf.xacro' in {tmp_path}; expected a file beside the robot file" in reason
-    assert "a xacro is expanded first" in reason and "example-robot-data" not in reason
+    assert f"no URDF 'arm.urdf.xacro' in {tmp_path}; expected a file in this folder or below it" in reason
+    assert "expand a xacro first" in reason and "example-robot-data" not in reason
 
 
 def test_all_limits_that_an_exporter_left_at_zero_are_named_at_once(tmp_path: Path) -> None:
@@ -192,9 +192,9 @@ def test_all_limits_that_an_exporter_left_at_zero_are_named_at_once(tmp_path: Pa
 def test_names_that_yaml_reads_as_numbers_are_to_be_quoted(tmp_path: Path) -> None:
     urdf = ('name="slide"', 'name="1"')
     groups, home = {"all": ["turn", 1]}, {"turn": 0.0, 1: 0.2}
-    assert "quote names that look like something else" in refusal(tmp_path, urdf, changes={"joint_groups": groups})
+    assert "in quotes, if YAML could read them as something else" in refusal(tmp_path, urdf, changes={"joint_groups": groups})
     quoted = {"joint_groups": {"all": ["turn", "1"]}, "friction": None}
-    assert "'home' has the key 1, expected a word (YAML reads bare on" in refusal(
+    assert "'home' has the key 1, expected a word (put on, off" in refusal(
         tmp_path, urdf, changes={**quoted, "home": home}
     )
     assert refusal(tmp_path, urdf, changes={**quoted, "home": {"turn": 0.0, "1": 0.2}}) == ""

@@ -245,7 +245,7 @@ def test_a_movement_is_the_pose_of_a_link_by_the_robots_joints(tmp_path: Path) -
     for item in messages:
         if item[1] == "/joint_states":
             item[3].position[:] = np.degrees(item[3].position)
-    with pytest.raises(BagError, match="the joint panda_joint.* looks like degrees"):
+    with pytest.raises(BagError, match="the joint panda_joint.* seems to be in degrees"):
         read_recording(write(tmp_path / "degrees", messages), Task.from_text(text))
 
 
