@@ -60,7 +60,7 @@ def test_joints_in_degrees_are_named_and_rad_are_not() -> None:
     assert not doubts_of_joint_units(["shoulder", "elbow"], rad)
     (doubt,) = doubts_of_joint_units(["shoulder", "elbow"], np.degrees(rad))
     assert doubt.kind == "units" and not doubt.refuses
-    assert "the joint shoulder is 171.9 from its zero, which as rad is 27 turns" in doubt.text
+    assert "the joint shoulder is 171.9 from its zero, which in rad is 27 turns" in doubt.text
 
 
 @pytest.mark.parametrize("samples", [12, 80, 4000])

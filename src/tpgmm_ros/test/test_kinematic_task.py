@@ -51,7 +51,7 @@ def test_levels_and_postures_are_frames_and_say_what_they_aim_at() -> None:
 @pytest.mark.parametrize(
     ("key", "line", "words"),
     [
-        ("bar", "    bar: {point: right, relative_to: right}", "sees the point 'right' from itself"),
+        ("bar", "    bar: {point: right, relative_to: right}", "has the point 'right' relative to itself"),
         ("left", "    left: {point: left, relative_to: right, aim: object}", "expected one of the task's frames"),
         ("left", "    left: {point: left, part: nose, relative_to: left_target}", "position, orientation, pose"),
         ("together", "    together: [bar, [left, left]]", "each task once"),

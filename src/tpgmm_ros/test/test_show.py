@@ -88,7 +88,7 @@ def test_frames_of_joints_have_no_shares_and_it_is_said_why(tmp_path: Path, caps
     model.metadata_ = {"retrieval": "kinematic"}
     model.save(tmp_path / "model")
     found = shown(tmp_path / "model", capsys)
-    assert "depends on where the robot is" in found["no_relevance_because"] and "relevance" not in found
+    assert "depends on the posture of the robot" in found["no_relevance_because"] and "relevance" not in found
     assert found["frames"] == {"bar": "of the task", "posture": "of the task"}
 
 

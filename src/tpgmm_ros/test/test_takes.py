@@ -103,7 +103,7 @@ def test_edits_name_takes_and_leave_some_out(tmp_path: Path) -> None:
         ("takes: [[1, 3], [2, 4]]", "one after the other"),
         ("takes: []", "a list of takes"),
         ("takes: {still: 0}", "above 0"),
-        ("takes: {stil: 1}", "needs one of 'still'"),
+        ("takes: {stil: 1}", "needs exactly one of 'still'"),
         ("takes: [[1, 3], [99, 100]]", "take from 99 s on, and its movement ends after 4.00 s"),
         ("leave_out: [1]", "its edits leave out some of its takes, and it has none"),
         ("takes: [[0, 1]]\nleave_out: [2]", "leave out take 2, and there are 1"),
@@ -128,7 +128,7 @@ def test_cuts_that_make_no_sense_are_refused_with_the_reason(edits: str, words: 
     ("takes", "words"),
     [
         ("{topic: /button}", "relative"),
-        ("{topic: a, above: 1, below: 2}", "name one of them"),
+        ("{topic: a, above: 1, below: 2}", "give only one of them"),
         ("{topic: a, lasts: long}", "one of while, until_next"),
         ("{topic: a, field: 'a..b'}", "a field of a message"),
         ("{still: 1, every: 0}", "at least 1"),

@@ -58,7 +58,7 @@ def some_names(value: Any) -> tuple[str, ...]:
     if not isinstance(value, list) or not value or not all(isinstance(name, str) for name in value):
         raise ValueError("a list of names (in quotes, if YAML could read them as something else: '1', 'on')")
     if len(set(value)) != len(value):
-        raise ValueError("a list of names without repetition")
+        raise ValueError("a list of names, none of them twice")
     return tuple(value)
 
 
