@@ -133,7 +133,7 @@ def test_each_page_is_told_whether_it_drives_and_the_server_hears_it() -> None:
     assert MARK in words.pages(1, 4, 4) and "drives" not in words.pages(1, 4, 4)
     assert "10 pages show this; this one drives" in words.pages(10, 4, 4)
     assert "another one drives" in words.pages(10, 4, 5)
-    assert "the first that asks" in words.pages(2, None, 5)
+    assert "the first page that requests" in words.pages(2, None, 5)
     assert "token" in words.pages(1, 4, 4, is_open=True)
 
 
