@@ -105,5 +105,5 @@ def test_what_cannot_be_learned_in_parts_is_said() -> None:
     with pytest.raises(ValueError, match="part 1 has frames of dimensions"):
         TPGMM(3).fit_parts([shown, [Demonstration(d.times, d.data, {"object": d.frames["object"]}) for d in shown]])
     once = Demonstration(np.zeros(1), np.zeros((1, 4)), {"object": Frame(np.eye(4), np.zeros(4))})
-    with pytest.raises(ValueError, match="leaves component 1 without samples"):
+    with pytest.raises(ValueError, match="component 1 has no samples"):
         TPGMM(3, init="bins").fit_parts([[once] * 3])

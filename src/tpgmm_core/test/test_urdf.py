@@ -82,7 +82,7 @@ def test_a_point_with_a_mass_is_suspicious_and_refused_where_the_joint_turns_abo
     assert "too small for a mass of 0.5 kg" in found
     turning = (SLIDE, '<joint name="slide" type="revolute">')
     reason = refusal(tmp_path, turning, inertia(0.0, 0.0, 0.0))
-    assert "the joints slide move no inertia: tool has a mass of 0.5 kg, and an <inertia> of zeros" in reason
+    assert "the joints slide move no inertia: tool has a mass of 0.5 kg, but an <inertia> of zeros" in reason
     geared = {"armature": {"slide": {"inertia": 0.01}}}
     assert refusal(tmp_path, turning, inertia(0.0, 0.0, 0.0), changes=geared) == ""
 
