@@ -154,7 +154,7 @@ def test_of_several_pages_one_drives_and_another_may_take_over() -> None:
 
 def test_a_page_shows_names_of_files_and_not_where_on_this_machine_they_lie(tmp_path: Path) -> None:
     said = [
-        (f"{tmp_path / 'cups'} is no project: it lacks task.yaml", "cups is no project: it lacks task.yaml"),
+        (f"{tmp_path / 'cups'} is not a project: it lacks task.yaml", "cups is not a project: it lacks task.yaml"),
         (f"[Errno 2] No such file: '{tmp_path}/a/b.mcap'; try again", "[Errno 2] No such file: 'b.mcap'; try again"),
         (f"<div>imported into {Path.home()}/cups</div>", "<div>imported into cups</div>"),
         (f"read {Path.cwd()}/out/1.tpgmm, /tmp/x.zip", "read 1.tpgmm, x.zip"),
