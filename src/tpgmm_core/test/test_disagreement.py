@@ -87,7 +87,7 @@ def test_what_contradicts_most_is_said() -> None:
             "what 'a' and 'b' expect differs by 115 deg in orientation, 14.1 standard deviations of what was learned",
         ),
         (3.0, 0.1, "what 'a' and 'b' expect is 3 m apart, 212.1 standard deviations of what was learned"),
-        (3.0, 2.0, "(it is turned by 115 deg besides)"),
+        (3.0, 2.0, "(it also differs by 115 deg in orientation)"),
     ):
         other = Gaussian([place, 0.0, 0.0, *turned(angle)], sure, POSE)
         assert words in disagreement({"a": home, "b": other, "c": home})
