@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.observation.gate import LeapGate, MotionLimits
 from tpgmm_core.observation.plausible_poses import plausible_poses
-from tpgmm_core.observation.tracking import FrameTracker, TrackingConfig
+from tpgmm_core.observation.tracked import TrackingConfig
+from tpgmm_core.observation.tracking import FrameTracker
 
 HOME = np.array([0.5, 0.1, 0.2, 0.0, 0.0, 0.0, 1.0])
 LIMITS = MotionLimits()

@@ -139,6 +139,7 @@ def test_a_missing_key_is_named(key: str) -> None:
         (changed(frames={"object": {"topic": "a", "turned": False}}), "'turned', which is for frames with 'frame'"),
         (changed(frames={"object": {"topic": "a", "unseen": "gone"}}), "'stays' .* or the time in s after which"),
         (changed(frames={"object": {"topic": "a", "unseen": -1}}), "'stays' .* or the time in s after which"),
+        (changed(frames={"object": {"topic": "a", "unseen": {"with": "tray"}}}), "{with: hand} .* if it was last seen"),
         (changed(frames={"a": {"topic": "a"}, "b": {"frame": "a", "unseen": "stays"}}), "'unseen', which is for"),
         (changed(frames={"object": {"topic": "a"}, "b": {"frame": "obj"}}), "derived from 'obj'; expected .*: object"),
         (changed(frames={"a": {"topic": "a"}, "b": {"frame": "a"}, "c": {"frame": "b"}}), "derived from 'b'"),

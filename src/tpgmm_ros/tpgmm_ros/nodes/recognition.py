@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayou
 from std_srvs.srv import Trigger
 
 from tpgmm_core.common.text import shown
-from tpgmm_core.observation.tracking import check_pose
+from tpgmm_core.observation.poses import check_pose
 from tpgmm_core.recognition.recognizer import UNKNOWN, Recognition, RecognitionConfig, Recognizer
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions

@@ -35,7 +35,7 @@ from tpgmm_core.common.yaml_values import (
 )
 from tpgmm_core.learning.covariance.structure import STRUCTURES
 from tpgmm_core.model.derived_frames import DerivedFrames
-from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_core.observation.tracked import TrackingConfig
 from tpgmm_core.retrieval.encodings import ENCODINGS
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
@@ -192,6 +192,11 @@ class Task:
         """How long observed frames are where they were last seen, s, by frame name, where the file says it."""
         specs = self.frames.values()
         return {spec.name: spec.unknown_after for spec in specs if spec.unknown_after is not None}
+
+    @property
+    def with_hand(self) -> tuple[str, ...]:
+        """Frames that move with the hand while they are not seen, if they were seen to."""
+        return tuple(spec.name for spec in self.frames.values() if spec.with_hand)
 
     @property
     def topics(self) -> dict[str, str]:
