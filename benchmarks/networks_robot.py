@@ -221,7 +221,7 @@ def main() -> None:
         "the movement ended well": response.status == GoalStatus.STATUS_SUCCEEDED,
         "the object is on the target": position <= LARGEST_POSITION_ERROR,
         "no torque above its limit": share <= 1.0,
-        "torques came all the time": longest_silence(torque, started, end) <= SILENCE,
+        "torques arrived without a gap": longest_silence(torque, started, end) <= SILENCE,
         "no jump": steps is not None and steps <= max(JUMP, 2.0 * usual),
     }
     print(

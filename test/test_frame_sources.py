@@ -305,7 +305,7 @@ def test_a_frame_that_no_transforms_lead_to_is_named_with_what_is_known(
     def said() -> bool:
         stamp = ros_node.get_clock().now().nanoseconds
         publisher.publish(tf2_msgs.TFMessage(transforms=[transform(GOOD, stamp, "base", "cup")]))
-        return "none leads from 'base' to 'mug'; those that came are about base, cup" in diagnostics.messages.get(
+        return "nothing connects 'base' to 'mug'; those that came are about base, cup" in diagnostics.messages.get(
             "frame_tracker", ""
         )
 

@@ -96,7 +96,7 @@ def test_a_situation_that_is_too_new_is_refused_where_a_limit_is_set(player: Pla
     far = {**PLACES, "object": PLACES["object"] + [1.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]}
     assert set_parameters(player.node, NODE, max_novelty=2.0).successful
     try:
-        for places, path, reason in ((far, told, "too new to the model: novelty"), (PLACES, "", "--leave-one-out")):
+        for places, path, reason in ((far, told, "too new for the model: novelty"), (PLACES, "", "--leave-one-out")):
             for _ in range(20):
                 player.show(places)
                 player.tick(answered=False)

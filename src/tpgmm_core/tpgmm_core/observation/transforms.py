@@ -173,8 +173,9 @@ class TransformTree:
             early = stamp_ns < stamps[0]
             by = (stamps[0] - stamp_ns if early else stamp_ns - stamps[-1]) / SECOND
             raise TransformError(
-                f"no transform at this time: the one from {shown(link.parent)} to {shown(child)} is asked {by:.3f} s "
-                f"{'before its first' if early else 'after its last'}",
+                f"no transform at this time: the one from {shown(link.parent)} to {shown(child)} was requested "
+                f"{by:.3f} s "
+                f"{'before its first' if early else 'after its last'} sample",
                 may_come=not early,
             )
         after = bisect_right(stamps, stamp_ns)
@@ -195,7 +196,7 @@ class TransformTree:
         if meeting is None:
             known = sorted({*self._links, *(link.parent for link in self._links.values())})
             raise TransformError(
-                f"{NO_TRANSFORM}none leads from {shown(base)} to {shown(frame)}; those that came are about "
+                f"{NO_TRANSFORM}nothing connects {shown(base)} to {shown(frame)}; those that came are about "
                 f"{listed(known)}"
             )
         return up[: up.index(meeting)], down[: down.index(meeting)]
@@ -204,7 +205,7 @@ class TransformTree:
         names = [frame]
         while (link := self._links.get(names[-1])) is not None:
             if link.parent in names:
-                raise TransformError(f"{NO_TRANSFORM}those above {shown(frame)} lead in a circle")
+                raise TransformError(f"{NO_TRANSFORM}those above {shown(frame)} form a loop")
             names.append(link.parent)
         return names
 

@@ -221,8 +221,8 @@ class VelocityEncoding(Encoding):
         away = np.linalg.norm(data.log(points[0], points), axis=-1)
         if away[-1] < _CLOSED * away.max():
             raise ValueError(
-                f"ends {away[-1]:.3g} from where it began, and goes {away.max():.3g} away in between: a system without "
-                "time has arrived before it starts; take a method that follows time, such as dmp or trajectory"
+                f"ends {away[-1]:.3g} from where it began, and goes {away.max():.3g} away in between: a method without "
+                "time would be at the goal from the start; choose one that follows time, such as dmp or trajectory"
             )
         return with_velocity(demonstration, manifold, int(self.window))
 

@@ -95,13 +95,13 @@ class RetrievalMethod:
         found = encoding_of(model)
         if not isinstance(found, self.encoding):
             raise ValueError(
-                f"{self.name} retrieves from models of {self.encoding.description}, and this one encodes "
+                f"{self.name} needs a model of {self.encoding.description}, but this one encodes "
                 f"{found.description}: train one with 'retrieval: {self.name}', or choose "
                 f"{' or '.join(method.name for method in ALL_METHODS.values() if isinstance(found, method.encoding))}"
             )
         if not isinstance(model, self.estimator):
             raise ValueError(
-                f"{self.name} retrieves from a {self.estimator.__name__}, and this model is a {type(model).__name__}: "
+                f"{self.name} needs a {self.estimator.__name__}, but this model is a {type(model).__name__}: "
                 f"train one with 'retrieval: {self.name}'"
             )
 
@@ -292,7 +292,7 @@ def make_retrieval(
         functions_of_time = [other.name for other in METHODS.values() if other.time_parametrized]
         raise ValueError(
             f"the phase {shown(phase)} is for {', '.join(functions_of_time)}: "
-            f"{chosen.name} finds out by itself how far the movement is; leave the phase at 'clock'"
+            f"{chosen.name} estimates the phase itself; leave 'phase' at 'clock'"
         )
     if course is not None:
         own = PHASES[phase]() if chosen.phase is None else chosen.phase(model)

@@ -26,7 +26,7 @@ def machine_figures(report: dict[str, Any]) -> list[str]:
     for node, ticks in report["ticks"].items():
         lost = ticks["asked"] - ticks["done"]
         if not ticks["asked"]:
-            found.append(f"{node} had no time to report its ticks")
+            found.append(f"{node} was too busy to report its ticks")
         elif lost > MAX_LOST_SHARE * ticks["asked"]:
             share = 100.0 * lost / ticks["asked"]
             found.append(

@@ -73,7 +73,7 @@ def evaluate(
         "the object is on the target": position <= LARGEST_POSITION_ERROR,
         "the object is turned as the target": orientation <= LARGEST_ORIENTATION_ERROR,
         "no torque above its limit": share <= LARGEST_TORQUE_SHARE,
-        "torques came all the time": silence <= SILENCE,
+        "torques arrived without a gap": silence <= SILENCE,
         "no jump when a frame was lost": lost is not None and lost <= usual,
         "no jump when it came back": back is not None and back <= usual,
     }
@@ -242,7 +242,7 @@ def table(report: dict[str, Any]) -> str:
         rows.append((name, f"p50 {values['p50']:.2f} ms, p99 {values['p99']:.2f} ms", ""))
     perception = report["perception"]
     for frame, rate in perception["rate_hz"].items():
-        rows.append((f"poses of '{frame}' that came", f"{rate:.1f} of {perception['camera_hz']:.1f} per s", ""))
+        rows.append((f"poses of '{frame}' that arrived", f"{rate:.1f} of {perception['camera_hz']:.1f} per s", ""))
     rows += [(what, "yes" if ok else "NO", "yes") for what, ok in report["checks"].items()]
     rows.append(("passed", "yes" if report["passed"] else "NO", "yes"))
     text = format_table(("what", "measured", "to reach"), rows)

@@ -106,8 +106,8 @@ class FrameTrackerNode(Node):
     def _subscribe_in_lockstep(self) -> None:
         if others := self.task.sources.keys() - self.task.topics.keys():
             raise ValueError(
-                "in lockstep frames are observed as PoseStamped, which can say that nothing was seen; other sources in "
-                f"the task file have {listed(sorted(others))}"
+                "in lockstep, each frame must be observed as PoseStamped, which can report that nothing was seen; the "
+                f"task file has other sources for {listed(sorted(others))}"
             )
         self._barrier = LateBarrier[PoseStamped](self.task.topics, self._answer, self._send)
         self.create_subscription(PoseStamped, self.task.movement, self._tick, STREAM)

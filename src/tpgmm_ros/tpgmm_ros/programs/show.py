@@ -148,7 +148,7 @@ def costs_of(model: LearnedMixture, method: str) -> dict[str, Any]:
         for a model whose frames are no places, or that is not over time
     """
     if method == KINEMATIC:
-        raise ValueError("no costs: frames of the robot's joints depend on where the robot is, and are no fixed terms")
+        raise ValueError("no costs: kinematic frames depend on the posture of the robot, so their costs are not fixed")
     duration = demonstrated_duration(model)
     known = {"duration_s": duration, "base_frame": model.metadata_.get("base_frame")}
     return {**known, **quadratic_costs(model, np.linspace(0.0, duration, COST_TIMES))}
@@ -182,7 +182,7 @@ def _components(model: LearnedMixture) -> list[dict[str, Any]]:
 
 def _relevance(model: LearnedMixture, method: str) -> tuple[str, dict[str, list[float]]]:
     if method == KINEMATIC:
-        raise ValueError("frames of the robot's joints: what each says depends on where the robot is")
+        raise ValueError("kinematic frames: how much each counts depends on the posture of the robot")
     shares = relevance(model, PARTS)
     return shares.along, {name: [float(x) for x in values] for name, values in shares.shares.items()}
 
@@ -241,7 +241,8 @@ def _bars(found: Mapping[str, Any]) -> str:
         rows.append(
             (label, *(f"{shares[name][i]:.2f} {'█' * round(shares[name][i] * BAR / len(names) * 2)}" for name in names))
         )
-    return f"what each frame says of where the hand is, {words} (shares):\n" + format_table(("", *names), rows)
+    title = f"how much each frame determines the pose of the hand, {words} (shares):\n"
+    return title + format_table(("", *names), rows)
 
 
 def _timeline(found: Mapping[str, Any]) -> str:
@@ -259,14 +260,14 @@ def _exactness(found: Mapping[str, Any]) -> str:
     lines = [
         f"calibrated for {name}: covariances are scaled by {scale:.2f}, standard deviations by {scale**0.5:.2f}"
         for name, scale in found["calibrated"].items()
-    ] or ["not calibrated: 'train --leave-one-out --output' finds out how exact its covariances are"]
+    ] or ["not calibrated: 'train --leave-one-out --output' measures how exact the covariances are"]
     if errors := found["expected_errors"]:
         lines.append(
             f"expected error in new situations ({errors['from']}): {errors['position_rmse_m']:.3f} m over the path, "
             f"{errors['position_end_m']:.3f} m at the end, {errors['orientation_mean_deg']:.1f} deg"
         )
     else:
-        lines.append("expected errors are not known: it was not tried on demonstrations that were left out")
+        lines.append("expected errors are not known: the model was not tested on demonstrations that were left out")
     if "novelty" in found:
         usual = max(found["novelty"]["distances"])
         lines.append(

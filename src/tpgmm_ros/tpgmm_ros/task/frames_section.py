@@ -91,8 +91,8 @@ def read_frames(section: Section, movement: str, base_frame: str) -> tuple[dict[
         entry.refuse_others(*KEYS, UNSEEN, "pose", "frame", "hand", "turned")
         if len(entry.values.keys() & {"topic", "tf", "pose", "frame", "hand"}) != 1:
             raise entry.error(
-                "needs one of 'topic' or 'tf' (observed), 'pose' (fixed), 'frame' (derived from another frame) and "
-                "'hand' (derived from where the hand starts), and not several"
+                "needs exactly one of 'topic' or 'tf' (observed), 'pose' (fixed), 'frame' (derived from another frame) "
+                "and 'hand' (derived from the hand's pose at the start)"
             )
         if "frame" in entry.values or "hand" in entry.values:
             _refuse(entry, (*KEYS, UNSEEN), "observed frames")
@@ -107,8 +107,8 @@ def read_frames(section: Section, movement: str, base_frame: str) -> tuple[dict[
         if source in taken:
             what = shown(entry.values["topic"] if "topic" in entry.values else entry.values["tf"])
             raise entry.error(
-                f"has the {'topic' if 'topic' in entry.values else 'transform'} {what}, which is already that of "
-                f"{taken[source]}: each frame has one of its own"
+                f"has the {'topic' if 'topic' in entry.values else 'transform'} {what}, which is already used by "
+                f"{taken[source]}: each frame needs its own"
             )
         taken[source] = f"the frame {name!r}"
         unknown_after, with_hand = entry.required(UNSEEN, _unseen) if UNSEEN in entry.values else (None, False)
@@ -144,8 +144,8 @@ def _unseen(value: Any) -> tuple[float, bool]:
         return a_number(0.0)(value), False
     except ValueError:
         raise ValueError(
-            "'stays' (out of sight it is where it was last seen), {with: hand} (the same, but with the hand if it was "
-            "last seen to move with it), or the time in s after which that is not known"
+            "'stays' (an unseen frame stays where it was last seen), {with: hand} (the same, but with the hand if it "
+            "was last seen to move with it), or the time in s after which its pose is unknown"
         ) from None
 
 

@@ -166,7 +166,7 @@ class Task:
             raise top.error("has 'recordings' and 'kinematic'; a PoseArray holds no joints: leave one of them out")
         takes = read_takes(recorded.section("takes")) if "takes" in recorded.values else None
         if recordings is not None and isinstance(takes, TopicTakes):
-            raise recorded.error("has takes by a topic; a PoseArray has no times to cut it by: use 'still'")
+            raise recorded.error("has takes by a topic; a PoseArray has no times at which to cut it: use 'still'")
         return cls(
             name=top.required("name", a_name),
             base_frame=base_frame,
