@@ -28,7 +28,7 @@ from benchmarks.lossy_switch import NETWORK, require_own_network
 from tpgmm_core.geometry.pose import pose_error
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_demos.demo.recording import RunRecord
-from tpgmm_demos.demo.report import JUMP, LARGEST_POSITION_ERROR, SILENCE, largest_step, longest_silence, usual_step
+from tpgmm_demos.demo.report import JUMP, LARGEST_POSITION_ERROR, SILENCE, largest_jump, longest_silence, usual_jump
 from tpgmm_demos.demo.world import EXACT_RATE, Disturbances, World
 from tpgmm_demos.scene.perception import SimulatedCamera, perception
 from tpgmm_demos.scene.pick_place import random_placement
@@ -214,7 +214,7 @@ def main() -> None:
     torque, started = recording.torque().since(world.started_ns), world.started_ns
     end = float(torque.times(started)[-1])
     position, angle = pose_error(world.grasp.object, world.situation.target)
-    steps, usual = largest_step(torque, started, 0.0, end), usual_step(torque, started, (0.0, 0.0))
+    steps, usual = largest_jump(torque, started, 0.0, end), usual_jump(torque, started, (0.0, 0.0))
     share = float((np.abs(torque.values) / robot.effort_limits).max())
     checks = {
         "the object was grasped": world.grasp.holds,
@@ -228,7 +228,7 @@ def main() -> None:
         json.dumps(
             {
                 "position_error_mm": 1e3 * position, "orientation_error_deg": math.degrees(angle),
-                "largest_torque_step_nm": steps, "usual_torque_step_nm": usual, "torque_share": share,
+                "largest_torque_jump_nm": steps, "usual_torque_jump_nm": usual, "torque_share": share,
                 "movement_s": end, "outcome": response.result.reason, "checks": checks, "passed": all(checks.values()),
             }
         ),
