@@ -22,6 +22,8 @@ from typing import Any
 
 #: Packets that wait for a cable are dropped beyond this, bytes, as switches do.
 QUEUE = 20_000
+#: What a host publishes for the others has names below this.
+NETWORK = "network"
 _INSIDE = "TPGMM_OWN_NETWORK"
 _ETH_P_ALL, _OUTGOING = 3, 4  # linux/if_ether.h, linux/if_packet.h
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from noisy_poses import BOUND, Noise, away, frames_of, lengths, rms, run, tracked_at
 from test_noisy_poses import PLACES, RATE, learned
-from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_core.observation.tracked import TrackingConfig
 from tpgmm_core.retrieval.methods import METHODS
 
 STEP = 0.02

@@ -127,9 +127,9 @@ def run(seed: int, model: Path, perceived: str, output: Path, rate: float = 1000
         "passed": report["passed"],
         "final_position_error_m": report.get("final_position_error_m"),
         "final_orientation_error_deg": report.get("final_orientation_error_deg"),
-        "torque_step_when_frame_lost_nm": report.get("torque_step_when_frame_lost_nm"),
-        "torque_step_when_frame_back_nm": report.get("torque_step_when_frame_back_nm"),
-        "largest_torque_step_nm": report.get("largest_torque_step_nm"),
+        "torque_jump_when_frame_lost_nm": report.get("torque_jump_when_frame_lost_nm"),
+        "torque_jump_when_frame_back_nm": report.get("torque_jump_when_frame_back_nm"),
+        "largest_torque_jump_nm": report.get("largest_torque_jump_nm"),
         "outcome": report.get("outcome", ""),
         "cause": " ".join(filter(None, (report.get("error"), report.get("cause")))),
     }

@@ -29,7 +29,7 @@ from ros_graph import (
 from ros_testing import STARTUP_TIMEOUT, RunningProcess, StartProcess, spin_until
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
+from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame
 from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import Reference, TaskParameters

@@ -23,9 +23,9 @@ REPORT: dict[str, Any] = {
     "final_orientation_error_deg": float,
     "path_deviation_m": float,
     "max_torque_share": float,
-    "torque_step_when_frame_lost_nm": float,
-    "torque_step_when_frame_back_nm": float,
-    "largest_torque_step_nm": float,
+    "torque_jump_when_frame_lost_nm": float,
+    "torque_jump_when_frame_back_nm": float,
+    "largest_torque_jump_nm": float,
     "ticks": {
         node: {"asked": int, "done": int} for node in ("reproduction", "impedance_controller", "baxter_simulator")
     },
@@ -83,7 +83,7 @@ def test_the_report_has_all_its_keys_in_plain_numbers_within_what_is_to_be_reach
     assert report["passed"] is True
     assert report["final_position_error_m"] <= 0.01 and report["final_orientation_error_deg"] <= 5.0
     assert 0.0 < report["max_torque_share"] <= 1.0
-    assert report["torque_step_when_frame_lost_nm"] <= 0.5 and report["torque_step_when_frame_back_nm"] <= 0.5
+    assert report["torque_jump_when_frame_lost_nm"] <= 0.5 and report["torque_jump_when_frame_back_nm"] <= 0.5
     assert report["cause"] == "" and report["perception"]["kind"] == "camera"
     for frame, rate in report["perception"]["rate_hz"].items():
         assert 0.9 * 30.0 < rate < 1.1 * 30.0, frame

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -241,6 +242,58 @@ def test_a_frame_that_stays_is_held_where_it_was_and_another_one_is_missing(
     np.testing.assert_allclose(table.b[:3], GOOD[:3], atol=1e-9)
 
 
+def test_a_frame_that_was_seen_to_move_with_the_hand_goes_on_with_it_and_one_beside_it_stays(
+    ros_node: Node, start_process: StartProcess, tmp_path: Path
+) -> None:
+    carried = "{topic: %s, unseen: {with: hand}}"
+    frames = f"frames: {{cup: {carried % 'cup'}, box: {carried % 'box'}}}\n"
+    (tmp_path / "task.yaml").write_text(TASK.split("frames:")[0] + frames)
+    process = start_process("frame_tracker", *ros_arguments(task_file=tmp_path / "task.yaml"))
+    inbox = Inbox(ros_node, TaskParameters, "task_parameters", ALL_LATCHED)
+    names = "hand/pose", "cup", "box"
+    publishers = {name: ros_node.create_publisher(PoseStamped, name, STREAM) for name in names}
+    in_hand, way = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]), [0.0]
+    published, first_seen = [0], []
+
+    def live(*seen: str) -> None:
+        """The hand goes on by 2 mm, at most every 5 ms; what is seen is published with the hand."""
+        stamp = ros_node.get_clock().now().nanoseconds
+        if stamp - published[0] < SECOND // 200:
+            return
+        published[0] = stamp
+        way[0] += 0.002
+        hand = GOOD + np.array([way[0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        places = {"hand/pose": hand, "cup": compose(hand, in_hand), "box": compose(GOOD, in_hand)}
+        for name in ("hand/pose", *seen):
+            publishers[name].publish(conversions.pose_stamped(places[name], stamp, "base"))
+
+    def latest(name: str) -> Any:
+        return next((item for item in inbox.last.frames if item.name == name), None) if inbox.last else None
+
+    def carried_far() -> bool:
+        live("cup", "box")
+        cup = latest("cup")
+        if cup is None or cup.status != TaskFrame.VISIBLE:
+            return False
+        first_seen.append(cup.b[0])
+        return cup.b[0] - first_seen[0] > 0.1
+
+    spin_until(ros_node, carried_far, message="the cup on its way", processes=(process,))
+    last = way[0]
+
+    def gone_on() -> bool:
+        live()
+        return way[0] > last + 0.1 and all(latest(name).status == TaskFrame.HELD for name in ("cup", "box"))
+
+    spin_until(ros_node, gone_on, message="both frames to be held", processes=(process,))
+    cup, box = latest("cup"), latest("box")
+    np.testing.assert_allclose(cup.b[1:3], compose(GOOD, in_hand)[1:3], atol=1e-6)
+    gone = cup.b[0] - compose(GOOD, in_hand)[0] - last
+    assert np.sqrt(cup.pose_covariance[0]) == pytest.approx(0.01 + 0.1 * gone, rel=0.1) and gone > 0.05
+    np.testing.assert_allclose(box.b[:3], compose(GOOD, in_hand)[:3], atol=1e-6)
+    assert len(box.pose_covariance) == 0
+
+
 def test_a_frame_that_no_transforms_lead_to_is_named_with_what_is_known(
     ros_node: Node, start_process: StartProcess, tmp_path: Path
 ) -> None:
@@ -252,7 +305,7 @@ def test_a_frame_that_no_transforms_lead_to_is_named_with_what_is_known(
     def said() -> bool:
         stamp = ros_node.get_clock().now().nanoseconds
         publisher.publish(tf2_msgs.TFMessage(transforms=[transform(GOOD, stamp, "base", "cup")]))
-        return "none leads from 'base' to 'mug'; those that came are about base, cup" in diagnostics.messages.get(
+        return "nothing connects 'base' to 'mug'; those that came are about base, cup" in diagnostics.messages.get(
             "frame_tracker", ""
         )
 

@@ -33,7 +33,7 @@ from message_fuzz import Fuzz, subscriptions
 from ros_graph import ALL, ALL_LATCHED, ROBOT_FILE, TASK_FILE, Inbox, ros_arguments
 from ros_testing import RunningProcess, StartProcess, spin_until
 from simulated_hand import NAMES, ROBOT, pose_reference
-from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
+from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame
 from tpgmm_msgs.action import Reproduce
 from tpgmm_msgs.msg import Reference, TaskParameters
 from tpgmm_ros.messages import conversions

@@ -18,7 +18,7 @@ from ros_graph import ROOT, SECOND, Inbox, result_of, ros_arguments
 from ros_testing import STARTUP_TIMEOUT, RunningProcess, StartProcess, spin_until
 from tpgmm_core import Demonstration, Frame
 from tpgmm_core.geometry.manifold import POSE
-from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
+from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.action import Reproduce

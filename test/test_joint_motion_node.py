@@ -150,7 +150,7 @@ def test_a_robot_that_does_not_follow_stays_when_it_is_let_go(bench: Bench) -> N
         return bool(bench.sent.messages) and np.abs(np.array(bench.sent.last.points[-1].positions) - stuck).max() < 1e-3
 
     bench.until(told_to_stay, "positions where it is")
-    bench.until_it_says(ControllerMode.WAITING, "it begins again with the next movement: nothing is sent")
+    bench.until_it_says(ControllerMode.WAITING, "it starts again with the next movement: nothing is sent")
     bench.mode("well")
     until = time.monotonic() + 1.0
     bench.until(lambda: time.monotonic() > until, "time to pass")

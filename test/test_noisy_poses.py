@@ -33,7 +33,7 @@ from ros_testing import STARTUP_TIMEOUT, StartProcess, spin_until
 from tpgmm_core import LearnedMixture
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
-from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_core.observation.tracked import TrackingConfig
 from tpgmm_core.retrieval.methods import METHODS, make_retrieval
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_msgs.action import Reproduce

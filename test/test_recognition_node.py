@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 from ros_graph import ALL_LATCHED, Inbox, ros_arguments
 from ros_testing import StartProcess, spin_until
 from synthetic_bags import REACH_TASK, reach, write_bag
-from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
+from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import LATCHED, STREAM

@@ -96,7 +96,7 @@ def test_a_situation_that_is_too_new_is_refused_where_a_limit_is_set(player: Pla
     far = {**PLACES, "object": PLACES["object"] + [1.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]}
     assert set_parameters(player.node, NODE, max_novelty=2.0).successful
     try:
-        for places, path, reason in ((far, told, "too new to the model: novelty"), (PLACES, "", "--leave-one-out")):
+        for places, path, reason in ((far, told, "too new for the model: novelty"), (PLACES, "", "--leave-one-out")):
             for _ in range(20):
                 player.show(places)
                 player.tick(answered=False)
@@ -172,9 +172,7 @@ def test_a_movement_waits_for_a_frame_that_it_needs_and_is_aborted_where_that_do
         player.show({**PLACES, "target": None})
 
     # a model of few components knows little with all frames, too
-    assert set_parameters(
-        player.node, NODE, unknown_ratio=5.0, unknown_position=0.03, unknown_orientation=0.175
-    ).successful
+    assert set_parameters(player.node, NODE, unknown_ratio=5.0).successful
     handle = player.start(duration=2.0 * DURATION)
     lose_target()
     spin_until(
@@ -201,8 +199,7 @@ def test_a_movement_waits_for_a_frame_that_it_needs_and_is_aborted_where_that_do
     handle = player.start(duration=2.0 * DURATION)
     lose_target()
     status, result = player.result(handle)
-    usual = {"unknown_timeout": 30.0, "unknown_ratio": 10.0, "unknown_position": 0.1, "unknown_orientation": 0.5}
-    assert set_parameters(player.node, NODE, **usual).successful
+    assert set_parameters(player.node, NODE, unknown_timeout=30.0, unknown_ratio=10.0).successful
     assert status == GoalStatus.STATUS_ABORTED and not result.success
     assert result.reason.startswith("waited for 0.5 s at phase ") and "without target" in result.reason
     player.show(PLACES)

@@ -18,7 +18,7 @@ from ros_testing import StartProcess
 from tpgmm_core.control.supervision import ControllerMode
 
 ACTION = "joint_trajectory_controller/follow_joint_trajectory"
-AGAIN = "; it begins again with the next movement: nothing is sent"
+AGAIN = "; it starts again with the next movement: nothing is sent"
 
 
 @pytest.fixture(scope="module")

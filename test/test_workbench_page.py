@@ -9,7 +9,9 @@ Pictures are written to out/workbench_page/. How long it takes until the skill r
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -40,6 +42,8 @@ RUNS = "Move an object, or hide it"
 DURATION, SPEED = 0, 1
 #: Demonstrations that are taught.
 COUNT = 3
+#: Pages that are open at once. Ten take minutes on two cores, where each draws without a graphics card.
+PAGES = int(os.environ.get("TPGMM_PAGES", "3"))
 
 
 @pytest.fixture
@@ -50,11 +54,13 @@ def browser() -> Iterator[Any]:
         running.close()
 
 
-def start(start_process: StartProcess, domain: int, folder: Path) -> tuple[RunningProcess, Callable[[], str]]:
+def start(
+    start_process: StartProcess, domain: int, folder: Path, *options: str
+) -> tuple[RunningProcess, Callable[[], str]]:
     process = start_process(
         sys.executable, "-m", "tpgmm_workbench.simulated", "--project", str(folder),
         "--log", str(folder.parent / "log"),
-        "--rate", "250", "--seed", "3", "--frame-rate", "2", "--domain", str(domain), "--port", "18080",
+        "--rate", "250", "--seed", "3", "--frame-rate", "2", "--domain", str(domain), "--port", "18080", *options,
     )  # fmt: skip
 
     def address() -> str:
@@ -231,6 +237,43 @@ def _share(user: User, folder: Path, place: Path) -> None:
     user.sees("imported into")
     user.shoot("share")
     assert len(Project.open(folder.parent / "project_2").demonstrations()) == COUNT
+
+
+def test_several_pages_show_the_same_and_come_back_after_the_program_was_killed(
+    browser: Any, ros_node: Node, ros_domain: int, start_process: StartProcess, tmp_path: Path
+) -> None:
+    folder = tmp_path / "project"
+    process, address = start(start_process, ros_domain, folder, "--no-meshes")
+    spin_until(ros_node, address, PATIENCE, "the address", (process,))
+    phone, small = {"width": 390, "height": 560}, {"width": 640, "height": 360}
+    first, *others = users = [User(browser, ros_node, process, address(), small) for _ in range(PAGES - 1)]
+    users.append(User(browser, ros_node, process, address(), phone))
+    assert all(user.sees_stop() for user in users)
+    first.until(lambda: all("object: seen" in user.text() for user in users[:-1]), "all pages to show the object")
+    first.until(lambda: sum("this one drives" in user.text() for user in users) == 1, "one page that drives")
+    assert "this one drives" in first.text() and "another one drives" in others[-1].text()
+    others[-1].page.keyboard.press("n")
+    others[-1].sees("Another page drives")
+    others[-1].click("Drive from this page")
+    first.until(lambda: "another one drives" in first.text(), "the first page to be told")
+    users[-1].shoot("phone")
+    users[-1].click("STOP")
+    first.sees("stopped")
+    for user in users[2:]:
+        user.page.close()
+    first.until(lambda: "2 pages" in first.text(), "two pages that are left")
+
+    process.send_signal(signal.SIGKILL)
+    process.wait(PATIENCE)
+    first.page.get_by_text("STOP neither").wait_for()
+    first.page.keyboard.press("t")
+    first.page.get_by_text("The key T was not heard").wait_for()
+    first.process, address = start(start_process, ros_domain, folder, "--no-meshes")
+    first.until(address, "the address again")
+    for user in (first, others[0]):
+        user.process = first.process
+        user.is_heard()
+        user.sees("object: seen")
 
 
 def test_a_page_that_is_open_to_other_machines_is_seen_with_its_token_alone_which_leaves_the_address(

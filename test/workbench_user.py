@@ -23,6 +23,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader"]
 OUTPUT = ROOT / "out" / "workbench_page"
 WIDTH, HEIGHT = 1000, 640
+WINDOW = {"width": WIDTH, "height": HEIGHT}
 PATIENCE = 150.0
 #: Length of an object's gizmo, m, and the share of it where its arrow is taken hold of.
 GIZMO, HOLD = 0.16, 0.85
@@ -31,9 +32,11 @@ GIZMO, HOLD = 0.16, 0.85
 class User:
     """Someone at the page."""
 
-    def __init__(self, browser: Any, node: Node, process: RunningProcess, address: str) -> None:
+    def __init__(
+        self, browser: Any, node: Node, process: RunningProcess, address: str, window: dict[str, int] = WINDOW
+    ) -> None:
         self._node, self.process = node, process
-        self.page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+        self.page = browser.new_page(viewport=window)
         self.page.set_default_timeout(1e3 * PATIENCE)
         self.asked: list[str] = []
         self.page.on("request", lambda request: self.asked.append(request.url))
@@ -98,7 +101,8 @@ class User:
         return bool(
             self.page.evaluate(
                 """() => {
-                const stop = [...document.querySelectorAll('button')].find((one) => one.innerText.includes('STOP'));
+                const stop = [...document.querySelectorAll('button')].find(
+                    (one) => one.innerText.includes('STOP') && one.getBoundingClientRect().height > 0);
                 const box = stop.getBoundingClientRect();
                 const over = document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2);
                 return box.height > 10 && box.y >= 0 && box.bottom <= window.innerHeight && stop.contains(over);

@@ -61,7 +61,7 @@ def enter_late(late_ms: int, varies_ms: int = 0) -> None:
         added = f"the machine adds {1e3 * np.median(ages) - late_ms:.1f} ms by itself"
         if bench.is_in(ControllerState.DAMPING, "gains are stable up to"):
             return f"{observed}; {added}; {assert_too_late(bench.modes.last.reason, ages)}"
-        assert bench.is_in(ControllerState.ACTIVE, "ms old by their stamps"), bench.modes.last
+        assert bench.is_in(ControllerState.ACTIVE, "ms old according to their stamps"), bench.modes.last
         assert bench.away() < 0.02
         return f"{observed}; {added}"
 
@@ -93,7 +93,7 @@ def too_late(bench: LateBench) -> str:
     bench.delay(0.06)
     bench.spin_for(0.5)
     observed = sent_away(bench, FIRM)
-    assert bench.is_in(ControllerState.DAMPING, "ms old by their stamps"), bench.modes.last
+    assert bench.is_in(ControllerState.DAMPING, "ms old according to their stamps"), bench.modes.last
     assert "gains are stable up to" in bench.modes.last.reason
     return observed
 

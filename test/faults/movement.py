@@ -14,7 +14,7 @@ from faults.perception import assert_smooth
 from faults.table import fault
 from ros_graph import ACTIVATE, DEACTIVATE, call, change_state, set_parameters
 from tpgmm_core.control.supervision import ControllerMode
-from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
+from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import TaskFrame, TaskParameters
 from tpgmm_msgs.srv import LoadModel
 from tpgmm_ros.messages import conversions

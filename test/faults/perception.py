@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseStamped
 
 from faults.graph_bench import GraphBench
 from faults.table import fault
-from ros_graph import SECOND, set_parameters
+from ros_graph import SECOND
 from tpgmm_msgs.msg import TaskFrame
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
@@ -135,19 +135,40 @@ def not_seen(bench: GraphBench) -> str:
 
 @fault(
     GraphBench,
-    "an object is lost for good, once it is not needed any more",
+    "the target of a movement is lost for a while, long before it is needed",
     "MISSING after visible_timeout, hold_time and fade_time; the movement goes on without it, as the diagnostics say",
     quick=False,
 )
 def lost(bench: GraphBench) -> str:
-    goal = bench.move(duration=10.0, until=0.6)
-    del bench.places["object"]
-    seconds = bench.wait(lambda: bench.seen("object")[-1].status == TaskFrame.MISSING, "MISSING")
-    bench.wait(bench.said("reproduction", "reproducing without object"), "the diagnostics to tell")
+    goal = bench.move(duration=20.0, until=0.03)
+    hidden = bench.places.pop("target")
+    seconds = bench.wait(lambda: bench.seen("target")[-1].status == TaskFrame.MISSING, "MISSING")
+    bench.wait(bench.said("reproduction", "reproducing without target"), "the diagnostics to tell")
+    bench.places["target"] = hidden
     result = bench.result(goal)
     assert result.success, result.reason
     bench.assert_sound()
-    return f"MISSING after {seconds:.1f} s, 'reproducing without object', {result.reason}, {assert_smooth(bench)}"
+    return f"MISSING after {seconds:.1f} s, 'reproducing without target', {result.reason}, {assert_smooth(bench)}"
+
+
+@fault(
+    GraphBench,
+    "an object that the hand may carry is lost for good",
+    "HELD where it was, since it was not seen to move with the hand, as the diagnostics say; the movement goes on",
+    quick=False,
+)
+def covered(bench: GraphBench) -> str:
+    goal = bench.move(duration=10.0, until=0.6)
+    del bench.places["object"]
+    bench.wait(
+        lambda: "was not seen to move with the hand" in str(bench.diagnostics.values.get("frame_tracker", {})),
+        "the note",
+    )
+    result = bench.result(goal)
+    assert result.success, result.reason
+    assert bench.seen("object")[-1].status == TaskFrame.HELD
+    bench.assert_sound()
+    return f"HELD, 'was not seen to move with the hand', {result.reason}, {assert_smooth(bench)}"
 
 
 @fault(
@@ -157,7 +178,6 @@ def lost(bench: GraphBench) -> str:
     quick=False,
 )
 def needed(bench: GraphBench) -> str:
-    assert set_parameters(bench.node, "reproduction", unknown_position=0.03, unknown_orientation=0.175).successful
     goal = bench.move(duration=10.0, until=0.5)
     hidden = bench.places.pop("target")
     bench.wait(bench.said("reproduction", "waits: without target"), "the diagnostics to tell")

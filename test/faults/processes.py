@@ -32,7 +32,7 @@ COMMAND_TIMEOUT, BRAKING_RATE = 0.1, 20.0
 def tracker_killed(bench: GraphBench) -> str:
     goal = bench.move(until=0.3)
     bench.kill("frame_tracker")
-    seconds = bench.wait(bench.said("reproduction", "is frame_tracker alive?"), "the diagnostics to ask")
+    seconds = bench.wait(bench.said("reproduction", "check that frame_tracker is running"), "the diagnostics to ask")
     result = bench.result(goal)
     assert result.success, result.reason
     observed = bench.assert_sound()

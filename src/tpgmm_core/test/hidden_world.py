@@ -25,8 +25,8 @@ SETTLED = 0.5
 
 
 def waiting(model: LearnedMixture, **config: float) -> Waiting:
-    """A movement of a model that waits; small models know little with all frames, hence the low limits."""
-    limits = KnowledgeConfig(**{"unknown_ratio": 5.0, "unknown_position": 0.03, "unknown_orientation": 0.175, **config})
+    """A movement of a model that waits; small models know little with all frames, hence the lower ratio."""
+    limits = KnowledgeConfig(**{"unknown_ratio": 5.0, **config})
     return Waiting(make_retrieval(model), make_retrieval(model, horizon_steps=0), limits)
 
 

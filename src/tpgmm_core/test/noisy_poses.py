@@ -12,7 +12,8 @@ import numpy as np
 from tpgmm_core import Frame, LearnedMixture
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import POSE, Manifold
-from tpgmm_core.observation.tracking import FrameTracker, TrackingConfig
+from tpgmm_core.observation.tracked import TrackingConfig
+from tpgmm_core.observation.tracking import FrameTracker
 from tpgmm_core.retrieval.methods import make_retrieval
 
 SECOND = 1_000_000_000

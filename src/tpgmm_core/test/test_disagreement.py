@@ -69,10 +69,10 @@ def test_large_times_and_coordinates_give_what_small_ones_give(
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("distance", [10.0, 100.0])
 def test_an_object_far_away_is_refused_by_its_distance(method: type, distance: float) -> None:
-    with pytest.raises(ValueError, match="relation between place and orientation") as error:
+    with pytest.raises(ValueError, match="dependence of the orientation on the position") as error:
         for direction in np.vstack([np.eye(3), -np.eye(3)]):  # some of them may agree
             method(model()).retrieve(situation(OBJECT + distance * direction), [2.0, 3.0, 4.0])
-    found = re.search(r"what 'object' and 'robot' expect lies ([\d.e+]+) m apart, ([\d.]+) standard", str(error.value))
+    found = re.search(r"what 'object' and 'robot' expect is ([\d.e+]+) m apart, ([\d.]+) standard", str(error.value))
     assert found is not None, error.value
     assert float(found[1]) == pytest.approx(distance, rel=0.1) and float(found[2]) > 10.0
 
@@ -81,9 +81,13 @@ def test_what_contradicts_most_is_said() -> None:
     sure = np.diag([1e-4] * 3 + [1e-2] * 3)
     home = Gaussian([0.0, 0.0, 0.0, *turned(0.0)], sure, POSE)
     for place, angle, words in (
-        (0.02, 2.0, "what 'a' and 'b' expect is turned by 115 deg, 14.1 standard deviations of what was learned"),
-        (3.0, 0.1, "what 'a' and 'b' expect lies 3 m apart, 212.1 standard deviations of what was learned"),
-        (3.0, 2.0, "(it is turned by 115 deg besides)"),
+        (
+            0.02,
+            2.0,
+            "what 'a' and 'b' expect differs by 115 deg in orientation, 14.1 standard deviations of what was learned",
+        ),
+        (3.0, 0.1, "what 'a' and 'b' expect is 3 m apart, 212.1 standard deviations of what was learned"),
+        (3.0, 2.0, "(it also differs by 115 deg in orientation)"),
     ):
         other = Gaussian([place, 0.0, 0.0, *turned(angle)], sure, POSE)
         assert words in disagreement({"a": home, "b": other, "c": home})

@@ -60,7 +60,7 @@ def test_joints_in_degrees_are_named_and_rad_are_not() -> None:
     assert not doubts_of_joint_units(["shoulder", "elbow"], rad)
     (doubt,) = doubts_of_joint_units(["shoulder", "elbow"], np.degrees(rad))
     assert doubt.kind == "units" and not doubt.refuses
-    assert "the joint shoulder is 171.9 from its zero, which as rad is 27 turns" in doubt.text
+    assert "the joint shoulder is 171.9 from its zero, which in rad is 27 turns" in doubt.text
 
 
 @pytest.mark.parametrize("samples", [12, 80, 4000])
@@ -163,7 +163,7 @@ def test_one_that_turns_the_other_way_round_is_named(count: int, turn: float) ->
     several[1] = shown(1, turn=np.radians(turn - 360.0))
     (doubt,) = judged(several)
     assert doubt.kind == "misfit" and doubt.about == ("demo_1",)
-    assert f"it turns by {360 - turn:.0f} deg the other way round, the others by {turn:.0f} deg" in doubt.text
+    assert f"it turns by {360 - turn:.0f} deg in the opposite direction to the others ({turn:.0f} deg)" in doubt.text
     assert " deg (at " in doubt.text and " s it is " in doubt.text
 
 

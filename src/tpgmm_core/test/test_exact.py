@@ -115,7 +115,7 @@ def test_a_loop_ends_exactly_and_without_a_jump_though_the_object_moves(tmp_path
         ("object", "expected frames and phases, such as 'target at 1"),
         ("object at 2", "the phase of a constraint is 0 to 1"),
         ("object at soon", "could not convert"),
-        ("object at 1, start at 1", "at one phase, a movement can be in one place only"),
+        ("object at 1, start at 1", "two constraints have the same phase"),
         (5, "expected frames and phases"),
     ],
 )

@@ -265,7 +265,7 @@ def test_settings_that_make_no_sense_are_refused_by_name(name: str, value: float
     [
         (lambda t: 0.0, "hardly moved"),
         (lambda t: min(0.6, t), "has stopped there"),
-        (lambda t: min(1.0, 0.3 * t), "late and still approaches"),
+        (lambda t: min(1.0, 0.3 * t), "late and still approaching"),
     ],
     ids=["held", "blocked", "late"],
 )

@@ -24,8 +24,9 @@ from reaching import frames_at, place, reaching_demonstrations
 from tpgmm_core import TPGMM, ModelFileError
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.incremental.online import OnlineTPGMM
-from tpgmm_core.retrieval.methods import METHODS, load_model, make_retrieval
+from tpgmm_core.retrieval.methods import ALL_METHODS, load_model, make_retrieval
 from tpgmm_core.retrieval.recipe import Recipe
+from wiping import shown_for
 
 EXAMPLES = int(os.environ.get("TPGMM_FUZZ_EXAMPLES", "100"))
 FUZZ = settings(
@@ -49,9 +50,9 @@ _JSON = st.recursive(
 def sound(kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """Header and arrays of a sound model: of each method, each structure, and one that goes on learning."""
     demonstrations = reaching_demonstrations(4)
-    if kind in METHODS:
+    if kind in ALL_METHODS:
         recipe = Recipe.of({"n_components": 2, "reg_covar": 1e-4, "retrieval": kind, "max_iter": 5})
-        model = recipe.learn(demonstrations, MANIFOLD, DIMENSIONS)
+        model = recipe.learn(shown_for(kind, demonstrations), MANIFOLD, DIMENSIONS)
     elif kind == "online":
         model = OnlineTPGMM(2, manifold=MANIFOLD, reg_covar=1e-4, max_iter=5).fit(demonstrations)
     elif kind == "deep_mfa":  # on Euclidean data only
@@ -69,7 +70,7 @@ def sound(kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
 @st.composite
 def broken(draw: st.DrawFn) -> tuple[str, dict[str, Any], dict[str, Any]]:
     """A sound model in which something was changed."""
-    kind = draw(st.sampled_from([*METHODS, *STRUCTURES, "online"]))
+    kind = draw(st.sampled_from([*ALL_METHODS, *STRUCTURES, "online"]))
     header, arrays = sound(kind)
     header, arrays = dict(header), dict(arrays)
     for _ in range(draw(st.integers(1, 3))):
@@ -149,7 +150,9 @@ def test_whatever_a_model_file_holds_it_is_refused_in_words_or_can_be_reproduced
 @given(data=st.data())
 def test_bytes_that_were_changed_give_a_clear_error_or_a_model(data: st.DataObject) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        path = write_parts(Path(folder) / "bytes.tpgmm", *sound(data.draw(st.sampled_from([*METHODS, *STRUCTURES]))))
+        path = write_parts(
+            Path(folder) / "bytes.tpgmm", *sound(data.draw(st.sampled_from([*ALL_METHODS, *STRUCTURES])))
+        )
         content = bytearray(path.read_bytes())  # not compressed: changes reach the headers of arrays
         for _ in range(data.draw(st.integers(1, 8))):
             content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
@@ -160,7 +163,7 @@ def test_bytes_that_were_changed_give_a_clear_error_or_a_model(data: st.DataObje
             assert "bytes.tpgmm" in str(error)
 
 
-@pytest.mark.parametrize("kind", [*METHODS, *STRUCTURES, "online"])
+@pytest.mark.parametrize("kind", [*ALL_METHODS, *STRUCTURES, "online"])
 def test_a_model_that_nobody_changed_is_read_and_reproduced(kind: str, tmp_path: Path) -> None:
     model = load_model(write_parts(tmp_path / "sound.tpgmm", *sound(kind)))
     if kind == "deep_mfa":

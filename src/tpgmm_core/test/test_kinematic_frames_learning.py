@@ -238,7 +238,7 @@ def test_who_has_priority_is_found_in_the_demonstrations(order: tuple[str, str])
 
 def test_models_that_do_not_fit_are_refused_with_the_reason() -> None:
     frames = bimanual()
-    with pytest.raises(ValueError, match="no candidates"):
+    with pytest.raises(ValueError, match="not among the candidates"):
         ConfigurationProduct(model_of({"nose": (np.zeros(5), np.eye(5))}), frames)
     rng = np.random.default_rng(0)
     with pytest.raises(ValueError, match="without time has one component"):

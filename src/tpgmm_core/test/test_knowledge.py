@@ -15,7 +15,7 @@ from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
 from tpgmm_core.retrieval.knowledge import KnowledgeConfig, least_known
 from tpgmm_core.retrieval.regression import AdaptThenRegress
 
-LIMITS = KnowledgeConfig(unknown_ratio=5.0, unknown_position=0.03, unknown_orientation=0.175)
+LIMITS = KnowledgeConfig(unknown_ratio=5.0)
 TASK = np.diag(np.square([0.002, 0.002, 0.002, 0.01, 0.01, 0.01]))
 
 

@@ -136,7 +136,7 @@ def test_a_delay_that_no_stamp_tells_of_is_found_by_the_swings_and_borne_afterwa
     assert len(set(alarms)) <= 1  # the one that goes on
     if late_ms == 30:
         assert again.modes[-1] == ControllerMode.ACTIVE and again.shares[-1] < 0.7
-    assert "it oscillated as if torques came" in again.reasons[-1]
+    assert "it oscillated as if torques arrived" in again.reasons[-1]
     assert again.fastest(slice(-1000, None), robot.velocity_limits) < 0.1
 
 
@@ -172,7 +172,7 @@ def test_an_obstacle_that_goes_away_lets_nothing_leap(robots: dict[str, RobotMod
 
     blocked = loop.run(4000, reference, wall)
     assert blocked.modes[-1] == ControllerMode.HOLD
-    assert "not following" in blocked.reasons[-1] and "held by something" in blocked.reasons[-1]
+    assert "not following" in blocked.reasons[-1] and "something holds it" in blocked.reasons[-1]
     free = loop.run(6000, reference)
     assert free.fastest(slice(None), robot.velocity_limits) < 0.25
     assert free.modes[-1] == ControllerMode.ACTIVE

@@ -157,7 +157,7 @@ def test_no_step_waits_for_the_compiler() -> None:
 def test_a_locality_that_cannot_be_or_means_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match="locality is a finite number from 0, got -1"):
         TimeStepTPGMM(locality=-1.0).fit(reaching_demonstrations(3))
-    with pytest.raises(ValueError, match="locality is no setting of gaussian_process"):
+    with pytest.raises(ValueError, match="unknown settings locality of gaussian_process"):
         Recipe.of({"locality": 1.0}, method="gaussian_process")
     recipe = Recipe.of({"retrieval": "promp", "locality": 1.0, "n_components": 5})
     assert recipe.arguments["locality"] == 1.0

@@ -165,7 +165,7 @@ def test_a_demonstration_that_cannot_be_is_refused() -> None:
     chain = SemiMarkovChain.of("left-right", np.full(2, 3.0), 5)
     with pytest.raises(ValueError, match="demonstration 1 .* max_duration"):
         chain.posteriors(np.zeros((21, 2)), [10, 11])
-    with pytest.raises(ValueError, match="without a diagonal"):
+    with pytest.raises(ValueError, match="diagonal of its transitions must be 0"):
         SemiMarkovChain.of(np.eye(2), np.full(2, 3.0), 5)
     with pytest.raises(ValueError, match="left-right"):
         MarkovChain.of("circular", np.full(2, 3.0))

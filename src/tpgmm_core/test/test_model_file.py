@@ -157,7 +157,7 @@ def rewrite(path: Path, **changes: Any) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"format": "other"}, "no model file"),
+        ({"format": "other"}, "not a model file"),
         ({"version": 99}, "version 99"),
         ({"frames": ["object", "object", "robot"]}, "distinct"),
         ({"frames": []}, "distinct"),
@@ -165,7 +165,7 @@ def rewrite(path: Path, **changes: Any) -> None:
         ({"manifold": "cone"}, "cone"),
         ({"dimensions": ["time"]}, "8 names"),
         ({"metadata": [1]}, "metadata"),
-        ({"settings": 3}, "no model file"),
+        ({"settings": 3}, "not a model file"),
         ({"priors": np.array([0.5, 0.6, 0.7])}, "sum to 1"),
         ({"priors": np.array([0.5, 0.5])}, "expected"),
         ({"means_0": np.full((3, 8), np.nan)}, "finite"),

@@ -133,9 +133,9 @@ def test_one_way_alone_is_learned_where_it_is_asked_for() -> None:
     movement = TimeSteps(model)
     movement.situate(new.frames)
     assert model.shown_ is None and side_of(movement.at(new.times)[0], new) == LEFT
-    with pytest.raises(ValueError, match="mode is 3, and the demonstrations go 2 ways"):
+    with pytest.raises(ValueError, match="mode is 3; expected 1 to 2"):
         TimeStepTPGMM(manifold="R1 x R2", mode=3).fit(half_on_each_side())
-    with pytest.raises(ValueError, match="mode is 3, and the demonstrations go 2 ways"):
+    with pytest.raises(ValueError, match="mode is 3; expected 1 to 2"):
         TimeSteps(learned()).choose(3)
 
 

@@ -14,7 +14,8 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.observation.pose_filter import FEWEST, MOST, PoseFilter
-from tpgmm_core.observation.tracking import FrameTracker, TrackingConfig
+from tpgmm_core.observation.tracked import TrackingConfig
+from tpgmm_core.observation.tracking import FrameTracker
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND  # as the stamps of a clock are

@@ -274,7 +274,7 @@ def test_bad_input_is_refused_with_the_reason() -> None:
     system.start(0, [0.0, 0.0])
     with pytest.raises(ValueError, match="no step"):
         system.mixture()
-    with pytest.raises(ValueError, match="cannot go back"):
+    with pytest.raises(ValueError, match="cannot move backwards"):
         system.speed = -1.0
     with pytest.raises(ValueError, match="with_time"):
         system.step(0, {"goal": Frame(2.0 * np.eye(3), np.zeros(3))})

@@ -188,9 +188,9 @@ def test_a_way_named_in_settings_gives_way_to_one_that_is_asked_for() -> None:
 @pytest.mark.parametrize(
     ("model", "method", "complaint"),
     [
-        ("adapt_regress", "dmp", r"dmp retrieves from models of \[decay term, attractor\].*\[time, data\].*train"),
+        ("adapt_regress", "dmp", r"dmp needs a model of \[decay term, attractor\].*\[time, data\].*train"),
         ("dmp", "adapt_regress", r"adapt_regress.*'retrieval: adapt_regress', or choose dmp"),
-        ("adapt_regress", "semi_markov", "semi_markov retrieves from a TPHSMM, and this model is a TPGMM"),
+        ("adapt_regress", "semi_markov", "semi_markov needs a TPHSMM, but this model is a TPGMM"),
         ("adapt_regress", "regression", "no retrieval method 'regression'; known are adapt_regress"),
     ],
 )
@@ -211,8 +211,8 @@ def test_a_phase_is_for_functions_of_time_only() -> None:
     ("settings", "complaint"),
     [
         ({"retrieval": "fortune"}, "no retrieval method 'fortune'"),
-        ({"retrieval": "trajectory", "decay_rate": 3.0}, "decay_rate is no setting of trajectory"),
-        ({"max_duration": 30}, "max_duration is no setting of adapt_regress, which has n_components"),
+        ({"retrieval": "trajectory", "decay_rate": 3.0}, "unknown settings decay_rate of trajectory"),
+        ({"max_duration": 30}, "unknown settings max_duration of adapt_regress; it has n_components"),
         ({"retrieval": "dmp", "stiffness": 0.0}, "stiffness is 0.0, expected 10 to"),
     ],
 )

@@ -39,12 +39,12 @@ def panda(folder: Path, *replace: tuple[str, str]) -> RobotModel:
         ((("panda_joint1: 0.0", "panda_joint1: 2.85"),), "home of panda_joint1 is 0.0473 rad from its limit"),
         ((("limits:\n", "limits:\n  panda_joint4: {effort: 25}\n"),), "panda_joint4 needs 88% of its effort"),
         ((("coulomb: 0.2", "coulomb: 3.0"),), "panda_joint7 moves so little .* armature: {panda_joint7"),
-        ((("coulomb: 0.2", "coulomb: 0.0"),), "no friction of panda_joint1, panda_joint2"),
+        ((("coulomb: 0.2", "coulomb: 0.0"),), "no friction is given for panda_joint1, panda_joint2"),
         ((("panda_joint4: -2.356", "panda_joint4: -0.5"), ("panda_joint6: 1.571", "panda_joint6: 0.0"),), "hand: at home"),  # noqa: E501
         ((("base_frame: panda_link0", "base_frame: panda_link0\ngravity: [0, 0, 9.81]"),), "gravity is 0.00, 0.00, 9.81"),  # noqa: E501
-        ((("panda_joint6, panda_joint7]", "panda_joint6]"),), "hand: panda_joint7 move it too, and are held"),
-        ((("panda_joint6, panda_joint7]", "panda_joint6]"),), "panda_joint7: in no group"),
-        ((("frame: panda_hand_tcp", "frame: panda_link5"),), "hand: panda_joint6, panda_joint7 of its group do not"),
+        ((("panda_joint6, panda_joint7]", "panda_joint6]"),), "hand: it is also moved by panda_joint7"),
+        ((("panda_joint6, panda_joint7]", "panda_joint6]"),), "panda_joint7: in no joint group"),
+        ((("frame: panda_hand_tcp", "frame: panda_link5"),), "joints that do not move it: panda_joint6, panda_joint7"),
     ],
 )  # fmt: skip
 def test_what_is_suspicious_is_said(tmp_path: Path, replace: tuple[tuple[str, str], ...], message: str) -> None:
@@ -55,8 +55,8 @@ def test_what_is_suspicious_is_said(tmp_path: Path, replace: tuple[tuple[str, st
 def test_an_arm_of_few_joints_and_a_loose_gripper_are_noticed(tmp_path: Path) -> None:
     home: dict[str, Any] = {"home": {"turn": 0.0, "slide": 0.25, "grip": 0.02, "grip_too": 0.02}}
     found = suspicions(RobotModel.from_file(write_arm(tmp_path, home, replace=("</robot>", GRIPPER_URDF))))
-    assert any(text.startswith("end point tool: 2 joints cannot give it every pose") for text in found)
-    assert any(text.startswith("grip, grip_too: in no group") for text in found)
+    assert any(text.startswith("end point tool: 2 joints cannot reach every pose") for text in found)
+    assert any(text.startswith("grip, grip_too: in no joint group") for text in found)
 
 
 @pytest.mark.parametrize(("turn", "x"), [("revolute", -1.5 * np.cos(np.pi - 2.0)), ("continuous", -1.5)])

@@ -165,5 +165,5 @@ def test_labels_start_em_and_are_checked() -> None:
         TPGMM(2, init=labels[:5]).fit_projected(X)
     with pytest.raises(ValueError, match="labels are integers"):
         TPGMM(1, init=labels).fit_projected(X)
-    with pytest.raises(ValueError, match="component 2 without samples"):
+    with pytest.raises(ValueError, match="component 2 has no samples"):
         TPGMM(3, init=labels).fit_projected(X)

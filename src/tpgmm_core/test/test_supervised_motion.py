@@ -87,7 +87,7 @@ def test_a_robot_that_moves_is_not_taken_over() -> None:
     for _ in range(30):
         bench.q = bench.q + 0.01
         bench.run(0.01)
-    assert not bench.sent and bench.says[1].startswith("the robot has not been at rest for 0.1 s yet")
+    assert not bench.sent and bench.says[1].startswith("waiting until the robot has been at rest for 0.1 s")
     bench.run(0.3)
     assert bench.sent and bench.says[0] is ControllerMode.ACTIVE
 

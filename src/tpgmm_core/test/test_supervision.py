@@ -60,7 +60,7 @@ def test_timeouts_that_make_no_sense_are_refused_by_name(name: str, value: float
     ("age", "mode", "reason"),
     [
         (None, WAITING, "no joint state yet (missing a)"),
-        (0.021, DAMPING, "gravity compensation where it was last (missing a)"),
+        (0.021, DAMPING, "gravity compensation at the last known position (missing a)"),
         (0.221, WAITING, "silent (missing a)"),
     ],
 )

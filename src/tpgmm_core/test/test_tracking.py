@@ -6,9 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tpgmm_core.common.blending import minimum_jerk
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.observation.poses import check_pose
-from tpgmm_core.observation.tracking import FrameStatus, FrameTracker, TrackingConfig
+from tpgmm_core.observation.tracked import FrameStatus, TrackingConfig
+from tpgmm_core.observation.tracking import FrameTracker
 
 POSE = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0]
 CONFIG = TrackingConfig(visible_timeout=0.2, hold_time=1.0, fade_time=0.5)
@@ -66,6 +68,16 @@ def test_a_frame_that_stays_is_held_for_ever_and_known_worse_only_where_it_was_s
     assert np.all(np.diag(later["cart"].covariance) > np.diag(held["cart"].covariance))
     see(frames, 600.1)
     assert state(frames, 600.1)["object"].status is FrameStatus.VISIBLE
+
+
+@pytest.mark.parametrize(("rests", "deviation"), [(2.0, 0.0), (0.2, 0.05)])
+def test_a_push_counts_while_it_may_go_on_and_not_once_the_object_has_come_to_rest(rests, deviation):
+    frames = FrameTracker(["object"], config=CONFIG, unknown_after={"object": math.inf})
+    for t in np.arange(0.0, 2.0 + rests, 0.02):  # 5 cm within the second second
+        see(frames, t, [0.05 * minimum_jerk(t - 1.0), *POSE[1:]])
+    covariance = state(frames, 3.0 + rests)["object"].covariance
+    spread = 0.0 if covariance is None else math.sqrt(covariance[0, 0])
+    assert spread == 0.0 if deviation == 0.0 else spread > deviation
 
 
 def test_noise_of_a_frame_at_rest_is_no_motion():

@@ -71,6 +71,22 @@ def test_how_long_a_frame_out_of_sight_is_where_it_was_the_task_says(
     assert notes == ([f"object: not known in {lost} of 11 samples, 0.25 s after it was last seen"] if lost else [])
 
 
+@pytest.mark.parametrize("carried", [True, False])
+def test_what_was_seen_to_move_with_the_hand_does_so_out_of_sight_and_other_things_stay(
+    carried: bool, tmp_path: Path
+) -> None:
+    topics = reach(0, samples=41, duration=4.0)
+    hand = topics["/endpoint/pose"].poses
+    beside = Topic(hand[:21] if carried else hand[20:21], 0.1 * np.arange(21 if carried else 1))
+    topics["/object/pose"] = beside  # its place in the hand is the hand's own
+    task = Task.from_text(REACH_TASK.replace("{topic: object/pose", "{topic: object/pose, unseen: {with: hand}"))
+    recording = read_recording(write_bag(tmp_path / "demo", topics), task)
+    assert np.linalg.norm(hand[40, :3] - hand[20, :3]) > 0.05
+    assert recording.visible["object"].all()
+    assert any("moving with the hand" in note for note in recording.notes) == carried
+    np.testing.assert_allclose(recording.frames["object"][40], hand[40 if carried else 20], atol=1e-9)
+
+
 def test_a_pose_with_the_stamp_of_a_sample_belongs_to_it(tmp_path: Path) -> None:
     topics = reach(0)
     topics["/object/pose"].poses[:, 0] += 1e-3 * np.arange(100)

@@ -18,7 +18,7 @@ from tpgmm_core import Frame, Gaussian
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.model.reference import Reference
-from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
+from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import Gaussian as GaussianMessage
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions

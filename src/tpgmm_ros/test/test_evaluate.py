@@ -75,7 +75,7 @@ def test_what_cannot_be_evaluated_is_said_and_the_status_is_1(
 ) -> None:
     (tmp_path / "bad.tpgmm").write_bytes(b"no model")
     status, found, _ = run(folder, capsys, "--model", str(tmp_path / "bad.tpgmm"), str(folder / "new"))
-    assert status == 1 and "no model file" in found["results"][0]["error"]
+    assert status == 1 and "not a model file" in found["results"][0]["error"]
     assert "could not be evaluated" in evaluate._table(found)
     status, found, error = run(folder, capsys, "--model", "a", "--methods", "dmp", "--", str(folder / "new"))
     assert status == 1 and "leave out --held-out and --methods" in error == f"error: {found['error']}\n"

@@ -86,7 +86,7 @@ def test_mixed_units_are_refused_and_can_be_left_out(tmp_path: Path, capsys: pyt
     arguments = ["--task", str(task), "--output", str(tmp_path / "model"), str(directory)]
     assert train.main(arguments) == 1 and not (tmp_path / "model").exists()
     error = capsys.readouterr().err
-    assert f"doubt: {directory / 'odd'}: the hand goes" in error and "different units" in error
+    assert f"doubt: {directory / 'odd'}: the hand moves by" in error and "units differ" in error
     assert train.main(["--skip-bad", *arguments]) == 0
     assert f"left out: {directory / 'odd'}" in capsys.readouterr().err
 

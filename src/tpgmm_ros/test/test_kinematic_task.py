@@ -51,7 +51,7 @@ def test_levels_and_postures_are_frames_and_say_what_they_aim_at() -> None:
 @pytest.mark.parametrize(
     ("key", "line", "words"),
     [
-        ("bar", "    bar: {point: right, relative_to: right}", "sees the point 'right' from itself"),
+        ("bar", "    bar: {point: right, relative_to: right}", "has the point 'right' relative to itself"),
         ("left", "    left: {point: left, relative_to: right, aim: object}", "expected one of the task's frames"),
         ("left", "    left: {point: left, part: nose, relative_to: left_target}", "position, orientation, pose"),
         ("together", "    together: [bar, [left, left]]", "each task once"),
@@ -188,7 +188,7 @@ def test_a_model_fits_the_task_that_it_was_learned_for_and_no_other(tmp_path: Pa
     assert movement.frame_names == ("left_target", "right_target") and movement.manifold.dim == 14
     with pytest.raises(ValueError, match="by one method, kinematic; got 'dmp'"):
         make_task_retrieval(model, task, "dmp")
-    with pytest.raises(ValueError, match="phase 'state' is for .*: kinematic .* leave the phase at 'clock'"):
+    with pytest.raises(ValueError, match="phase 'state' is for .*: kinematic .* leave 'phase' at 'clock'"):
         make_task_retrieval(model, task, phase="state")
     other = Task.from_text(text(together="    together: [[left, right]]"))
     with pytest.raises(ValueError, match="kinematic frames differ from those"):

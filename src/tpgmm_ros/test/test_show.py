@@ -88,11 +88,11 @@ def test_frames_of_joints_have_no_shares_and_it_is_said_why(tmp_path: Path, caps
     model.metadata_ = {"retrieval": "kinematic"}
     model.save(tmp_path / "model")
     found = shown(tmp_path / "model", capsys)
-    assert "depends on where the robot is" in found["no_relevance_because"] and "relevance" not in found
+    assert "depends on the posture of the robot" in found["no_relevance_because"] and "relevance" not in found
     assert found["frames"] == {"bar": "of the task", "posture": "of the task"}
 
 
-@pytest.mark.parametrize(("content", "words"), [(b"no model", "damaged, or no model file"), (None, "No such file")])
+@pytest.mark.parametrize(("content", "words"), [(b"no model", "damaged, or not a model file"), (None, "No such file")])
 def test_what_is_no_model_is_refused_in_one_line(
     content: bytes | None, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -103,7 +103,7 @@ def test_edits_name_takes_and_leave_some_out(tmp_path: Path) -> None:
         ("takes: [[1, 3], [2, 4]]", "one after the other"),
         ("takes: []", "a list of takes"),
         ("takes: {still: 0}", "above 0"),
-        ("takes: {stil: 1}", "needs one of 'still'"),
+        ("takes: {stil: 1}", "needs exactly one of 'still'"),
         ("takes: [[1, 3], [99, 100]]", "take from 99 s on, and its movement ends after 4.00 s"),
         ("leave_out: [1]", "its edits leave out some of its takes, and it has none"),
         ("takes: [[0, 1]]\nleave_out: [2]", "leave out take 2, and there are 1"),
@@ -128,7 +128,7 @@ def test_cuts_that_make_no_sense_are_refused_with_the_reason(edits: str, words: 
     ("takes", "words"),
     [
         ("{topic: /button}", "relative"),
-        ("{topic: a, above: 1, below: 2}", "name one of them"),
+        ("{topic: a, above: 1, below: 2}", "give only one of them"),
         ("{topic: a, lasts: long}", "one of while, until_next"),
         ("{topic: a, field: 'a..b'}", "a field of a message"),
         ("{still: 1, every: 0}", "at least 1"),
@@ -239,7 +239,7 @@ def on_clocks(step: float, at: float, lag: float = 0.0, unstamped_until: float =
 def test_a_clock_that_steps_between_takes_does_no_harm(step: float, tmp_path: Path) -> None:
     task = Task.from_text(REACH_TASK)
     bags = [write_bag(tmp_path / "steady", lessons(2)), write_bag(tmp_path / "demo", on_clocks(step, 9.0))]
-    with pytest.raises(BagError, match="clock steps by .* or name what lies on one side of the step in the edits"):
+    with pytest.raises(BagError, match="clock steps by .* or select the part before or after the step in the edits"):
         read_recording(bags[1], task)
     for bag, later in zip(bags, (0.0, max(step, 0.0)), strict=True):
         begin, end = 12.04 + later, 16.04 + later - (0.04 if step < 0.0 and bag is bags[1] else 0.0)
@@ -277,7 +277,7 @@ def test_each_take_has_the_stamps_and_the_lag_that_it_has(tmp_path: Path) -> Non
     bag = write_bag(tmp_path / "unstamped", on_clocks(0.0, 9.0, unstamped_until=8.0))
     (tmp_path / "unstamped.edits.yaml").write_text(TAKES)
     good, bad = read_takes(bag, task)
-    assert not bad and [any("times of the recorder" in note for note in one.notes) for one in good] == [True, False]
+    assert not bad and [any("recorder's times" in note for note in one.notes) for one in good] == [True, False]
     assert [len(one.times) for one in good] == [101, 101]
 
 

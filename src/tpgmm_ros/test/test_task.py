@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tpgmm_core.common.old_names import RENAMED
 from tpgmm_core.common.safe_yaml import MAX_BYTES
 from tpgmm_core.model.derived_frames import HAND, FrameSource
-from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_core.retrieval.methods import ALL_METHODS, METHODS
 from tpgmm_ros.messages.sources import PoseStampedSource
 from tpgmm_ros.task.frames_section import TaskFrameSpec
 from tpgmm_ros.task.task_file import Task, TaskError
@@ -48,9 +48,9 @@ def test_a_task_file_is_read() -> None:
     assert task.model == {"n_components": 5, "reg_covar": 1e-6, "init": "time"}
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ALL_METHODS)
 def test_the_model_section_takes_every_setting_of_an_estimator_that_a_file_can_hold(method: str) -> None:
-    estimator = METHODS[method].estimator
+    estimator = ALL_METHODS[method].estimator
     others = {"manifold", "covariance_options", "transitions"}  # of the space and of arrays
     settings = {
         name: parameter.default
@@ -134,18 +134,19 @@ def test_a_missing_key_is_named(key: str) -> None:
             changed(frames={"object": {"topics": "a"}}),
             r"'frames\.object' has the unknown key 'topics'.*'topic'",
         ),
-        (changed(frames={"object": {}}), "needs one of 'topic'"),
-        (changed(frames={"object": {"topic": "a", "pose": [0, 0, 0, 0, 0, 0, 1]}}), "not several"),
+        (changed(frames={"object": {}}), "needs exactly one of 'topic'"),
+        (changed(frames={"object": {"topic": "a", "pose": [0, 0, 0, 0, 0, 0, 1]}}), "needs exactly one of"),
         (changed(frames={"object": {"topic": "a", "turned": False}}), "'turned', which is for frames with 'frame'"),
         (changed(frames={"object": {"topic": "a", "unseen": "gone"}}), "'stays' .* or the time in s after which"),
         (changed(frames={"object": {"topic": "a", "unseen": -1}}), "'stays' .* or the time in s after which"),
+        (changed(frames={"object": {"topic": "a", "unseen": {"with": "tray"}}}), "{with: hand} .* if it was last seen"),
         (changed(frames={"a": {"topic": "a"}, "b": {"frame": "a", "unseen": "stays"}}), "'unseen', which is for"),
         (changed(frames={"object": {"topic": "a"}, "b": {"frame": "obj"}}), "derived from 'obj'; expected .*: object"),
         (changed(frames={"a": {"topic": "a"}, "b": {"frame": "a"}, "c": {"frame": "b"}}), "derived from 'b'"),
         (changed(frames={"object": {"topic": "a"}, "b": {"frame": "object", "turned": 0}}), "true or false"),
         (changed(frames={"begin": {"hand": "end"}}), "one of start"),
-        (changed(frames={"object": {"topic": "a"}, "cup": {"topic": "a"}}), "already that of the frame"),
-        (changed(frames={"object": {"topic": "endpoint/left/pose"}}), "already that of the movement"),
+        (changed(frames={"object": {"topic": "a"}, "cup": {"topic": "a"}}), "already used by the frame"),
+        (changed(frames={"object": {"topic": "endpoint/left/pose"}}), "already used by the movement"),
         (changed(frames={"table": {"pose": [0, 0, 0, 0, 0, 0, 0]}}), r"'frames\.table\.pose'.*norm 1"),
         (changed(frames={"table": {"pose": [0, 0, 0, 1]}}), "seven finite numbers"),
         (changed(frames={"table": {"pose": [float("nan"), 0, 0, 0, 0, 0, 1]}}), "seven finite numbers"),
@@ -159,11 +160,11 @@ def test_a_missing_key_is_named(key: str) -> None:
         (changed(model={"retrieval": "fortune"}), "one of adapt_regress, "),
         (
             changed(model={"decay_rate": 2.0}),
-            "'model' does not fit together: decay_rate is no setting of adapt_regress",
+            "'model' does not fit together: unknown settings decay_rate of adapt_regress",
         ),
         (changed(model={"retrieval": "dmp", "stiffness": 0}), "stiffness is 0.0, expected 10 to 10000"),
-        ("on: 1", "quote them"),
-        ("name: a\nname: b", "is here twice"),
+        ("on: 1", "in quotes"),
+        ("name: a\nname: b", "is given twice"),
         ("a: &x 1\nb: *x", "aliases"),
         ("a: [", "is not a YAML file"),
         ("!!python/object/apply:os.getcwd []", "is not a YAML file"),

@@ -138,13 +138,13 @@ def test_a_model_goes_on_to_learn_from_new_bags_about_as_well_as_from_all_at_onc
 
     capsys.readouterr()
     assert train(bags, "--update", better, "--output", tmp_path / "twice.tpgmm", demonstrations[0]) == 0
-    assert "demo_0: recordings of these names were learned from before" in capsys.readouterr().err
+    assert "demo_0: the model has already learned from recordings with these names" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (("--update", "plain.tpgmm"), "keeps nothing of its demonstrations to go on from; train it with --online"),
+        (("--update", "plain.tpgmm"), "such a model cannot be updated; train it with --online"),
         (("--update", "none.tpgmm"), "No such file"),
         (("--update", "plain.tpgmm", "--components", "3"), "--update goes on with a model as it was learned"),
         (("--online", "--retrieval", "time_steps"), "leave out --online"),
@@ -403,7 +403,9 @@ def test_auto_saves_a_model_that_runs_with_the_task_file_and_says_what_it_chose(
     few = ["--trials", "12", "--workers", "1", "--every", "2"]
     assert train(bags, "--auto", *few, "--output", tmp_path / "model", "--report", tmp_path, bags) == 0
     out = capsys.readouterr().out
-    assert "12 ways of learning were tried" in out and "chosen" in out and "expected in new situations" in out
+    assert (
+        "12 configurations were tried" in out and "chosen" in out and "expected errors in similar new situations" in out
+    )
     report = json.loads((tmp_path / "report.json").read_text())
     found = report["auto"]
     assert found["ended"] == "trials" and len(found["trials"]) == 12 and len(found["errors"]) == COUNT
@@ -432,7 +434,7 @@ def test_an_interrupted_choice_saves_the_best_so_far(bags: Path, tmp_path: Path)
         timeout=300,
     )
     assert run.returncode == 0, run.stderr
-    assert "interrupted: the best so far is taken" in run.stdout
+    assert "interrupted: the best so far is used" in run.stdout
     assert len(json.loads((tmp_path / "report.json").read_text())["auto"]["trials"]) == 3
     assert load_task_model(tmp_path / "model", Task.load(bags / "task.yaml"))
 

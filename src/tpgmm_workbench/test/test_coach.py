@@ -135,7 +135,7 @@ def untouched(situations: list[Recording], tmp_path: Path) -> Callable[[], tuple
 
 def test_a_run_in_which_nobody_led_the_arm_is_no_correction(untouched: Callable[[], tuple[Project, Run]]) -> None:
     project, run = untouched()
-    with pytest.raises(ProjectError, match="nowhere led"):
+    with pytest.raises(ProjectError, match="not led anywhere"):
         correct(project, run)
     with pytest.raises(ProjectError, match="let the movement come to its end"):
         correct(project, replace(run, phases=np.linspace(0.0, 0.6, len(run.times))))

@@ -73,7 +73,7 @@ def test_a_folder_that_holds_something_else_is_neither_made_nor_opened(tmp_path:
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(ProjectError, match="not empty"):
         Project.create(tmp_path, TASK, ROBOT)
-    with pytest.raises(ProjectError, match="is no project"):
+    with pytest.raises(ProjectError, match="is not a project"):
         Project.open(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 

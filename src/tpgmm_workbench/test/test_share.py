@@ -42,16 +42,16 @@ def entry(name: str, mode: int = stat.S_IFREG | 0o644) -> zipfile.ZipInfo:
 @pytest.mark.parametrize(
     ("bad", "content", "words"),
     [
-        (entry("../task.yaml"), b"x", "leads out"),
-        (entry("/etc/passwd"), b"x", "leads out"),
-        (entry("models\\..\\..\\x.json"), b"x", "leads out"),
-        (entry("demonstrations/0001/0001.mcap", stat.S_IFLNK | 0o777), b"/etc/passwd", "a link"),
-        (entry("run.py"), b"import os", "no part of a project"),
-        (entry("demonstrations/0001/../../x.mcap"), b"x", "leads out"),
-        (entry("models/0001.tpgmm"), bytes(50_000_000), "a trap"),
-        (entry("TASK.yaml"), b"x", "no part of a project"),
-        (entry("models/0001.json"), b'{"learned_from": "nothing"}', "holds no notes"),
-        (entry("demonstrations/0001/notes.json"), b"[" * 100_000, "holds no notes"),
+        (entry("../task.yaml"), b"x", "a path outside"),
+        (entry("/etc/passwd"), b"x", "a path outside"),
+        (entry("models\\..\\..\\x.json"), b"x", "a path outside"),
+        (entry("demonstrations/0001/0001.mcap", stat.S_IFLNK | 0o777), b"/etc/passwd", "not a regular file"),
+        (entry("run.py"), b"import os", "not part of a project"),
+        (entry("demonstrations/0001/../../x.mcap"), b"x", "a path outside"),
+        (entry("models/0001.tpgmm"), bytes(50_000_000), "not plausible"),
+        (entry("TASK.yaml"), b"x", "not part of a project"),
+        (entry("models/0001.json"), b'{"learned_from": "nothing"}', "notes in it cannot be read"),
+        (entry("demonstrations/0001/notes.json"), b"[" * 100_000, "notes in it cannot be read"),
     ],
 )
 def test_an_archive_that_is_no_project_is_refused_and_nothing_is_left(

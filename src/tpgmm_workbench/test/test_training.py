@@ -104,7 +104,9 @@ def test_the_same_demonstration_again_is_doubted(taught: Project, tmp_path: Path
     for bag in (BAGS[0], BAGS[1], BAGS[0]):
         project.add_bag(bag)
     found = quality_of(project, 3)
-    assert found.level == "look" and "number by number" in found.words[0] and "demonstration 1" in found.words[0]
+    assert (
+        found.level == "look" and "exactly the same movement" in found.words[0] and "demonstration 1" in found.words[0]
+    )
 
 
 def test_what_is_suggested_is_newer_than_what_was_shown_and_within_the_region(taught: Project) -> None:

@@ -133,7 +133,7 @@ def test_each_page_is_told_whether_it_drives_and_the_server_hears_it() -> None:
     assert MARK in words.pages(1, 4, 4) and "drives" not in words.pages(1, 4, 4)
     assert "10 pages show this; this one drives" in words.pages(10, 4, 4)
     assert "another one drives" in words.pages(10, 4, 5)
-    assert "the first that asks" in words.pages(2, None, 5)
+    assert "the first page that requests" in words.pages(2, None, 5)
     assert "token" in words.pages(1, 4, 4, is_open=True)
 
 
@@ -154,7 +154,7 @@ def test_of_several_pages_one_drives_and_another_may_take_over() -> None:
 
 def test_a_page_shows_names_of_files_and_not_where_on_this_machine_they_lie(tmp_path: Path) -> None:
     said = [
-        (f"{tmp_path / 'cups'} is no project: it lacks task.yaml", "cups is no project: it lacks task.yaml"),
+        (f"{tmp_path / 'cups'} is not a project: it lacks task.yaml", "cups is not a project: it lacks task.yaml"),
         (f"[Errno 2] No such file: '{tmp_path}/a/b.mcap'; try again", "[Errno 2] No such file: 'b.mcap'; try again"),
         (f"<div>imported into {Path.home()}/cups</div>", "<div>imported into cups</div>"),
         (f"read {Path.cwd()}/out/1.tpgmm, /tmp/x.zip", "read 1.tpgmm, x.zip"),

@@ -22,7 +22,7 @@ from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.derived_frames import BASE, HAND, DerivedFrames, with_frames
-from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_core.retrieval.methods import KEY, METHODS, PERIODIC
 
 POSITIONS = "R1 x R3"
 STILL = 0.02
@@ -176,8 +176,13 @@ def choose(
     Raises
     ------
     ValueError
-        for too few demonstrations, and where nothing could be learned
+        for too few demonstrations, for movements that repeat, and where nothing could be learned
     """
+    if PERIODIC.name in (*methods, (settings or {}).get(KEY)):
+        raise ValueError(
+            "a movement that repeats is learned by one method, and frames are screened over time, which has no "
+            "beginning and no end there: learn it without a choice"
+        )
     derived = DerivedFrames() if declared is None else declared
     if not any(_has_orientations(shown) for shown in demonstrations):
         demonstrations, manifold = [positions_alone(shown) for shown in demonstrations], POSITIONS

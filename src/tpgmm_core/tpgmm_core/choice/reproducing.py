@@ -10,6 +10,7 @@ import numpy as np
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.learning.learned_mixture import LearnedMixture
+from tpgmm_core.learning.periodic import PeriodicTPGMM
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.derived_frames import DerivedFrames, with_frames
 from tpgmm_core.retrieval.interface import Retrieval, TimeParametrized
@@ -19,7 +20,8 @@ from tpgmm_core.retrieval.methods import make_retrieval, method_named, method_of
 def reproduce(model: LearnedMixture, situation: Demonstration, method: str | None = None, settle: float = 0.0) -> Array:
     """What a model does at the times and with the frames of a demonstration.
 
-    A method that knows the movement as a function of time is asked for each time in the situation then. One that
+    A method that knows the movement as a function of time is asked for each time in the situation then; where the
+    movement repeats, for the phase that the demonstration has at each time, since it says when, but not where. One that
     has a state of its own is stepped through the times by a robot that is at once where it is to be. As long as no
     frame is visible the movement stays where it starts.
 
@@ -65,7 +67,9 @@ def reproduce_gaussians(
     seen = as_seen_by(model, situation)
     course = chosen.course(model)
     if course is not None:
-        return _as_function_of_time(course, seen)
+        return _as_function_of_time(
+            course, seen, model.phases(seen) if isinstance(model, PeriodicTPGMM) else seen.times
+        )
     return _step_by_step(make_retrieval(model, chosen.name, horizon_steps=0, calibrated=False), seen, settle)
 
 
@@ -89,13 +93,13 @@ def as_seen_by(model: LearnedMixture, situation: Demonstration) -> Demonstration
     return with_frames(derived.only(missing).extended(situation), model.frame_names_)
 
 
-def _as_function_of_time(course: TimeParametrized, situation: Demonstration) -> tuple[Array, Array]:
+def _as_function_of_time(course: TimeParametrized, situation: Demonstration, times: Array) -> tuple[Array, Array]:
     n, T = course.manifold.tangent_dim, len(situation.times)
     poses, covariances = np.tile(situation.data[0, 1:], (T, 1)), np.full((T, n, n), np.nan)
     for first, end, frames in spans(situation):
         if frames:
             course.situate(frames, poses[0])
-            poses[first:end], covariances[first:end], _ = course.at(situation.times[first:end])
+            poses[first:end], covariances[first:end], _ = course.at(times[first:end])
     return poses, covariances
 
 

@@ -119,7 +119,7 @@ def screen_frames(demonstrations: Sequence[Demonstration], names: Sequence[str] 
         for fewer than two demonstrations
     """
     if len(demonstrations) < 2:
-        raise ValueError(f"a frame is judged by at least two demonstrations, got {len(demonstrations)}: record more")
+        raise ValueError(f"comparing frames needs at least two demonstrations, got {len(demonstrations)}: record more")
     chosen = tuple(demonstrations[0].frames) if names is None else tuple(names)
     samples = [_samples(shown.times) for shown in demonstrations]
     points = np.array([shown.data[chosen_ones] for shown, chosen_ones in zip(demonstrations, samples, strict=True)])

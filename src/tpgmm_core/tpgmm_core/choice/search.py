@@ -59,7 +59,8 @@ class Search:
         if not leaders:
             reasons = [reason for result in self.results for reason in result.refusals]
             raise ValueError(
-                f"nothing that was tried could be learned: {reasons[0] if reasons else 'time is too short'}"
+                "no model could be learned with the settings that were tried: "
+                f"{reasons[0] if reasons else 'the time was too short'}"
             )
         first = leaders[0]
         rivals = [

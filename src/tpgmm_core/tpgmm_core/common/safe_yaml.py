@@ -112,7 +112,7 @@ class _Loader(yaml.SafeLoader):
             key = key_node.value
             if isinstance(key, str) and key in seen:
                 raise yaml.MarkedYAMLError(
-                    problem=f"the key {shown(key)} is here twice", problem_mark=key_node.start_mark
+                    problem=f"the key {shown(key)} is given twice", problem_mark=key_node.start_mark
                 )
             if isinstance(key, str):
                 seen.add(key)

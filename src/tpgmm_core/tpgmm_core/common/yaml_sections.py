@@ -26,7 +26,7 @@ class Section:
             if not isinstance(key, str):
                 raise self.error(
                     f"has the key {shown(key)}, expected a word "
-                    "(YAML reads bare on, off, yes, no and numbers as other things: quote them)"
+                    "(put on, off, yes, no and numbers in quotes: without them, YAML does not read a word)"
                 )
         self.values: Mapping[str, Any] = values
 

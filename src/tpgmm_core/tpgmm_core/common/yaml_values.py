@@ -31,7 +31,7 @@ def checked_text(is_valid: Callable[[str], object], expected: str) -> Callable[[
 
 
 a_name = checked_text(is_name, "a name of letters, digits and underscores")
-a_text = checked_text(lambda text: True, "a text; quote it if it looks like something else")
+a_text = checked_text(lambda text: True, "a text (in quotes, if YAML could read it as a number or as true or false)")
 a_topic = checked_text(
     _TOPIC.fullmatch, "a relative topic such as object/pose (no leading slash, so that namespaces work)"
 )
@@ -56,7 +56,7 @@ def some_names(value: Any) -> tuple[str, ...]:
         with what was expected
     """
     if not isinstance(value, list) or not value or not all(isinstance(name, str) for name in value):
-        raise ValueError("a list of names; quote names that look like something else, such as '1' or 'on'")
+        raise ValueError("a list of names (in quotes, if YAML could read them as something else: '1', 'on')")
     if len(set(value)) != len(value):
         raise ValueError("a list of names, none of them twice")
     return tuple(value)

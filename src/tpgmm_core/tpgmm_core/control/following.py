@@ -134,4 +134,4 @@ def hindrances(robot: RobotModel, q: Array, tau: Array, asked: LawTorques) -> It
         none = False
         yield "its motors are too weak"
     if none:
-        yield "held by something, or pulled too softly"
+        yield "something holds it, or its stiffness is too low"

@@ -170,7 +170,7 @@ class JointMotion:
             for a time step that is not positive
         """
         if not (np.isfinite(dt) and dt > 0.0):
-            raise ValueError(f"the time step is {dt} s; expected a positive one: do the clocks go?")
+            raise ValueError(f"the time step is {dt} s, expected more than 0; check that the clock runs")
         dt = min(dt, MAX_STEP)
         if others is not None:
             q = np.array(others, dtype=np.float64)

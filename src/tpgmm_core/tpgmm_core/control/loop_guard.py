@@ -148,7 +148,11 @@ class LoopGuard:
             f"{robot.joint_names[swings.joint]} oscillates and does not settle ({swings.speed:.2g} {unit}/s, period "
             f"{2e3 * swings.half_period:.0f} ms): {cause}; "
         )
-        again = "for the third time: activate it again" if self._alarms >= MOST_ALARMS else "softer once it is calm"
+        again = (
+            "for the third time: it stays off until the controller is activated again"
+            if self._alarms >= MOST_ALARMS
+            else "it continues with lower gains once the robot is at rest"
+        )
         self._swung += again
 
     def _judge_delay(self, asked: LawTorques, follows: bool, dt: float) -> None:
@@ -171,26 +175,29 @@ class LoopGuard:
             self._told, self._words = 1.0, ""
         elif not self._told / TOLD_FACTOR < asked.share < self._told * TOLD_FACTOR:
             self._told = asked.share
-            self._words = f", softer: K_P is reduced to {asked.share**2:.2g} of its value, since {self._lateness()}"
+            self._words = (
+                f", with lower gains: K_P is {asked.share**2:.2g} of its usual value, because {self._lateness()}"
+            )
 
     def _words_of_late(self, delay: float) -> str:
         self._told_delay = delay
         if self._burden and self.age.suspected > self.age.usual:
-            return f"{self._lateness()}; gains that are low enough then cannot follow the reference"
+            return f"{self._lateness()}; with gains low enough to be stable, it cannot follow the reference"
         return (
-            f"{self._lateness()}, the loop is {1e3 * delay:.0f} ms late in total; its gains are stable up to "
+            f"{self._lateness()}, the loop is {1e3 * delay:.0f} ms late in total; the gains are stable up to "
             f"{1e3 * LEAST_SHARE * self._longest:.0f} ms, the softest usable ones up to "
             f"{1e3 * self._longest:.0f} ms"
         )
 
     def _lateness(self) -> str:
         if self.age.suspected > self.age.usual:
-            late = f"it oscillated as if torques came {1e3 * self.age.suspected:.0f} ms late"
+            late = f"it oscillated as if torques arrived {1e3 * self.age.suspected:.0f} ms late"
             return f"it oscillated where {self._burden}" if self._burden else late
         if self.age.age is None:
             return f"joint states come every {1e3 * self.age.period:.0f} ms"
         return (
-            f"joint states are {1e3 * self.age.usual:.0f} ms old by their stamps, every {1e3 * self.age.period:.0f} ms"
+            f"joint states are {1e3 * self.age.usual:.0f} ms old according to their stamps, and come every "
+            f"{1e3 * self.age.period:.0f} ms"
         )
 
 
@@ -215,4 +222,4 @@ def burden(robot: RobotModel, q: Array) -> str:
         return ""
     unit = "N" if robot.joint_units[i] == "m" else "N m"
     weight = f"{gravity[i]:.0f} of its {robot.effort_limits[i]:.0f} {unit} to hold the robot's weight"
-    return f"{robot.joint_names[i]} needs {weight}, and too little is left to control it"
+    return f"{robot.joint_names[i]} needs {weight}, which leaves too little to control it"

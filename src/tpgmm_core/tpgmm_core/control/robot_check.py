@@ -71,9 +71,9 @@ def _of_joints(robot: RobotModel) -> Iterator[str]:
         room = min(home[i] - robot.lower_limits[i], robot.upper_limits[i] - home[i])
         if room < NEAR_LIMIT * (robot.upper_limits[i] - robot.lower_limits[i]):
             unit = robot.unit(joint, "position")
-            yield f"home of {joint} is {room:.3g} {unit} from its limit: choose one further inside"
+            yield f"home of {joint} is {room:.3g} {unit} from its limit; choose one farther from the limits"
         if carried[i] > MUCH_EFFORT:
-            yield f"{joint} needs {carried[i]:.0%} of its effort to hold the robot at home: are the masses right?"
+            yield f"{joint} needs {carried[i]:.0%} of its effort limit to hold the robot at home; check the masses"
         if stuck[i] > STUCK:
             yield (
                 f"{joint} moves so little ({felt[i]:.2g} {robot.unit(joint, 'inertia')}) that its friction holds an "
@@ -82,27 +82,31 @@ def _of_joints(robot: RobotModel) -> Iterator[str]:
             )
     without = [joint for joint, friction in zip(robot.joint_names, robot.coulomb_friction, strict=True) if not friction]
     if without:
-        yield f"no friction of {listed(without, 40)}: what works in the simulator may stick on the robot"
+        yield (
+            f"no friction is given for {listed(without, 40)}: a movement that works in the simulator may get stuck "
+            "on the robot"
+        )
 
 
 def _of_bodies(robot: RobotModel) -> Iterator[str]:
     for body in bodies(robot.pinocchio):
         if body.is_a_point:
-            yield f"{body}: with a mass of {body.mass:.3g} kg, is it a point? Correct <inertia> in the URDF"
+            yield f"{body}: too small for a mass of {body.mass:.3g} kg; correct <inertia> in the URDF"
         elif not body.has_the_shape_of_a_body:
-            yield f"{body}, one of which is larger than the sum of the others: no real body has that; correct <inertia>"
+            yield f"{body}, one of which is larger than the sum of the others, which is impossible; correct <inertia>"
     moved = {joint for joints in robot.joint_groups.values() for joint in joints}
     for name, mimic in robot.mimics.items():
         if mimic.leader in moved and name not in robot.joint_names:
-            yield f"{name} mimics {mimic.leader}: here it does not move, and stays at its position for home"
+            yield f"{name} mimics {mimic.leader}, but is not simulated: it stays at its home position"
 
 
 def _of_groups(robot: RobotModel) -> Iterator[str]:
     grouped = {joint for joints in robot.joint_groups.values() for joint in joints}
     if others := [joint for joint in robot.joint_names if joint not in grouped]:
         yield (
-            f"{listed(others, 40)}: in no group, so they are held where they are found; lock them if something else "
-            "drives them (locked: ...)"
+            f"{listed(others, 40)}: in no joint group, so they are held at their positions; if something else drives "
+            "them, lock "
+            "them (locked: ...)"
         )
 
 
@@ -114,20 +118,29 @@ def _of_endpoints(robot: RobotModel) -> Iterator[str]:
         frame = robot.pinocchio.frames[robot.endpoint_frame_ids[name]]
         movers = [robot.joint_names[i - 1] for i in robot.pinocchio.supports[frame.parentJoint] if i > 0]
         if idle := [joint for joint in group if joint not in movers]:
-            yield f"end point {name}: {listed(idle)} of its group do not move it"
+            yield f"end point {name}: its group has joints that do not move it: {listed(idle)}"
         if foreign := [joint for joint in movers if joint not in group]:
-            yield f"end point {name}: {listed(foreign)} move it too, and are held"
+            yield (
+                f"end point {name}: it is also moved by {listed(foreign)}, which are outside its group and are held "
+                "still"
+            )
         if len(group) < 6:
-            yield f"end point {name}: {len(group)} joints cannot give it every pose; 6 or more can"
+            yield f"end point {name}: {len(group)} joints cannot reach every pose; 6 or more can"
             continue
         J = data.jacobian(name)[:, robot.indices(end.joints)] * np.repeat([1.0, length], 3)[:, None]
         least = np.linalg.svd(J, compute_uv=False)[-1]
         if least < HARDLY:
-            yield f"end point {name}: at home it can hardly move in some direction ({least:.2g} m/rad): bend the arm"
+            yield (
+                f"end point {name}: at home it is close to a singularity ({least:.2g} m/rad); choose a home with a "
+                "bent arm"
+            )
 
 
 def _of_base(robot: RobotModel) -> Iterator[str]:
     gravity = robot.world_to_base.rotation @ robot.pinocchio.gravity.linear
     if not np.allclose(gravity, [0.0, 0.0, -9.81], atol=0.05):
         x, y, z = gravity
-        yield f"gravity is {x:.2f}, {y:.2f}, {z:.2f} m/s^2 in the base frame, not along -z: is it mounted like this?"
+        yield (
+            f"gravity is {x:.2f}, {y:.2f}, {z:.2f} m/s^2 in the base frame, not along -z; check that the robot is "
+            "mounted like this"
+        )

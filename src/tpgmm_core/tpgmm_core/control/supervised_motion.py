@@ -239,7 +239,7 @@ class SupervisedMotion:
             return None
         step = self.motion.step((), dt)
         self._moving = not step.at_rest
-        self.mode, self.reason = ControllerMode.HOLD, "the end: stops"
+        self.mode, self.reason = ControllerMode.HOLD, "deactivated: the robot stops"
         return step
 
     def _follow(self, dt: float) -> JointStep:
@@ -284,9 +284,9 @@ class SupervisedMotion:
             return f"no new joint state for {timeouts.joint_state_timeout:g} s{refused}"
         lag, joint = self.lag
         if lag > timeouts.max_lag:
-            self._lost = f"the robot does not follow: {joint} is {lag:.2f} rad (m) from what it was told"
+            self._lost = f"the robot does not follow: {joint} is {lag:.2f} rad (m) from its command"
         if self._lost:
-            return f"{self._lost}; it begins again with the next movement"
+            return f"{self._lost}; it starts again with the next movement"
         refused = f" (the newest was refused: {self._reference_fault})" if self._reference_fault else ""
         if reference_age is None or not self._aims:
             return "no reference yet" + refused
@@ -298,7 +298,7 @@ class SupervisedMotion:
 
     def _why_not_begun(self) -> str:
         if not self._rests:
-            return f"the robot has not been at rest for {RESTS_FOR:g} s yet, which it has to be to begin"
+            return f"waiting until the robot has been at rest for {RESTS_FOR:g} s"
         try:
             self.motion.start(self._q)
         except ValueError as error:

@@ -94,7 +94,10 @@ def decide(inputs: Inputs, timeouts: Timeouts) -> Decision:
     if inputs.state_age > patience:
         return Decision(ControllerMode.WAITING, f"no new joint state for {patience:g} s: silent{trouble}", False)
     if inputs.state_age > timeouts.joint_state_timeout:
-        words = f"no new joint state for {timeouts.joint_state_timeout:g} s: gravity compensation where it was last"
+        words = (
+            f"no new joint state for {timeouts.joint_state_timeout:g} s: gravity compensation at the last known "
+            "position"
+        )
         return Decision(ControllerMode.DAMPING, words + trouble, True)
     refused = f" (the newest was refused: {inputs.reference_fault})" if inputs.reference_fault else ""
     age = inputs.reference_age

@@ -49,8 +49,8 @@ def doubts_of_durations(shown: Sequence[RawDemonstration]) -> list[Doubt]:
             if max(value, usual) > least and not usual / FACTOR <= value <= usual * FACTOR:
                 what = "takes" if kind == "duration" else "its path is"
                 text = (
-                    f"{what} {value:.3g} {unit}, the others {usual:.3g} {unit} (median): is it whole, and one "
-                    "movement? Trim it, or leave it out"
+                    f"{what} {value:.3g} {unit}, the others {usual:.3g} {unit} (median); check that it "
+                    "holds one complete movement; trim it, or leave it out"
                 )
                 found.append(Doubt(kind, (one.name,), text))
     return found
@@ -63,9 +63,7 @@ def doubts_of_copies(shown: Sequence[RawDemonstration]) -> list[Doubt]:
     for one in shown:
         key = one.movement.tobytes()
         if key in first:
-            found.append(
-                Doubt("copy", (first[key], one.name), "are the same movement, number by number; leave out one of them")
-            )
+            found.append(Doubt("copy", (first[key], one.name), "hold exactly the same movement; leave out one of them"))
         first.setdefault(key, one.name)
     return found
 
@@ -107,8 +105,8 @@ def doubts_of_misfits(shown: Sequence[RawDemonstration]) -> list[Doubt]:
         if parts:
             way = _other_way(i, shown)
             text = (
-                f"does not fit the others: {'; '.join(parts)}; in every frame{way}. Was something else shown? Leave it "
-                "out, or show more like it"
+                f"does not fit the others in any frame: {'; '.join(parts)}{way}. If it shows something else, leave it "
+                "out; if not, record more like it"
             )
             found.append(Doubt("misfit", (one.name,), text))
     return found
@@ -183,7 +181,10 @@ def _other_way(i: int, shown: Sequence[RawDemonstration]) -> str:
     mine, usual = float(np.linalg.norm(turns[i])), float(np.linalg.norm(others))
     if min(mine, usual) < 1.0 or turns[i] @ others > -0.5 * mine * usual:
         return ""
-    return f"; it turns by {np.degrees(mine):.0f} deg the other way round, the others by {np.degrees(usual):.0f} deg"
+    return (
+        f"; it turns by {np.degrees(mine):.0f} deg in the opposite direction to the others ({np.degrees(usual):.0f} "
+        "deg)"
+    )
 
 
 def _turned(one: RawDemonstration) -> Array:

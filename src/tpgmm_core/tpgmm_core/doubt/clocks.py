@@ -123,7 +123,7 @@ def common_clock(movement: TopicTimes, others: Sequence[TopicTimes]) -> CommonCl
     problem = _problem_of_stamps(streams)
     if problem:
         times = {stream.key: stream.recorded for stream in streams}
-        notes = [f"{problem}: times of the recorder used"]
+        notes = [f"{problem}: the recorder's times are used instead"]
     else:
         times = {stream.key: stream.stamps for stream in streams}
         notes = []
@@ -166,9 +166,9 @@ def _whole_part(stream: TopicTimes, moves: bool) -> NDArray[np.intp]:
         k = int(at[0])
         raise ClockError(
             f"the clock steps by {1e-9 * (stream.recorded[k] - stream.recorded[k - 1]):+.2f} s before message {k} of "
-            f"{stream.name}, {1e-9 * (stream.recorded[k - 1] - stream.recorded[0]):.2f} s after the first, and nothing "
-            "tells how the parts belong together; keep the clocks synchronised while recording, and record it again, "
-            "or name what lies on one side of the step in the edits of the bag (from, to, takes)"
+            f"{stream.name}, {1e-9 * (stream.recorded[k - 1] - stream.recorded[0]):.2f} s after the first, and the "
+            "time between the parts is unknown; keep clocks synchronised and record it again, or select the part "
+            "before or after the step in the edits of the bag (from, to, takes)"
         )
     return longest
 
@@ -177,11 +177,11 @@ def _told(movement: TopicTimes, kept: NDArray[np.intp], left_out: int) -> str:
     count, first = len(movement.recorded), int(kept[0])
     where = f"the first {left_out}" if first == left_out else f"{left_out}"
     if first and (movement.recorded[:first] <= 0).all():
-        why = "were recorded at time 0, before the clock came (simulated time)"
+        why = "were recorded at time 0, before simulated time was available"
     else:
         k = int(breaks(movement.recorded)[0])
         step = 1e-9 * (movement.recorded[k] - movement.recorded[k - 1])
-        why = f"are apart from the others by a step of the clock by {step:+.1f} s"
+        why = f"are separated from the others by a step of the clock of {step:+.1f} s"
     return f"{where} of {count} messages of {movement.name} {why}: left out"
 
 
@@ -214,7 +214,7 @@ def _problem_of_stamps(streams: Sequence[TopicTimes]) -> str | None:
         if (np.diff(stream.stamps) < 0).any():
             return f"{stream.name} has stamps that run backwards"
     if len(breaks(movement.stamps)) and not len(breaks(movement.recorded)):
-        return f"{movement.name} has stamps that leap"
+        return f"{movement.name} has stamps that jump"
     for stream in streams[1:]:
         if not _has_lag(stream):
             ahead = 1e-9 * (np.median(stream.stamps - stream.recorded) - np.median(movement.stamps - movement.recorded))
@@ -244,17 +244,17 @@ def _lag(movement: TopicTimes, stream: TopicTimes) -> NDArray[np.float64] | None
 def _judged(movement: TopicTimes, stream: TopicTimes, lag: NDArray[np.float64]) -> tuple[int, Doubt]:
     """What is to be added to the stamps, ns, and what is said."""
     middle, low, high = float(np.median(lag)), *np.quantile(lag, (0.05, 0.95))
-    said = (
-        f"{stream.name} is stamped {-middle:+.2f} s away from {movement.name}, held against the times of the recorder"
-    )
+    said = f"{stream.name} is stamped {-middle:+.2f} s away from {movement.name}, compared with the recorder's times"
     if high - low <= max(STEADY_S, STEADY * abs(middle)):
-        text = f"{said}, steadily: its clock is another one, and was set right; synchronise the clocks (NTP, chrony)"
+        text = (
+            f"{said}, by a constant time: its clock differs, which was corrected; synchronise the clocks (NTP, chrony)"
+        )
         return round(1e9 * middle), Doubt("lag", (), text)
     if -LATENCY_S <= low and high <= SLOW_LATENCY_S:
-        return 0, Doubt("lag", (), f"{said}, not steadily ({low:.2f} to {high:.2f} s): it is taken for slow perception")
+        return 0, Doubt("lag", (), f"{said}, by a varying time ({low:.2f} to {high:.2f} s): taken as slow perception")
     raise ClockError(
-        f"{said}, not steadily (from {-high:+.2f} to {-low:+.2f} s): its clock steps or drifts, and nothing tells when "
-        "its messages were true; synchronise the clocks (NTP, chrony), and record it again"
+        f"{said}, by a varying time ({-high:+.2f} to {-low:+.2f} s): its clock steps or drifts, so the true times of "
+        "its messages are unknown; synchronise the clocks (NTP, chrony), and record it again"
     )
 
 

@@ -74,7 +74,7 @@ def doubts_of_quaternion_order(shown: Sequence[RawDemonstration]) -> list[Doubt]
     if not reasons and frames and all(_begins_so([one.seen(name)[:1] for one in shown]) for name in frames):
         if _begins_so([one.movement[:1] for one in shown]):
             reasons[listed([MOVEMENT, *frames])] = (
-                "all begin near 1 0 0 0, which in the order that is read is upside down, and no rotation with w first"
+                "all begin near 1 0 0 0, which means upside down in the order x, y, z, w, and no rotation in w, x, y, z"
             )
     if reasons:
         return [_suspicion((), reasons)]
@@ -83,10 +83,10 @@ def doubts_of_quaternion_order(shown: Sequence[RawDemonstration]) -> list[Doubt]
 
 def _suspicion(about: tuple[str, ...], reasons: Mapping[str, str]) -> Doubt:
     text = (
-        f"quaternions look as if they were in the order w, x, y, z, where x, y, z, w is read: "
-        f"{'; '.join(f'{name}: {why}' for name, why in reasons.items())}. Nothing was changed. If it is so, convert "
-        "arrays with --orientation wxyz, or mend what publishes the poses (geometry_msgs/Quaternion is x, y, z, w), "
-        "and record again"
+        f"quaternions seem to be in the order w, x, y, z, but are read as x, y, z, w: "
+        f"{'; '.join(f'{name}: {why}' for name, why in reasons.items())}. Nothing was changed. If this is true, "
+        "convert arrays with --orientation wxyz, or correct the publisher of the poses (geometry_msgs/Quaternion is "
+        "x, y, z, w) and record again"
     )
     return Doubt("order", about, text)
 
@@ -129,7 +129,7 @@ def w_first(q: Array) -> Array:
 def _unmeasured(poses: Sequence[Array]) -> str:
     """The number 1 0 0 0, in all samples: what is written where no orientation is known, in the other order."""
     is_so = all((np.abs(each[:, 3:]) == [1.0, 0.0, 0.0, 0.0]).all() for each in poses)
-    return "is 1 0 0 0 in every sample, as what nobody measured is with w first" if is_so else ""
+    return "is 1 0 0 0 in every sample, which is the default value in the order w, x, y, z" if is_so else ""
 
 
 def _upside_down(poses: Sequence[Array]) -> str:
@@ -139,8 +139,8 @@ def _upside_down(poses: Sequence[Array]) -> str:
     if np.abs(q[:, 1:3]).max() > NEAR_AXIS or np.ptp(angles) < TURNED_RAD or np.mean(q[:, 0]) < 0.8:
         return ""
     return (
-        "as it is read, it hangs upside down and is turned about its horizontal x axis; with w first, it stands "
-        f"upright and is turned about the vertical, by {np.degrees(np.ptp(angles)):.0f} deg in all"
+        "as x, y, z, w, it is upside down and turns about its horizontal x axis; as w, x, y, z, it is "
+        f"upright and turns about the vertical axis, by {np.degrees(np.ptp(angles)):.0f} deg in total"
     )
 
 
@@ -159,8 +159,8 @@ def _places_agree(shown: Sequence[RawDemonstration], frame: str) -> str:
     if not is_upright or spreads[1] > AGREE_M or spreads[0] < max(AGREE_M, BETTER * spreads[1]):
         return ""
     return (
-        f"the hand comes to places in it that differ by {spreads[0]:.2g} m from recording to recording, and with w "
-        f"first by {spreads[1]:.2g} m"
+        f"the positions of the hand relative to it differ by {spreads[0]:.2g} m between recordings, and with w first "
+        f"by {spreads[1]:.2g} m"
     )
 
 
@@ -175,8 +175,9 @@ def _turns_agree(shown: Sequence[RawDemonstration], frame: str, frame_is_w_first
     if other > AGREE_RAD or given < max(2.0 * AGREE_RAD, BETTER * other):
         return ""
     return (
-        f"in the frame {frame} it is turned by {np.degrees(given):.0f} deg from recording to recording, and with w "
-        f"first by {np.degrees(other):.0f} deg"
+        f"relative to the frame {frame}, its orientations differ by {np.degrees(given):.0f} deg between recordings, "
+        "and "
+        f"with w first by {np.degrees(other):.0f} deg"
     )
 
 

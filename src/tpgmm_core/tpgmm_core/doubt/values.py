@@ -56,18 +56,25 @@ def doubts_of_units(shown: Sequence[RawDemonstration]) -> list[Doubt]:
             about = () if len(odd) == len(shown) else tuple(one.name for one in odd)
             hand, place = odd[0].movement[:, :3], odd[0].seen(frame)[:, :3]
             text = (
-                f"the frame {frame} and the movement are in different units, or in different places: the hand goes "
-                f"{odd[0].extent:.3g} far, with coordinates up to {np.abs(hand).max():.3g}, and those of the frame are "
-                f"up to {np.abs(place).max():.3g}; publish both in m"
+                f"the frame {frame} and the movement are in different units, or far apart: the hand moves by "
+                f"{odd[0].extent:.3g} with coordinates up to {np.abs(hand).max():.3g}, the frame has coordinates up to "
+                f"{np.abs(place).max():.3g}; publish both in m"
             )
             found.append(Doubt("units", about, text, refuses=True))
     large = [one for one in shown if one.extent > LARGEST_M]
     if large and not found:
         about = () if len(large) == len(shown) else tuple(one.name for one in large)
         text = (
+<<<<<<< HEAD
             f"positions span {np.median([one.extent for one in large]):.4g}, which is far for an arm in m: they look "
             "like millimetres, centimetres or inches. The model will be in that unit, and settings in m, such as "
             "reg_covar, mean something else; publish poses in m (REP 103)"
+=======
+            f"positions span {np.median([one.extent for one in large]):.4g}, which is too far for an arm in m: they "
+            "look "
+            "like millimetres. The model will be in that unit, and settings in m, such as reg_covar, will be wrong; "
+            "publish poses in m (REP 103)"
+>>>>>>> 27aa2edacbaf88ab8b785a5331066596627d5e97
         )
         found.append(Doubt("units", about, text))
     return found
@@ -86,8 +93,8 @@ def _mixed_recordings(shown: Sequence[RawDemonstration]) -> list[Doubt]:
         return []
     names = tuple(shown[i].name for i in odd)
     text = (
-        f"the hand goes {extents[odd[0]]:.4g} far, and {usual:.3g} in the other recordings: these are different units, "
-        "or it hardly moves in one of them; leave it out, or record all in m"
+        f"the hand moves by {extents[odd[0]]:.4g}, and by {usual:.3g} in the other recordings: the units differ, or it "
+        "hardly moves in one of them; leave that one out, or record all in m"
     )
     return [Doubt("units", names, text, refuses=True)]
 
@@ -132,8 +139,8 @@ def doubts_of_speed(one: RawDemonstration) -> list[Doubt]:
             k = int(np.argmax(leaps))
             text = (
                 f"{what} by {scale * amounts[k]:.3g} {unit} within {1e3 * seconds[k]:.0f} ms at "
-                f"{one.times[k] - one.times[0]:.2f} s, and so in {np.count_nonzero(leaps)} of {len(leaps)} steps: no "
-                "arm does; what publishes it leaps, or messages are in the wrong order"
+                f"{one.times[k] - one.times[0]:.2f} s, and similarly in {np.count_nonzero(leaps)} of {len(leaps)} "
+                "steps, which is too fast for an arm; its publisher jumps, or messages are in the wrong order"
             )
             found.append(Doubt("speed", (one.name,), text))
     return found
@@ -196,8 +203,8 @@ def doubts_of_joint_units(joints: Sequence[str], positions: Array) -> tuple[Doub
         return ()
     turns = most[k] / (2.0 * np.pi)
     text = (
-        f"the joint {one_line(joints[k])} is {most[k]:.4g} from its zero, which as rad is {turns:.0f} turns: it looks "
-        "like degrees, or steps of an encoder. Nothing was changed; publish rad (REP 103), and record again"
+        f"the joint {one_line(joints[k])} is {most[k]:.4g} from its zero, which in rad is {turns:.0f} turns: it seems "
+        "to be in degrees, or in steps of an encoder. Nothing was changed; publish rad (REP 103), and record again"
     )
     return (Doubt("units", (), text),)
 
@@ -234,6 +241,6 @@ def doubts_of_joint_limits(joints: Sequence[str], positions: Array, lower: Array
 def doubts_of_stillness(one: RawDemonstration) -> list[Doubt]:
     """A movement all of whose poses are the same, bit by bit: the publisher repeats its last one."""
     if (one.movement == one.movement[0]).all():
-        text = "the hand has the same pose in every message: what publishes it had stopped; record it again"
+        text = "the hand has the same pose in every message: its publisher had stopped updating it; record it again"
         return [Doubt("still", (one.name,), text)]
     return []

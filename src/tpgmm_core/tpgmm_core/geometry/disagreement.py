@@ -90,18 +90,20 @@ def _between(
     has_place = turn.start >= 3 and set(range(place.start, place.stop)) <= set(manifold.flat_tangent.tolist())
     turned, far_turned = np.degrees(np.linalg.norm(step[turn])), _deviations(step[turn], spread[turn, turn])
     both = f"what {shown(first)} and {shown(second)} expect"
-    words = f"{both} is turned by {turned:.3g} deg, {far_turned:.1f} standard deviations of what was learned"
+    words = (
+        f"{both} differs by {turned:.3g} deg in orientation, {far_turned:.1f} standard deviations of what was learned"
+    )
     if not has_place:
         return far_turned, words
     apart, far = np.linalg.norm(step[place]), _deviations(step[place], spread[place, place])
     if far <= far_turned:
         return far_turned, words
     words = (
-        f"{both} lies {apart:.3g} m apart, {far:.1f} standard deviations of what was learned; over such a "
-        "distance, the learned relation between place and orientation asks for turns that are impossible"
+        f"{both} is {apart:.3g} m apart, {far:.1f} standard deviations of what was learned; over such a "
+        "distance, the learned dependence of the orientation on the position leads to impossible turns"
     )
     if far_turned > FAR:
-        words += f" (it is turned by {turned:.3g} deg besides)"
+        words += f" (it also differs by {turned:.3g} deg in orientation)"
     return far, words
 
 

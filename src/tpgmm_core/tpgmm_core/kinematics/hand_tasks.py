@@ -64,10 +64,10 @@ class HandTask:
         missing = sorted(set(self.model.frame_names_) - set(self.places))
         if missing:
             raise ValueError(
-                f"it is not known where the frames {missing} are; places are given for {sorted(self.places)}"
+                f"the poses of the frames {missing} are not known; given are those of {sorted(self.places)}"
             )
         if any(isinstance(place, str) and place == self.endpoint for place in self.places.values()):
-            raise ValueError(f"the hand {self.endpoint!r} cannot be seen from itself")
+            raise ValueError(f"the hand {self.endpoint!r} cannot be the frame of its own task")
 
 
 @dataclass(frozen=True, slots=True)

@@ -198,7 +198,7 @@ class ConfigurationProduct:
         missing = sorted(set(model.frame_names_) - set(frames.candidates))
         if missing:
             raise ValueError(
-                f"the model has the frames {missing}, which are no candidates: {sorted(frames.candidates)}"
+                f"the model has the frames {missing}, which are not among the candidates {sorted(frames.candidates)}"
             )
         self.over_time = model.manifold_.dim == n + 1
         if not self.over_time and len(model.priors_) > 1:

@@ -42,7 +42,7 @@ def target_object_origins(model: LearnedMixture, frames: Collection[str], over_t
         raise ValueError(f"the model has no frames {unknown}; it has {list(model.frame_names_)}")
     structure = model.emissions_.structure.name
     if structure != "full":
-        raise ValueError(f"the model needs full covariances, which take up the means; it has {structure!r}")
+        raise ValueError(f"object targets need a model with full covariances; this one has {structure!r}")
     data = slice(1 if over_time else 0, None)
     for name in frames:
         means, covariances = model.means_[name].copy(), model.covariances_[name].copy()

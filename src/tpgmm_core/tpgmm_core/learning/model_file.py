@@ -148,7 +148,7 @@ def read_as[T](path: str | PathLike[str], make: Callable[[ModelContents], T]) ->
         raise ModelFileError(f"{one_line(path)}: {error}") from None
     except Exception as error:  # zip, numpy and json raise many errors for damaged bytes: the caller gets one
         raise ModelFileError(
-            f"{one_line(path)}: damaged, or no model file ({type(error).__name__}: {one_line(error, 300)}); "
+            f"{one_line(path)}: damaged, or not a model file ({type(error).__name__}: {one_line(error, 300)}); "
             "train the model again"
         ) from error
 
@@ -184,7 +184,7 @@ def _array(name: str, content: bytes) -> Any:
     if dtype not in (np.float64, np.uint8):
         raise ModelFileError(f"{name} must be finite float64 numbers, got {dtype}")
     if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != len(content) - stream.tell():
-        raise ModelFileError(f"{name} announces shape {shape}, and holds {len(content) - stream.tell()} bytes")
+        raise ModelFileError(f"{name} declares the shape {shape}, but holds {len(content) - stream.tell()} bytes")
     flat = np.frombuffer(content, dtype, offset=stream.tell())
     return flat.reshape(shape, order="F" if is_fortran else "C").copy()
 
@@ -233,7 +233,7 @@ def _frames(names: Sequence[str], structure: Structure, arrays: dict[str, Any]) 
         for key, array in own.items():
             # some structures multiply their factors out when they are made
             if array.ndim == 3 and array.shape[0] * max(array.shape[1:]) ** 2 > MAX_NUMBERS:
-                raise ModelFileError(f"{prefix}{key} of shape {array.shape} stands for more than {MAX_NUMBERS} numbers")
+                raise ModelFileError(f"{prefix}{key} of shape {array.shape} declares more than {MAX_NUMBERS} numbers")
         frames[name] = covariances_class(structure).from_arrays(structure, own)
     return frames
 

@@ -91,7 +91,7 @@ class ModelHeader:
         """
         header = json.loads(text)
         if not isinstance(header, dict) or header.get("format") != FORMAT:
-            raise ModelFileError("no model file: it does not say so in its header")
+            raise ModelFileError("not a model file: its header does not name the format")
         if header.get("version") not in range(1, VERSION + 1):
             raise ModelFileError(
                 f"version {shown(header.get('version'))}, this software reads versions up to {VERSION}"

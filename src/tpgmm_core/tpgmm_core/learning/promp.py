@@ -20,12 +20,14 @@ path, in fixed axes. What the basis functions cannot follow (noise, tremor) is S
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.shown_to_frame import ShownToFrame, isotropic
 from tpgmm_core.learning.smooth_paths import smoothed
 from tpgmm_core.learning.step_mixture import UNSEEN
@@ -47,24 +49,7 @@ class ProMPTPGMM(TimeStepTPGMM):
     n_basis: int = 20
 
     def _gaussians(self, shown: ShownToFrame) -> tuple[Array, Array]:
-        space, points = shown.space, shown.held()
-        phi = basis(self.n_steps, self.n_basis)
-        weights_of = np.linalg.pinv(phi)
-        H = np.broadcast_to(phi @ weights_of, (space.tangent_dim, self.n_steps, self.n_steps))
-        centres = smoothed(space, np.stack([space.mean(p) for p in points.swapaxes(0, 1)]), H)
-        deviations = space.log(centres[None], points)  # (m, T, n)
-        w = np.einsum("bt,mtn->mbn", weights_of, deviations)
-        centres = space.exp(centres, phi @ w.mean(axis=0))
-        followed = np.einsum("tb,mbn->mtn", phi, w - w.mean(axis=0))
-        left = deviations - np.einsum("tb,mbn->mtn", phi, w)
-        freedom = len(points) * max(self.n_steps - self.n_basis, 1)
-        noise = isotropic(space, np.einsum("mtn,mto->no", left, left) / freedom)
-        within = np.empty((self.n_steps, space.tangent_dim, space.tangent_dim))
-        for t, centre in enumerate(centres):
-            spread = followed[:, t] if len(points) > 1 else space.log(centre, shown.everything)
-            within[t] = self._predictive(space, spread) + noise
-        within[~shown.visible.any(axis=0)] *= UNSEEN
-        return centres, within
+        return gaussians_of_weights(shown, basis(self.n_steps, self.n_basis), self._predictive)
 
     def _deviations(self, shown: ShownToFrame, centres: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Those that the basis functions follow, of the demonstrations that the frame saw at some time."""
@@ -79,6 +64,45 @@ class ProMPTPGMM(TimeStepTPGMM):
         self._check_integers("n_basis", least=2)
         if self.n_basis > self.n_steps:
             raise ValueError(f"n_basis is an integer from 2 to n_steps = {self.n_steps}, got {self.n_basis}")
+
+
+def gaussians_of_weights(
+    shown: ShownToFrame, phi: Array, predictive: Callable[[Manifold, Array], Array]
+) -> tuple[Array, Array]:
+    """What basis functions make of what one frame was shown.
+
+    Parameters
+    ----------
+    shown
+        m demonstrations at T steps
+    phi
+        (T, B), the basis functions at the steps
+    predictive
+        covariance (n, n) of the next point, from a space and the tangent vectors (m, n) of those before
+
+    Returns
+    -------
+    tuple[Array, Array]
+        means (T, D) and covariances (T, n, n), without time
+    """
+    space, points = shown.space, shown.held()
+    n_steps, n_basis = phi.shape
+    weights_of = np.linalg.pinv(phi)
+    H = np.broadcast_to(phi @ weights_of, (space.tangent_dim, n_steps, n_steps))
+    centres = smoothed(space, np.stack([space.mean(p) for p in points.swapaxes(0, 1)]), H)
+    deviations = space.log(centres[None], points)  # (m, T, n)
+    w = np.einsum("bt,mtn->mbn", weights_of, deviations)
+    centres = space.exp(centres, phi @ w.mean(axis=0))
+    followed = np.einsum("tb,mbn->mtn", phi, w - w.mean(axis=0))
+    left = deviations - np.einsum("tb,mbn->mtn", phi, w)
+    freedom = len(points) * max(n_steps - n_basis, 1)
+    noise = isotropic(space, np.einsum("mtn,mto->no", left, left) / freedom)
+    within = np.empty((n_steps, space.tangent_dim, space.tangent_dim))
+    for t, centre in enumerate(centres):
+        spread = followed[:, t] if len(points) > 1 else space.log(centre, shown.everything)
+        within[t] = predictive(space, spread) + noise
+    within[~shown.visible.any(axis=0)] *= UNSEEN
+    return centres, within
 
 
 def basis(n_steps: int, n_basis: int) -> Array:

@@ -279,7 +279,10 @@ def _named(
         names = [f"{_structure(c)}, K = {c.get_params().get('n_components')}" for c in candidates]
         twice = {name for name in names if names.count(name) > 1}
         if twice:
-            raise ValueError(f"several candidates would be called {sorted(twice)}: give a mapping from names to them")
+            raise ValueError(
+                f"several candidates would have the name {sorted(twice)}: give a mapping from distinct names to "
+                "candidates"
+            )
         named = dict(zip(names, candidates, strict=True))
     if not named:
         raise ValueError("select_model needs at least one candidate")

@@ -68,7 +68,7 @@ class ShownToFrame:
             first += length
             t = samples.times[own]
             asked = t[0] + shares * (t[-1] - t[0])
-            points.append(_resampled(space, t, x[own, 1:], asked))
+            points.append(resampled(space, t, x[own, 1:], asked))
             visible.append(seen[own][np.abs(t[:, None] - asked).argmin(axis=0)])
             spans.append((t[0], t[-1]))
         begin, end = np.mean(spans, axis=0)
@@ -112,8 +112,25 @@ def isotropic_blocks(space: Manifold) -> list[slice]:
     return blocks
 
 
-def _resampled(space: Manifold, times: Array, points: Array, asked: Array) -> Array:
-    """Points (T, D) at the times asked for (T,), between the samples (N, D) at increasing times (N,)."""
+def resampled(space: Manifold, times: Array, points: Array, asked: Array) -> Array:
+    """Points at times, on the way between the samples.
+
+    Parameters
+    ----------
+    space
+        of the points
+    times
+        (N,), increasing
+    points
+        (N, D), the samples
+    asked
+        (T,), in the units of `times`; before the first and after the last, these last
+
+    Returns
+    -------
+    Array
+        (T, D)
+    """
     i = np.clip(np.searchsorted(times, asked, side="right") - 1, 0, len(times) - 2)
     share = np.clip((asked - times[i]) / (times[i + 1] - times[i]), 0.0, 1.0)
     return np.stack(

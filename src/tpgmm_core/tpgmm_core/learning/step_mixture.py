@@ -19,7 +19,7 @@ mean moves on with time. So model files, `adapt` and regression work as for othe
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -52,7 +52,14 @@ class StepMixture(LearnedMixture):
         c, in demonstrations: how far covariances are shrunk
     n_steps
         number of time steps, from 2
+
+    Attributes
+    ----------
+    is_closed
+        whether the last step is the first one again
     """
+
+    is_closed: ClassVar[bool] = False
 
     reg_covar: float = 1e-6
     manifold: str | Manifold = "euclidean"
@@ -79,11 +86,10 @@ class StepMixture(LearnedMixture):
     def _fit(self, samples: Samples, progress: EmProgress | None) -> Self:
         T = self.n_steps
         means, covariances = {}, {}
-        for (name, x), seen in zip(samples.X.items(), samples.seen, strict=True):
-            manifold = samples.manifolds[name]
+        for j, (name, manifold) in enumerate(samples.manifolds.items()):
             if manifold.ambient_of_tangent[0] != 0 or manifold.tangent_dim < 2:
                 raise ValueError(f"time steps need time first, then other dimensions; frame {name!r} is {manifold}")
-            shown = ShownToFrame.of(manifold, x, seen, samples, T)
+            shown = self._shown(samples, name, j)
             centres, within = self._gaussians(shown)
             means[name], covariances[name] = self._over_time(shown.space, shown.times, centres, within)
         parameters = MixtureParameters(np.full(T, 1.0 / T), means, covariances)
@@ -94,6 +100,10 @@ class StepMixture(LearnedMixture):
             progress(1, float(course[0]))
         self._learned(Estimate(parameters, course, course, converged=True), samples.manifold)
         return self
+
+    def _shown(self, samples: Samples, name: str, j: int) -> ShownToFrame:
+        """What the j-th frame saw of each demonstration at the steps."""
+        return ShownToFrame.of(samples.manifolds[name], samples.X[name], samples.seen[j], samples, self.n_steps)
 
     def _gaussians(self, shown: ShownToFrame) -> tuple[Array, Array]:
         """Means (T, D) and covariances (T, n, n) of one frame, without time."""
@@ -117,17 +127,21 @@ class StepMixture(LearnedMixture):
         freedom = StepMixture.block_size(space) * (m - 1)
         return (1.0 + 1.0 / m) * freedom / max(freedom - 2.0, 1.0)
 
-    @staticmethod
-    def _over_time(space: Manifold, grid: Array, centres: Array, within: Array) -> tuple[Array, Array]:
+    @classmethod
+    def _over_time(cls, space: Manifold, grid: Array, centres: Array, within: Array) -> tuple[Array, Array]:
         """Components over [time, point], each half a step wide, that move on with time as the centres do."""
-        before, after = np.maximum(np.arange(len(grid)) - 1, 0), np.minimum(np.arange(len(grid)) + 1, len(grid) - 1)
+        T = len(grid)
+        before, after = np.maximum(np.arange(T) - 1, 0), np.minimum(np.arange(T) + 1, T - 1)
+        spans = grid[after] - grid[before]
+        if cls.is_closed:
+            before[0], after[-1], spans[[0, -1]] = T - 2, 1, spans[1]
         steps = np.stack(
             [
                 space.log(x, b) - space.log(x, a)
                 for x, a, b in zip(centres, centres[before], centres[after], strict=True)
             ]
         )
-        velocities = steps / (grid[after] - grid[before])[:, None]
+        velocities = steps / spans[:, None]
         variance = (0.5 * (grid[1] - grid[0])) ** 2
         n = 1 + space.tangent_dim
         covariances = np.zeros((len(grid), n, n))

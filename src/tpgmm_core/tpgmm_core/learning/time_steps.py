@@ -74,7 +74,9 @@ class TimeStepTPGMM(StepMixture):
             ways = find_modes(centres, within, demonstrations, space)
         n_modes = int(ways.max()) + 1
         if self.mode > n_modes:
-            raise ValueError(f"mode is {self.mode}, and the demonstrations go {n_modes} ways: 1 to {n_modes}, 0: any")
+            raise ValueError(
+                f"mode is {self.mode}; expected 1 to {n_modes} (the ways of the demonstrations), or 0 for any"
+            )
         own = [shown for shown, way in zip(demonstrations, ways, strict=True) if way == max(self.mode - 1, 0)]
         if n_modes > 1:
             super().fit(own, progress)

@@ -89,7 +89,7 @@ class FrameRecord:
         if lead_ns:
             notes.append(f"its clock is {lead_ns / SECOND:.3f} s ahead of ROS time: stamps are corrected")
         if self.odd_lengths:
-            notes.append(f"{self.odd_lengths} quaternions had other lengths than 1 and were scaled")
+            notes.append(f"{self.odd_lengths} quaternions were not of length 1 and were normalised")
         if reason := doubtful_units(self._seen[:3]):
             notes.append(reason)
         return tuple(notes)
@@ -99,4 +99,6 @@ class FrameRecord:
         unchanged = (self._stamp_ns - self._since_ns) / SECOND
         if not self._trembled or unchanged < FROZEN_AFTER:
             return ()
-        return (f"frozen? the same numbers for {unchanged:.1f} s under fresh stamps, where there was noise before",)
+        return (
+            f"possibly frozen: the same numbers for {unchanged:.1f} s with new stamps, although there was noise before",
+        )

@@ -182,7 +182,7 @@ class JointStateAssembler:
         joints = self.columns.joints
         missing = [name for name, fresh in zip(joints, self._fresh, strict=True) if not fresh]
         if missing:
-            which = "none of its joints came" if len(missing) == len(joints) else f"missing {listed(missing)}"
+            which = "none of its joints arrived" if len(missing) == len(joints) else f"missing {listed(missing)}"
             return f"{which}; the last message names {listed(self.columns.names or ())}"
         old = self._old()
         late = listed(name for name, is_old in zip(joints, old, strict=True) if is_old)

@@ -9,10 +9,12 @@ import numpy as np
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.pose import pose_error
+from tpgmm_core.observation.pose_filter import ROUNDING
 from tpgmm_core.observation.streams import SECOND
 
-#: A frame's way is measured from one pose to one that is at least so much later, s, and so many ways are remembered.
-PERIOD, REMEMBERED = 0.5, 10
+#: A frame's way is measured from one pose to one that is at least so much later, s, and so many ways are remembered:
+#: what rested for the time of all these was pushed before, and is at rest now.
+PERIOD, REMEMBERED = 0.5, 2
 #: Standard deviations of the noise that a way has to exceed.
 BEYOND_NOISE = 4.0
 #: Standard deviations beyond which a frame that is not seen is simply not known, m and rad.
@@ -20,7 +22,7 @@ UNKNOWN = 100.0, 3.0
 
 
 class SeenMotion:
-    """The fastest motion of a frame in its last seconds in sight.
+    """The fastest motion of a frame in its last second in sight.
 
     Attributes
     ----------
@@ -57,7 +59,9 @@ class SeenMotion:
             return
         ways = pose_error(pose, self._last[1])
         self._last = stamp_ns, pose
-        way, turn = (max(0.0, way - BEYOND_NOISE * spread) / time for way, spread in zip(ways, noise, strict=True))
+        way, turn = (
+            max(0.0, way - BEYOND_NOISE * max(spread, ROUNDING)) / time for way, spread in zip(ways, noise, strict=True)
+        )
         self._rates.append((way, turn))
         self.speed, self.turn_rate = np.max(self._rates, axis=0).tolist()
 

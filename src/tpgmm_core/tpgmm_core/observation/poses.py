@@ -89,7 +89,7 @@ def wrong_frame(frame_id: str, base_frame: str) -> str:
         return ""
     remedy = "transform poses before they are published, or publish the transform on /tf"
     if not frame_id:
-        remedy = "let the publisher say in which frame its poses are"
+        remedy = "set frame_id where they are published"
     return f"wrong frame_id: {shown(frame_id)}, expected {shown(base_frame)}; {remedy}"
 
 
@@ -185,6 +185,6 @@ def _words(code: int, pose: Array) -> str:
     if code == 2:  # squares of larger numbers are not finite, and no camera sees so far
         return f"{_KINDS[code]}: {found}, expected numbers up to {MAX_NUMBER:g} (m)"
     if code == 3:
-        return f"{_KINDS[code]}: {found}; an int in a float field reads so: write 1.0, not 1"
+        return f"{_KINDS[code]}: {found}; an integer in a float field looks like this; write 1.0, not 1"
     length = float(np.linalg.norm(pose[3:]))
     return f"{_KINDS[code]}: {pose[3:].tolist()} has length {length:.3g}, expected 1"

@@ -121,11 +121,13 @@ def stamps_behind(stamp_ns: int, clock_ns: int, max_age: float) -> str:
         how far it is behind, and what to do
     """
     if stamp_ns == 0:
-        return "its stamp is 0: let the driver stamp its messages, or set max_age to 0, and their age stays unknown"
+        return (
+            "its stamp is 0: let the driver stamp its messages, or set max_age to 0 to accept them without a known age"
+        )
     return (
         f"its stamp is {(clock_ns - stamp_ns) / SECOND:.3g} s behind this machine's clock, more than max_age "
-        f"({max_age:g} s): the message is too old, or the clocks differ; synchronise them, or set max_age to 0, and "
-        "its age stays unknown"
+        f"({max_age:g} s): the message is too old, or the clocks differ; synchronise them, or set max_age to 0 "
+        "to accept it without a known age"
     )
 
 

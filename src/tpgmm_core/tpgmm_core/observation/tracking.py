@@ -4,7 +4,8 @@
 A frame that is not seen for a moment keeps its last pose. Its confidence, which scales its precision in the product
 of Gaussians (Eqs. 5, 6), falls to zero slowly and rises slowly, so that a frame that disappears or comes back never
 makes the movement jump. A frame may also stay where it was last seen (`unknown_after`): then its pose is known worse
-with the time out of sight and the speed that it was seen to have (`motion`). A noisy pose is averaged while the frame
+with the time out of sight and the speed that it was seen to have (`motion`). Or it moves with the hand, if it was seen
+to (`in_hand`). A noisy pose is averaged while the frame
 is at rest (`pose_filter`). What is no pose, lies about its time, or leaps is refused (`poses`, `clocks`, `gate`).
 
 Two clocks enter, as arguments: the *stamp* of an observation (ROS time, when the camera saw it) and the *steady* time
@@ -13,101 +14,23 @@ of its arrival. The status follows the steady clock, which no clock step can sta
 
 from __future__ import annotations
 
-import enum
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tpgmm_core.common.settings import check_settings, setting
 from tpgmm_core.geometry.pose import pose_error
 from tpgmm_core.observation.clocks import LeadMeter
-from tpgmm_core.observation.gate import NOISE_TURN, NOISE_WAY, Leap, LeapGate, MotionLimits
+from tpgmm_core.observation.gate import NOISE_TURN, NOISE_WAY, Leap, LeapGate
 from tpgmm_core.observation.health import FrameHealth, FrameRecord
+from tpgmm_core.observation.in_hand import Hand, carried_covariance
 from tpgmm_core.observation.motion import SeenMotion
 from tpgmm_core.observation.pose_filter import PoseFilter
 from tpgmm_core.observation.poses import check_pose
 from tpgmm_core.observation.streams import SECOND
-
-
-class FrameStatus(enum.IntEnum):
-    """Statuses as in ``tpgmm_msgs/TaskFrame``."""
-
-    VISIBLE = 0
-    HELD = 1
-    MISSING = 2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrackingConfig:
-    """When a frame counts as seen, remembered or lost, s.
-
-    Without an observation for ``visible_timeout`` a frame is HELD: it keeps its confidence for ``hold_time``, loses it
-    over ``fade_time``, and then is MISSING. Stamps too far from ROS time are refused: a camera with a wrong clock, a
-    queue that was held up, an old bag. Stamps of a clock that is steadily ahead, by a second at most, are corrected.
-    """
-
-    visible_timeout: float = setting(
-        0.25, 0.001, 60.0, "A frame that was not seen for this long is held at its last pose, s"
-    )
-    hold_time: float = setting(2.0, 0.0, 3600.0, "How long a held frame keeps its full weight, s")
-    fade_time: float = setting(
-        0.5, 0.01, 60.0, "Time over which it then loses its weight, and gains it when seen again, s"
-    )
-    max_future: float = setting(0.05, 0.0, 60.0, "Poses with stamps further in the future are refused, s")
-    max_age: float = setting(1.0, 0.001, 3600.0, "Poses with older stamps are refused, s")
-    filter_time: float = setting(
-        1.0, 0.0, 60.0, "Noisy poses are averaged over this time while the frame is at rest, s; 0: never"
-    )
-    max_speed: float = setting(
-        3.0, 0.0, 1000.0, "A frame that leaps faster than this is refused until it persists, m/s; 0: never"
-    )
-    max_turn_rate: float = setting(
-        6.0, 0.0, 1000.0, "A frame that turns faster than this is refused until it persists, rad/s; 0: never"
-    )
-    leap_time: float = setting(
-        0.3, 0.0, 60.0, "A frame that has leapt and persists for this long is followed, s; 0: at once"
-    )
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a value out of its range."""
-        check_settings(self)
-
-    @property
-    def motion(self) -> MotionLimits:
-        """How fast frames move."""
-        return MotionLimits(self.max_speed, self.max_turn_rate, self.leap_time)
-
-
-@dataclass(frozen=True, slots=True)
-class TrackedFrame:
-    """One frame as it is known at one moment.
-
-    Parameters
-    ----------
-    name
-        of the frame
-    status
-        VISIBLE, HELD or MISSING
-    confidence
-        0..1, 0 where MISSING
-    stamp_ns
-        ROS time of the observation that the pose comes from, ns
-    pose
-        ``[x, y, z, qx, qy, qz, qw]`` in the base frame, m, filtered; None as long as it was never seen
-    covariance
-        (6, 6) of the pose, m² and rad²: as the source says of that observation, and what the time out of sight adds
-        where that is asked for; None where nothing says that it is not known exactly
-    """
-
-    name: str
-    status: FrameStatus
-    confidence: float
-    stamp_ns: int
-    pose: NDArray[np.float64] | None
-    covariance: NDArray[np.float64] | None = None
+from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame, TrackingConfig
 
 
 @dataclass(slots=True)
@@ -140,11 +63,14 @@ class FrameTracker:
     unknown_after
         for some of the frames: out of sight they are where they were last seen, for so long, s; `math.inf`: for ever.
         The others keep their weight for the time that `config` says
+    with_hand
+        those of them that move with the hand while they are not seen, if they were seen to
 
     Raises
     ------
     ValueError
-        for no frames, a fixed pose that is invalid, and times that are negative or of other frames
+        for no frames, a fixed pose that is invalid, times that are negative or of other frames, and frames with the
+        hand that have no such time
     """
 
     def __init__(
@@ -153,6 +79,7 @@ class FrameTracker:
         fixed: dict[str, ArrayLike] | None = None,
         config: TrackingConfig | None = None,
         unknown_after: Mapping[str, float] | None = None,
+        with_hand: Collection[str] = (),
     ) -> None:
         self.config = config or TrackingConfig()
         memory, motion = self.config.filter_time, self.config.motion
@@ -163,6 +90,9 @@ class FrameTracker:
                     f"unknown_after is a time >= 0 s of one of {list(self._tracks)}, got {name}: {seconds}"
                 )
             self._tracks[name].unknown_after = seconds
+        if not set(with_hand) <= set(unknown_after or {}):
+            raise ValueError(f"with_hand names some of {list(unknown_after or {})}, got {list(with_hand)}")
+        self._hand = Hand(with_hand)
         for name, pose in (fixed or {}).items():
             self._tracks[name] = _Track(fixed=True, filter=PoseFilter(0.0), gate=LeapGate(motion))
             if reason := self.fix(name, pose):
@@ -257,8 +187,29 @@ class FrameTracker:
         track.pose, track.stamp_ns, track.seen_ns = track.filter.observe(checked, stamp_ns), stamp_ns, steady_ns
         track.covariance = covariance
         track.motion.take(track.pose, stamp_ns, track.filter.noise)
+        if name in self._hand:
+            self._hand.see(name, checked, stamp_ns)
         track.record.take(pose, checked, stamp_ns, track.filter)
         return None
+
+    def observe_hand(self, pose: ArrayLike, stamp_ns: int, steady_ns: int) -> str:
+        """See the hand, with which frames move.
+
+        Parameters
+        ----------
+        pose
+            (7,) in the base frame
+        stamp_ns
+            when it was there, ROS time
+        steady_ns
+            steady time at arrival
+
+        Returns
+        -------
+        str
+            why it is not used; empty where it is
+        """
+        return self._hand.take(pose, stamp_ns, steady_ns)
 
     def refuse(self, name: str, reason: str) -> str:
         """Count an observation that is not used; returns the reason with the frame's name.
@@ -320,10 +271,23 @@ class FrameTracker:
                     rate=None if period is None else 1.0 / period,
                     noise=track.filter.noise,
                     refused=dict(record.refused),
-                    notes=record.notes(track.clock.lead_ns),
+                    notes=(*record.notes(track.clock.lead_ns), *self._whereabouts(name, track, steady_ns)),
                     doubts=record.doubts(),
                 )
         return found
+
+    def _whereabouts(self, name: str, track: _Track, steady_ns: int) -> tuple[str, ...]:
+        """In words, where a frame is that may move with the hand and is not seen."""
+        if name not in self._hand or (steady_ns - track.seen_ns) / SECOND <= self.config.visible_timeout:
+            return ()
+        if not self._hand.moves(name):
+            return ("not seen; stays where it was: it was not seen to move with the hand",)
+        if self._is_hand_lost(steady_ns):
+            return ("not seen; it was with the hand, whose pose does not come",)
+        return ("not seen; moves with the hand, as it did when it was last seen",)
+
+    def _is_hand_lost(self, steady_ns: int) -> bool:
+        return self._hand.age(steady_ns) > self.config.visible_timeout
 
     def forget(self) -> None:
         """Forget all observations (time jumped backwards: a looped bag, a restarted simulation)."""
@@ -333,6 +297,7 @@ class FrameTracker:
                 track.covariance = None
                 for part in (track.filter, track.gate, track.clock, track.record, track.motion):
                     part.forget()
+        self._hand.forget()
         self._updated_ns = None
 
     def update(self, steady_ns: int) -> list[TrackedFrame]:
@@ -348,7 +313,9 @@ class FrameTracker:
         config = self.config
         unseen = math.inf if track.pose is None else (steady_ns - track.seen_ns) / SECOND
         hold_time = config.hold_time if track.unknown_after is None else track.unknown_after
+        carried = unseen > config.visible_timeout and name in self._hand and self._hand.moves(name)
         trusted = track.pose is not None and unseen <= config.visible_timeout + hold_time
+        trusted &= not (carried and self._is_hand_lost(steady_ns))
         # Before the first update no confidence was published, so there is nothing to be continuous with.
         change = 1.0 if first else elapsed / config.fade_time
         if trusted:
@@ -361,10 +328,13 @@ class FrameTracker:
             status = FrameStatus.HELD
         else:
             status = FrameStatus.MISSING
-        covariance = track.covariance
-        if status is FrameStatus.HELD and track.unknown_after is not None:
+        pose, covariance = track.pose, track.covariance
+        if carried and pose is not None:
+            place = self._hand.place(name)
+            pose, covariance = place, carried_covariance(covariance, pose, place)
+        elif status is FrameStatus.HELD and track.unknown_after is not None:
             covariance = track.motion.covariance(covariance, unseen)
-        return TrackedFrame(name, status, track.confidence, track.stamp_ns, track.pose, covariance)
+        return TrackedFrame(name, status, track.confidence, track.stamp_ns, pose, covariance)
 
 
 def _are_near(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:

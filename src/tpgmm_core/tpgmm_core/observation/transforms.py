@@ -189,8 +189,9 @@ class TransformTree:
             early = stamp_ns < stamps[0]
             by = (stamps[0] - stamp_ns if early else stamp_ns - stamps[-1]) / SECOND
             raise TransformError(
-                f"no transform at this time: the one from {shown(link.parent)} to {shown(child)} is asked {by:.3f} s "
-                f"{'before its first' if early else 'after its last'}",
+                f"no transform at this time: the one from {shown(link.parent)} to {shown(child)} was requested "
+                f"{by:.3f} s "
+                f"{'before its first' if early else 'after its last'} sample",
                 may_come=not early,
             )
         after = bisect_right(stamps, stamp_ns)
@@ -211,7 +212,7 @@ class TransformTree:
         if meeting is None:
             known = sorted({*self._links, *(link.parent for link in self._links.values())})
             raise TransformError(
-                f"{NO_TRANSFORM}none leads from {shown(base)} to {shown(frame)}; those that came are about "
+                f"{NO_TRANSFORM}nothing connects {shown(base)} to {shown(frame)}; those that came are about "
                 f"{listed(known)}"
             )
         return up[: up.index(meeting)], down[: down.index(meeting)]
@@ -225,7 +226,7 @@ class TransformTree:
                     f"{shown(link.parent)}: two programs publish it; stop one of them"
                 )
             if link.parent in names:
-                raise TransformError(f"{NO_TRANSFORM}those above {shown(frame)} lead in a circle")
+                raise TransformError(f"{NO_TRANSFORM}those above {shown(frame)} form a loop")
             names.append(link.parent)
         return names
 

@@ -115,8 +115,8 @@ class AttractorSystem(Retrieval, ABC):
     def speed(self, speed: float) -> None:
         if not (isinstance(speed, int | float) and math.isfinite(speed) and speed >= 0.0):
             raise ValueError(
-                f"the speed is {speed!r}; a system cannot go back to where it came from: give 0 or more, or choose "
-                "a retrieval method that is a function of time"
+                f"the speed is {speed!r}; this retrieval method cannot move backwards: give 0 or more, or "
+                "choose a method that is a function of time"
             )
         self._speed = float(speed)
         self._time_scaling.target = self._target()

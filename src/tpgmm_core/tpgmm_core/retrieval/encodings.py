@@ -121,6 +121,26 @@ class TimeEncoding(Encoding):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PeriodicEncoding(Encoding):
+    """[phase, data] of a movement that repeats: the model itself finds the phase, in what all its frames saw."""
+
+    name: ClassVar[str] = "periodic"
+    description: ClassVar[str] = "[phase, data]"
+
+    def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
+        """The demonstration itself: see `tpgmm_core.learning.cycles`."""
+        return demonstration
+
+    def manifold(self, manifold: Manifold) -> Manifold:
+        """The same space: the phase takes the place of time."""
+        return manifold
+
+    def dimensions(self, names: Sequence[str], manifold: Manifold) -> tuple[str, ...]:
+        """The names, with "phase" in place of the time."""
+        return ("phase", *names[1:])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DerivativesEncoding(Encoding):
     """[time, data, velocity, acceleration], by `with_derivatives`."""
 
@@ -201,8 +221,8 @@ class VelocityEncoding(Encoding):
         away = np.linalg.norm(data.log(points[0], points), axis=-1)
         if away[-1] < _CLOSED * away.max():
             raise ValueError(
-                f"ends {away[-1]:.3g} from where it began, and goes {away.max():.3g} away in between: a system without "
-                "time has arrived before it starts; take a method that follows time, such as dmp or trajectory"
+                f"ends {away[-1]:.3g} from where it began, and goes {away.max():.3g} away in between: a method without "
+                "time would be at the goal from the start; choose one that follows time, such as dmp or trajectory"
             )
         return with_velocity(demonstration, manifold, int(self.window))
 
@@ -217,7 +237,8 @@ class VelocityEncoding(Encoding):
 
 
 ENCODINGS: dict[str, type[Encoding]] = {
-    encoding.name: encoding for encoding in (TimeEncoding, DerivativesEncoding, DmpEncoding, VelocityEncoding)
+    encoding.name: encoding
+    for encoding in (TimeEncoding, PeriodicEncoding, DerivativesEncoding, DmpEncoding, VelocityEncoding)
 }
 
 

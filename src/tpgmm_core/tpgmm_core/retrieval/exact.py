@@ -93,7 +93,7 @@ def parsed(text: Any) -> tuple[Constraint, ...]:
     if len(found) < len(parts):
         raise ValueError(f"{KEY} is {shown(text)}; expected frames and phases, such as 'target at 1, object at 0.45'")
     if len({constraint.phase for constraint in found}) < len(found):
-        raise ValueError(f"{KEY} is {shown(text)}: at one phase, a movement can be in one place only")
+        raise ValueError(f"{KEY} is {shown(text)}: two constraints have the same phase; give each its own")
     return found
 
 

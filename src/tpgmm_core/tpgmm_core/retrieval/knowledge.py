@@ -39,10 +39,10 @@ class KnowledgeConfig:
         "and larger than unknown_position or unknown_orientation; 0: it never waits",
     )
     unknown_position: float = setting(
-        0.1, 1e-4, 100.0, "Standard deviation of the position up to which a movement never waits, m"
+        0.03, 1e-4, 100.0, "Standard deviation of the position up to which a movement never waits, m"
     )
     unknown_orientation: float = setting(
-        0.5, 1e-3, 100.0, "The same for an orientation or a joint, rad (prismatic joint: m)"
+        0.175, 1e-3, 100.0, "The same for an orientation or a joint, rad (prismatic joint: m)"
     )
 
     def __post_init__(self) -> None:

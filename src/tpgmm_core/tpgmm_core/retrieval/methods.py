@@ -15,6 +15,7 @@ from tpgmm_core.learning.endpoints import EndpointTPGMM
 from tpgmm_core.learning.gaussian_process import GaussianProcessTPGMM
 from tpgmm_core.learning.hidden_markov.hsmm import TPHSMM
 from tpgmm_core.learning.learned_mixture import LearnedMixture
+from tpgmm_core.learning.periodic import PeriodicTPGMM
 from tpgmm_core.learning.promp import ProMPTPGMM
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.learning.tpgmm import TPGMM
@@ -25,6 +26,7 @@ from tpgmm_core.retrieval.encodings import (
     DerivativesEncoding,
     DmpEncoding,
     Encoding,
+    PeriodicEncoding,
     TimeEncoding,
     VelocityEncoding,
     encoding_of,
@@ -32,7 +34,8 @@ from tpgmm_core.retrieval.encodings import (
 from tpgmm_core.retrieval.exact import KEY as EXACT_KEY
 from tpgmm_core.retrieval.exact import Constrained, constraints_of
 from tpgmm_core.retrieval.interface import Retrieval, TimeParametrized
-from tpgmm_core.retrieval.phase import PHASES
+from tpgmm_core.retrieval.periodic import PeriodicPhase, PhaseSteps
+from tpgmm_core.retrieval.phase import PHASES, ClockPhase
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 from tpgmm_core.retrieval.reproduction import Reproduction
 from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
@@ -69,6 +72,8 @@ class RetrievalMethod:
     movement
         makes one that has a state of its own, with a duration (s; None: as demonstrated), and the settings of
         references by name
+    phase
+        for functions of a phase that wraps: how it goes on; None: whatever is asked for, see PHASES
     """
 
     name: str
@@ -77,6 +82,7 @@ class RetrievalMethod:
     estimator: type[LearnedMixture] = TPGMM
     time_parametrized: Callable[[LearnedMixture], TimeParametrized] | None = None
     movement: Callable[..., Retrieval] | None = None
+    phase: Callable[[LearnedMixture], ClockPhase] | None = None
 
     def check(self, model: LearnedMixture) -> None:
         """Check that this method can retrieve from a model.
@@ -89,13 +95,13 @@ class RetrievalMethod:
         found = encoding_of(model)
         if not isinstance(found, self.encoding):
             raise ValueError(
-                f"{self.name} retrieves from models of {self.encoding.description}, and this one encodes "
+                f"{self.name} needs a model of {self.encoding.description}, but this one encodes "
                 f"{found.description}: train one with 'retrieval: {self.name}', or choose "
-                f"{' or '.join(method.name for method in METHODS.values() if isinstance(found, method.encoding))}"
+                f"{' or '.join(method.name for method in ALL_METHODS.values() if isinstance(found, method.encoding))}"
             )
         if not isinstance(model, self.estimator):
             raise ValueError(
-                f"{self.name} retrieves from a {self.estimator.__name__}, and this model is a {type(model).__name__}: "
+                f"{self.name} needs a {self.estimator.__name__}, but this model is a {type(model).__name__}: "
                 f"train one with 'retrieval: {self.name}'"
             )
 
@@ -115,17 +121,17 @@ class RetrievalMethod:
         Raises
         ------
         ValueError
-            for constraints that the model, or a method with a state of its own, cannot meet
+            for constraints that the model, or a method that is no function of time, cannot meet
         """
         constraints = constraints_of(model)
-        if self.time_parametrized is None:
+        if self.time_parametrized is None or self.phase is not None:
             if constraints:
                 functions_of_time = [other.name for other in METHODS.values() if other.time_parametrized]
                 raise ValueError(
                     f"{self.name} cannot meet constraints exactly ({EXACT_KEY}: {shown(model.metadata_[EXACT_KEY])}): "
                     f"choose a function of time, {', '.join(functions_of_time)}, or leave them out"
                 )
-            return None
+            return None if self.time_parametrized is None else self.time_parametrized(model)
         course = self.time_parametrized(model)
         return Constrained(course, constraints) if constraints else course
 
@@ -165,13 +171,30 @@ METHODS: dict[str, RetrievalMethod] = {
 }
 
 
+PERIODIC = RetrievalMethod(
+    name="periodic",
+    encoding=PeriodicEncoding,
+    estimator=PeriodicTPGMM,
+    time_parametrized=PhaseSteps,
+    phase=PeriodicPhase.of,
+)
+"""For movements that repeat, which have no end of their own. The others learn those that go somewhere."""
+
+ALL_METHODS = {**METHODS, PERIODIC.name: PERIODIC}
+
+
+def like(name: str) -> tuple[str, ...]:
+    """Names of the methods that learn movements of the same kind as the method of a name: with an end, or repeated."""
+    return (PERIODIC.name,) if name == PERIODIC.name else tuple(METHODS)
+
+
 def method_named(name: str) -> RetrievalMethod:
     """The method of a name, or of a name that it had in an earlier version (`old_names`).
 
     Parameters
     ----------
     name
-        of one of METHODS
+        of one of ALL_METHODS
 
     Returns
     -------
@@ -184,9 +207,9 @@ def method_named(name: str) -> RetrievalMethod:
         for a name that is not known
     """
     current = current_name(name)
-    if current not in METHODS:
-        raise ValueError(f"there is no retrieval method {shown(name)}; known are {', '.join(METHODS)}")
-    return METHODS[current]
+    if current not in ALL_METHODS:
+        raise ValueError(f"there is no retrieval method {shown(name)}; known are {', '.join(ALL_METHODS)}")
+    return ALL_METHODS[current]
 
 
 def method_of(model: LearnedMixture) -> RetrievalMethod:
@@ -229,9 +252,9 @@ def make_retrieval(
     model
         a fitted model
     method
-        one of METHODS by name, or one that was made for a robot; None: what the model was learned for
+        one of ALL_METHODS by name, or one that was made for a robot; None: what the model was learned for
     duration
-        of the movement, s; None: as demonstrated
+        of the movement, s; None: as demonstrated. For a movement that repeats it is that of all cycles together
     phase
         one of PHASES: what the model's time follows; for the methods that are a function of time
     speed
@@ -265,16 +288,17 @@ def make_retrieval(
     }
     retrieval: Retrieval
     course = chosen.course(model)
+    if phase != "clock" and (course is None or chosen.phase is not None):
+        functions_of_time = [other.name for other in METHODS.values() if other.time_parametrized]
+        raise ValueError(
+            f"the phase {shown(phase)} is for {', '.join(functions_of_time)}: "
+            f"{chosen.name} estimates the phase itself; leave 'phase' at 'clock'"
+        )
     if course is not None:
-        retrieval = Reproduction(course, phase=PHASES[phase](), **settings)
+        own = PHASES[phase]() if chosen.phase is None else chosen.phase(model)
+        retrieval = Reproduction(course, phase=own, **settings)
     else:
         assert chosen.movement is not None
-        if phase != "clock":
-            functions_of_time = [other.name for other in METHODS.values() if other.time_parametrized]
-            raise ValueError(
-                f"the phase {shown(phase)} is for {', '.join(functions_of_time)}: "
-                f"{chosen.name} finds out by itself how far the movement is; leave the phase at 'clock'"
-            )
         retrieval = chosen.movement(model, **settings)
     retrieval.speed = speed
     scale = covariance_scale(model, chosen.name) if calibrated else 1.0
@@ -301,5 +325,5 @@ def load_model(path: str | PathLike[str]) -> LearnedMixture:
     OSError
         for one that cannot be read
     """
-    kinds = {method.estimator.__name__: method.estimator for method in METHODS.values()}
+    kinds = {method.estimator.__name__: method.estimator for method in ALL_METHODS.values()}
     return model_file.read_as(path, lambda contents: kinds.get(contents.header.kind, TPGMM).from_contents(contents))

@@ -118,7 +118,7 @@ def judged(config: ExecutionConfig, end: Gaussian, way: tuple[Array | None, Arra
     """
     pose = way[2]
     if pose is None:
-        return Outcome(False, "the robot's pose is not known: no message came on the movement's topic")
+        return Outcome(False, "the robot's pose is not known: no message arrived on the movement's topic")
     near = distance(config, end.manifold, end.mean, pose) <= 1.0
     error = end.manifold.log(end.mean, pose)
     if end.manifold.is_euclidean:
@@ -136,12 +136,12 @@ def judged(config: ExecutionConfig, end: Gaussian, way: tuple[Array | None, Arra
 def _cause(config: ExecutionConfig, end: Gaussian, first: Array | None, settling: Array | None, pose: Array) -> str:
     """Why the robot is not at the end, as far as its way shows, in words."""
     if first is None or settling is None:
-        return "its pose came only at the end"
+        return "its pose arrived only at the end"
     manifold = end.manifold
     left, asked = (distance(config, manifold, end.mean, one) for one in (pose, first))
     gone, late = distance(config, manifold, first, pose), distance(config, manifold, end.mean, settling)
     if asked > 1.0 and gone < _HARDLY * asked:
-        return "the robot has hardly moved: is a controller active, and the robot free to move?"
+        return "the robot has hardly moved: check that a controller is active and that nothing holds the robot"
     if left < (1.0 - _HARDLY) * late:
-        return "the robot is late and still approaches: ask for a longer duration, or give it more settle_time"
+        return "the robot is late and still approaching: request a longer duration, or increase settle_time"
     return "the robot has stopped there: blocked, at its limits, too weak, or out of its reach"

@@ -84,7 +84,7 @@ class Recipe:
         unknown = [name for name in rest if name not in options and name not in arguments]
         if unknown:
             known = ", ".join([*arguments, *sorted(options)])
-            raise ValueError(f"{listed(unknown)} is no setting of {chosen.name}, which has {known}")
+            raise ValueError(f"unknown settings {listed(unknown)} of {chosen.name}; it has {known}")
         encoding = configured(
             chosen.encoding, {**chosen.options, **{name: rest.pop(name) for name in options if name in rest}}
         )

@@ -16,8 +16,9 @@ import numpy as np
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.mixture import GaussianMixture
+from tpgmm_core.learning.cycles import TURN
 from tpgmm_core.learning.learned_mixture import LearnedMixture
-from tpgmm_core.retrieval.encodings import DmpEncoding, VelocityEncoding, encoding_of
+from tpgmm_core.retrieval.encodings import DmpEncoding, PeriodicEncoding, VelocityEncoding, encoding_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,8 +28,8 @@ class Relevance:
     Attributes
     ----------
     along
-        what the columns are: "movement", its parts from the beginning to the end, or "component", those of a model
-        without time, in their order
+        what the columns are: "movement", its parts from the beginning to the end (of a cycle), or "component", those of
+        a model without time, in their order
     shares
         name → (M,), from 0 to 1; of all frames together 1
     """
@@ -67,6 +68,8 @@ def relevance(model: LearnedMixture, parts: int = 10) -> Relevance:
         progress = (np.arange(parts) + 0.5) / parts
         if isinstance(encoding, DmpEncoding):
             inputs = np.exp(-encoding.decay_rate * progress)
+        elif isinstance(encoding, PeriodicEncoding):
+            inputs = TURN * progress
         else:
             inputs = progress * float(model.metadata_.get("duration_s", 1.0))
         seen = {name: _over_time(model, name, places, inputs) for name in model.frame_names_}

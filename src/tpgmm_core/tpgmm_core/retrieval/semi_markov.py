@@ -145,8 +145,8 @@ class SemiMarkovMovement:
     def speed(self, speed: float) -> None:
         if not (math.isfinite(speed) and speed >= 0.0):
             raise ValueError(
-                f"the speed of a movement by states and durations is finite and not negative, got {speed!r}: durations "
-                "say how states go on, not how they began; go back with a method that is a function of time"
+                f"the speed is {speed!r}; this retrieval method cannot move backwards: give 0 or more, or choose a "
+                "method that is a function of time"
             )
         self._speed = float(speed)
 

@@ -60,7 +60,7 @@ class NominalSchedule:
         K = len(chain.start)
         if np.linalg.matrix_power(chain.transitions > 0.0, K).any():
             raise ValueError(
-                'a movement that ends needs states that do not come back: fit with transitions="left-right", or with '
+                'a movement with an end needs a chain without cycles: fit with transitions="left-right", or with '
                 f"an array without cycles; got transitions {chain.transitions.round(3).tolist()}"
             )
         self.following = np.where(chain.transitions.any(axis=1), np.argmax(chain.transitions, axis=1), -1)

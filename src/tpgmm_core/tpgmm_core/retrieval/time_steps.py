@@ -85,7 +85,7 @@ class TimeSteps(RegressThenProduct):
         """
         known = 1 if self._local is None else self._local.n_modes
         if not 0 <= mode <= known:
-            raise ValueError(f"mode is {mode!r}, and the demonstrations go {known} ways: 1 to {known}, 0: any")
+            raise ValueError(f"mode is {mode!r}; expected 1 to {known} (the ways of the demonstrations), or 0 for any")
         if self._local is not None:
             self._local.choose(None if mode == 0 else mode - 1)
 

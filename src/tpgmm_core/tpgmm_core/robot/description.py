@@ -149,7 +149,7 @@ def resolve_urdf(reference: str, folder: Path) -> Path:
     relative = Path(reference.removeprefix(PACKAGE_SCHEME))
     if relative.is_absolute() or ".." in relative.parts or "\0" in reference:
         raise RobotFileError(
-            f"urdf {shown(reference)} leads out of its folder; expected a file beside the robot file or below, "
+            f"urdf {shown(reference)} is outside the robot file's folder; expected a file in this folder or below it, "
             f"or {PACKAGE_SCHEME}NAME/path"
         )
     candidates = [share / relative for share in _share_folders()] if is_package else [folder / relative]
@@ -157,16 +157,16 @@ def resolve_urdf(reference: str, folder: Path) -> Path:
         if os.path.isfile(candidate):  # unlike Path.is_file, also says no to names that no file can have
             found = candidate.resolve()
             if not is_package and not found.is_relative_to(folder.resolve()):
-                raise RobotFileError(f"urdf {shown(reference)} is a link to {found}, out of the robot file's folder")
+                raise RobotFileError(f"urdf {shown(reference)} is a link to {found}, outside the robot file's folder")
             return found
     if is_package:
         places = listed(map(str, candidates), 6)
         raise RobotFileError(
-            f"no URDF {shown(reference)} in {places}. Is its package installed (pip install example-robot-data)?"
+            f"there is no URDF {shown(reference)} in {places}; install its package (pip install example-robot-data)"
         )
-    hint = "; a xacro is expanded first: xacro FILE.xacro > robot.urdf" if "xacro" in reference else ""
+    hint = "; expand a xacro first: xacro FILE.xacro > robot.urdf" if "xacro" in reference else ""
     raise RobotFileError(
-        f"no URDF {shown(reference)} in {folder.resolve()}; expected a file beside the robot file or below{hint}"
+        f"there is no URDF {shown(reference)} in {folder.resolve()}; expected a file in this folder or below it{hint}"
     )
 
 

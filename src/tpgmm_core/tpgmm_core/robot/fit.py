@@ -34,8 +34,7 @@ def check_mimics(description: RobotDescription, tree: UrdfTree) -> None:
             if joint in tree.mimics:
                 raise RobotFileError(
                     f"{description.path}: the end point {shown(name)} is moved by {shown(joint)}, which has no motor "
-                    f"but mimics {shown(tree.mimics[joint].leader)}; robots with such joints in their arms are not "
-                    "supported"
+                    f"but mimics {shown(tree.mimics[joint].leader)}; such joints are not supported in an arm"
                 )
     groups = [joint for joints in description.joint_groups.values() for joint in joints]
     for key in ("joint_groups", "limits", "friction", "armature"):
@@ -78,10 +77,12 @@ def check_inertia(description: RobotDescription, model: pin.Model, home: Array) 
     if points:
         raise RobotFileError(
             f"{description.path}: the joints {names} move no inertia: {listed(points[0].links, 4)} has a mass of "
-            f"{points[0].mass:g} kg, and an <inertia> of zeros; give it in {urdf}, or what the motor adds: "
+            f"{points[0].mass:g} kg, but an <inertia> of zeros; correct it in {urdf}, or give the inertia of the "
+            "motor: "
             f"armature: {{{points[0].joint}: {{inertia: ...}}}}"
         )
     raise RobotFileError(
-        f"{description.path}: the joints {names} move nothing that has a mass; the URDF lacks <inertial> elements, "
-        "without which no torque can be computed"
+        f"{description.path}: the joints {names} move no mass, so no torque can be computed; add <inertial> elements "
+        "to "
+        f"{urdf}"
     )

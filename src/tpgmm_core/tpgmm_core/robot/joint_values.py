@@ -149,8 +149,8 @@ class JointValues:
                     unit = unit_of(self._model, self._index[joint], word)
                     raise RobotFileError(
                         f"{description.path}: {word} limit {value:g} of {joint!r} is not credible (expected "
-                        f"above 0, up to {bound:g} {unit}); give the real one: limits: {{{joint}: "
-                        f"{{{word}: ...}}}}, or take a joint that has no motor out of the model: locked: {{{joint}: "
+                        f"above 0, up to {bound:g} {unit}); give the true one: limits: {{{joint}: "
+                        f"{{{word}: ...}}}}, or lock the joint, if it has no motor: locked: {{{joint}: "
                         f"POSITION}}{self._more_to_say(joint, word, values, bound)}"
                     )
         return values
@@ -159,10 +159,10 @@ class JointValues:
         """Words about whether a joint mimics another, and about other joints with the same problem."""
         leader = ""
         if first in self.mimics:
-            leader = f". It mimics {self.mimics[first].leader}: left out of home, it stands where its leader puts it"
+            leader = f". It mimics {self.mimics[first].leader}: leave it out of home, and it follows that joint"
         wrong = ~((values > 0.0) & (values <= bound))
         others = [joint for joint, bad in zip(self.joint_names, wrong, strict=True) if bad and joint != first]
-        return leader + (f". So are the {word} limits of {listed(others, 40)}" if others else "")
+        return leader + (f". The same is true for the {word} limits of {listed(others, 40)}" if others else "")
 
     def check_ranges(self, lower_limits: Array, upper_limits: Array, home: Array, torque_rates: Array) -> None:
         """Check that joints can move, home included, and that torques can change.

@@ -100,11 +100,12 @@ def _type(tree: UrdfTree, joint: str) -> str:
 
 def _refuse(name: str, kind: str, path: Path, is_locked: bool) -> None:
     if kind not in ("floating", "planar", "spherical"):
-        what = f"is of type {shown(kind)}, which URDFs do not know" if kind else "has no type"
+        what = f"is of type {shown(kind)}, which is not a type of URDF joints" if kind else "has no type"
         raise RobotFileError(f"joint {shown(name)} of {path.name} {what}; expected {listed(SINGLE)} or fixed")
     if is_locked:
         raise RobotFileError(
-            f"joint {shown(name)} of {path.name} is {kind} and cannot be locked by one number; make it fixed "
+            f"joint {shown(name)} of {path.name} is {kind} and has more than one degree of freedom, so that it "
+            "cannot be locked; make it fixed "
             "in the URDF"
         )
     raise RobotFileError(

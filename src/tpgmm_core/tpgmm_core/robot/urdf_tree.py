@@ -221,6 +221,6 @@ def _mimics(joints: Mapping[str, Element]) -> dict[str, Mimic]:
         while chain[-1] in mimics:
             leader = mimics[chain[-1]].leader
             if leader in chain:
-                raise RobotFileError(f"joint {shown(name)} mimics itself, by way of {listed(chain)}")
+                raise RobotFileError(f"joint {shown(name)} mimics itself, through {listed(chain)}")
             chain.append(leader)
     return mimics

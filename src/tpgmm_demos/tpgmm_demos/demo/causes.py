@@ -13,6 +13,8 @@ from tpgmm_demos.scene.pick_place import Grasp
 MAX_LOST_SHARE = 0.01
 MAX_TORQUE_AGE_MS = 5.0
 MIN_PERCEPTION_SHARE = 0.8
+#: A reference that is faster than its mean by this factor asks for torques that look like a jump.
+FAST = 4.0
 #: More programs than cores that want to run, above which a time-out is put down to the machine. The demo's own
 #: nodes are among them: while they start, each wants a core.
 MAX_WAITING_PROGRAMS = 1.0
@@ -26,7 +28,7 @@ def machine_figures(report: dict[str, Any]) -> list[str]:
     for node, ticks in report["ticks"].items():
         lost = ticks["asked"] - ticks["done"]
         if not ticks["asked"]:
-            found.append(f"{node} had no time to report its ticks")
+            found.append(f"{node} was too busy to report its ticks")
         elif lost > MAX_LOST_SHARE * ticks["asked"]:
             share = 100.0 * lost / ticks["asked"]
             found.append(
@@ -89,6 +91,14 @@ def cause_of_failure(report: dict[str, Any]) -> str:
         causes.append(f"the action ended with: {report['outcome']}")
     if report["saturated_joints"]:
         causes.append(f"motors at their limits: {', '.join(report['saturated_joints'])}")
+    speed = report["reference_speed_m_s"]
+    is_steady = checks["no jump when a frame was lost"] and checks["no jump when it came back"]
+    if not is_steady and speed["largest"] > FAST * speed["mean"]:
+        causes.append(
+            f"the model itself moves fast there: its reference reached {speed['largest']:.2f} m/s after "
+            f"{speed['at_s']:.1f} s, {speed['largest'] / speed['mean']:.0f} times its mean speed, as it "
+            "goes from one component to the next: see path.png, or demonstrate a situation like this one"
+        )
     if not causes:
         failed = ", ".join(f"'{what}'" for what, ok in checks.items() if not ok)
         causes.append(f"no fault of the machine was found; what failed is {failed}: see the pictures and the logs")

@@ -19,7 +19,7 @@ from matplotlib.patches import Ellipse, Patch
 from tpgmm_core import GaussianMixture
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
-from tpgmm_core.observation.tracking import FrameStatus
+from tpgmm_core.observation.tracked import FrameStatus
 from tpgmm_demos.demo.recording import RunRecord
 from tpgmm_demos.demo.world import World
 from tpgmm_demos.scene.pick_place import hand_at

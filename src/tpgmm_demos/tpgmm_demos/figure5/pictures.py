@@ -117,6 +117,6 @@ def _errors(robot: RobotModel, result: SequenceResult) -> plt.Figure:
         ax.set(ylabel=f"{hand} arm:\nshare of the torque limits", ylim=(-1.05, 1.05))
     for ax in axes:
         ax.grid(alpha=0.25)
-    axes[-1].set_xlabel("time in s (yellow: someone pushes)")
+    axes[-1].set_xlabel("time in s (yellow: a push)")
     figure.suptitle(result.sequence.title)
     return figure

@@ -91,7 +91,7 @@ def evaluate(
         "elbows give way, the tasks do not": _elbow(both["elbow"]),
         "both are as accurate as each alone": max(report["combined_over_alone"].values()) <= COMBINED,
         "torques within their limits": all(row["max_torque_share"] <= 1.0 for row in everything),
-        "no joint in its stop": all(row["least_stop_distance_rad"] > 0.0 for row in everything),
+        "no joint at its limit": all(row["least_stop_distance_rad"] > 0.0 for row in everything),
         "energy falls after each push": all(row["energy_rise"]["worst"] <= ENERGY_RISE for row in everything)
         and all(row["energy_left"]["worst"] < 1.0 for row in everything),
     }

@@ -12,7 +12,7 @@ import numpy as np
 from tpgmm_core import Frame
 from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
-from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
+from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import TaskFrame, TaskParameters
 from tpgmm_ros.messages.basic_messages import MessageError, floats, header_at, time_from_ns
 from tpgmm_ros.messages.fields import LARGEST_VARIANCE

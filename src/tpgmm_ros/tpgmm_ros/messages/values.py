@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from tpgmm_core.common.text import shown
 from tpgmm_core.model.reference import Reference
-from tpgmm_core.observation.tracking import FrameStatus, TrackedFrame
+from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions

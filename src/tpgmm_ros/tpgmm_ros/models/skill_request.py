@@ -81,7 +81,7 @@ def skill_requests(
     if holds and len(holds) != N - 1:
         raise ValueError(f"there are {len(holds)} holds for {N} models: give {N - 1}, one between each two, or none")
     if empty := [i + 1 for i, path in enumerate(models) if not path]:
-        raise ValueError(f"no file is named for skill {listed(empty)}")
+        raise ValueError(f"no model file is given for skill {listed(empty)}")
     return [
         SkillRequest(path, durations[i] if durations else 0.0, holds[i] if holds and i < N - 1 else 0.0)
         for i, path in enumerate(models)
@@ -245,15 +245,16 @@ def _judged(
     unseen = [name for name in movement.frame_names if name not in frames]
     if scale is None or unseen:
         if most > 0.0 and scale is None:
-            raise ValueError(
-                "max_novelty is set, but the model does not say what is new to it: train it with --leave-one-out"
-            )
+            raise ValueError("max_novelty is set, but the model cannot judge novelty: train it with --leave-one-out")
         if most > 0.0 and is_first:
-            raise ValueError(f"max_novelty is set, but how new the situation is needs the frames {listed(unseen)}")
+            raise ValueError(
+                "max_novelty is set, but the novelty of the situation is unknown until these frames are seen: "
+                f"{listed(unseen)}"
+            )
         return None
     novelty = scale.judge(movement, frames, state)
     if 0.0 < most < novelty.score:
         raise ValueError(
-            f"the situation is too new to the model: novelty {novelty.score:.2g}, max_novelty is {most:.2g}; {novelty}"
+            f"the situation is too new for the model: novelty {novelty.score:.2g}, max_novelty is {most:.2g}; {novelty}"
         )
     return novelty

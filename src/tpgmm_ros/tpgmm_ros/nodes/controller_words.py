@@ -29,10 +29,10 @@ class ControllerWords:
     def say(self) -> str:
         """The last that was said, and what else it did during the movement than to follow, in words."""
         if self._last is None:
-            return f"no controller says anything on {TOPIC}"
+            return f"no controller publishes on {TOPIC}"
         words = f"the controller says {_words(self._last)}"
         if self._worst is not None and self._worst.reason != self._last.reason:
-            words += f", and said {_words(self._worst)} on the way"
+            words += f", and said {_words(self._worst)} during the movement"
         return words
 
     def _take(self, message: ControllerState) -> None:

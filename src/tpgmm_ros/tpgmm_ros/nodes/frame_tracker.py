@@ -17,13 +17,14 @@ from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.observation.health import FrameHealth
 from tpgmm_core.observation.poses import Observation, wrong_frame
-from tpgmm_core.observation.tracking import FrameStatus, FrameTracker, TrackedFrame, TrackingConfig
+from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame, TrackingConfig
+from tpgmm_core.observation.tracking import FrameTracker
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.broadcasting import TransformBroadcaster
 from tpgmm_ros.messages.lockstep import LateBarrier, is_nothing_seen
 from tpgmm_ros.messages.qos import LATCHED, STREAM
-from tpgmm_ros.messages.sources import PoseStampedSource
+from tpgmm_ros.messages.sources import PoseStampedSource, Source
 from tpgmm_ros.messages.values import StampedFrames
 from tpgmm_ros.nodes.frame_sources import FrameSources
 from tpgmm_ros.runtime.executor import run
@@ -59,6 +60,8 @@ PARAMETERS = [
     ),
 ]
 
+#: The hand among the sources; no frame's name has a space.
+_HAND = "the hand"
 #: Changes are published at once, but a flood of poses must not become a flood of task parameters: beyond so many
 #: between two regular ones, changes wait for the next of these.
 MAX_CHANGES = 10
@@ -77,6 +80,7 @@ class FrameTrackerNode(Node):
             fixed={name: spec.pose for name, spec in self.task.frames.items() if spec.pose is not None},
             config=TrackingConfig(**(self.task.tracking | given)),
             unknown_after=self.task.unknown_after,
+            with_hand=self.task.with_hand,
         )
         self._uses_covariances = parameters["use_covariances"]
         self._loop_clock = loop_clock(self)
@@ -88,9 +92,10 @@ class FrameTrackerNode(Node):
         if parameters["lockstep"]:
             self._subscribe_in_lockstep()
         else:
-            self._sources = FrameSources(
-                self, self.task.sources, self.task.base_frame, self._observe, self._refuse, self._fix
-            )
+            sources: dict[str, Source] = dict(self.task.sources)
+            if self.task.with_hand:
+                sources[_HAND] = PoseStampedSource(self.task.movement)
+            self._sources = FrameSources(self, sources, self.task.base_frame, self._observe, self._refuse, self._fix)
             self.create_timer(1.0 / parameters["rate"], self._publish_regularly, clock=self._loop_clock)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
         self._jump = self.get_clock().create_jump_callback(backwards, post_callback=lambda _: self._forget())
@@ -101,8 +106,8 @@ class FrameTrackerNode(Node):
     def _subscribe_in_lockstep(self) -> None:
         if others := self.task.sources.keys() - self.task.topics.keys():
             raise ValueError(
-                "in lockstep frames are observed as PoseStamped, which can say that nothing was seen; other sources in "
-                f"the task file have {listed(sorted(others))}"
+                "in lockstep, each frame must be observed as PoseStamped, which can report that nothing was seen; the "
+                f"task file has other sources for {listed(sorted(others))}"
             )
         self._barrier = LateBarrier[PoseStamped](self.task.topics, self._answer, self._send)
         self.create_subscription(PoseStamped, self.task.movement, self._tick, STREAM)
@@ -110,7 +115,10 @@ class FrameTrackerNode(Node):
             self.create_subscription(PoseStamped, topic, functools.partial(self._collect, name), STREAM)
 
     def _tick(self, message: PoseStamped) -> None:
-        self._barrier.tick(conversions.time_to_ns(message.header.stamp))
+        stamp_ns = conversions.time_to_ns(message.header.stamp)
+        if self.task.with_hand:
+            self._take_in_base(_HAND, message, stamp_ns)
+        self._barrier.tick(stamp_ns)
 
     def _collect(self, name: str, message: PoseStamped) -> None:
         seen = None if is_nothing_seen(message) else message
@@ -119,13 +127,16 @@ class FrameTrackerNode(Node):
     def _answer(self, stamp_ns: int, seen: dict[str, PoseStamped | None]) -> None:
         for name in self.task.topics:
             if (message := seen[name]) is not None:
-                observation = PoseStampedSource.observation(message)
-                if reason := wrong_frame(observation.frame_id, self.task.base_frame):
-                    self._refuse(name, reason)
-                else:
-                    self._take(name, observation, stamp_ns, stamp_ns)
+                self._take_in_base(name, message, stamp_ns)
         self._update(stamp_ns)
         self._send(stamp_ns)
+
+    def _take_in_base(self, name: str, message: PoseStamped, stamp_ns: int) -> None:
+        observation = PoseStampedSource.observation(message)
+        if reason := wrong_frame(observation.frame_id, self.task.base_frame):
+            self._refuse(name, reason)
+        else:
+            self._take(name, observation, stamp_ns, stamp_ns)
 
     # -- otherwise ----------------------------------------------------------------------------------------------------
 
@@ -146,8 +157,12 @@ class FrameTrackerNode(Node):
     # -- always -------------------------------------------------------------------------------------------------------
 
     def _take(self, name: str, observation: Observation, now_ns: int, steady_ns: int) -> bool:
-        """Whether the observation was taken."""
+        """Whether a frame's observation was taken."""
         stamp_ns, _, pose, covariance = observation
+        if name == _HAND:
+            if reason := self.tracker.observe_hand(pose, stamp_ns, steady_ns):
+                self._refuse(name, reason)
+            return False
         covariance = covariance if self._uses_covariances else None
         refusal = self.tracker.observe(name, pose, stamp_ns, now_ns, steady_ns, covariance)
         if refusal:
@@ -155,7 +170,7 @@ class FrameTrackerNode(Node):
         return refusal is None
 
     def _refuse(self, name: str, reason: str) -> None:
-        self._warn(self.tracker.refuse(name, reason))
+        self._warn(f"{name}: {reason}" if name == _HAND else self.tracker.refuse(name, reason))
 
     def _fix(self, name: str, pose: Array) -> None:
         if refusal := self.tracker.fix(name, pose):

@@ -10,7 +10,8 @@ from rclpy.node import Node
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.observation.poses import Observation
-from tpgmm_core.observation.tracking import FrameStatus, FrameTracker, TrackingConfig
+from tpgmm_core.observation.tracked import FrameStatus, TrackingConfig
+from tpgmm_core.observation.tracking import FrameTracker
 from tpgmm_ros.nodes.frame_sources import FrameSources
 from tpgmm_ros.task.task_file import Task
 

@@ -54,7 +54,10 @@ PARAMETERS = [
     SPREAD,
     Declared("autostart", False, "Configure and activate at start, without a lifecycle manager", fixed=True),
     Declared(
-        "lockstep", False, "Lockstep: answer each joint state once the reference of the same stamp has come", fixed=True
+        "lockstep",
+        False,
+        "Lockstep: answer each joint state once the reference with the same stamp has arrived",
+        fixed=True,
     ),
     Declared(
         "torque_outputs",

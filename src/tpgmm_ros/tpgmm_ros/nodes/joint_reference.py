@@ -184,7 +184,7 @@ class JointReferenceNode(Node):
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
         holding = () if self.active is None else self.active.holding
-        text = f"tasks that hold: {', '.join(holding)}" if holding else "no task holds"
+        text = f"active tasks: {', '.join(holding)}" if holding else "no active task"
         movements = {} if self._last_ns is None else self._movements(self._last_ns)
         return DiagnosticStatus.OK, text, {f"{name} phase": f"{r.phase:.3f}" for name, r in movements.items()}
 

@@ -141,7 +141,7 @@ class JointStateStream:
     def why_silent(self) -> str:
         """Why no new state comes, in words."""
         trouble = clock_trouble(self._node) or self._trouble()
-        return trouble or "is the robot running, and is the topic the right one?"
+        return trouble or "check that the robot is running, and that the topic is correct"
 
     def silence(self) -> list[str]:
         """That no new state has come for a second, and why, in words; nothing where states come."""

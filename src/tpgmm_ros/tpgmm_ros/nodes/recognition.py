@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayou
 from std_srvs.srv import Trigger
 
 from tpgmm_core.common.text import shown
-from tpgmm_core.observation.tracking import check_pose
+from tpgmm_core.observation.poses import check_pose
 from tpgmm_core.recognition.recognizer import UNKNOWN, Recognition, RecognitionConfig, Recognizer
 from tpgmm_msgs.msg import TaskParameters
 from tpgmm_ros.messages import conversions
@@ -102,7 +102,7 @@ class RecognitionNode(Node):
     def _restart(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self.recognizer is not None:
             self.recognizer.start()
-        response.success, response.message = self.recognizer is not None, "another movement is watched"
+        response.success, response.message = self.recognizer is not None, "recognition starts again with the next pose"
         return response
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
@@ -113,7 +113,7 @@ class RecognitionNode(Node):
         if self._found is None:
             return DiagnosticStatus.WARN, f"no pose of the hand yet on {self.task.movement}", {}
         if not any(one.is_situated for one in self.recognizer.filters):
-            return DiagnosticStatus.WARN, "no frame of the skills is known: is frame_tracker running?", {}
+            return DiagnosticStatus.WARN, "no frame of the skills is known; check that frame_tracker is running", {}
         values = {f"probability_{name}": f"{p:.3f}" for name, p in self._found.probabilities.items()}
         return DiagnosticStatus.OK, f"most probable: {self._found.most_probable}", values
 

@@ -115,7 +115,11 @@ def reproduction_status(movements: Movements | None, silence: float) -> tuple[by
         values["novelty"] = f"{movements.novelty.score:.2f}"
         values["novelty_percentile"] = f"{100.0 * movements.novelty.percentile:.0f}"
     if silence > TRACKER_TIMEOUT:
-        return DiagnosticStatus.ERROR, f"no task parameters for {silence:.1f} s: is frame_tracker alive?", values
+        return (
+            DiagnosticStatus.ERROR,
+            f"no task parameters for {silence:.1f} s; check that frame_tracker is running",
+            values,
+        )
     if reference is not None and reference.waits:
         return DiagnosticStatus.WARN, f"waits: {reference.waits}", values
     missing = [name for name in execution.retrieval.frame_names if name not in frames]

@@ -60,7 +60,7 @@ class ReproductionNode(ManagedNode):
         self._received: object = None
         # A tracker that stopped is noticed by a clock that does not stop.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._received_ns = 0
+        self._received_ns = self._heard_ns = 0
         self._feedback_due = Seldom(FEEDBACK_PERIOD_NS)
         self._beat = Beat()
         self._simulated = bool(self.get_parameter("use_sim_time").value)
@@ -178,6 +178,7 @@ class ReproductionNode(ManagedNode):
             self._barrier.came("task_parameters", stamp_ns)
 
     def _take_joint_state(self, heard: Heard) -> None:
+        self._heard_ns = self._steady.now().nanoseconds
         for positions in heard.values:  # none where no joint is known
             self._take_state(self.task.space.of_joints(positions))
         if self.parameters["rate"] > 0.0:  # a timer gives the beat
@@ -185,7 +186,7 @@ class ReproductionNode(ManagedNode):
         if self._barrier is not None:
             self._barrier.take(heard.stamp_ns, heard.stamp_ns)
         elif heard.kind is not Stamp.REPEATED:
-            self._beat.take(heard.stamp_ns, self._steady.now().nanoseconds, heard.kind is Stamp.RESTARTED)
+            self._beat.take(heard.stamp_ns, self._heard_ns, heard.kind is Stamp.RESTARTED)
             self._step(self._beat.step_ns)
         elif self._sent is not None and self._sent.stamp_ns >= heard.stamp_ns:
             self._send(self._sent)  # it comes again, since an answer was lost
@@ -252,7 +253,11 @@ class ReproductionNode(ManagedNode):
         self._views.show(stamp_ns, sequence, reference)
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
-        return reproduction_status(self.movements, 1e-9 * (self._steady.now().nanoseconds - self._received_ns))
+        now_ns = self._steady.now().nanoseconds
+        level, message, values = reproduction_status(self.movements, 1e-9 * (now_ns - self._received_ns))
+        if self._heard_ns:
+            values["joint_state_age_s"] = f"{1e-9 * (now_ns - self._heard_ns):.3f}"
+        return level, message, values
 
 
 def main() -> int:

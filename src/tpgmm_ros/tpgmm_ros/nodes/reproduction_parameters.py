@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from tpgmm_core.retrieval.knowledge import KnowledgeConfig
-from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_core.retrieval.methods import ALL_METHODS
 from tpgmm_core.retrieval.outcome import ExecutionConfig
 from tpgmm_core.retrieval.phase import PHASES
 from tpgmm_ros.nodes.joint_states import MAX_FUTURE, SPREAD
@@ -40,7 +40,9 @@ PARAMETERS = [
     ),
     Declared("broadcast_transforms", False, "Publish the reference on /tf too, as TASK/reference", fixed=True),
     Declared("rate", 0.0, "Rate of references on a timer, Hz; 0: one for each joint state", 0.0, 2000.0, fixed=True),
-    Declared("retrieval", "", f"Retrieval method: {', '.join(METHODS)}; empty: the one that the model was learned for"),
+    Declared(
+        "retrieval", "", f"Retrieval method: {', '.join(ALL_METHODS)}; empty: the one that the model was learned for"
+    ),
     Declared("phase", "clock", f"What advances the model's time: {', '.join(PHASES)}"),
     Declared("speed", 1.0, "Speed of the movement; 1: as learned; 0: pause; below 0: backwards", -2.0, 2.0),
     Declared("horizon_steps", 1, "Number of future Gaussians in each reference", 0, 50),

@@ -40,7 +40,7 @@ def main(args: list[str] | None = None) -> int:
     parser = _parser()
     names = parser.parse_args(remove_ros_args(args)[1:]).nodes
     if twice := sorted({name for name in names if names.count(name) > 1}):
-        parser.error(f"{listed(twice)} named twice: a process has each node once")
+        parser.error(f"{listed(twice)} given twice; a process can run each node once")
     classes = [getattr(import_module(f"tpgmm_ros.nodes.{name}"), CLASSES[name]) for name in names]
     return run_together(classes, args)
 

@@ -59,13 +59,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.lerobot:
         if options.task is None or options.movement is not None or options.time is not None:
-            parser.error("--lerobot needs --task FILE, which says what is read, and neither --movement nor --time")
+            parser.error(
+                "--lerobot takes what is read from --task FILE: give --task, and leave out --movement and --time"
+            )
     elif options.movement is None or options.task is not None:
-        parser.error("give --movement COLUMNS; --task goes with --lerobot")
+        parser.error("give --movement COLUMNS; --task is only for --lerobot")
     elif all(map(is_dataset, options.files)) and options.rate is None:
         options.time = options.time or TIME
     elif (options.time is None) == (options.rate is None):
-        parser.error("give --time COLUMN or --rate HZ: one of them")
+        parser.error("give either --time COLUMN or --rate HZ")
     report: dict[str, Any] = {"passed": False, "bags": [], "bad_bags": []}
     try:
         if options.lerobot:
@@ -143,7 +145,9 @@ def _read(files: Sequence[Path], columns: Columns) -> dict[str, Shown]:
             stem = file.resolve().name if file.is_dir() else file.stem
             name = stem if len(several) == 1 else f"{stem}_{number:0{digits}d}"
             if name in found:
-                raise ConversionError(f"{file}: its bag would be {name}, as that of another file: rename one of them")
+                raise ConversionError(
+                    f"{file}: its bag would have the name {name}, like that of another file; rename one of the files"
+                )
             found[name] = one
     return found
 

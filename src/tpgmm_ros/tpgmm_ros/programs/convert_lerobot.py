@@ -50,7 +50,7 @@ def to_lerobot(options: argparse.Namespace, report: dict[str, Any]) -> None:
     doubts = doubts_about(recordings, task)
     report["doubts"] = [asdict(doubt) for doubt in doubts]
     if any(doubt.refuses for doubt in doubts):
-        raise TrainingError("doubts forbid to take these bags together, nothing was written: see doubts")
+        raise TrainingError("the doubts show that these bags do not belong together, nothing was written: see doubts")
     fps = _rate(options.rate, rate_of(recordings))
     found = [sampled(one, fps) for one in recordings]
     with progress_bar(total=len(found), desc="writing episodes", unit="episode") as bar:

@@ -18,7 +18,7 @@ from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import one_line
 from tpgmm_core.geometry.manifold import POSE
-from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_core.retrieval.methods import ALL_METHODS, DEFAULT, KEY, like
 from tpgmm_ros.models.task_model import load_task_model
 from tpgmm_ros.models.validation import Tried, mean_errors, tried, tried_by_others
 from tpgmm_ros.programs.leave_one_out import cells_of
@@ -72,7 +72,7 @@ def _evaluate(options: argparse.Namespace, report: dict[str, Any]) -> None:
         )
     report["on"] = "held-out bags" if held_out else "these bags" if options.model else "each bag left out"
     report["results"] = []
-    names = list(map(str, options.model or options.methods or METHODS))
+    names = list(map(str, options.model or options.methods or like(str(task.model.get(KEY, DEFAULT)))))
     with progress_bar(total=len(names), desc="evaluating", unit="method") as bar:
         for name in names:
             bar.set_postfix_str(name)
@@ -132,9 +132,9 @@ def _parser() -> argparse.ArgumentParser:
         "--methods",
         nargs="+",
         type=current_name,
-        choices=METHODS,
+        choices=ALL_METHODS,
         metavar="METHOD",
-        help=f"retrieval methods (default: all of {', '.join(METHODS)})",
+        help=f"retrieval methods, of {', '.join(ALL_METHODS)} (default: all, but periodic where the task file says so)",
     )
     parser.add_argument(
         "--held-out", nargs="+", type=Path, metavar="BAG", help="learn from the other bags, evaluate on these"

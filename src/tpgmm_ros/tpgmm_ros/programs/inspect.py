@@ -138,7 +138,7 @@ def _text(found: dict[str, Any]) -> str:
     parts += [one_line(note) for note in found["notes"]]
     parts += [f"{'refused' if doubt['refuses'] else 'doubt'}: {Doubt(**doubt)}" for doubt in found["doubts"]]
     if found["demonstrations"] and not found["doubts"] and not found["bad_bags"]:
-        parts.append("no doubts: all of it makes sense")
+        parts.append("no doubts: the values are plausible")
     if found["suggested_task"]:
         parts.append(f"suggested task file:\n\n{found['suggested_task']}".rstrip())
     else:

@@ -70,7 +70,10 @@ def validate(
     print(format_table(("left out", *columns, *(f"n. {column}" for column in columns)), rows))
     baselines = mean_baselines(folds)
     others = [(name, *cells_of(errors), count) for name, (errors, count) in baselines.items()]
-    print("\nother kinds of models, with as many components; means over the demonstrations that they can reproduce")
+    print(
+        "\nother kinds of models, with the same number of components; means over the demonstrations "
+        "that they can reproduce"
+    )
     print(format_table(("", *columns, "left out"), [("this model", *cells_of(mean), len(folds)), *others]))
     print("\nmean position error in each tenth of the movement, m")
     print(

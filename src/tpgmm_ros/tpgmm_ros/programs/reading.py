@@ -106,8 +106,8 @@ def _without_doubt(
         print(f"doubt: {doubt}", file=sys.stderr)
     if refusing:
         raise TrainingError(
-            f"{len(refusing)} of the doubts above forbid to learn from these bags together, nothing was trained; put "
-            "them right, or leave out the bags that are named" + (", or use --skip-bad" if named else "")
+            f"{len(refusing)} of the doubts above show that these bags do not belong together, nothing was trained; "
+            "correct them, or leave out the bags that are named" + (", or use --skip-bad" if named else "")
         )
     if doubts and options.strict:
         raise TrainingError(f"{len(doubts)} doubts, and --strict refuses all; nothing was trained")

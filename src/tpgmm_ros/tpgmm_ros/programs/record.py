@@ -60,7 +60,7 @@ def main(args: list[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(remove_ros_args(args)[1:])
     if (options.task is None) == (options.recover is None):
-        parser.error("give a task file to record, or --recover and what was cut off")
+        parser.error("give a task file to record, or --recover and the recordings that were cut off")
     report: dict[str, Any] = {"passed": False, "bags": []}
     try:
         if options.recover is not None:
@@ -90,7 +90,7 @@ def _recover(options: argparse.Namespace, report: dict[str, Any]) -> None:
 def _record(options: argparse.Namespace, args: list[str], report: dict[str, Any]) -> None:
     task = Task.load(options.task)
     if options.to.exists() and not options.to.is_dir():
-        raise ValueError(f"{options.to} is no folder: give the folder that the bags are to be in")
+        raise ValueError(f"{options.to} is not a folder; give the folder for the bags")
     init(args)
     stop = StopFlag()
     node = Node("record")

@@ -17,11 +17,12 @@ from tpgmm_core.common.atomic_file import write_atomically
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.kinematics.method import NAME as KINEMATIC
+from tpgmm_core.learning.periodic import PeriodicTPGMM
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.model.derived_frames import DerivedFrames
 from tpgmm_core.retrieval.calibrated import scale_key
 from tpgmm_core.retrieval.interface import demonstrated_duration
-from tpgmm_core.retrieval.methods import DEFAULT, KEY, METHODS, load_model
+from tpgmm_core.retrieval.methods import ALL_METHODS, DEFAULT, KEY, load_model
 from tpgmm_core.retrieval.novelty import NoveltyScale
 from tpgmm_core.retrieval.relevance import relevance
 from tpgmm_core.retrieval.sub_objectives import quadratic_costs
@@ -110,17 +111,19 @@ def described(model: LearnedMixture, path: Path) -> dict[str, Any]:
     }
     if isinstance(model, TimeStepTPGMM) and model.modes_.any():
         found["ways"] = model.modes_.tolist()
+    if isinstance(model, PeriodicTPGMM):
+        found |= {"period_s": model.period_, "cycles": model.cycles_}
     try:
         shares = _relevance(model, method)
         found["relevance"] = {"along": shares[0], "shares": shares[1]}
     except ValueError as error:
         found["no_relevance_because"] = str(error)
-    found["calibrated"] = {name: float(said[scale_key(name)]) for name in METHODS if scale_key(name) in said}
+    found["calibrated"] = {name: float(said[scale_key(name)]) for name in ALL_METHODS if scale_key(name) in said}
     scale = NoveltyScale.of_model(model)
     if scale is not None:
         found["novelty"] = {"contradictions": list(scale.contradictions), "distances": list(scale.distances)}
     found["expected_errors"] = expected_errors(model)
-    known = {KEY, "bags", "expected_errors", "novelty", "derived_frames", *map(scale_key, METHODS), *found}
+    known = {KEY, "bags", "expected_errors", "novelty", "derived_frames", *map(scale_key, ALL_METHODS), *found}
     found["other_metadata"] = {key: value for key, value in said.items() if key not in known}
     return found
 
@@ -146,14 +149,14 @@ def costs_of(model: LearnedMixture, method: str) -> dict[str, Any]:
         for a model whose frames are no places, or that is not over time
     """
     if method == KINEMATIC:
-        raise ValueError("no costs: frames of the robot's joints depend on where the robot is, and are no fixed terms")
+        raise ValueError("no costs: kinematic frames depend on the posture of the robot, so their costs are not fixed")
     duration = demonstrated_duration(model)
     known = {"duration_s": duration, "base_frame": model.metadata_.get("base_frame")}
     return {**known, **quadratic_costs(model, np.linspace(0.0, duration, COST_TIMES))}
 
 
 def _encodes(method: str) -> str:
-    return METHODS[method].encoding.description if method in METHODS else "configurations of joints"
+    return ALL_METHODS[method].encoding.description if method in ALL_METHODS else "configurations of joints"
 
 
 def _frames(model: LearnedMixture) -> dict[str, str]:
@@ -180,7 +183,7 @@ def _components(model: LearnedMixture) -> list[dict[str, Any]]:
 
 def _relevance(model: LearnedMixture, method: str) -> tuple[str, dict[str, list[float]]]:
     if method == KINEMATIC:
-        raise ValueError("frames of the robot's joints: what each says depends on where the robot is")
+        raise ValueError("kinematic frames: how much each counts depends on the posture of the robot")
     shares = relevance(model, PARTS)
     return shares.along, {name: [float(x) for x in values] for name, values in shares.shares.items()}
 
@@ -196,6 +199,7 @@ def _text(found: Mapping[str, Any]) -> str:
         "hand": _of_hand(found),
         "learned from": learned,
         "duration": f"{found['duration_s']:.2f} s" if found["duration_s"] else None,
+        "period": f"{found['period_s']:.2f} s, of {found['cycles']} cycles" if "period_s" in found else None,
         "log-likelihood": f"{found['log_likelihood']:.4f} per sample after {found['iterations']} iterations"
         + ("" if found["converged"] else " (not converged)"),
         "met exactly": found["exact"],
@@ -227,14 +231,19 @@ def _bars(found: Mapping[str, Any]) -> str:
     along, shares = found["relevance"]["along"], found["relevance"]["shares"]
     names = list(shares)
     n = len(shares[names[0]])
-    words = "in each tenth of the movement" if along == "movement" else "in each component"
+    words = (
+        f"in each tenth of the {'cycle' if 'period_s' in found else 'movement'}"
+        if along == "movement"
+        else "in each component"
+    )
     rows = []
     for i in range(min(n, MOST_COMPONENTS)):
         label = f"{100 * i // n} to {100 * (i + 1) // n} %" if along == "movement" else str(i)
         rows.append(
             (label, *(f"{shares[name][i]:.2f} {'█' * round(shares[name][i] * BAR / len(names) * 2)}" for name in names))
         )
-    return f"what each frame says of where the hand is, {words} (shares):\n" + format_table(("", *names), rows)
+    title = f"how much each frame determines the pose of the hand, {words} (shares):\n"
+    return title + format_table(("", *names), rows)
 
 
 def _timeline(found: Mapping[str, Any]) -> str:
@@ -252,14 +261,14 @@ def _exactness(found: Mapping[str, Any]) -> str:
     lines = [
         f"calibrated for {name}: covariances are scaled by {scale:.2f}, standard deviations by {scale**0.5:.2f}"
         for name, scale in found["calibrated"].items()
-    ] or ["not calibrated: 'train --leave-one-out --output' finds out how exact its covariances are"]
+    ] or ["not calibrated: 'train --leave-one-out --output' measures how exact the covariances are"]
     if errors := found["expected_errors"]:
         lines.append(
             f"expected error in new situations ({errors['from']}): {errors['position_rmse_m']:.3f} m over the path, "
             f"{errors['position_end_m']:.3f} m at the end, {errors['orientation_mean_deg']:.1f} deg"
         )
     else:
-        lines.append("expected errors are not known: it was not tried on demonstrations that were left out")
+        lines.append("expected errors are not known: the model was not tested on demonstrations that were left out")
     if "novelty" in found:
         usual = max(found["novelty"]["distances"])
         lines.append(

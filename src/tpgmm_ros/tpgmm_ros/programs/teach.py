@@ -84,7 +84,7 @@ def main() -> int:
         counts = record_live(Task.load(arguments.task), arguments.output)
         silent = [topic for topic, count in counts.items() if not count]
         if silent:
-            print(f"warning: nothing came on {', '.join(silent)}", file=sys.stderr)
+            print(f"warning: no message arrived on {', '.join(silent)}", file=sys.stderr)
         print(f"{arguments.output}: " + ", ".join(f"{topic} {count}" for topic, count in counts.items()))
     except (TaskError, OSError, ValueError) as error:
         print(f"error: {one_line(error)}", file=sys.stderr)

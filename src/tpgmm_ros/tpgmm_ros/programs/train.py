@@ -18,6 +18,7 @@ from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.iteration import EmProgress
+from tpgmm_core.learning.periodic import PeriodicTPGMM
 from tpgmm_core.learning.situations import demonstrated_situations
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.retrieval.interface import demonstrated_duration
@@ -245,6 +246,9 @@ def _summarize(training: TrainingResult, task: Task, report: dict[str, Any]) -> 
         "training time": f"{training.time_s:.2f} s",
     }
     print(format_table(("what", "value"), rows.items()))
+    if isinstance(model, PeriodicTPGMM):
+        report |= {"period_s": model.period_, "cycles": model.cycles_}
+        print(f"the movement repeats: {model.cycles_} cycles were shown, of {model.period_:.2f} s on average")
     if isinstance(model, TimeStepTPGMM) and model.modes_.any():
         report["modes"] = model.modes_.tolist()
         print(_ways(model, training.recordings))

@@ -19,10 +19,10 @@ from tpgmm_ros.recordings.bags import Recording, align
 from tpgmm_ros.task.task_file import Task
 
 ENDED = {
-    "complete": "all was tried",
-    "trials": "as many trials as were asked for",
-    "time": "the time was over",
-    "interrupted": "interrupted: the best so far is taken",
+    "complete": "everything was tried",
+    "trials": "the requested number of trials was reached",
+    "time": "the time was up",
+    "interrupted": "interrupted: the best so far is used",
 }
 
 
@@ -47,9 +47,7 @@ def choose_for(
         for a task over joints, too few recordings, and where nothing could be learned
     """
     if task.space.joints():
-        raise ValueError(
-            f"--auto chooses among frames that poses are seen from; task {task.name!r} is over joints: leave it out"
-        )
+        raise ValueError(f"--auto works only for tasks of poses; task {task.name!r} is over joints: leave --auto out")
     demonstrations, _ = align(recordings)
     settings = dict(task.model) if method is None else {**task.model, "retrieval": method}
     with tqdm(total=trials, desc="trying", unit="trial", disable=None, file=sys.stderr) as bar:
@@ -91,23 +89,21 @@ def _tried(choice: Choice) -> str:
     rows = [("chosen", best), *rows[:12]]
     head = ("", "method", "frames", "structure", "K", "prior", "error m", "RMSE m", "deg", "at objects m", "end m")
     text = [
-        f"{len(search.results)} ways of learning were tried ({ENDED[search.ended]}); each reproduced demonstrations "
+        f"{len(search.results)} configurations were tried ({ENDED[search.ended]}); each was tested on demonstrations "
         "that it had not learned from:",
         format_table(head, [(name, *_row(result)) for name, result in rows]),
     ]
     if lost:
-        text.append(f"given up before all were reproduced, since worse than others: {listed(lost)}")
+        text.append(f"stopped early, since they were worse than others: {listed(lost)}")
     given, cost = choice.given.cost, best.cost
     if best is choice.given:
-        text.append("why: nothing that was tried has a smaller error than what the task file says")
+        text.append("why: no other configuration has a smaller error than the settings of the task file")
     elif math.isfinite(given):
         text.append(
-            f"why: its error is the smallest; that of the task file's settings is {given / cost - 1.0:.0%} larger"
+            f"why: its error is the smallest; with the settings of the task file it is {given / cost - 1.0:.0%} larger"
         )
     else:
-        text.append(
-            f"why: its error is the smallest; what the task file says cannot be learned: {_reason(choice.given)}"
-        )
+        text.append(f"why: its error is the smallest; the settings of the task file failed: {_reason(choice.given)}")
     return "\n".join(text)
 
 
@@ -116,7 +112,7 @@ def _was_tried(choice: Choice, method: str) -> bool:
 
 
 def _reason(result: TrialResult) -> str:
-    return result.refusals[0] if result.refusals else "it was given up"
+    return result.refusals[0] if result.refusals else "it was stopped early"
 
 
 def _row(result: TrialResult) -> tuple[object, ...]:
@@ -164,15 +160,15 @@ def _frames(choice: Choice) -> str:
     head = ("frame", "what it is", "predicts best", "counts most at", *(f"{10 * (t + 1)} %" for t in range(10)))
     dropped = [name for name in choice.declared if name not in choice.best.trial.frames]
     text = [
-        "what each frame says of where the hand is, as shares, in each tenth of the movement:",
+        "how much each frame determines the pose of the hand, in each tenth of the movement (shares):",
         format_table(head, rows),
     ]
     if dropped:
         text.append(f"frames of the task that are not used, since others predict as well or better: {listed(dropped)}")
     if choice.still:
         text.append(
-            f"hardly moved in these demonstrations: {listed(choice.still)}; whether the movement depends on that "
-            "cannot be known: if it does, demonstrate with it elsewhere"
+            f"hardly moved in these demonstrations: {listed(choice.still)}; so it is unknown whether the movement "
+            "depends on this; if it does, record demonstrations with it in different places"
         )
     return "\n".join(text)
 
@@ -183,14 +179,14 @@ def _expected(choice: Choice, names: Sequence[str]) -> str:
     worst = max(best.errors, key=lambda i: best.errors[i].cost)
     rows = [("mean", *_cells(mean)), (f"worst: {names[worst]}", *_cells(best.errors[worst]))]
     text = [
-        "expected in new situations like these (errors of demonstrations that were left out; a little optimistic, "
-        "since the best of several was taken):",
+        "expected errors in similar new situations (from demonstrations that were left out; slightly optimistic, "
+        "since the best of several configurations was chosen):",
         format_table(("", "RMSE m", "deg", "at objects m", "end m"), rows),
     ]
     for i in choice.misfits:
         text.append(
             f"{names[i]} does not fit the others: its error is {best.errors[i].cost:.3f} m, more than {MISFIT:.0f} "
-            "times the median; was something else shown, or in a situation unlike theirs? Leave it out, or record more "
+            "times the median; if it shows something else, leave it out; if its situation is unusual, record more "
             "like it"
         )
     for refusal in best.refusals:

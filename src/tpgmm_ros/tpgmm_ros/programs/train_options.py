@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 
 from tpgmm_core.common.old_names import current_name
-from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_core.retrieval.methods import ALL_METHODS
 
 EXAMPLES = """\
 examples:
@@ -46,9 +46,9 @@ def parser_of_train() -> argparse.ArgumentParser:
     parser.add_argument(
         "--retrieval",
         type=current_name,
-        choices=METHODS,
+        choices=ALL_METHODS,
         metavar="METHOD",
-        help=f"retrieval method of the model, instead of retrieval of the task file: {', '.join(METHODS)}",
+        help=f"retrieval method of the model, instead of retrieval of the task file: {', '.join(ALL_METHODS)}",
     )
     parser.add_argument("--seed", type=int, help="seed of random choices, instead of random_state of the task file")
     parser.add_argument(
@@ -60,7 +60,7 @@ def parser_of_train() -> argparse.ArgumentParser:
     parser.add_argument(
         "--one-by-one",
         action="store_true",
-        help="keep only one recording in memory at a time, if not all of them fit; their numbers are kept in a "
+        help="keep only one recording in memory at a time, if they do not all fit; their data are kept in a "
         "temporary folder (TMPDIR), and --jobs processes share each iteration of EM",
     )
     parser.add_argument(
@@ -82,7 +82,7 @@ def parser_of_train() -> argparse.ArgumentParser:
     parser.add_argument(
         "--online",
         action="store_true",
-        help="learn a model that can later learn from more bags without these (--update)",
+        help="learn a model that can be updated with more bags later (--update), without these bags",
     )
     parser.add_argument(
         "--update",

@@ -44,7 +44,7 @@ def online(recipe: Recipe) -> Recipe:
     if method.estimator is not TPGMM:
         raise ValueError(
             f"--online is for methods whose models are Gaussian mixtures over time; {method.name} learns a "
-            f"{method.estimator.__name__}: leave out --online, and train anew with all bags when more have come"
+            f"{method.estimator.__name__}: leave out --online, and train again with all bags once there are more"
         )
     return replace(recipe, method=replace(method, estimator=OnlineTPGMM))
 
@@ -76,8 +76,7 @@ def load_online(path: Path, task: Task) -> OnlineTPGMM:
         return OnlineTPGMM.load(path)
     except ModelFileError as error:
         raise ValueError(
-            f"{one_line(error)}: it keeps nothing of its demonstrations to go on from; train it with --online, or "
-            "train anew with all bags"
+            f"{one_line(error)}: such a model cannot be updated; train it with --online, or train again with all bags"
         ) from None
 
 
@@ -125,7 +124,7 @@ def update(
         pairs = [(b.position_rmse_m, a.position_rmse_m) for b, a in zip(*errors, strict=True)]
         report["position_rmse_m"] = {name: {"before": b, "after": a} for name, (b, a) in zip(names, pairs, strict=True)}
         rows = [(name, f"{b:.4f}", f"{a:.4f}") for name, (b, a) in zip(names, pairs, strict=True)]
-        print("\nreproduced by the model before it learned from them, and after, RMSE m")
+        print("\nRMSE in m, reproduced by the model before and after it learned from these recordings")
         print(format_table(("", "before", "after"), rows))
     if model.influence_ < 1.0:
         print(f"they contradict what was learned before, and count {model.influence_:g} times as much as the others")
@@ -134,4 +133,7 @@ def update(
 
 def said_twice(names: list[str]) -> str:
     """What to think of recordings that were learned from before, in words."""
-    return f"{listed(names)}: recordings of these names were learned from before; the same ones would count twice"
+    return (
+        f"{listed(names)}: the model has already learned from recordings with these names; if they are the same, "
+        "they count twice"
+    )

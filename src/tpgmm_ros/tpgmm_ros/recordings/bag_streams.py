@@ -16,8 +16,9 @@ from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_core.doubt.rough_clock import RoughClock
 from tpgmm_core.doubt.values import LARGEST_M
 from tpgmm_core.observation.gate import MotionLimits
+from tpgmm_core.observation.in_hand import carried_poses
 from tpgmm_core.observation.streams import SECOND
-from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_core.observation.tracked import TrackingConfig
 from tpgmm_ros.recordings.bag_messages import BagError
 from tpgmm_ros.recordings.pose_streams import without_leaps
 from tpgmm_ros.recordings.recording import Recording
@@ -100,7 +101,8 @@ class BagStreams:
     def recording(self, begin_s: float, end_s: float) -> Recording:
         """One part of it as a recording, with the doubts of this part.
 
-        Poses that leap are left out. A frame holds its latest pose while the task says so (`unseen`). Before its first
+        Poses that leap are left out. A frame holds its latest pose while the task says so (`unseen`), or its
+        place in the hand. Before its first
         observation a frame is not visible, unless that comes within 0.5 s of the first sample: then the frame counts
         as seen from the start. Joints are interpolated between their messages.
 
@@ -126,7 +128,8 @@ class BagStreams:
         notes, doubts = [], []
         series: dict[str, tuple[Nanoseconds, Array]] = {}
         is_timed = bool(len(self.recorded))
-        limits = TrackingConfig(**self.task.tracking).motion
+        tracking = TrackingConfig(**self.task.tracking)
+        limits = tracking.motion
         for name, ns in self.times.items():
             if name == JOINTS:
                 continue
@@ -153,6 +156,10 @@ class BagStreams:
                 )
             unknown_after = self.task.frames[name].unknown_after
             frames[name], visible[name] = _hold(*series[name], at, unknown_after)
+            if self.task.frames[name].with_hand:
+                frames[name], moved = carried_poses(at, movement, *series[name], frames[name], tracking.visible_timeout)
+                if moved.any():
+                    notes.append(f"{name}: not seen, but moving with the hand, in {moved.sum()} of {len(at)} samples")
             unseen, first = np.count_nonzero(~visible[name]), int(np.argmax(visible[name]))
             if first:
                 notes.append(f"{name}: not seen in the first {first} of {len(at)} samples")

@@ -183,7 +183,7 @@ def serve(classes: Sequence[Callable[[], Node]], args: list[str]) -> int:
         loops = [node for node in nodes if hasattr(node, "loop")]
         if len(loops) > 1:
             names = " and ".join(node.get_name() for node in loops)
-            raise ValueError(f"{names} cannot share a process: each of them makes time go on")
+            raise ValueError(f"{names} cannot share a process: each of them controls the simulated time")
         _prepare_process(nodes)
     except (ValueError, OSError, InvalidParameterValueException, InvalidParameterTypeException) as error:
         print(f"error: {one_line(error)}", file=sys.stderr)

@@ -91,7 +91,7 @@ def guard_transitions(node: LifecycleNode, tell: Callable[[Exception], None]) ->
         except rclpy_implementation.RCLError:
             _, state = node._state_machine.current_state
             asked = request.transition.label or request.transition.id
-            node.get_logger().error(f"transition {asked} refused: the state '{state}' does not have it")
+            node.get_logger().error(f"transition {asked} refused: it is not possible in the state '{state}'")
             response.success = False
             return response
 

@@ -3,6 +3,7 @@
 
 object: {topic: object/pose}           # observed: PoseStamped; for other sources see `source_entries`
 table: {tf: table, unseen: stays}      # observed; out of sight it is where it was last seen
+cup: {topic: cup, unseen: {with: hand}}  # the same, or with the hand if it was last seen to move with it
 robot: {pose: [0, 0, 0, 0, 0, 0, 1]}   # fixed: x y z (m), qx qy qz qw, in base_frame
 place: {frame: object, turned: false}  # derived: where `object` is, with the axes of base_frame
 begin: {hand: start, turned: false}    # derived: where the hand is when the movement begins
@@ -24,6 +25,8 @@ from tpgmm_ros.task.source_entries import KEYS, read_source
 
 UNSEEN = "unseen"
 """Key of what is known of an observed frame that is out of sight."""
+WITH_HAND = {"with": "hand"}
+"""Its value for a frame that the hand may carry."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +44,15 @@ class TaskFrameSpec:
     unknown_after
         how long an observed frame that is out of sight is where it was last seen, s; infinite: it stays there. None:
         as recordings and the tracker have it where nothing is said
+    with_hand
+        whether it then moves with the hand, if it was seen to
     """
 
     name: str
     source: Source | None = None
     pose: tuple[float, ...] | None = None
     unknown_after: float | None = None
+    with_hand: bool = False
 
 
 def read_frames(section: Section, movement: str, base_frame: str) -> tuple[dict[str, TaskFrameSpec], DerivedFrames]:
@@ -85,8 +91,8 @@ def read_frames(section: Section, movement: str, base_frame: str) -> tuple[dict[
         entry.refuse_others(*KEYS, UNSEEN, "pose", "frame", "hand", "turned")
         if len(entry.values.keys() & {"topic", "tf", "pose", "frame", "hand"}) != 1:
             raise entry.error(
-                "needs one of 'topic' or 'tf' (observed), 'pose' (fixed), 'frame' (derived from another frame) and "
-                "'hand' (derived from where the hand starts), and not several"
+                "needs exactly one of 'topic' or 'tf' (observed), 'pose' (fixed), 'frame' (derived from another frame) "
+                "and 'hand' (derived from the hand's pose at the start)"
             )
         if "frame" in entry.values or "hand" in entry.values:
             _refuse(entry, (*KEYS, UNSEEN), "observed frames")
@@ -101,12 +107,12 @@ def read_frames(section: Section, movement: str, base_frame: str) -> tuple[dict[
         if source in taken:
             what = shown(entry.values["topic"] if "topic" in entry.values else entry.values["tf"])
             raise entry.error(
-                f"has the {'topic' if 'topic' in entry.values else 'transform'} {what}, which is already that of "
-                f"{taken[source]}: each frame has one of its own"
+                f"has the {'topic' if 'topic' in entry.values else 'transform'} {what}, which is already used by "
+                f"{taken[source]}: each frame needs its own"
             )
         taken[source] = f"the frame {name!r}"
-        unknown_after = entry.required(UNSEEN, _unseen) if UNSEEN in entry.values else None
-        frames[name] = TaskFrameSpec(name, source, unknown_after=unknown_after)
+        unknown_after, with_hand = entry.required(UNSEEN, _unseen) if UNSEEN in entry.values else (None, False)
+        frames[name] = TaskFrameSpec(name, source, unknown_after=unknown_after, with_hand=with_hand)
     for name, made_of in derived.items():
         if made_of.of not in (*frames, HAND):
             raise section.error(
@@ -130,15 +136,16 @@ def _source(entry: Section) -> FrameSource:
     return FrameSource(entry.required("frame", a_name), turned)
 
 
-def _unseen(value: Any) -> float:
-    """The time after which it is not known where a frame is, s."""
-    if value == "stays":
-        return math.inf
+def _unseen(value: Any) -> tuple[float, bool]:
+    """The time after which it is not known where a frame is, s, and whether it may move with the hand."""
+    if value in ("stays", WITH_HAND):
+        return math.inf, value == WITH_HAND
     try:
-        return a_number(0.0)(value)
+        return a_number(0.0)(value), False
     except ValueError:
         raise ValueError(
-            "'stays' (out of sight it is where it was last seen), or the time in s after which that is not known"
+            "'stays' (an unseen frame stays where it was last seen), {with: hand} (the same, but with the hand if it "
+            "was last seen to move with it), or the time in s after which its pose is unknown"
         ) from None
 
 

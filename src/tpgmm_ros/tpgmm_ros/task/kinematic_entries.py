@@ -54,7 +54,7 @@ def read_tasks(section: Section, objects: Collection[str]) -> tuple[dict[str, Ki
         relative_to = entry.required("relative_to", a_name) if "relative_to" in values else None
         if relative_to == point:
             raise entry.error(
-                f"sees the point {shown(point)} from itself; expected a frame of the task or another point"
+                f"has the point {shown(point)} relative to itself; expected a frame of the task or another point"
             )
         if "aim" in values and entry.required("aim", a_choice("object", "learned")) == "object":
             if relative_to not in objects:

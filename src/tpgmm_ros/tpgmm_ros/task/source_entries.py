@@ -72,7 +72,7 @@ def read_source(entry: Section, base_frame: str) -> Source:
     _refuse_options(entry, "topic", "type", *options)
     values = {name: entry.required(key, read) for key, (name, read) in options.items() if key in entry.values}
     if kind is DetectionSource and not {"class_id", "tracking_id"} & values.keys():
-        raise entry.error("has detections of any thing: name the 'class' or the tracking 'id' of the one that is meant")
+        raise entry.error("accepts any detection: give the 'class' or the tracking 'id' of the object")
     source: Source = kind(topic, **values)
     return source
 
@@ -103,7 +103,7 @@ def read_movement(entry: Section, base_frame: str) -> Source | JointStateSource:
         return JointStateSource(entry.required("joint_states", a_topic), robot, entry.required("link", a_text))
     entry.refuse_others(*KEYS, "joint_states")
     if len(entry.values.keys() & {"topic", "tf"}) != 1:
-        raise entry.error("needs one of 'topic', 'tf' and 'joint_states', and not several")
+        raise entry.error("needs exactly one of 'topic', 'tf' and 'joint_states'")
     return read_source(entry, base_frame)
 
 
@@ -111,7 +111,7 @@ def _refuse_options(entry: Section, *known: str) -> None:
     for key in entry.values:
         if key in KEYS and key not in known:
             kind = "tf" if "tf" in known else entry.values.get("type", "geometry_msgs/PoseStamped")
-            raise entry.error(f"has {key!r}, which {shown(kind)} has not; expected {', '.join(known)}")
+            raise entry.error(f"has {key!r}, which is not a key of {shown(kind)}; expected {', '.join(known)}")
 
 
 def _a_type(value: Any) -> str:

@@ -109,7 +109,8 @@ def read_takes(section: Section) -> TakesRule:
     """
     if len(section.values.keys() & {"still", "topic"}) != 1:
         raise section.error(
-            "needs one of 'still' (cut where the hand stays for so many seconds) and 'topic' (cut by its messages)"
+            "needs exactly one of 'still' (cut where the hand rests for this many seconds) and 'topic' (cut by its "
+            "messages)"
         )
     common = {
         key: section.required(key, read)
@@ -124,7 +125,7 @@ def read_takes(section: Section) -> TakesRule:
         )
     section.refuse_others("topic", "field", "above", "below", "lasts", "pause", "shortest", "every")
     if {"above", "below"} <= section.values.keys():
-        raise section.error("has 'above' and 'below': name one of them")
+        raise section.error("has 'above' and 'below': give only one of them")
     values = {
         name: section.required(key, read)
         for key, (name, read) in {

@@ -35,9 +35,9 @@ from tpgmm_core.common.yaml_values import (
 )
 from tpgmm_core.learning.covariance.structure import STRUCTURES
 from tpgmm_core.model.derived_frames import DerivedFrames
-from tpgmm_core.observation.tracking import TrackingConfig
+from tpgmm_core.observation.tracked import TrackingConfig
 from tpgmm_core.retrieval.encodings import ENCODINGS
-from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_core.retrieval.methods import ALL_METHODS
 from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
 from tpgmm_ros.task.frames_section import TaskFrameSpec, read_frames
 from tpgmm_ros.task.kinematic_section import KinematicSpec
@@ -166,7 +166,7 @@ class Task:
             raise top.error("has 'recordings' and 'kinematic'; a PoseArray holds no joints: leave one of them out")
         takes = read_takes(recorded.section("takes")) if "takes" in recorded.values else None
         if recordings is not None and isinstance(takes, TopicTakes):
-            raise recorded.error("has takes by a topic; a PoseArray has no times to cut it by: use 'still'")
+            raise recorded.error("has takes by a topic; a PoseArray has no times at which to cut it: use 'still'")
         return cls(
             name=top.required("name", a_name),
             base_frame=base_frame,
@@ -192,6 +192,11 @@ class Task:
         """How long observed frames are where they were last seen, s, by frame name, where the file says it."""
         specs = self.frames.values()
         return {spec.name: spec.unknown_after for spec in specs if spec.unknown_after is not None}
+
+    @property
+    def with_hand(self) -> tuple[str, ...]:
+        """Frames that move with the hand while they are not seen, if they were seen to."""
+        return tuple(spec.name for spec in self.frames.values() if spec.with_hand)
 
     @property
     def topics(self) -> dict[str, str]:
@@ -243,4 +248,4 @@ def _model(section: Section, space: StateSpace) -> dict[str, Any]:
 
 def _retrieval_method(value: Any) -> str:
     """The method's present name; files of earlier versions may have an older one."""
-    return str(a_choice(*METHODS)(current_name(value) if isinstance(value, str) else value))
+    return str(a_choice(*ALL_METHODS)(current_name(value) if isinstance(value, str) else value))

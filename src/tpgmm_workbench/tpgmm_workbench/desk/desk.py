@@ -238,7 +238,7 @@ class Desk:
 
     def _look_ahead(self, then: Callable[[Preview], object]) -> None:
         if self._learning.is_previewing:
-            self.say("a preview is being made: ask again when its verdict is there")
+            self.say("a preview is being computed: try again when its result is there")
         if self._learning.is_previewing or self._graph.joints is None:
             return
         frames = {frame.name: frame.pose for frame in self._graph.frames if frame.pose is not None}

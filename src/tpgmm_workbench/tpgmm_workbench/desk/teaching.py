@@ -155,7 +155,8 @@ class Teaching:
                 self._say(f"not kept: {lasted:.1f} s are too short for a demonstration")
             else:
                 self._say(
-                    f"not kept: nothing came on {self._project.task.movement}, where the hand's poses are to come"
+                    f"not kept: no message arrived on {self._project.task.movement}, where poses of the hand are "
+                    "expected"
                 )
             return
         try:

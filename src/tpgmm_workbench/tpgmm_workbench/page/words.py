@@ -76,7 +76,7 @@ def status(view: DeskView) -> str:
     """Controller, activity, what to do next, and what was said; always as high, so that nothing beside it moves."""
     controller = view.graph.controller
     if controller is None:
-        first = chip("no controller", GREY) + " nothing on controller_state: is impedance_controller running?"
+        first = chip("no controller", GREY) + " no controller_state arrives; check that impedance_controller is running"
     else:
         first = chip(controller.state, _CONTROLLER.get(controller.state, GREY)) + " " + escape(controller.reason)
     robot = "" if view.graph.joints is not None else chip("no robot", RED) + " no joint states arrive"
@@ -142,7 +142,7 @@ def sharing(view: DeskView) -> str:
     return _block(
         [
             "One file with bags, task file, robot file, models and a report.",
-            "A project of somebody else comes into a folder of its own, if it is sound.",
+            "An imported project is checked, and gets a folder of its own.",
         ]
     )
 
@@ -253,7 +253,7 @@ def nodes(view: DeskView) -> str:
         for name, node in sorted(view.graph.nodes.items())
     ]
     lines += [f"frame <b>{escape(frame.name)}</b>: {escape(frame.words)}" for frame in view.graph.frames]
-    return _block(lines or ["No node says anything."])
+    return _block(lines or ["No diagnostics received."])
 
 
 def pages(count: int, driver: int | None, page: int, is_open: bool = False) -> str:
@@ -279,8 +279,8 @@ def pages(count: int, driver: int | None, page: int, is_open: bool = False) -> s
     """
     lines = []
     if is_open:
-        lines.append(chip("open to other machines", YELLOW) + " who has the token may move the robot")
+        lines.append(chip("open to other machines", YELLOW) + " anyone with the token can move the robot")
     if count > 1:
-        drives = {None: "the first that asks for something drives", page: "this one drives"}
+        drives = {None: "the first page that requests something takes control", page: "this one drives"}
         lines.append(f"{count} pages show this; {drives.get(driver, 'another one drives')}.")
     return f'<span id="{MARK}"></span>' + (_block(lines) if lines else "")

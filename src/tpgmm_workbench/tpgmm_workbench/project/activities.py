@@ -90,7 +90,7 @@ type _Rule = Callable[[Facts], str]
 
 
 def _drives(facts: Facts) -> str:
-    return "" if facts.drives else "another page drives: take over there first, or look on"
+    return "" if facts.drives else "another page drives: take over first, or only watch"
 
 
 def _idle(facts: Facts) -> str:
@@ -102,7 +102,7 @@ def _read(facts: Facts) -> str:
 
 
 def _robot(facts: Facts) -> str:
-    return "" if facts.has_robot else "no joint states arrive: is the robot, or the simulator, switched on?"
+    return "" if facts.has_robot else "no joint states arrive; check that the robot or the simulator is running"
 
 
 def _frames(facts: Facts) -> str:
@@ -111,7 +111,7 @@ def _frames(facts: Facts) -> str:
 
 
 def _no_fault(facts: Facts) -> str:
-    return f"the controller is in a fault ({facts.fault}): put that right first" if facts.fault else ""
+    return f"the controller is in a fault ({facts.fault}): fix this first" if facts.fault else ""
 
 
 def _model(facts: Facts) -> str:

@@ -175,7 +175,8 @@ def _led_part(model: LearnedMixture, recording: Recording, told: NDArray[np.bool
         begin, end = edges[0], edges[-1] - 1
     if shares[end] - shares[begin] < SHORTEST:
         raise ProjectError(
-            f"the hand was nowhere led: it stayed within {millimetres(float(away.max()))} of where the model wanted "
+            f"the hand was not led anywhere: it stayed within {millimetres(float(away.max()))} of where the model "
+            "wanted "
             "it; hold the arm for longer, and lead it to where it should be"
         )
     if told is None:  # it had begun to leave the reference a little before, and came back a little after

@@ -69,7 +69,9 @@ class DemonstrationStore:
             found = files.numbered(self.folder / files.DEMONSTRATIONS)
             number = next((n for n, place in found.items() if place == Path(path)), None)
             if number is None:
-                raise ProjectError(f"{one_line(path)} is no demonstration of {self.folder.name}: record it there first")
+                raise ProjectError(
+                    f"{one_line(path)} is not a demonstration of {self.folder.name}: record it there first"
+                )
             files.sync_tree(Path(path))
             files.sync(Path(path).parent)
             if comment:
@@ -125,7 +127,7 @@ class DemonstrationStore:
             for what is no such folder
         """
         if not (Path(bag) / METADATA).is_file():
-            raise ProjectError(f"{one_line(bag)} is no bag: expected a folder with {METADATA}")
+            raise ProjectError(f"{one_line(bag)} is not a bag: expected a folder with {METADATA}")
         return self.add(lambda draft: shutil.copytree(bag, draft), comment)
 
     def demonstrations(self) -> tuple[TaughtDemonstration, ...]:

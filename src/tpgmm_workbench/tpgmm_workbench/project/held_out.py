@@ -49,8 +49,8 @@ class HeldOutErrors:
         paths = np.array([error["path_m"] for error in self.errors])
         usual = float(np.median(paths))
         return {
-            i: f"its error is {millimetres(value)}, that of the others {millimetres(usual)} (median): was something "
-            "else shown, or in a situation unlike the others? Leave it out, or show more like it"
+            i: f"its error is {millimetres(value)}, that of the others {millimetres(usual)} (median); if it "
+            "shows something else, leave it out; if its situation is unusual, show more like it"
             for i, value in enumerate(paths.tolist())
             if value > max(MISFIT * usual, FAR_M)
         }

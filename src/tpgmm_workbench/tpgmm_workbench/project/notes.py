@@ -167,7 +167,7 @@ def read_notes[KindT: (Notes, ModelNotes)](path: Path, kind: type[KindT]) -> Kin
     """
     try:
         if path.is_symlink() or not path.is_file():
-            raise ValueError("is no regular file")
+            raise ValueError("is not a regular file")
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
         if len(content) > MAX_BYTES:
@@ -175,8 +175,8 @@ def read_notes[KindT: (Notes, ModelNotes)](path: Path, kind: type[KindT]) -> Kin
         return kind.of(_mapping(json.loads(content)))
     except (OSError, ValueError, RecursionError) as error:
         raise ProjectError(
-            f"{one_line(path)}: holds no notes that can be read ({one_line(error)}); remove or mend this file, what it "
-            "is about is untouched"
+            f"{one_line(path)}: the notes in it cannot be read ({one_line(error)}); correct or remove this "
+            "file; the recordings are not affected"
         ) from None
 
 

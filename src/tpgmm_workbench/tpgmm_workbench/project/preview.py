@@ -165,7 +165,7 @@ def preview(
 def _reference(model: LearnedMixture, frames: Mapping[str, Array], hand: Array, times: Array) -> tuple[Array, Array]:
     needed = DerivedFrames.of_metadata(model.metadata_).observed(model.frame_names_)
     if missing := [name for name in needed if name not in frames]:
-        raise ProjectError(f"the model needs {listed(missing)}, and nobody says where that is: bring it into view")
+        raise ProjectError(f"the model needs {listed(missing)}, whose poses are not known: bring them into view")
     known = frames_of({name: np.asarray(frames[name], float) for name in needed})
     data = np.column_stack([times, np.tile(hand, (len(times), 1))])
     if not known:
@@ -220,12 +220,12 @@ def _speeds(robot: RobotModel, q: Array, times: Array) -> Check:
 def _collision(shapes: SelfCollision | None, q: Array, times: Array) -> Check:
     problem = "its shapes were not asked for" if shapes is None else shapes.problem
     if shapes is None or problem:
-        return Check("self-collision", None, f"whether the robot meets itself is not known: {problem}")
+        return Check("self-collision", None, f"it is not known whether the robot collides with itself: {problem}")
     meeting = shapes.first(q, COLLISION_STRIDE)
     if meeting is None:
-        return Check("self-collision", True, "the robot does not meet itself")
+        return Check("self-collision", True, "the robot does not collide with itself")
     one, other = meeting.links
-    return Check("self-collision", False, f"{one} meets {other} at {times[meeting.at]:.1f} s")
+    return Check("self-collision", False, f"{one} collides with {other} at {times[meeting.at]:.1f} s")
 
 
 def _start(hand: Array, first: Array) -> Check:
@@ -235,7 +235,8 @@ def _start(hand: Array, first: Array) -> Check:
     return Check(
         "start",
         None,
-        f"the hand is {100.0 * away:.0f} cm from where the movement begins, and will hurry there: lead it there first",
+        f"the hand is {100.0 * away:.0f} cm from where the movement begins, and will move there quickly: lead it "
+        "there first",
     )
 
 

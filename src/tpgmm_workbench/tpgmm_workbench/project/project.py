@@ -115,7 +115,7 @@ class Project(DemonstrationStore):
         missing = [name for name in (files.TASK, files.ROBOT) if not (place / name).is_file()]
         if missing:
             raise ProjectError(
-                f"{one_line(place)} is no project: it lacks {' and '.join(missing)}; choose a project's folder, or "
+                f"{one_line(place)} is not a project: it lacks {' and '.join(missing)}; choose a project's folder, or "
                 "make a new one"
             )
         return cls(place, _task(place / files.TASK))

@@ -121,25 +121,25 @@ def _checked(packed: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
         raise ProjectError(f"the archive holds {len(entries)} files; a project has {MOST_FILES} at most")
     total = sum(entry.file_size for entry in entries)
     if total > MOST_BYTES:
-        raise ProjectError(f"the archive unfolds to {total / 1e6:.0f} MB; a project has {MOST_BYTES / 1e6:.0f} at most")
+        raise ProjectError(f"the archive unpacks to {total / 1e6:.0f} MB; a project has {MOST_BYTES / 1e6:.0f} at most")
     names = set()
     for entry in entries:
         name, path = entry.filename, PurePosixPath(entry.filename)
         if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name:
-            raise ProjectError(f"the archive holds {shown(name)}, which leads out of its folder: it is not unpacked")
+            raise ProjectError(f"the archive holds {shown(name)}, a path outside its folder: it is not unpacked")
         if stat.S_IFMT(entry.external_attr >> 16) not in (0, stat.S_IFREG):
-            raise ProjectError(f"the archive holds {shown(name)}, a link or another thing that is no file")
+            raise ProjectError(f"the archive holds {shown(name)}, which is not a regular file")
         if not _ALLOWED.fullmatch(name):
-            raise ProjectError(f"the archive holds {shown(name)}, which is no part of a project")
+            raise ProjectError(f"the archive holds {shown(name)}, which is not part of a project")
         if name.lower() in names:
             raise ProjectError(f"the archive holds {shown(name)} twice")
         if entry.file_size > max(SMALL, MOST_PACKED * entry.compress_size):
-            raise ProjectError(f"the archive's {shown(name)} unfolds to {entry.file_size / 1e6:.0f} MB: is it a trap?")
+            raise ProjectError(f"the archive's {shown(name)} unfolds to {entry.file_size / 1e6:.0f} MB: not plausible")
         if entry.flag_bits & 1:
             raise ProjectError(f"the archive's {shown(name)} is encrypted; export it without a password")
         names.add(name.lower())
     if missing := [name for name in (files.TASK, files.ROBOT) if name not in names]:
-        raise ProjectError(f"the archive is no project: it lacks {' and '.join(missing)}")
+        raise ProjectError(f"the archive is not a project: it lacks {' and '.join(missing)}")
     return entries
 
 
@@ -152,7 +152,7 @@ def _unpack(packed: zipfile.ZipFile, members: list[zipfile.ZipInfo], draft: Path
             while chunk := source.read(CHUNK):  # sizes in the archive may be lies
                 left -= len(chunk)
                 if left < 0:
-                    raise ProjectError(f"the archive unfolds to more than {MOST_BYTES / 1e6:.0f} MB")
+                    raise ProjectError(f"the archive unpacks to more than {MOST_BYTES / 1e6:.0f} MB")
                 file.write(chunk)
     for name in (files.DEMONSTRATIONS, files.MODELS):
         (draft / name).mkdir(exist_ok=True)

@@ -129,7 +129,7 @@ def learn(project: Project, options: TrainingOptions, tell: TrainingProgress) ->
     doubts = doubts_about(recordings, task)
     refusing = [str(doubt) for doubt in doubts if doubt.refuses]
     if refusing:
-        raise ProjectError(f"nothing can be learned from these demonstrations together: {'; '.join(refusing)}")
+        raise ProjectError(f"these demonstrations do not belong together: {'; '.join(refusing)}")
     learned_as, why = _chosen(recordings, task, options, tell)
     tell(CHOOSING, "leaving each demonstration out")
 
@@ -163,16 +163,19 @@ def _chosen(
     """How to learn, and why so."""
     given = LearnedAs.of_task(task, options.method, options.n_components)
     if not options.is_automatic or options.n_components is not None:
-        return given, "as the task file and you say"
+        return given, "with the settings of the task file and your choices"
     if len(recordings) < FEWEST_TO_CHOOSE:
-        return given, f"as the task file says: method and settings are chosen from {FEWEST_TO_CHOOSE} demonstrations on"
+        return (
+            given,
+            f"with the settings of the task file: choosing others needs {FEWEST_TO_CHOOSE} demonstrations",
+        )
     begin, tried = time.monotonic(), 0
 
     def progress(result: TrialResult, best: TrialResult) -> None:
         nonlocal tried
         tried += 1
         share = CHOOSING * min(1.0, (time.monotonic() - begin) / options.budget_s)
-        tell(share, f"{tried} ways of learning tried; the best so far, {best.trial.method}: {millimetres(best.cost)}")
+        tell(share, f"{tried} configurations tried; the best so far, {best.trial.method}: {millimetres(best.cost)}")
 
     tell(0.0, "choosing frames, method and settings")
     demonstrations, _ = align(recordings)

@@ -98,7 +98,7 @@ def propose_robot_file(urdf: str, folder: str | Path = ".") -> Proposal:
     if locked:
         words.append(f"{listed(locked, 20)}: no part of an arm, so they are locked where they are")
     if limits:
-        words.append(f"limits of {listed(limits, 20)} are guessed, since the URDF gives none that can be believed")
+        words.append(f"limits of {listed(limits, 20)} are guessed, since the URDF gives no plausible ones")
     home = {joint: _within(tree, joint, 0.0) for arm in arms for joint in arm.joints}
     places = {joint: _within(tree, joint, 0.0) for joint in locked}
     text = _text(urdf, tree, arms, limits, places, home)
@@ -199,10 +199,10 @@ def _text(
 ) -> str:
     lines = [HEADER, f"urdf: {_quoted(urdf)}", f"base_frame: {_quoted(base_of(tree))}", "joint_groups:"]
     lines += [f"  {arm.name}_joints: [{', '.join(map(_quoted, arm.joints))}]" for arm in arms]
-    lines += ["# The frame that follows the movement: is it where the hand grasps?", "endpoints:"]
+    lines += ["# The frame that follows the movement: check that it is where the hand grasps", "endpoints:"]
     lines += [f"  {arm.name}: {{frame: {_quoted(arm.frame)}, joints: {arm.name}_joints}}  # guessed" for arm in arms]
     if limits:
-        lines += ["# The URDF has none, or numbers that nobody can believe: take those of the data sheet", "limits:"]
+        lines += ["# The URDF has none, or implausible numbers: use those of the data sheet", "limits:"]
         lines += [f"  {_quoted(joint)}: {_inline(values)}  # guessed" for joint, values in limits.items()]
     if not any(_has_friction(tree, joint) for arm in arms for joint in arm.joints):
         lines += ["# The URDF has no friction, and real joints with gears have: N m s/rad, N m", "friction:"]

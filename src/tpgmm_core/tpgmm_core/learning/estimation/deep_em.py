@@ -72,8 +72,8 @@ def fit_deep_mixture(
             d = min(n_factors, d - 1)
             if d < 1:
                 raise ValueError(
-                    f'the layers of "deep_mfa" leave frame {name!r} of {manifold.dim} dimensions without factors to '
-                    "divide: a layer has at most one factor less than what it describes; take fewer layers"
+                    f'frame {name!r} has too few dimensions ({manifold.dim}) for the layers of "deep_mfa": each layer '
+                    "needs fewer factors than the one before it; use fewer layers"
                 )
     estimate = fit_mixture(samples, priors, emissions, tol=tol, max_iter=max_iter, progress=progress)
     rng = np.random.default_rng(random_state)

@@ -58,8 +58,8 @@ class SampleParts:
     def __init__(self, parts: Iterable[Sequence[Demonstration]], manifold: Manifold | str) -> None:
         if iter(parts) is parts:
             raise ValueError(
-                "the parts are gone through several times: give a list, or an object whose __iter__ reads them anew, "
-                "no iterator"
+                "the parts are read several times, and an iterator can be read only once: give a list, or an object "
+                "whose __iter__ starts again"
             )
         self._parts, self._manifold = parts, manifold
         self._points: dict[str, Array] = {}
@@ -142,7 +142,7 @@ def start_of_parts(
 
     counts = np.sum([np.bincount(found[found >= 0], minlength=K) for found in map(labelled, parts)], axis=0)
     if counts.min() == 0:
-        raise ValueError(f"the start leaves component {np.argmin(counts)} without samples: take fewer components")
+        raise ValueError(f"component {np.argmin(counts)} has no samples at the start: use fewer components")
     numbers = {name: np.zeros(K + 1) for name in names}
     means = {name: np.zeros((K + 1, manifolds[name].dim)) for name in names}
     axes = {name: np.zeros((K + 1, manifolds[name].dim, manifolds[name].dim)) for name in names}

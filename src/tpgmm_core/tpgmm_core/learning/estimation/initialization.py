@@ -69,7 +69,7 @@ def assignments(
         raise ValueError(f'init is "time", "bins", "kmeans" or an array of labels, got {init!r}')
     counts = np.bincount(labels[labels >= 0], minlength=n_components)
     if counts.min() == 0:
-        raise ValueError(f"the start leaves component {np.argmin(counts)} without samples: take fewer components")
+        raise ValueError(f"component {np.argmin(counts)} has no samples at the start: use fewer components")
     return labels
 
 

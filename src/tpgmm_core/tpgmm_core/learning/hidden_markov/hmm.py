@@ -256,4 +256,6 @@ class TPHMM(TPGMM):
     def _check_parameters(self) -> None:
         super()._check_parameters()
         if self.covariance == "deep_mfa":
-            raise ValueError('"deep_mfa" divides components of a mixture: take "mfa" with more states')
+            raise ValueError(
+                '"deep_mfa" is only for mixtures, not for hidden Markov models: use "mfa" with more states'
+            )

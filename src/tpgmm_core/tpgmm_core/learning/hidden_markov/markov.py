@@ -135,9 +135,7 @@ class SemiMarkovChain(Chain):
         """
         start, onwards = structure(topology, len(mean_durations))
         if np.diagonal(onwards).any():
-            raise ValueError(
-                "the states of a semi-Markov chain last by themselves: give transitions without a diagonal"
-            )
+            raise ValueError("a semi-Markov chain models durations: the diagonal of its transitions must be 0")
         return cls(start, onwards, Durations.around(mean_durations, max_duration))
 
     @property
