@@ -65,16 +65,9 @@ def doubts_of_units(shown: Sequence[RawDemonstration]) -> list[Doubt]:
     if large and not found:
         about = () if len(large) == len(shown) else tuple(one.name for one in large)
         text = (
-<<<<<<< HEAD
-            f"positions span {np.median([one.extent for one in large]):.4g}, which is far for an arm in m: they look "
-            "like millimetres, centimetres or inches. The model will be in that unit, and settings in m, such as "
-            "reg_covar, mean something else; publish poses in m (REP 103)"
-=======
             f"positions span {np.median([one.extent for one in large]):.4g}, which is too far for an arm in m: they "
-            "look "
-            "like millimetres. The model will be in that unit, and settings in m, such as reg_covar, will be wrong; "
-            "publish poses in m (REP 103)"
->>>>>>> 27aa2edacbaf88ab8b785a5331066596627d5e97
+            "look like millimetres, centimetres or inches. The model will be in that unit, and settings in m, such as "
+            "reg_covar, will be wrong; publish poses in m (REP 103)"
         )
         found.append(Doubt("units", about, text))
     return found

@@ -212,7 +212,7 @@ def suggested_task(bags: Sequence[BagOverview]) -> SuggestedTask:
     moving = _each(bags, movement)
     frame_ids = dict.fromkeys(frame for name in names for t in _each(bags, name) for frame in t.frame_ids if frame)
     base = next(iter(frame_ids), "base").strip("/")
-    hints = others
+    hints = [] if any(topic.moves for topic in moving) else others
     if len(frame_ids) > 1:
         hints.append(f"poses are in different frames ({', '.join(frame_ids)}): all have to be in base_frame")
     if max(np.ptp(t.poses[:, :3], axis=0).max() for t in moving) > LARGEST_M:
