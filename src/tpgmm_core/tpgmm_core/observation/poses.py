@@ -153,7 +153,8 @@ def doubtful_units(positions: ArrayLike) -> str:
     away = float(np.median(np.linalg.norm(points, axis=1))) if len(points) else 0.0
     if away <= FAR:
         return ""
-    return f"lies {away:.4g} m from the origin of the base frame: millimetres or another unit instead of metres, or a far origin"
+    what = "millimetres or another unit instead of metres, or a far origin"
+    return f"lies {away:.4g} m from the origin of the base frame: {what}"
 
 
 def _is_faultless(pose: Array) -> bool:
