@@ -134,9 +134,9 @@ def test_the_mean_path_is_the_one_that_was_wiped() -> None:
 def test_what_does_not_repeat_is_refused_and_so_is_what_needs_an_end() -> None:
     with pytest.raises(ValueError, match="demonstration 0: the movement does not repeat itself.*two cycles"):
         Recipe.of({"retrieval": "periodic"}).learn(reaching_demonstrations(), MANIFOLD)
-    with pytest.raises(ValueError, match="'state' is for adapt_regress.*periodic finds out by itself"):
+    with pytest.raises(ValueError, match="'state' is for adapt_regress.*periodic estimates the phase itself"):
         make_retrieval(learned(), phase="state")
     with pytest.raises(ValueError, match="periodic cannot meet constraints exactly"):
         Recipe.of({"retrieval": "periodic", "exact": "object at 1"}).learn(wiping_demonstrations(), MANIFOLD)
-    with pytest.raises(ValueError, match=r"adapt_regress retrieves from models of \[time, data\].*choose periodic"):
+    with pytest.raises(ValueError, match=r"adapt_regress needs a model of \[time, data\].*choose periodic"):
         make_retrieval(learned(), "adapt_regress")
