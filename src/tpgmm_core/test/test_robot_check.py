@@ -38,6 +38,7 @@ def panda(folder: Path, *replace: tuple[str, str]) -> RobotModel:
     [
         ((("panda_joint1: 0.0", "panda_joint1: 2.85"),), "home of panda_joint1 is 0.0473 rad from its limit"),
         ((("limits:\n", "limits:\n  panda_joint4: {effort: 25}\n"),), "panda_joint4 needs 88% of its effort"),
+        ((("limits:\n", "limits:\n  panda_joint1: {lower: -166, upper: 166}\n"),), "panda_joint1 may move .* in degrees"),  # noqa: E501
         ((("coulomb: 0.2", "coulomb: 3.0"),), "panda_joint7 moves so little .* armature: {panda_joint7"),
         ((("coulomb: 0.2", "coulomb: 0.0"),), "no friction is given for panda_joint1, panda_joint2"),
         ((("panda_joint4: -2.356", "panda_joint4: -0.5"), ("panda_joint6: 1.571", "panda_joint6: 0.0"),), "hand: at home"),  # noqa: E501

@@ -48,3 +48,11 @@ def test_line_breaks_and_codes_are_written_out(value: Any, text: str) -> None:
 
 def test_a_message_of_several_lines_becomes_one() -> None:
     assert one_line("while parsing\n  in line 1\n\ta\x07\u202e") == "while parsing in line 1 a\\x07\\u202e"
+
+
+def test_an_error_of_the_system_is_its_file_and_its_reason() -> None:
+    try:
+        open("/proc/nothing/here")
+    except OSError as error:
+        assert one_line(error) == "/proc/nothing/here: No such file or directory"
+    assert one_line(OSError("the disk is full")) == "the disk is full"

@@ -87,6 +87,15 @@ def test_a_point_with_a_mass_is_suspicious_and_refused_where_the_joint_turns_abo
     assert refusal(tmp_path, turning, inertia(0.0, 0.0, 0.0), changes=geared) == ""
 
 
+def test_inertias_and_lengths_in_other_units_are_suspicious(tmp_path: Path) -> None:
+    assert refusal(tmp_path, inertia(1e4, 1e4, 1e4)) == ""
+    found = "\n".join(suspicions(RobotModel.from_file(tmp_path / "arm.yaml")))
+    assert "too large for a mass of 0.5 kg; is <inertia> in kg m^2?" in found and "in m?" not in found
+    assert refusal(tmp_path, ('<origin xyz="1 0 0"/>', '<origin xyz="1000 0 0"/>')) == ""
+    found = "\n".join(suspicions(RobotModel.from_file(tmp_path / "arm.yaml")))
+    assert "from the base; are the lengths in the URDF in m?" in found
+
+
 # -- what changes nothing
 
 
@@ -153,6 +162,7 @@ def test_what_the_nodes_do_not_need_is_left_alone(tmp_path: Path, replace: tuple
         (('<axis xyz="1 0 0"/>', '<axis xyz="1 0"/>'), "joint 'slide': xyz of <axis> is '1 0', expected 3"),
         (('damping="0.3"', 'damping="0,3"'), "joint 'turn': damping of <dynamics> is '0,3', expected a finite number"),
         (('effort="20"', 'effort="nan"'), "joint 'slide': effort of <limit> is 'nan', expected a finite number"),
+        (('effort="20"', 'effort="-20"'), "joint 'slide': effort of <limit> is '-20', which cannot be negative"),
         (('<mass value="0.5"/>', ""), "link 'tool': its <inertial> lacks value of <mass>"),
         (('<mass value="0.5"/>', '<mass value="1e999"/>'), "link 'tool': value of <mass> is '1e999'"),
         (('<robot name="arm">', '<sdf version="1.6"><robot name="arm">'), "no XML|another kind of XML"),

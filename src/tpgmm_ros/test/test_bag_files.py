@@ -133,7 +133,7 @@ def test_standard_types_are_known_whatever_their_definition(form: str, definitio
         assert len(read_recording(path, TASK).times) == 100
     else:
         path.write_bytes(whole(channel(1, "/endpoint/pose", "json", POSE_STAMPED, "jsonschema", b"{}") + poses({})))
-        refused(path, "lacks the topic object/pose")
+        refused(path, "holds no message at all; its topics are /endpoint/pose")
 
 
 def test_ros1_messages_in_an_mcap_file_are_read(tmp_path: Path) -> None:

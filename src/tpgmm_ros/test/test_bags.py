@@ -400,6 +400,19 @@ def test_one_bad_bag_does_not_lose_the_others(tmp_path: Path) -> None:
 # Finding bags
 
 
+def test_a_clock_that_is_set_forward_is_told_from_a_hand_that_went_on(tmp_path: Path) -> None:
+    def pause(moved: float) -> str:
+        topics = reach(0)
+        for topic in topics.values():
+            topic.recorded = topic.stamps = topic.recorded + 5.0 * (np.arange(100) >= 50)
+        topics["/endpoint/pose"].poses[50:, :3] += moved
+        recording = read_recording(write_bag(tmp_path / f"demo_{moved}", topics), TASK)
+        return next(doubt.text for doubt in recording.doubts if doubt.kind == "gap")
+
+    assert "pauses for 5.05 s" in pause(0.0) and "it rested, or a clock was set forward" in pause(0.0001)
+    assert "what happened there is not known" in pause(0.1)
+
+
 @pytest.mark.parametrize("factor", [25.0, 1e6])
 def test_positions_in_another_unit_that_pass_for_leaps_are_called_so(factor: float, tmp_path: Path) -> None:
     topics = reach(0, duration=2.0)

@@ -76,8 +76,13 @@ def _plain(value: Any) -> str:
 
 
 def one_line(text: object, limit: int = LINE_LIMIT) -> str:
-    """A text without quotes: line breaks and spaces as one space, what cannot be printed escaped, cut to `limit`."""
+    """A text without quotes: line breaks and spaces as one space, what cannot be printed escaped, cut to `limit`.
+
+    Of an error of the system, its file and its reason, without the number.
+    """
     whole = str(text)
+    if isinstance(text, OSError) and text.strerror and text.filename is not None:
+        whole = f"{text.filename}: {text.strerror}"
     line = " ".join(whole[: 2 * limit].split())
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in line)

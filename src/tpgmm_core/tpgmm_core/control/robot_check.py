@@ -21,6 +21,12 @@ MUCH_EFFORT = 0.7
 HARDLY = 0.03
 #: Largest error that friction alone may cause, rad or m.
 STUCK = 0.1
+#: No joint of an arm is more than two turns from its zero, rad.
+MOST_TURN = 4.0 * np.pi
+#: Square root of inertia over mass of the largest bodies of arms, m; kg mm^2 and g mm^2 are far beyond.
+LARGEST_GYRATION = 3.0
+#: No end point is farther from the base than this, m.
+FARTHEST_M = 20.0
 
 
 def workspace(robot: RobotModel, endpoint: str, postures: int = 3000, random_state: int = 0) -> Array:
@@ -72,6 +78,11 @@ def _of_joints(robot: RobotModel) -> Iterator[str]:
         if room < NEAR_LIMIT * (robot.upper_limits[i] - robot.lower_limits[i]):
             unit = robot.unit(joint, "position")
             yield f"home of {joint} is {room:.3g} {unit} from its limit; choose one farther from the limits"
+        if robot.unit(joint, "position") == "rad" and _is_many_turns(robot.lower_limits[i], robot.upper_limits[i]):
+            yield (
+                f"{joint} may move from {robot.lower_limits[i]:.4g} to {robot.upper_limits[i]:.4g} rad, which is many "
+                "turns: are the limits in degrees?"
+            )
         if carried[i] > MUCH_EFFORT:
             yield f"{joint} needs {carried[i]:.0%} of its effort limit to hold the robot at home; check the masses"
         if stuck[i] > STUCK:
@@ -88,10 +99,17 @@ def _of_joints(robot: RobotModel) -> Iterator[str]:
         )
 
 
+def _is_many_turns(lower: float, upper: float) -> bool:
+    finite = [abs(limit) for limit in (lower, upper) if np.isfinite(limit)]
+    return max(finite, default=0.0) > MOST_TURN
+
+
 def _of_bodies(robot: RobotModel) -> Iterator[str]:
     for body in bodies(robot.pinocchio):
         if body.is_a_point:
             yield f"{body}: too small for a mass of {body.mass:.3g} kg; correct <inertia> in the URDF"
+        elif float(body.principal[2]) > LARGEST_GYRATION**2 * body.mass:
+            yield f"{body}: too large for a mass of {body.mass:.3g} kg; is <inertia> in kg m^2?"
         elif not body.has_the_shape_of_a_body:
             yield f"{body}, one of which is larger than the sum of the others, which is impossible; correct <inertia>"
     moved = {joint for joints in robot.joint_groups.values() for joint in joints}
@@ -124,6 +142,8 @@ def _of_endpoints(robot: RobotModel) -> Iterator[str]:
                 f"end point {name}: it is also moved by {listed(foreign)}, which are outside its group and are held "
                 "still"
             )
+        if (away := float(np.linalg.norm(data.pose(name)[:3]))) > FARTHEST_M:
+            yield f"end point {name}: at home it is {away:.4g} m from the base; are the lengths in the URDF in m?"
         if len(group) < 6:
             yield f"end point {name}: {len(group)} joints cannot reach every pose; 6 or more can"
             continue

@@ -38,8 +38,8 @@ BETTER = 3.0
 NEAR_IDENTITY = 0.97
 """|w| of rotations by less than 28 degrees."""
 NEAR_AXIS = 0.1
-ALIKE_RAD = 0.7
-"""Each of the others is turned as one of them is, within this, so that one that is not stands out."""
+ODD, AMONG = 2.5, 1.5
+"""One is odd whose nearest is so many times as far as those of the others are, and among them within so many times."""
 ODD_RAD = 1.5
 """By which one recording has to be turned from all others, so that its order is doubted alone."""
 
@@ -104,8 +104,8 @@ def _odd_ones(shown: Sequence[RawDemonstration], frames: Sequence[str]) -> dict[
             others = np.delete(q, i, axis=0)
             apart = np.array([_nearest(one, np.delete(others, j, axis=0)) for j, one in enumerate(others)]).max(axis=0)
             angles, in_order = _nearest(q[i], others), _nearest(w_first(q[i]), others)
-            alike = apart < ALIKE_RAD
-            if (alike & (angles > ODD_RAD) & (in_order < np.maximum(AGREE_RAD, 1.5 * apart))).any():
+            is_odd = angles > np.maximum(ODD_RAD, ODD * apart)
+            if (is_odd & (in_order < np.maximum(AGREE_RAD, AMONG * apart))).any():
                 k = int(np.argmax(angles - in_order))
                 as_read, other = angles[k], in_order[k]
                 found.setdefault(i, {})[name] = (

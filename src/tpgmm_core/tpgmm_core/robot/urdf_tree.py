@@ -118,6 +118,8 @@ def _checked(root: Element) -> UrdfTree:
     for kind, elements in (("link", links), ("joint", joints)):
         for name, element in elements.items():
             _check_numbers(element, f"{kind} {shown(name)}")
+    for name, joint in joints.items():
+        _check_limit(joint, f"joint {shown(name)}")
     for name, link in links.items():
         _check_inertial(link, f"link {shown(name)}")
     parents = _parents(links, joints)
@@ -149,6 +151,15 @@ def _check_numbers(element: Element, where: str) -> None:
             if len(values) != count or not all(map(math.isfinite, values)):
                 expected = "a finite number" if count == 1 else f"{count} finite numbers"
                 raise RobotFileError(f"{where}: {attribute} of <{child.tag}> is {shown(text)}, expected {expected}")
+
+
+def _check_limit(joint: Element, where: str) -> None:
+    for limit in joint.findall("limit"):
+        for attribute in ("effort", "velocity"):
+            if float((limit.get(attribute) or "").strip() or 0.0) < 0.0:
+                raise RobotFileError(
+                    f"{where}: {attribute} of <limit> is {shown(limit.get(attribute))}, which cannot be negative"
+                )
 
 
 def _check_inertial(link: Element, where: str) -> None:

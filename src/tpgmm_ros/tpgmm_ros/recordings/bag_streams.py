@@ -39,6 +39,9 @@ GAP_PERIODS = 10.0
 ROUNDING_S = 1e-6
 """Times that people write down are those of a sample where they differ by less."""
 
+GOES_ON_M = 0.03
+"""What is no farther from where it was before a pause, m, has rested meanwhile, or the pause is one of the clock."""
+
 MOVED = 0.005
 """A frame whose numbers change by less has not moved, m."""
 
@@ -216,7 +219,11 @@ def _doubts_of_rate(topic: str, series: tuple[Nanoseconds, Array], moves: bool) 
         k = int(np.searchsorted(ns, ns[0] + round(SECOND * begin)))
         if moves or not np.allclose(values[k], values[k + 1], atol=MOVED):
             where = f"{topic} pauses for {length:.2f} s, {begin:.2f} s after its first message"
-            found.append(Doubt("gap", (), f"{where}; what happened there is not known"))
+            goes_on = float(np.linalg.norm(values[k + 1, :3] - values[k, :3])) < GOES_ON_M
+            what = "what happened there is not known"
+            if goes_on:
+                what = "it goes on where it was: it rested, or a clock was set forward"
+            found.append(Doubt("gap", (), f"{where}; {what}"))
     return found[:3]
 
 

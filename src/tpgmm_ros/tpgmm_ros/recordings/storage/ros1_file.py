@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -86,6 +87,7 @@ class Ros1File(StorageFile):
 
     def _damaged(self, error: Exception) -> BagError:
         said = one_line(error, 200) if isinstance(error, ReaderError) else type(error).__name__
+        said = re.sub(r"\('(.*?)',?\)", r"\1", said)
         reason = next((reason for word, reason in _REASONS if word in said), _DAMAGED)
         return BagError(self._label, f"cannot be read: {reason.format(error=said)}")
 
