@@ -57,7 +57,7 @@ def lessen(
     """
     n, K = len(flat), targets.shape[1]
     p = position_start(flat, spheres)
-    J, T, P = np.zeros((n, 6)), np.empty((n, n)), np.ascontiguousarray(P)
+    J, T, contiguous = np.zeros((n, 6)), np.empty((n, n)), np.ascontiguousarray(P)
     for i in range(3):
         J[p + i, i] = 1.0
         if len(spheres) > 0:
@@ -73,7 +73,7 @@ def lessen(
             for i in range(n):
                 T[o, i] = terms[o, i * K + k] / weight
         # (T^-1 + S)^-1 without an inverse of T, which may be singular
-        M = T @ (J @ P @ J.T)
+        M = T @ (J @ contiguous @ J.T)
         for i in range(n):
             M[i, i] += 1.0
         T = np.linalg.solve(M, T)
