@@ -281,7 +281,7 @@ def test_a_request_that_a_node_fails_at_is_answered_and_ends_that_node_alone(fai
     [
         ([], "NODE"),
         (["frame_trackers"], "frame_tracker"),
-        (["frame_tracker", "frame_tracker"], "named twice"),
+        (["frame_tracker", "frame_tracker"], "given twice"),
         (["frame_tracker", "--rate", "5"], "--rate"),
     ],
 )

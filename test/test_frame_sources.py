@@ -331,7 +331,7 @@ def test_a_clock_that_is_ahead_and_lengths_that_are_odd_are_taken_and_said(
         values = diagnostics.values.get("frame_tracker", {})
         notes = " ".join(text for key, text in values.items() if key.startswith("note_cup"))
         return values.get("status_cup") == "VISIBLE" and all(
-            words in notes for words in ("ahead of ROS time", "other lengths than 1", "millimetres")
+            words in notes for words in ("ahead of ROS time", "not of length 1", "millimetres")
         )
 
     spin_until(ros_node, said, message="the notes", processes=(process,))

@@ -168,7 +168,7 @@ def test_that_only_joints_of_others_come_is_said_in_the_log(
 
     def said() -> bool:
         states.publish(conversions.joint_state_message(["wheel"], 1, np.zeros(1)))
-        return "no joint states yet: none of its joints came; the last message names wheel" in process.output
+        return "no joint states yet: none of its joints arrived; the last message names wheel" in process.output
 
     spin_until(ros_node, said, message="words", processes=(process,))
 

@@ -109,7 +109,7 @@ def test_a_bad_model_is_refused_and_the_movement_goes_on_with_the_old_one(
         assert not refused.success and path.name in refused.reason
     assert set_parameters(player.node, NODE, retrieval="dmp").successful
     refused = load(player, models / "trajectory.tpgmm")
-    assert not refused.success and "dmp retrieves from" in refused.reason
+    assert not refused.success and "dmp needs a model of" in refused.reason
     assert set_parameters(player.node, NODE, retrieval="").successful
     status, result = player.result(handle)
     assert status == GoalStatus.STATUS_SUCCEEDED and result.success

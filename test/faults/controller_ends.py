@@ -87,10 +87,10 @@ def default_timeouts(bench: ControllerBench) -> str:
 def wrong_transition(bench: ControllerBench) -> str:
     goal = bench.follow(50)
     assert not change_state(bench.node, NODE, ACTIVATE)
-    assert "the state 'active' does not have it" in bench.process.output
+    assert "it is not possible in the state 'active'" in bench.process.output
     for _ in range(20):
         bench.hand.tick(pose_reference(goal, bench.hand.stamp_ns + TICK_NS))
-    return "refused, 'the state active does not have it', and answers joint states"
+    return "refused, 'it is not possible in the state active', and answers joint states"
 
 
 @fault(

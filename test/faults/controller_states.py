@@ -123,7 +123,7 @@ def only_others(bench: ControllerBench) -> str:
         bench.hand.stamp_ns += TICK_NS
         bench.hand.states.publish(gripper(bench.hand.stamp_ns))
 
-    return stops(bench, bad, "none of its joints came; the last message names finger_joint1, finger_joint2")
+    return stops(bench, bad, "none of its joints arrived; the last message names finger_joint1, finger_joint2")
 
 
 @fault(

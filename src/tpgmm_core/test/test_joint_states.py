@@ -55,7 +55,7 @@ def test_joints_of_others_are_no_state_and_no_fault_and_take_nothing_away(
     bench = Bench()
     assert bench.assembler.take(names, columns, 0) is None
     words = bench.assembler.incomplete()
-    assert words == f"none of its joints came; the last message names {', '.join(names) or 'nothing'}"
+    assert words == f"none of its joints arrived; the last message names {', '.join(names) or 'nothing'}"
     assert bench.take(1, a=1, b=2) is None
     assert bench.assembler.take(names, columns, 5 * MS) is None
     assert "missing c" in bench.assembler.incomplete()

@@ -79,6 +79,18 @@ def one_line(text: object, limit: int = LINE_LIMIT) -> str:
     """A text without quotes: line breaks and spaces as one space, what cannot be printed escaped, cut to `limit`.
 
     Of an error of the system, its file and its reason, without the number.
+
+    Parameters
+    ----------
+    text
+        or an error
+    limit
+        characters
+
+    Returns
+    -------
+    str
+        one line; "…" at its end where it was cut
     """
     whole = str(text)
     if isinstance(text, OSError) and text.strerror and text.filename is not None:
