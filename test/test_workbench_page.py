@@ -38,6 +38,8 @@ pytestmark = [
 ]
 #: What the page says while the skill runs.
 RUNS = "Move an object, or hide it"
+#: What it says while the hand is not led.
+NOBODY = "Nobody leads the hand"
 #: Sliders of the panel Run, from above.
 DURATION, SPEED = 0, 1
 #: Demonstrations that are taught.
@@ -189,14 +191,14 @@ def _hide_and_stop(user: User) -> None:
     user.click("Run [G]")
     user.sees(RUNS)
     user.opens("Teach")
-    hide = user.page.get_by_label("hide object")
+    hide = user.page.get_by_label("hide target")
     hide.check(force=True)
-    user.sees("object: missing")
+    user.sees("target: missing")
     hide.focus()
     user.page.keyboard.press("Escape")
     user.until(lambda: RUNS not in user.text(), "the stop")
     hide.uncheck(force=True)
-    user.sees("object: seen")
+    user.sees("target: seen")
     user.opens("Run")
     user.sees("stopped")
 
@@ -246,19 +248,22 @@ def test_several_pages_show_the_same_and_come_back_after_the_program_was_killed(
     process, address = start(start_process, ros_domain, folder, "--no-meshes")
     spin_until(ros_node, address, PATIENCE, "the address", (process,))
     phone, small = {"width": 390, "height": 560}, {"width": 640, "height": 360}
-    first, *others = users = [User(browser, ros_node, process, address(), small) for _ in range(PAGES - 1)]
-    users.append(User(browser, ros_node, process, address(), phone))
+    first = User(browser, ros_node, process, address())
+    others = [User(browser, ros_node, process, address(), small) for _ in range(PAGES - 2)]
+    users = [first, *others, User(browser, ros_node, process, address(), phone)]
     assert all(user.sees_stop() for user in users)
     first.until(lambda: all("object: seen" in user.text() for user in users[:-1]), "all pages to show the object")
     first.until(lambda: sum("this one drives" in user.text() for user in users) == 1, "one page that drives")
     assert "this one drives" in first.text() and "another one drives" in others[-1].text()
+    users[-1].shoot("phone")
+    first.click("to object")
+    first.until(lambda: NOBODY not in first.text(), "the hand to be led")
+    users[-1].click("STOP")
+    first.sees(NOBODY)
     others[-1].page.keyboard.press("n")
     others[-1].sees("Another page drives")
     others[-1].click("Drive from this page")
     first.until(lambda: "another one drives" in first.text(), "the first page to be told")
-    users[-1].shoot("phone")
-    users[-1].click("STOP")
-    first.sees("stopped")
     for user in users[2:]:
         user.page.close()
     first.until(lambda: "2 pages" in first.text(), "two pages that are left")
