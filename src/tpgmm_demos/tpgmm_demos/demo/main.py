@@ -120,7 +120,9 @@ def _start(graph: Graph, arguments: argparse.Namespace, model_file: Path) -> Non
     processes, simulated = graph.processes, arguments.lockstep
     both: dict[str, Value] = {"use_sim_time": simulated, "realtime_priority": _priority(arguments)}
     answering: dict[str, Value] = {"joint_state_rate": arguments.rate, **both}
-    waiting: dict[str, Value] = {"lockstep_rate": 100.0, "start_timeout": 60.0} if simulated else {}
+    # near 100 Hz, a whole number of joint states apart: nobody answers between two of them
+    frames_rate = arguments.rate / max(1, round(arguments.rate / 100.0))
+    waiting: dict[str, Value] = {"lockstep_rate": frames_rate, "start_timeout": 60.0} if simulated else {}
     nodes: dict[str, dict[str, Value]] = {
         "frame_tracker": {"task_file": arguments.task, "lockstep": simulated, **both},
         "reproduction": {"task_file": arguments.task, "model_file": model_file, **waiting, **answering},
