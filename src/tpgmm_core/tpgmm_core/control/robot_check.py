@@ -123,8 +123,7 @@ def _of_groups(robot: RobotModel) -> Iterator[str]:
     if others := [joint for joint in robot.joint_names if joint not in grouped]:
         yield (
             f"{listed(others, 40)}: in no joint group, so they are held at their positions; if something else drives "
-            "them, lock "
-            "them (locked: ...)"
+            "them, lock them (locked: ...)"
         )
 
 

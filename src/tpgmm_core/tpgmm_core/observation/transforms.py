@@ -190,8 +190,7 @@ class TransformTree:
             by = (stamps[0] - stamp_ns if early else stamp_ns - stamps[-1]) / SECOND
             raise TransformError(
                 f"no transform at this time: the one from {shown(link.parent)} to {shown(child)} was requested "
-                f"{by:.3f} s "
-                f"{'before its first' if early else 'after its last'} sample",
+                f"{by:.3f} s {'before its first' if early else 'after its last'} sample",
                 may_come=not early,
             )
         after = bisect_right(stamps, stamp_ns)
