@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-import ast
 import importlib
 import importlib.util
 
 import pytest
-import yaml
 
 from ros_graph import ROOT
 from ros_testing import executable
+from tpgmm_ros.runtime.loop_description import ARGUMENTS, loop_processes
 
 DIRECTORY = ROOT / "src" / "tpgmm_ros" / "launch"
 #: File -> the executables that it starts, its arguments.
@@ -20,15 +19,11 @@ FILES = {
         {"frame_tracker", "reproduction", "impedance_controller", "baxter_simulator"},
         {"model", "task", "robot", "use_sim_time"},
     ),
-    "loop": (
-        {"compose", "endpoint_poses"},
-        {
-            *("robot", "task", "model", "endpoint", "namespace", "joint_state_rate", "autostart", "realtime_priority"),
-            *("controller", "law", "horizon_steps", "horizon_time_step", "outputs", "command_rate", "poses"),
-        },
-    ),
+    "loop": ({"compose", "endpoint_poses"}, {argument.name for argument in ARGUMENTS}),
     "figure5": ({"joint_reference", "impedance_controller", "baxter_simulator"}, {"models", "active", "robot"}),
 }
+#: What the loop cannot do without, and what starts both of its processes.
+GIVEN = {"robot": "robot.yaml", "task": "task.yaml", "model": "a.tpgmm", "poses": "true"}
 
 
 def test_every_launch_file_is_known_here() -> None:
@@ -40,27 +35,63 @@ def test_a_launch_file_names_executables_that_are_installed(name: str) -> None:
     text = (DIRECTORY / f"{name}.launch.py").read_text()
     compile(text, name, "exec")
     for node in FILES[name][0]:
-        assert f'executable="{node}"' in text
+        assert f'executable="{node}"' in text or name == "loop"
         assert executable(node)
+    assert {process.executable for process in loop_processes(GIVEN)} == FILES["loop"][0]
 
 
 def test_the_loop_gives_parameters_that_its_nodes_have_with_their_own_defaults() -> None:
-    """Read from the text, since a misspelt name is passed over in silence where the nodes are started."""
+    """A misspelt name is passed over in silence where the nodes are started."""
     nodes = ("frame_tracker", "reproduction", "impedance_controller", "joint_motion", "endpoint_poses")
     declared = {
         item.name: item for node in nodes for item in importlib.import_module(f"tpgmm_ros.nodes.{node}").PARAMETERS
     }
-    given, defaults = set(), {}
-    for item in ast.walk(ast.parse((DIRECTORY / "loop.launch.py").read_text())):
-        if isinstance(item, ast.Dict):
-            given |= {ast.literal_eval(key) for key in item.keys if key is not None}
-        if isinstance(item, ast.Call) and getattr(item.func, "id", "") == "DeclareLaunchArgument":
-            values = [keyword.value for keyword in item.keywords if keyword.arg == "default_value"]
-            defaults[ast.literal_eval(item.args[0])] = [yaml.safe_load(ast.literal_eval(value)) for value in values]
-    given -= {"realtime_priority"}  # of the process, not of a node
-    assert {"law", "horizon_steps", "horizon_time_step"} <= given <= set(declared), given - set(declared)
-    for name in given & set(defaults) - {"autostart"}:  # a launch file starts its nodes by itself
-        assert defaults[name] in ([], [declared[name].default]), name
+    for process in loop_processes(GIVEN):
+        given = dict(process.parameters)
+        given.pop("realtime_priority", None)  # of the process, not of a node
+        assert given.keys() <= declared.keys()
+        for name, value in given.items():
+            if not name.endswith("_file") and name != "autostart":  # a launch file starts its nodes by itself
+                assert value == declared[name].default, name
+
+
+def test_the_loop_starts_what_its_arguments_say() -> None:
+    loop, poses = loop_processes(
+        GIVEN
+        | {"controller": "joint_motion", "outputs": "[positions, servo_pose]", "namespace": "left", "horizon": "0.1"}
+        | {"parameters": "more.yaml", "remap": "[joint_states:=arm/joint_states]"}
+    )
+    words = loop.command()
+    assert words[0] == executable("compose") and words[1:5] == [
+        *("frame_tracker", "reproduction", "joint_motion", "--ros-args")
+    ]
+    for part in (
+        ["-p", "outputs:=[positions, servo_pose]"],
+        ["-p", "horizon:=0.1"],
+        ["-p", "autostart:=true"],
+        ["--params-file", "more.yaml"],
+        ["-r", "__ns:=/left"],
+        ["-r", "joint_states:=arm/joint_states"],
+    ):
+        assert any(words[i : i + 2] == part for i in range(len(words))), part
+    assert poses.command()[1:4] == ["--ros-args", "-p", "robot_file:=robot.yaml"]
+    assert [process.executable for process in loop_processes(GIVEN | {"poses": "false"})] == ["compose"]
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"robots": "a.yaml"}, "there is no argument robots"),
+        ({"controller": "mine"}, "controller is 'mine'; expected one of impedance_controller, joint_motion"),
+        ({"command_rate": "fast"}, "command_rate is 'fast': could not convert"),
+        ({"outputs": "positions"}, "outputs is 'positions': a list of names"),
+    ],
+)
+def test_arguments_of_the_loop_that_make_no_sense_are_refused(given: dict[str, str], reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        loop_processes(GIVEN | given)
+    with pytest.raises(ValueError, match="model is missing: path of the model file"):
+        loop_processes({"robot": "robot.yaml", "task": "task.yaml"})
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -77,4 +108,10 @@ def test_a_launch_file_starts_its_nodes_and_takes_its_arguments(name: str) -> No
     entities = module.generate_launch_description().entities
     nodes, arguments = FILES[name]
     assert {item.name for item in entities if isinstance(item, DeclareLaunchArgument)} == arguments
+    if name == "loop":  # its nodes depend on the values of its arguments
+        from launch import LaunchContext
+
+        context = LaunchContext()
+        context.launch_configurations.update({item.name: item.default or "" for item in ARGUMENTS} | GIVEN)
+        entities = module.nodes(context)
     assert {item.node_executable for item in entities if hasattr(item, "node_executable")} == nodes

@@ -3,108 +3,46 @@
 
 By torques: ros2 launch tpgmm_ros loop.launch.py robot:=ROBOT.yaml task:=TASK.yaml model:=MODEL.tpgmm endpoint:=HAND
 By positions: the same with controller:=joint_motion poses:=true, and outputs:="[positions]" or others
+What is started is in tpgmm_ros/runtime/loop_description.py.
 """
 
-from launch.actions import DeclareLaunchArgument
-from launch.conditions import IfCondition
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
-from launch import LaunchDescription
+from launch import LaunchContext, LaunchDescription
+from tpgmm_ros.runtime.loop_description import ARGUMENTS, PACKAGE, loop_processes
+
+
+def nodes(context: LaunchContext) -> list[Node]:
+    """The processes for the arguments as given."""
+    given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
+    return [
+        Node(
+            package=PACKAGE,
+            executable=process.executable,
+            arguments=list(process.arguments),
+            namespace=process.namespace,
+            remappings=[tuple(item.split(":=", 1)) for item in process.remappings],
+            output="screen",
+            # The robot's own watchdog acts meanwhile; what comes back waits for a new goal
+            respawn=True,
+            respawn_delay=2.0,
+            parameters=[dict(process.parameters), *([process.parameter_file] if process.parameter_file else [])],
+        )
+        for process in loop_processes(given)
+    ]
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The nodes in one process, `compose`, and its arguments."""
+    """The arguments, and what follows from them."""
     arguments = [
-        DeclareLaunchArgument("robot", description="path of the robot file: URDF, joint groups, limits"),
         DeclareLaunchArgument(
-            "task", description="path of the task file: frames, their topics, the end point that moves"
-        ),
-        DeclareLaunchArgument("model", description="path of the model file (.tpgmm) that `train` wrote"),
-        DeclareLaunchArgument("endpoint", default_value="left", description="end point of the robot file that moves"),
-        DeclareLaunchArgument("namespace", default_value="", description="namespace of the nodes and their topics"),
-        DeclareLaunchArgument(
-            "joint_state_rate",
-            default_value="1000.0",
-            description="joint states per second that the robot publishes, Hz",
-        ),
-        DeclareLaunchArgument(
-            "controller",
-            default_value="impedance_controller",
-            choices=["impedance_controller", "joint_motion"],
-            description="joint_motion for a robot that takes positions or poses instead of torques",
-        ),
-        DeclareLaunchArgument(
-            "law",
-            default_value="infinite_horizon",
-            description="control law of the impedance_controller; those that look ahead need a horizon",
-        ),
-        DeclareLaunchArgument(
-            "horizon_steps", default_value="1", description="how many Gaussians ahead each reference holds"
-        ),
-        DeclareLaunchArgument(
-            "horizon_time_step", default_value="0.005", description="time between the Gaussians ahead, s"
-        ),
-        DeclareLaunchArgument(
-            "outputs", default_value="[joint_trajectory]", description="outputs of joint_motion, as a list"
-        ),
-        DeclareLaunchArgument("command_rate", default_value="100.0", description="rate of these outputs, Hz"),
-        DeclareLaunchArgument(
-            "poses",
-            default_value="false",
-            choices=["true", "false"],
-            description="compute the poses of the end points, for a robot whose driver publishes only joint states",
-        ),
-        DeclareLaunchArgument(
-            "autostart",
-            default_value="true",
-            description="configure and activate the nodes; false: a lifecycle manager does this",
-        ),
-        DeclareLaunchArgument(
-            "realtime_priority",
-            default_value="0",
-            description="real-time priority (SCHED_FIFO), 1 to 99; 0: none",
-        ),
+            argument.name,
+            default_value=argument.default,
+            description=argument.description,
+            choices=list(argument.choices) or None,
+        )
+        for argument in ARGUMENTS
     ]
-
-    def given(name: str, kind: type) -> ParameterValue:
-        return ParameterValue(LaunchConfiguration(name), value_type=kind)
-
-    loop = Node(
-        package="tpgmm_ros",
-        executable="compose",
-        arguments=["frame_tracker", "reproduction", LaunchConfiguration("controller")],
-        namespace=LaunchConfiguration("namespace"),
-        output="screen",
-        # The robot's own watchdog acts meanwhile; what comes back waits for a new goal
-        respawn=True,
-        respawn_delay=2.0,
-        parameters=[
-            {
-                "robot_file": given("robot", str),
-                "task_file": given("task", str),
-                "model_file": given("model", str),
-                "endpoint": given("endpoint", str),
-                "joint_state_rate": given("joint_state_rate", float),
-                "law": given("law", str),
-                "horizon_steps": given("horizon_steps", int),
-                "horizon_time_step": given("horizon_time_step", float),
-                "outputs": LaunchConfiguration("outputs"),  # read as YAML: a list
-                "command_rate": given("command_rate", float),
-                "autostart": given("autostart", bool),
-                "realtime_priority": given("realtime_priority", int),
-            }
-        ],
-    )
-    endpoint_poses = Node(
-        package="tpgmm_ros",
-        executable="endpoint_poses",
-        namespace=LaunchConfiguration("namespace"),
-        output="screen",
-        respawn=True,
-        respawn_delay=2.0,
-        condition=IfCondition(LaunchConfiguration("poses")),
-        parameters=[{"robot_file": given("robot", str)}],
-    )
-    return LaunchDescription([*arguments, loop, endpoint_poses])
+    return LaunchDescription([*arguments, OpaqueFunction(function=nodes)])
