@@ -107,4 +107,4 @@ class Bench:
     def is_jump_to(violation: String, q: np.ndarray) -> bool:
         """Whether the robot saw a jump of what it is told, to these joints."""
         words, _, place = violation.data.rpartition(" to ")
-        return words.startswith("a jump") and bool(np.abs(np.array(json.loads(place)) - q).max() < 1e-3)
+        return words.startswith("jump: ") and bool(np.abs(np.array(json.loads(place)) - q).max() < 1e-3)

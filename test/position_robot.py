@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A position-controlled robot as its own process: a joint_trajectory_controller that checks what it is sent.
 
-    python position_robot.py ROBOT_FILE JOINT...
+    python position_robot.py [--slower=N] ROBOT_FILE JOINT...
 
 It takes `joint_trajectory_controller/joint_trajectory` (reliable) and goals of the action
 `joint_trajectory_controller/follow_joint_trajectory`, each of which takes the place of the one before, for the joints
@@ -9,12 +9,11 @@ in the order that it is given. It goes along cubic splines, each from where it i
 `joint_states` at 125 Hz, with the joints in another order, as drivers do. `robot_mode` (std_msgs/String) takes "stuck"
 (it does not move, as after an emergency stop; a goal is aborted once its tolerance is exceeded), "silent" (no joint
 states), "refusing" (each goal), "deaf" (goals are not answered) and "well". What breaks the contract of the interface
-is on `violations`, one String each: words, and for a jump where it led to, after "to".
+is on `violations`: see `robots.contract`.
 """
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 
@@ -23,40 +22,33 @@ import rclpy
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.executors import ExternalShutdownException
-from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import JointState
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
+from robots.contract import broken_by_trajectory
+from robots.stand_in import KEPT, StandIn, run, slower
 from tpgmm_core.robot.model import RobotModel
 
 RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-KEPT = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: Period of its joint states, s.
 PERIOD = 0.008
-#: Where it is told to be may be this far from where its last trajectory led, rad.
-JUMP = 0.05
 #: A goal is aborted where a joint is farther from its trajectory, or than the goal allows, rad.
 OWN_TOLERANCE = 0.1
 #: A deaf one answers after this, s.
 DEAF = 2.0
 
 
-class PositionRobot(Node):
+class PositionRobot(StandIn):
     """See the module."""
 
-    def __init__(self, robot: RobotModel, order: list[str]) -> None:
-        super().__init__("position_robot")
-        self.robot, self.order = robot, order
+    def __init__(self, robot: RobotModel, order: list[str], slower: float) -> None:
+        super().__init__("position_robot", robot, order, slower)
         self.joints = robot.indices(order)
         self.q, self.v = robot.home[self.joints], np.zeros(len(order))
         #: times (s), positions and velocities that it goes through
         self.way: list[tuple[float, np.ndarray, np.ndarray]] = []
         self.mode = "well"
-        self.states = self.create_publisher(JointState, "joint_states", 10)
-        self.violations = self.create_publisher(String, "violations", KEPT)
         self.create_subscription(JointTrajectory, "joint_trajectory_controller/joint_trajectory", self.take, RELIABLE)
         self.create_subscription(String, "robot_mode", self.take_mode, KEPT)
         self.goal: ServerGoalHandle | None = None
@@ -70,10 +62,7 @@ class PositionRobot(Node):
             handle_accepted_callback=self.begin,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
-        self.create_timer(PERIOD, self.step)
-
-    def now(self) -> float:
-        return 1e-9 * self.get_clock().now().nanoseconds
+        self.every(PERIOD, self.step)
 
     def take_mode(self, message: String) -> None:
         self.mode = message.data
@@ -85,7 +74,7 @@ class PositionRobot(Node):
             time.sleep(DEAF)
         names, tolerances = zip(*[(item.name, item.position) for item in goal.path_tolerance], strict=True)
         if list(names) != self.order or min(tolerances) <= 0.0:
-            self.violations.publish(String(data=f"tolerances {tolerances} of {names}"))
+            self.violate(f"tolerances: {tolerances} of {names}")
         return GoalResponse.REJECT if self.mode == "refusing" else GoalResponse.ACCEPT
 
     def begin(self, goal: ServerGoalHandle) -> None:
@@ -124,39 +113,14 @@ class PositionRobot(Node):
             self.end(FollowJointTrajectory.Result.SUCCESSFUL, "")
 
     def take(self, message: JointTrajectory) -> None:
-        for text in self.broken(message):
-            self.violations.publish(String(data=text))
+        self.violate(*broken_by_trajectory(self.robot, self.order, message, self.told(self.now())[0]))
+        self.hear(any(any(point.velocities) for point in message.points))
         now = self.now()
         q, v = self.told(now)
         self.way = [(now, q, v)]
         for point in message.points:
             after = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
             self.way.append((now + after, np.array(point.positions), np.array(point.velocities)))
-
-    def broken(self, message: JointTrajectory) -> list[str]:
-        """What a joint_trajectory_controller would refuse, and what no robot should be told."""
-        n, found = len(self.order), []
-        if list(message.joint_names) != self.order:
-            return [f"joints {list(message.joint_names)}, not {self.order}"]
-        if message.header.stamp.sec or message.header.stamp.nanosec:
-            found.append("a stamp of another time than now")
-        if not message.points or any(len(p.positions) != n or len(p.velocities) != n for p in message.points):
-            return [*found, "points without positions and velocities of all joints"]
-        q, v = (np.array([getattr(p, name) for p in message.points]) for name in ("positions", "velocities"))
-        times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in message.points])
-        limits = self.robot
-        if not (np.diff(times, prepend=0.0) > 0.0).all():
-            found.append(f"times that do not increase: {times}")
-        if v[-1].any():
-            found.append(f"an end that moves: {v[-1]}")
-        if (q < limits.lower_limits[self.joints]).any() or (q > limits.upper_limits[self.joints]).any():
-            found.append(f"positions outside the limits: {q}")
-        if (np.abs(v) > limits.velocity_limits[self.joints]).any():
-            found.append(f"velocities above the limits: {v}")
-        here, _ = self.told(self.now())
-        if np.abs(q[0] - here).max() > JUMP + float((np.abs(v[0]) * times[0]).max()):
-            found.append(f"a jump from {json.dumps(here.tolist())} to {json.dumps(q[0].tolist())}")
-        return found
 
     def told(self, now: float) -> tuple[np.ndarray, np.ndarray]:
         """Where it is told to be: on a cubic between two points; at rest behind the last one."""
@@ -176,19 +140,15 @@ class PositionRobot(Node):
         self.watch_goal()
         if self.mode == "silent":
             return
-        message = JointState(name=self.order[::-1], position=self.q[::-1].tolist(), velocity=self.v[::-1].tolist())
-        message.header.stamp = self.get_clock().now().to_msg()
-        self.states.publish(message)
+        self.publish_state(self.q, self.v)
 
 
 def main() -> None:
-    robot_file, *order = sys.argv[1:]
+    words = sys.argv[1:]
+    factor = slower(words)
+    robot_file, *order = words
     rclpy.init()
-    node = PositionRobot(RobotModel.from_file(robot_file), order)
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+    run(PositionRobot(RobotModel.from_file(robot_file), order, factor))
 
 
 if __name__ == "__main__":

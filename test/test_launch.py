@@ -48,7 +48,8 @@ def test_the_loop_gives_parameters_that_its_nodes_have_with_their_own_defaults()
     }
     for process in loop_processes(GIVEN):
         given = dict(process.parameters)
-        given.pop("realtime_priority", None)  # of the process, not of a node
+        for name in ("realtime_priority", "use_sim_time"):  # of the process; of every node of ROS
+            given.pop(name, None)
         assert given.keys() <= declared.keys()
         for name, value in given.items():
             if not name.endswith("_file") and name != "autostart":  # a launch file starts its nodes by itself
@@ -109,9 +110,7 @@ def test_a_launch_file_starts_its_nodes_and_takes_its_arguments(name: str) -> No
     nodes, arguments = FILES[name]
     assert {item.name for item in entities if isinstance(item, DeclareLaunchArgument)} == arguments
     if name == "loop":  # its nodes depend on the values of its arguments
-        from launch import LaunchContext
-
-        context = LaunchContext()
+        context = importlib.import_module("launch").LaunchContext()
         context.launch_configurations.update({item.name: item.default or "" for item in ARGUMENTS} | GIVEN)
         entities = module.nodes(context)
     assert {item.node_executable for item in entities if hasattr(item, "node_executable")} == nodes

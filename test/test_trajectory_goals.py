@@ -104,6 +104,6 @@ def test_a_controller_that_takes_no_goal_ends_the_movement_with_the_reason(bench
     bench.mode("well")
     bench.until(lambda: stays(bench), "rest")
     if mode == "stuck":  # goals that were on their way when the robot was stopped lead away from there; no more follow
-        assert all(message.data.startswith("a jump") for message in bench.violations.messages)
+        assert all(message.data.startswith("jump: ") for message in bench.violations.messages)
         bench.violations.clear()
         assert stays(bench)

@@ -95,6 +95,9 @@ ARGUMENTS = (
         _truth,
         ("true", "false"),
     ),
+    LoopArgument(
+        "use_sim_time", "take the time from /clock, which a simulator publishes", "false", _truth, ("true", "false")
+    ),
     LoopArgument("realtime_priority", "real-time priority (SCHED_FIFO), 1 to 99; 0: none", "0", int),
     LoopArgument(
         "parameters",
@@ -108,6 +111,8 @@ ARGUMENTS = (
 )
 #: Parameters that have another name than their argument.
 _FILES = {"robot_file": "robot", "task_file": "task", "model_file": "model"}
+#: Parameters of `endpoint_poses`.
+_OF_POSES = ("robot_file", "use_sim_time")
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +189,7 @@ def loop_processes(given: Mapping[str, str]) -> list[LoopProcess]:
     parameters = files | {argument.name: values[argument.name] for argument in ARGUMENTS if argument.is_parameter}
     processes = [LoopProcess("compose", nodes, parameters, **shared)]
     if values["poses"]:
-        processes.append(LoopProcess("endpoint_poses", (), {"robot_file": files["robot_file"]}, **shared))
+        processes.append(LoopProcess("endpoint_poses", (), {name: parameters[name] for name in _OF_POSES}, **shared))
     return processes
 
 

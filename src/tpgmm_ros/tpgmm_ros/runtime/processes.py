@@ -85,7 +85,10 @@ class NodeProcesses:
         self._shared |= dict.fromkeys(nodes, name)
 
     def _start(self, name: str, module: Sequence[str], parameters: Sequence[str]) -> None:
-        command = [sys.executable, "-m", *module, "--ros-args", *parameters]
+        self.start_command(name, [sys.executable, "-m", *module, "--ros-args", *parameters])
+
+    def start_command(self, name: str, command: Sequence[str]) -> None:
+        """Start a process by its command line; ``name`` is that of its log."""
         with (self.log_directory / f"{name}.log").open("wb") as log:
             # A session of its own: the terminal's Ctrl-C reaches this program only, which then ends the nodes in order.
             self._processes[name] = subprocess.Popen(
@@ -119,6 +122,12 @@ class NodeProcesses:
         process = self._processes.pop(name)
         process.kill()
         process.wait()
+
+    def end(self, name: str) -> subprocess.Popen[bytes]:
+        """Ask a process to end by SIGTERM; it is not watched any more. Returns it, to be waited for."""
+        process = self._processes.pop(name)
+        process.terminate()
+        return process
 
     def show_stacks(self, name: str) -> None:
         """Let a node that stands still end, with the stacks of its threads in its log."""
