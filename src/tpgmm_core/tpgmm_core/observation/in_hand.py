@@ -5,6 +5,9 @@ What a hand carries it covers, too. A thing that lay beside the hand when it was
 that cannot be known, and it is where it was. It moves with the hand only if it was seen to do so: up to its last
 observation it kept its place in the hand, while it moved itself. Then it is known as well as it kept that place, and
 worse the farther it has gone unseen, since things slip.
+
+Where a gripper tells whether it holds something, that is known: what was near the hand when it closed moves with it,
+and is where the hand was when it opened again. What it does not hold does not move with it, whatever was seen.
 """
 
 from __future__ import annotations
@@ -29,6 +32,8 @@ WITHIN = 0.01, 0.1
 MOVED = 0.04, 0.4
 #: The share of what it moves unseen that is added to the standard deviation of where it is.
 SLIP = 0.1
+#: What is no farther from the hand when its gripper closes is in it, m.
+REACH = 0.1
 #: So long the hand's former places are known, s; observations of a camera are late.
 MEMORY = 3.0
 #: So many observations of a frame wait for the hand's pose of their time.
@@ -53,7 +58,16 @@ class _Run:
 @dataclass(slots=True)
 class _Seen:
     run: _Run | None = None
-    waiting: deque[tuple[int, Array]] = field(default_factory=lambda: deque(maxlen=MOST_WAITING))
+    waiting: deque[tuple[int, Array | bool]] = field(default_factory=lambda: deque(maxlen=MOST_WAITING))
+    """Times, and where it was seen then, or whether the gripper was closed from then on."""
+    closed: bool | None = None
+    """The gripper; None where it has not said."""
+    known: Array | None = None
+    """In the base, where it was seen or let go last."""
+    held: Array | None = None
+    """In the hand, as long as the gripper holds it."""
+    left: Array | None = None
+    """In the base, where the gripper let it go, as long as it has not been seen there."""
 
 
 class Hand:
@@ -86,9 +100,7 @@ class Hand:
         """Start anew: time jumped backwards."""
         self._tree.forget()
         self.pose, self._stamp_ns = None, 0
-        for seen in self._frames.values():
-            seen.run = None
-            seen.waiting.clear()
+        self._frames = {name: _Seen() for name in self._frames}
 
     def take(self, pose: ArrayLike, stamp_ns: int, steady_ns: int = 0) -> str:
         """See the hand.
@@ -125,30 +137,82 @@ class Hand:
         seen.waiting.append((stamp_ns, pose))
         self._work_off(seen)
 
+    def grip(self, name: str, closed: bool, stamp_ns: int) -> None:
+        """Hear whether the gripper that may hold a frame is closed from a time on, ns; only changes count."""
+        seen = self._frames[name]
+        told = [entry for _, entry in seen.waiting if isinstance(entry, bool)]
+        if closed != (told[-1] if told else seen.closed):
+            seen.waiting.append((stamp_ns, closed))
+            self._work_off(seen)
+
     def moves(self, name: str) -> bool:
-        """Whether a frame was seen to move with the hand, up to its last observation."""
-        run = self._frames[name].run
-        return run is not None and run.moved
+        """Whether a frame moves with the hand: its gripper holds it, or it was seen to, up to its last observation."""
+        seen = self._frames[name]
+        return seen.held is not None or (seen.closed is not False and seen.run is not None and seen.run.moved)
+
+    def left(self, name: str) -> Array | None:
+        """Where (7,) the gripper has let a frame go; None where it has not, or the frame was seen since."""
+        return self._frames[name].left
+
+    def why(self, name: str) -> str:
+        """In words, how it is known whether a frame moves with the hand."""
+        seen = self._frames[name]
+        if seen.held is not None:
+            return "moves with the hand, whose gripper holds it"
+        if self.moves(name):
+            return "moves with the hand, as it did when it was last seen"
+        if seen.left is not None:
+            return "stays where the gripper let it go"
+        if seen.closed is False:
+            return "stays where it was: the gripper is open"
+        return "stays where it was: it was not seen to move with the hand"
 
     def place(self, name: str, hand: Array | None = None) -> Array:
         """Where a frame that moves with the hand is now, (7,), or with the hand at other poses (..., 7)."""
-        run = self._frames[name].run
+        seen = self._frames[name]
         at = self.pose if hand is None else hand
-        assert run is not None and at is not None
-        return compose(at, np.broadcast_to(run.latest, at.shape))
+        in_hand = seen.held if seen.held is not None else seen.run.latest if seen.run is not None else None
+        assert in_hand is not None and at is not None
+        return compose(at, np.broadcast_to(in_hand, at.shape))
 
     def _work_off(self, seen: _Seen) -> None:
         while seen.waiting:
-            stamp_ns, pose = seen.waiting[0]
+            stamp_ns, entry = seen.waiting[0]
+            hand: Array | None = None
             try:
                 hand = self._tree.pose(_HAND, _BASE, stamp_ns)
             except TransformError as error:
                 if error.may_come or self.pose is None:
                     return
-                seen.run = None
+            if isinstance(entry, bool):
+                _grip(seen, entry, hand)
             else:
-                seen.run = _gone_on(seen.run, pose, compose(inverse(hand), pose))
+                _see(seen, entry, hand)
             seen.waiting.popleft()
+
+
+def _see(seen: _Seen, pose: Array, hand: Array | None) -> None:
+    """Take an observation, with the hand where it was then; None: that is not known."""
+    seen.known, seen.left = pose, None
+    if hand is None:
+        seen.run = seen.held = None
+        return
+    in_hand = compose(inverse(hand), pose)
+    seen.run = _gone_on(seen.run, pose, in_hand)
+    if seen.held is not None:  # seen elsewhere, it is not held; seen in the hand, it is held as it is seen
+        seen.held = in_hand if pose_error(pose, hand)[0] <= REACH else None
+
+
+def _grip(seen: _Seen, closed: bool, hand: Array | None) -> None:
+    """Take a change of the gripper: what is near is held from now on, or is let go here."""
+    seen.closed, seen.run = closed, None
+    if closed:
+        if hand is not None and seen.known is not None and pose_error(seen.known, hand)[0] <= REACH:
+            seen.held = compose(inverse(hand), seen.known)
+    elif seen.held is not None:
+        if hand is not None:
+            seen.known = seen.left = compose(hand, seen.held)
+        seen.held = None
 
 
 def _gone_on(run: _Run | None, pose: Array, in_hand: Array) -> _Run:
@@ -184,7 +248,13 @@ def carried_covariance(covariance: Array | None, seen: Array, place: Array) -> A
 
 
 def carried_poses(
-    at: Nanoseconds, hand: Array, seen_at: Nanoseconds, seen: Array, held: Array, timeout: float
+    at: Nanoseconds,
+    hand: Array,
+    seen_at: Nanoseconds,
+    seen: Array,
+    held: Array,
+    timeout: float,
+    gripper: tuple[Nanoseconds, NDArray[np.bool_]] | None = None,
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Where a frame of a recording was that may move with the hand.
 
@@ -200,6 +270,8 @@ def carried_poses(
         (T, 7), the latest of these at each time
     timeout
         after so long without an observation it counts as not seen, s
+    gripper
+        (G,) ns, increasing, and (G,), whether the gripper was closed then; None: it does not say
 
     Returns
     -------
@@ -209,10 +281,24 @@ def carried_poses(
     rule, poses, moved = Hand(["frame"], None), held.copy(), np.zeros(len(at), bool)
     for stamp, pose in zip(at.tolist(), hand, strict=True):
         rule.take(pose, stamp)
-    ends = np.append(np.searchsorted(at, seen_at[1:]), len(at))
-    begins = np.searchsorted(at, seen_at + round(timeout * SECOND), side="right")
-    for stamp, pose, begin, end in zip(seen_at.tolist(), seen, begins, ends, strict=True):
-        rule.see("frame", pose, stamp)
-        if begin < end and rule.moves("frame"):
+    # at the same time, the frame is seen first, as the newest pose is what a gripper closes around
+    events: list[tuple[int, Array | bool]] = list(zip(seen_at.tolist(), seen, strict=True))
+    if gripper is not None:
+        events += [(stamp, bool(closed)) for stamp, closed in zip(gripper[0].tolist(), gripper[1], strict=True)]
+    events.sort(key=lambda event: event[0])
+    ends = np.append(np.searchsorted(at, [stamp for stamp, _ in events[1:]]), len(at))
+    unseen = 0
+    for (stamp, entry), end in zip(events, ends, strict=True):
+        if isinstance(entry, bool):
+            rule.grip("frame", entry, stamp)
+        else:
+            rule.see("frame", entry, stamp)
+            unseen = int(np.searchsorted(at, stamp + round(timeout * SECOND), side="right"))
+        begin = max(unseen, int(np.searchsorted(at, stamp)))
+        if begin >= end:
+            continue
+        if rule.moves("frame"):
             poses[begin:end], moved[begin:end] = rule.place("frame", hand[begin:end]), True
+        elif (left := rule.left("frame")) is not None:
+            poses[begin:end] = left
     return poses, moved

@@ -211,6 +211,10 @@ class FrameTracker:
         """
         return self._hand.take(pose, stamp_ns, steady_ns)
 
+    def observe_gripper(self, name: str, closed: bool, stamp_ns: int) -> None:
+        """Hear whether the gripper that may hold a frame (of those with the hand) is closed from a time on, ROS time."""
+        self._hand.grip(name, closed, stamp_ns)
+
     def refuse(self, name: str, reason: str) -> str:
         """Count an observation that is not used; returns the reason with the frame's name.
 
@@ -280,11 +284,9 @@ class FrameTracker:
         """In words, where a frame is that may move with the hand and is not seen."""
         if name not in self._hand or (steady_ns - track.seen_ns) / SECOND <= self.config.visible_timeout:
             return ()
-        if not self._hand.moves(name):
-            return ("not seen; stays where it was: it was not seen to move with the hand",)
-        if self._is_hand_lost(steady_ns):
+        if self._hand.moves(name) and self._is_hand_lost(steady_ns):
             return ("not seen; it was with the hand, whose pose does not come",)
-        return ("not seen; moves with the hand, as it did when it was last seen",)
+        return (f"not seen; {self._hand.why(name)}",)
 
     def _is_hand_lost(self, steady_ns: int) -> bool:
         return self._hand.age(steady_ns) > self.config.visible_timeout
@@ -329,8 +331,9 @@ class FrameTracker:
         else:
             status = FrameStatus.MISSING
         pose, covariance = track.pose, track.covariance
-        if carried and pose is not None:
-            place = self._hand.place(name)
+        left = self._hand.left(name) if name in self._hand and unseen > config.visible_timeout else None
+        if (carried or left is not None) and pose is not None:
+            place = self._hand.place(name) if carried else left
             pose, covariance = place, carried_covariance(covariance, pose, place)
         elif status is FrameStatus.HELD and track.unknown_after is not None:
             covariance = track.motion.covariance(covariance, unseen)
