@@ -73,16 +73,16 @@ CASES = (
         ("position_robot.py", *UR5_JOINTS),
     ),
     Case(
-        "xarm7",
+        "panda_crisp",
         "target_pose, target_stiffness",
-        "xarm7.yaml",
-        "pick_place_xarm7.yaml",
-        "tool",
+        "panda.yaml",
+        "pick_place_panda.yaml",
+        "hand",
         0.1,
         {
             "controller": "joint_motion", "outputs": "[target_pose, target_stiffness]", "command_rate": "100.0",
             "joint_state_rate": "100.0", "poses": "true",
         },
-        ("impedance_robot.py", "tool"),
+        ("impedance_robot.py", "hand"),
     ),
 )  # fmt: skip

@@ -3,11 +3,12 @@
 
 Each step solves, for the velocities v of the joints,
 
-    min  sum_i |S_i^-1 (x_i - J_i v)|^2 + |v|^2 / d^2    within bounds of v
+    min  sum_i |S_i^-1 (x_i - J_i v)|^2 + |v - v_0|^2 / d^2    within bounds of v
 
 where S_i S_i^T is the covariance of an aim, x_i its velocity and `tracking_rate` times what is missing, and d the
-`joint_deviation`. So what matters little gives way where joints are at their limits, and among several aims: the
-least squares of the paper's products of Gaussians, over velocities.
+`joint_deviation`; v_0 is zero, or leads joints that the aims leave free to where they are measured. So what matters
+little gives way where joints are at their limits, and among several aims: the least squares of the paper's products of
+Gaussians, over velocities.
 
 The bounds hold for any sequence of time steps: a velocity is one from which the joint can be brought to rest before
 its position limit, with others that stop together with it, and within `max_acceleration` of the last one.
@@ -35,6 +36,8 @@ MAX_STEP = 0.1
 OUTSIDE = 0.02
 #: An aim is missed that is farther away than this many standard deviations, and than these, m and rad.
 MISSED, MISSED_DISTANCE, MISSED_ANGLE = 3.0, 0.01, 0.05
+#: Directions that aims move by so much less than others are free, 1.
+SINGULAR = 1e-2
 #: The velocity is at a bound that is nearer, rad/s (m/s).
 AT_BOUND = 1e-6
 
@@ -147,7 +150,7 @@ class JointMotion:
             raise ValueError(f"measured positions are outside the joint limits: {at}; move the robot inside first")
         self.q, self.v = q, np.zeros(self.robot.nv)
 
-    def step(self, aims: Sequence[Aim], dt: float, others: Array | None = None) -> JointStep:
+    def step(self, aims: Sequence[Aim], dt: float, others: Array | None = None, by_pose: bool = False) -> JointStep:
         """Move on for a time step.
 
         Parameters
@@ -158,6 +161,8 @@ class JointMotion:
             s, positive; of a longer one than `MAX_STEP` only that much counts
         others
             (nv,), measured positions, of which those of joints that do not move by themselves are used
+        by_pose
+            the robot chooses its joints: where the aims leave a choice, the measured ones are followed
 
         Returns
         -------
@@ -172,12 +177,15 @@ class JointMotion:
         if not (np.isfinite(dt) and dt > 0.0):
             raise ValueError(f"the time step is {dt} s, expected more than 0; check that the clock runs")
         dt = min(dt, MAX_STEP)
+        pull = np.zeros(len(self.joints))
         if others is not None:
             q = np.array(others, dtype=np.float64)
+            if by_pose:
+                pull = self.config.tracking_rate * (q - self.q)[self.joints]
             q[self.joints] = self.q[self.joints]
             self.q = q
         low, high = self._bounds(dt)
-        wanted = self._wanted(aims) if aims else None
+        wanted = self._wanted(aims, pull) if aims else None
         v = np.clip(np.zeros_like(low), low, high) if wanted is None else _least_squares(*wanted, low, high)
         limits = () if wanted is None else self._named(v, low, high, dt)
         self.q[self.joints] += dt * v
@@ -223,11 +231,14 @@ class JointMotion:
         # where the speed was lowered while it moved, it slows down as fast as it may
         return np.minimum(np.maximum(down, v - change), v + change), np.maximum(np.minimum(up, v + change), v - change)
 
-    def _wanted(self, aims: Sequence[Aim]) -> tuple[Array, Array]:
-        """A and b of |A v - b|^2."""
+    def _wanted(self, aims: Sequence[Aim], pull: Array) -> tuple[Array, Array]:
+        """A and b of |A v - b|^2; `pull` (n,) is the velocity of the joints where the aims leave a choice."""
         config, n = self.config, len(self.joints)
         self._data.update(self.q)
-        blocks, rights = [np.eye(n) / config.joint_deviation], [np.zeros(n)]
+        if pull.any():
+            J = np.vstack([aim.jacobian(self._data, self.robot.nv)[:, self.joints] for aim in aims])
+            pull = pull - np.linalg.pinv(J, rcond=SINGULAR) @ (J @ pull)
+        blocks, rights = [np.eye(n) / config.joint_deviation], [pull / config.joint_deviation]
         for aim in aims:
             back = config.tracking_rate * aim.missing(self._data, self.q)
             if aim.endpoint:

@@ -16,11 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tpgmm_core.common.settings import Settings, setting
+from tpgmm_core.common.settings import setting
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.aim_progress import AimProgress
 from tpgmm_core.control.joint_motion import JointMotion, JointStep, MotionConfig
 from tpgmm_core.control.motion_aims import Aim
+from tpgmm_core.control.motion_lag import HandLag, JointLag, LagLimits, MotionLag
 from tpgmm_core.control.supervision import ControllerMode
 from tpgmm_core.observation.streams import (
     RESTARTED_AFTER,
@@ -38,7 +39,7 @@ RESTS_WITHIN, RESTS_FOR = 0.005, 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MotionTimeouts(Settings):
+class MotionTimeouts(LagLimits):
     """When joint states and references are too old, and when a robot does not follow."""
 
     joint_state_timeout: float = setting(0.1, 0.002, 10.0, "Age of joint states at which the joints stop, s")
@@ -53,9 +54,6 @@ class MotionTimeouts(Settings):
         "Joint states with older stamps are refused, s; 0: never, for stamps of a clock that cannot be compared",
     )
     max_future: float = setting(0.05, 0.001, 10.0, "Messages with stamps further in the future are refused, s")
-    max_lag: float = setting(
-        0.2, 0.001, 3.2, "Largest distance of a measured joint from its command, rad (m); beyond it, the joints stop"
-    )
 
 
 class SupervisedMotion:
@@ -71,6 +69,9 @@ class SupervisedMotion:
         places of the joints that move
     config, timeouts
         how they move, and when they stop
+    by_pose
+        only poses of the end point are sent: the robot chooses its joints, and these are followed where the pose leaves
+        a choice
     """
 
     def __init__(
@@ -80,9 +81,12 @@ class SupervisedMotion:
         joints: Sequence[int] | NDArray[np.intp],
         config: MotionConfig | None = None,
         timeouts: MotionTimeouts | None = None,
+        by_pose: bool = False,
     ) -> None:
         self.robot, self.endpoint = robot, endpoint
         self.motion = JointMotion(robot, joints, config)
+        self.lag: MotionLag = HandLag(self.motion, endpoint) if by_pose else JointLag(self.motion)
+        self._by_pose = by_pose
         self.timeouts = timeouts or MotionTimeouts()
         self.start()
 
@@ -93,7 +97,7 @@ class SupervisedMotion:
         self._state_fault = self._reference_fault = ""
         self._state_missing: Callable[[], str] | None = None
         self._q = self._anchor = np.zeros(0)
-        self._lags = np.zeros(len(self.motion.joints))
+        self.lag.forget()
         self._anchor_ns = self._heard_ns = self._stepped_ns = self._held_ns = 0
         self._moving = False
         self._lost = ""
@@ -109,12 +113,6 @@ class SupervisedMotion:
     def aims(self) -> tuple[Aim, ...]:
         """What the last good reference asks for."""
         return self._aims
-
-    @property
-    def lag(self) -> tuple[float, str]:
-        """How far a joint was from what it was told when it was measured last, rad (m), and which; 0 before that."""
-        worst = int(np.argmax(self._lags))
-        return float(self._lags[worst]), self.motion.names[worst]
 
     # -- inputs --------------------------------------------------------------------------------------------------------
 
@@ -184,7 +182,7 @@ class SupervisedMotion:
         joints = self.motion.joints
         # what has come to a joint meanwhile is nothing that an older measurement could show
         if self._moving:
-            self._lags = np.abs(self._q - self.motion.q)[joints]
+            self.lag.take(self._q)
         is_new = age is None or age > timeouts.joint_state_timeout
         if is_new or np.abs(self._q - self._anchor)[joints].max() > RESTS_WITHIN:
             self._anchor, self._anchor_ns = self._q, now_ns
@@ -229,7 +227,7 @@ class SupervisedMotion:
                 self.mode, self.reason = ControllerMode.WAITING, f"{why}: nothing is sent"
                 return None
             self._moving, self._held_ns, self._progress = True, 0, AimProgress()
-            self._lags = 0.0 * self._lags
+            self.lag.forget()
         return self._stay(why, dt, now_ns) if why else self._follow(dt)
 
     def release(self, now_ns: int) -> JointStep | None:
@@ -243,7 +241,7 @@ class SupervisedMotion:
         return step
 
     def _follow(self, dt: float) -> JointStep:
-        step = self.motion.step(self._aims, dt, self._q)
+        step = self.motion.step(self._aims, dt, self._q, self._by_pose)
         self._held_ns = 0
         self.mode, self.reason = ControllerMode.ACTIVE, "following the reference"
         if words := self._progress.hindered(step, dt):
@@ -263,10 +261,10 @@ class SupervisedMotion:
         self.mode, self.reason = ControllerMode.HOLD, f"{why}: holds"
         age = self._states.age(now_ns)
         is_known = age is not None and age <= self.timeouts.joint_state_timeout
-        if self._lost and is_known and self._rests and self.lag[0] > RESTS_WITHIN:
+        if self._lost and is_known and self._rests and self.lag.largest > RESTS_WITHIN:
             # what it is told is where it is: it does not jump, whenever it is let go
             self.motion.start(self._q)
-            self._lags = 0.0 * self._lags
+            self.lag.forget()
             return self.motion.step((), dt, self._q)
         return step
 
@@ -282,9 +280,7 @@ class SupervisedMotion:
             return "no joint state yet" + refused
         if state_age > timeouts.joint_state_timeout:
             return f"no new joint state for {timeouts.joint_state_timeout:g} s{refused}"
-        lag, joint = self.lag
-        if lag > timeouts.max_lag:
-            self._lost = f"the robot does not follow: {joint} is {lag:.2f} rad (m) from its command"
+        self._lost = self.lag.why_lost(timeouts) or self._lost
         if self._lost:
             return f"{self._lost}; it starts again with the next movement"
         refused = f" (the newest was refused: {self._reference_fault})" if self._reference_fault else ""

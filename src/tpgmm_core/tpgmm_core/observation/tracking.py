@@ -212,7 +212,7 @@ class FrameTracker:
         return self._hand.take(pose, stamp_ns, steady_ns)
 
     def observe_gripper(self, name: str, closed: bool, stamp_ns: int) -> None:
-        """Hear whether the gripper that may hold a frame (of those with the hand) is closed from a time on, ROS time."""
+        """Hear whether the gripper that may hold a frame is closed from a time on, ROS time."""
         self._hand.grip(name, closed, stamp_ns)
 
     def refuse(self, name: str, reason: str) -> str:

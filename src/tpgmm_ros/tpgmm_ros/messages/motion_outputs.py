@@ -126,6 +126,8 @@ OUTPUTS: Mapping[str, MotionOutput] = {
 #: The output that is an action, `control_msgs/FollowJointTrajectory`: no topic that is published.
 ACTION = "follow_joint_trajectory"
 NAMES = (*OUTPUTS, ACTION)
+#: Those that say where joints are to be; the others leave that to the robot.
+OF_JOINTS = ("joint_trajectory", "positions", ACTION)
 
 
 class MotionOutputs:

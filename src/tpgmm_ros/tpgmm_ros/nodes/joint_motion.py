@@ -27,7 +27,7 @@ from tpgmm_msgs.msg import ControllerState
 from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros.messages.conversions import JointStates, MessageError
 from tpgmm_ros.messages.joint_state_bytes import JointStateDecoder, JointStateValues
-from tpgmm_ros.messages.motion_outputs import ACTION, NAMES, Motion, MotionOutputs, check_outputs
+from tpgmm_ros.messages.motion_outputs import ACTION, NAMES, OF_JOINTS, Motion, MotionOutputs, check_outputs
 from tpgmm_ros.messages.qos import LATCHED, STATES, STREAM
 from tpgmm_ros.messages.values import StampedReference
 from tpgmm_ros.nodes.controller_status import ControllerStatus
@@ -129,7 +129,8 @@ class JointMotionNode(ManagedNode):
             )
         joints = robot.indices(group or robot.endpoints[endpoint].joints)
         configs = self.parameters.fill(MotionConfig), self.parameters.fill(MotionTimeouts)
-        return SupervisedMotion(robot, endpoint, joints, *configs)
+        by_pose = not set(self.parameters["outputs"]) & set(OF_JOINTS)
+        return SupervisedMotion(robot, endpoint, joints, *configs, by_pose)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Wait for joint states and a reference, with nothing known from before."""
@@ -265,8 +266,7 @@ class JointMotionNode(ManagedNode):
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
         values = {}
         if self._active and self.motion is not None:
-            lag, joint = self.motion.lag
-            values = {"robot_lag_rad": f"{lag:.4f}", "robot_lag_joint": joint}
+            values = self.motion.lag.values
         return self.status.diagnosis(values, clock_trouble(self) if self._active else "")
 
 
