@@ -55,6 +55,7 @@ class ImpedanceRobot(StandIn):
         self.target, self.stiffness = self.data.pose(endpoint), STIFFNESS
         self.torque = self.data.gravity(robot.home)
         self.begun: float | None = None
+        self.told_ns = self.now_ns()
         self.create_subscription(PoseStamped, "target_pose", self.take, COMMANDS)
         self.create_subscription(Float64MultiArray, "target_stiffness", self.take_stiffness, COMMANDS)
         self.every(PERIOD, self.step)
@@ -62,7 +63,9 @@ class ImpedanceRobot(StandIn):
     def take(self, message: PoseStamped) -> None:
         if (count := self.count_publishers("target_pose")) > 1:
             self.violate(f"publishers: {count} of target_pose, which is then not heard")
-        self.violate(*broken_by_target(message, self.robot.base_frame, self.target, self.now_ns()))
+        now_ns, base = self.now_ns(), self.robot.base_frame
+        self.violate(*broken_by_target(message, base, self.target, now_ns, 1e-9 * (now_ns - self.told_ns)))
+        self.told_ns = now_ns
         target = conversions.pose_to_array(message.pose)
         way, turn = pose_error(target, self.target)
         self.hear(way > MOVES[0] or turn > MOVES[1])

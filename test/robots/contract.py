@@ -18,8 +18,8 @@ from tpgmm_ros.messages import conversions
 
 #: Where joints are told to be may be this far from where the last trajectory led, rad.
 JUMP = 0.05
-#: The same of a hand, m and rad: a Cartesian controller goes there as fast as its stiffness lets it.
-HAND_JUMP = 0.02, 0.1
+#: The same of a hand, m and rad, and how fast it may go on, m/s and rad/s.
+HAND_JUMP, HAND_SPEED = (0.005, 0.05), (0.5, 2.0)
 #: Stiffnesses that crisp_controllers takes are at most this, N/m and N m/rad.
 MAX_STIFFNESS = 5000.0
 #: Stamps may be this far from the robot's clock, s.
@@ -53,10 +53,11 @@ def broken_by_trajectory(robot: RobotModel, order: Sequence[str], message: Joint
     return found
 
 
-def broken_by_target(message: PoseStamped, frame: str, last: Array, now_ns: int) -> list[str]:
+def broken_by_target(message: PoseStamped, frame: str, last: Array, now_ns: int, since: float) -> list[str]:
     """What a Cartesian controller with crisp's topics should not be told.
 
-    `frame` is the base of the controller, `last` (7,) its last target or, before the first, where the hand is.
+    `frame` is the base of the controller, `last` (7,) its last target, `since` s ago, or, before the first, where the
+    hand is.
     """
     found, pose = [], conversions.pose_to_array(message.pose)
     if message.header.frame_id != frame:
@@ -66,7 +67,8 @@ def broken_by_target(message: PoseStamped, frame: str, last: Array, now_ns: int)
     if not np.isfinite(pose).all() or abs(np.linalg.norm(pose[3:]) - 1.0) > 1e-6:
         return [*found, f"pose: no position with a unit quaternion: {pose}"]
     way, turn = pose_error(pose, last)
-    if way > HAND_JUMP[0] or turn > HAND_JUMP[1]:
+    possible = np.array(HAND_JUMP) + since * np.array(HAND_SPEED)
+    if way > possible[0] or turn > possible[1]:
         found.append(f"jump: {1e3 * way:.0f} mm and {np.degrees(turn):.0f} deg from the target before")
     return found
 

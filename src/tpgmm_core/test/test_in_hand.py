@@ -67,12 +67,19 @@ def pose_of(frame: TrackedFrame) -> Array:
     return frame.pose
 
 
-def tracked(thing: Callable[[float], Array], delay: float = 0.0, hand_until: float = DURATION) -> list[TrackedFrame]:
+def tracked(
+    thing: Callable[[float], Array],
+    delay: float = 0.0,
+    hand_until: float = DURATION,
+    gripper: Callable[[float], bool] | None = None,
+) -> list[TrackedFrame]:
     """What a tracker says at TIMES of a thing that is not seen from HIDDEN on; a camera tells it late."""
     tracker = FrameTracker(["thing"], config=CONFIG, unknown_after={"thing": math.inf}, with_hand=["thing"])
     found = []
     for t in TIMES:
         now, seen = round(SECOND * (100 + t)), round(SECOND * (100 + t - delay))
+        if gripper is not None:  # told before the hand's pose of this time
+            tracker.observe_gripper("thing", gripper(t), now)
         if 0.0 <= t - delay < HIDDEN:  # told before the hand's pose of this time
             assert tracker.observe("thing", thing(t - delay), seen, now, now) is None
         if t < hand_until:
@@ -157,3 +164,64 @@ def test_only_frames_that_stay_can_move_with_the_hand() -> None:
 def test_the_hand_may_be_anywhere_before_and_a_thing_keeps_its_place_in_it() -> None:
     last = tracked(in_hand)[-1]
     np.testing.assert_allclose(compose(inverse(hand_at(TIMES[-1])), pose_of(last)), IN_HAND, atol=1e-9)
+
+
+# -- a gripper that tells whether it holds something
+
+CLOSES, OPENS = 2.3, 3.2
+
+
+def gripper(t: float) -> bool:
+    return CLOSES - 1e-6 <= t < OPENS - 1e-6
+
+
+def beside_the_hand(t: float) -> Array:
+    """Near enough to be taken, where the hand is when its gripper closes."""
+    return compose(hand_at(CLOSES), [0.03, 0.0, 0.04, *IN_HAND[3:]])
+
+
+def far_from_the_hand(t: float) -> Array:
+    return compose(hand_at(CLOSES), [0.2, 0.0, 0.04, *IN_HAND[3:]])
+
+
+def test_what_the_gripper_closed_around_unseen_moves_with_the_hand_until_it_opens() -> None:
+    found = tracked(beside_the_hand, gripper=gripper)
+    poses = dict(zip(TIMES.round(6), map(pose_of, found), strict=True))
+    np.testing.assert_allclose(poses[2.2], beside_the_hand(0.0), atol=1e-12)
+    place = compose(inverse(hand_at(CLOSES)), beside_the_hand(0.0))
+    np.testing.assert_allclose(poses[3.0], compose(hand_at(3.0), place), atol=1e-9)
+    left = compose(hand_at(OPENS), place)
+    np.testing.assert_allclose(pose_of(found[-1]), left, atol=1e-9)
+    assert found[-1].covariance is not None and found[-1].covariance[0, 0] > 0.01**2, "it is known worse"
+    steps = [pose_error(a, b)[0] for a, b in zip(list(poses.values())[1:], list(poses.values())[:-1], strict=True)]
+    assert max(steps) < 0.004, "it never leaps"
+
+
+@pytest.mark.parametrize(
+    ("thing", "closed"),
+    [(far_from_the_hand, gripper), (beside_the_hand, lambda t: True), (in_hand, lambda t: False)],
+    ids=["too far", "closed all the time", "seen to move, but the gripper is open"],
+)
+def test_what_the_gripper_does_not_hold_stays(thing: Callable[[float], Array], closed: Callable[[float], bool]) -> None:
+    np.testing.assert_allclose(pose_of(tracked(thing, gripper=closed)[-1]), thing(LAST), atol=1e-9)
+
+
+def test_a_gripper_that_was_closed_before_does_not_hide_what_was_seen() -> None:
+    last = tracked(in_hand, gripper=lambda t: True)[-1]
+    np.testing.assert_allclose(pose_of(last), in_hand(TIMES[-1]), atol=0.005)
+
+
+@pytest.mark.parametrize("thing", [beside_the_hand, far_from_the_hand, in_hand])
+def test_a_recording_says_the_same_as_the_tracker_of_a_gripper(thing: Callable[[float], Array]) -> None:
+    at = np.round(SECOND * (100 + TIMES)).astype(np.int64)
+    seen = TIMES < HIDDEN
+    things, hand = np.array([thing(t) for t in TIMES]), np.array([hand_at(t) for t in TIMES])
+    held = np.where(seen[:, None], things, things[np.flatnonzero(seen)[-1]])
+    signal = at, np.array([gripper(t) for t in TIMES])
+    poses, moved = carried_poses(at, hand, at[seen], things[seen], held, CONFIG.visible_timeout, signal)
+    hidden = TIMES > LAST + CONFIG.visible_timeout + 1e-6
+    live = np.array([pose_of(frame) for frame in tracked(thing, gripper=gripper)])
+    # at the very time of a change, the tracker hears of it before it knows where the hand is
+    still = np.array([gripper(t) == gripper(t - PERIOD) for t in TIMES])
+    np.testing.assert_allclose(poses[hidden & still], live[hidden & still], atol=1e-9)
+    np.testing.assert_array_equal(moved, signal[1] & (thing is beside_the_hand))

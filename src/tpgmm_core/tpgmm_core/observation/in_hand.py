@@ -142,7 +142,7 @@ class Hand:
         seen = self._frames[name]
         told = [entry for _, entry in seen.waiting if isinstance(entry, bool)]
         if closed != (told[-1] if told else seen.closed):
-            seen.waiting.append((stamp_ns, closed))
+            seen.waiting.append((stamp_ns, bool(closed)))
             self._work_off(seen)
 
     def moves(self, name: str) -> bool:

@@ -3,12 +3,17 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
 
+from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import is_pose_covariance
+
+_PART = re.compile(r"(\w+)(?:\[([^\[\]]+)\])?")
 
 Numbers = tuple[float, float, float, float, float, float, float]
 
@@ -64,3 +69,56 @@ def covariance_array(pose: Any) -> Array | None:
         return None
     covariance /= max(1.0, float(np.abs(covariance).max()) / LARGEST_VARIANCE)
     return covariance if is_pose_covariance(covariance) else None
+
+
+def field_parts(field: str) -> list[tuple[str, str | None]]:
+    """The names of a field such as "a.b[3]", each with its element."""
+    return [(found[1], found[2]) for found in map(_PART.fullmatch, field.split(".")) if found is not None]
+
+
+def number_of(message: Any, parts: list[tuple[str, str | None]]) -> float | None:
+    """A number of a message of any type.
+
+    Parameters
+    ----------
+    message
+        the message
+    parts
+        of `field_parts`; ``[3]`` takes an element, ``[finger]`` that whose name stands in `name` beside the list
+
+    Returns
+    -------
+    float or None
+        None where there is no such element
+
+    Raises
+    ------
+    TypeError
+        messages of this type have no such number.
+    """
+    value = message
+    for name, element in parts:
+        holder, known = value, _field_names(value)
+        if name not in known:
+            there = listed(known) if known else "none: it is a value"
+            raise TypeError(f"there is no field {name!r}; its fields are {there}")
+        value = getattr(holder, name)
+        if element is None:
+            continue
+        if not hasattr(value, "__len__") or isinstance(value, str):
+            raise TypeError(f"{name!r} is no list, so that it has no [{element}]")
+        names = list(getattr(holder, "name", ()))
+        at = int(element) if element.isdecimal() else names.index(element) if element in names else len(value)
+        if at >= len(value):
+            return None
+        value = value[at]
+    if not isinstance(value, bool | int | float | np.number | np.bool_):
+        what = "a list: name one of its elements, such as [0]" if hasattr(value, "__len__") else "made of other fields"
+        raise TypeError(f"it is {what}")
+    return float(value)
+
+
+def _field_names(value: Any) -> list[str]:
+    if is_dataclass(value):
+        return [item.name for item in fields(value)]
+    return list(value.get_fields_and_field_types()) if hasattr(value, "get_fields_and_field_types") else []

@@ -27,6 +27,7 @@ from tpgmm_ros.messages.qos import LATCHED, STREAM
 from tpgmm_ros.messages.sources import PoseStampedSource, Source
 from tpgmm_ros.messages.values import StampedFrames
 from tpgmm_ros.nodes.frame_sources import FrameSources
+from tpgmm_ros.nodes.gripper_signals import subscribe_to_grippers
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.local_topics import publish_value
 from tpgmm_ros.runtime.monitor import Monitor
@@ -97,6 +98,7 @@ class FrameTrackerNode(Node):
                 sources[_HAND] = PoseStampedSource(self.task.movement)
             self._sources = FrameSources(self, sources, self.task.base_frame, self._observe, self._refuse, self._fix)
             self.create_timer(1.0 / parameters["rate"], self._publish_regularly, clock=self._loop_clock)
+        subscribe_to_grippers(self, self.task.grippers, self.tracker.observe_gripper, self._warn)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
         self._jump = self.get_clock().create_jump_callback(backwards, post_callback=lambda _: self._forget())
         self.monitor = Monitor(self, self._status)

@@ -20,6 +20,7 @@ from tpgmm_core.observation.in_hand import carried_poses
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_core.observation.tracked import TrackingConfig
 from tpgmm_ros.recordings.bag_messages import BagError
+from tpgmm_ros.recordings.numeric_fields import read_numbers
 from tpgmm_ros.recordings.pose_streams import without_leaps
 from tpgmm_ros.recordings.recording import Recording
 from tpgmm_ros.task.task_file import Task
@@ -160,7 +161,9 @@ class BagStreams:
             unknown_after = self.task.frames[name].unknown_after
             frames[name], visible[name] = _hold(*series[name], at, unknown_after)
             if self.task.frames[name].with_hand:
-                frames[name], moved = carried_poses(at, movement, *series[name], frames[name], tracking.visible_timeout)
+                frames[name], moved = carried_poses(
+                    at, movement, *series[name], frames[name], tracking.visible_timeout, self._gripper(name)
+                )
                 if moved.any():
                     notes.append(f"{name}: not seen, but moving with the hand, in {moved.sum()} of {len(at)} samples")
             unseen, first = np.count_nonzero(~visible[name]), int(np.argmax(visible[name]))
@@ -182,6 +185,17 @@ class BagStreams:
             self.task.derived,
             tuple(doubts),
         )
+
+    def _gripper(self, name: str) -> tuple[Nanoseconds, NDArray[np.bool_]] | None:
+        """When the gripper that may hold a frame told something, and whether it was closed; None: nothing tells it."""
+        signal = self.task.frames[name].gripper
+        if signal is None:
+            return None
+        recorded, values = read_numbers(self.path, signal.topic, signal.field)
+        seconds = self.seconds_of(recorded)
+        order = np.argsort(seconds, kind="stable")
+        at = self.times[MOVEMENT][0] + np.round(SECOND * seconds[order]).astype(np.int64)
+        return at, signal.holds(values[order])
 
     def _configurations(self, at: Nanoseconds) -> Array | None:
         """Positions (T, n) of the joints at these times (T,), ns; None for tasks without joints."""

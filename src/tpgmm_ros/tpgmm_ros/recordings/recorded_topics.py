@@ -42,6 +42,7 @@ def needed_topics(task: Task) -> dict[str, str]:
             found[source.topic] = JOINT_STATE
         elif source is not None:
             found[source.topic] = source.message_type
+    found |= {signal.topic: signal.message_type for signal in task.grippers.values()}
     return found | ({task.space.joint_states: JOINT_STATE} if task.space.joints() else {})
 
 

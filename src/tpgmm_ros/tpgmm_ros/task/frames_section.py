@@ -4,6 +4,7 @@
 object: {topic: object/pose}           # observed: PoseStamped; for other sources see `source_entries`
 table: {tf: table, unseen: stays}      # observed; out of sight it is where it was last seen
 cup: {topic: cup, unseen: {with: hand}}  # the same, or with the hand if it was last seen to move with it
+nut: {topic: nut, unseen: {with: hand, gripper: {topic: width, type: std_msgs/Float64, below: 0.03}}}  # held by it
 robot: {pose: [0, 0, 0, 0, 0, 0, 1]}   # fixed: x y z (m), qx qy qz qw, in base_frame
 place: {frame: object, turned: false}  # derived: where `object` is, with the axes of base_frame
 begin: {hand: start, turned: false}    # derived: where the hand is when the movement begins
@@ -12,7 +13,7 @@ begin: {hand: start, turned: false}    # derived: where the hand is when the mov
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +22,7 @@ from tpgmm_core.common.yaml_sections import Section
 from tpgmm_core.common.yaml_values import a_choice, a_name, a_number, a_quaternion, is_name, numbers
 from tpgmm_core.model.derived_frames import HAND, DerivedFrames, FrameSource
 from tpgmm_ros.messages.sources import PoseStampedSource, Source
+from tpgmm_ros.task.signals import TypedSignal, read_typed_signal
 from tpgmm_ros.task.source_entries import KEYS, read_source
 
 UNSEEN = "unseen"
@@ -46,6 +48,8 @@ class TaskFrameSpec:
         as recordings and the tracker have it where nothing is said
     with_hand
         whether it then moves with the hand, if it was seen to
+    gripper
+        holds where the gripper is closed that may hold it, or None; what it says counts more than what was seen
     """
 
     name: str
@@ -53,6 +57,7 @@ class TaskFrameSpec:
     pose: tuple[float, ...] | None = None
     unknown_after: float | None = None
     with_hand: bool = False
+    gripper: TypedSignal | None = None
 
 
 def read_frames(section: Section, movement: str, base_frame: str) -> tuple[dict[str, TaskFrameSpec], DerivedFrames]:
@@ -111,8 +116,7 @@ def read_frames(section: Section, movement: str, base_frame: str) -> tuple[dict[
                 f"{taken[source]}: each frame needs its own"
             )
         taken[source] = f"the frame {name!r}"
-        unknown_after, with_hand = entry.required(UNSEEN, _unseen) if UNSEEN in entry.values else (None, False)
-        frames[name] = TaskFrameSpec(name, source, unknown_after=unknown_after, with_hand=with_hand)
+        frames[name] = TaskFrameSpec(name, source, **_unseen(entry))
     for name, made_of in derived.items():
         if made_of.of not in (*frames, HAND):
             raise section.error(
@@ -136,16 +140,27 @@ def _source(entry: Section) -> FrameSource:
     return FrameSource(entry.required("frame", a_name), turned)
 
 
-def _unseen(value: Any) -> tuple[float, bool]:
-    """The time after which it is not known where a frame is, s, and whether it may move with the hand."""
-    if value in ("stays", WITH_HAND):
-        return math.inf, value == WITH_HAND
+def _unseen(entry: Section) -> dict[str, Any]:
+    """What the entry says of a frame that is out of sight, as arguments of `TaskFrameSpec`."""
+    value = entry.values.get(UNSEEN)
+    if isinstance(value, Mapping) and {key: value[key] for key in value if key != "gripper"} == WITH_HAND:
+        section = entry.section(UNSEEN)
+        gripper = read_typed_signal(section.section("gripper")) if "gripper" in value else None
+        return {"unknown_after": math.inf, "with_hand": True, "gripper": gripper}
+    return {"unknown_after": entry.required(UNSEEN, _time_or_stays)} if UNSEEN in entry.values else {}
+
+
+def _time_or_stays(value: Any) -> float:
+    """The time after which it is not known where a frame is, s."""
+    if value == "stays":
+        return math.inf
     try:
-        return a_number(0.0)(value), False
+        return a_number(0.0)(value)
     except ValueError:
         raise ValueError(
             "'stays' (an unseen frame stays where it was last seen), {with: hand} (the same, but with the hand if it "
-            "was last seen to move with it), or the time in s after which its pose is unknown"
+            "was last seen to move with it, or if its gripper holds it), or the time in s after which its pose is "
+            "unknown"
         ) from None
 
 

@@ -10,20 +10,15 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from tpgmm_core.common.types import Array
 from tpgmm_core.common.yaml_sections import Section
-from tpgmm_core.common.yaml_values import a_choice, a_number, a_topic, an_integer
+from tpgmm_core.common.yaml_values import a_choice, a_number, an_integer
 from tpgmm_core.observation.takes import Rest
+from tpgmm_ros.task.signals import SIGNAL_KEYS, TopicSignal, read_signal
 
 WHILE, UNTIL_NEXT = "while", "until_next"
-_FIELD = re.compile(r"[A-Za-z]\w*(\[[^\[\]]+\])?(\.[A-Za-z]\w*(\[[^\[\]]+\])?)*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,44 +41,25 @@ class StillTakes:
 
 
 @dataclass(frozen=True, slots=True)
-class TopicTakes:
-    """Takes are told by a topic.
+class TopicTakes(TopicSignal):
+    """Takes are told by a topic: where its signal holds.
 
     Attributes
     ----------
-    topic
-        relative name
-    field
-        of its messages, a number or a truth value
-    bound
-        it counts where it is above this
-    is_below
-        or below it
     lasts
-        as long as it counts (while), or until it begins to count again (until_next)
+        as long as it holds (while), or until it begins to hold again (until_next)
     pause
-        where it does not count for less time, that is overlooked, s
+        where it does not hold for less time, that is overlooked, s
     shortest
         takes that last less are none, s
     every
         each n-th counts, from the first
     """
 
-    topic: str
-    field: str = "data"
-    bound: float = 0.5
-    is_below: bool = False
     lasts: str = WHILE
     pause: float = 0.0
     shortest: float = 0.5
     every: int = 1
-
-    def holds(self, values: Array) -> NDArray[np.bool_]:
-        """Where numbers (T,) count."""
-        return values < self.bound if self.is_below else values > self.bound
-
-    def __str__(self) -> str:
-        return f"{self.field} of {self.topic} is {'below' if self.is_below else 'above'} {self.bound:g}"
 
 
 type TakesRule = StillTakes | TopicTakes
@@ -123,21 +99,13 @@ def read_takes(section: Section) -> TakesRule:
         return StillTakes(
             Rest(**{n: section.required(k, _above_0) for k, n in names.items() if k in section.values}), **common
         )
-    section.refuse_others("topic", "field", "above", "below", "lasts", "pause", "shortest", "every")
-    if {"above", "below"} <= section.values.keys():
-        raise section.error("has 'above' and 'below': give only one of them")
+    section.refuse_others(*SIGNAL_KEYS, "lasts", "pause", "shortest", "every")
     values = {
-        name: section.required(key, read)
-        for key, (name, read) in {
-            "field": ("field", _a_field),
-            "above": ("bound", a_number()),
-            "below": ("bound", a_number()),
-            "lasts": ("lasts", a_choice(WHILE, UNTIL_NEXT)),
-            "pause": ("pause", a_number(0.0)),
-        }.items()
+        key: section.required(key, read)
+        for key, read in {"lasts": a_choice(WHILE, UNTIL_NEXT), "pause": a_number(0.0)}.items()
         if key in section.values
     }
-    return TopicTakes(section.required("topic", a_topic), is_below="below" in section.values, **values, **common)
+    return TopicTakes(**read_signal(section), **values, **common)
 
 
 def _above_0(value: Any) -> float:
@@ -145,11 +113,3 @@ def _above_0(value: Any) -> float:
     if number == 0.0:
         raise ValueError("a finite number above 0")
     return number
-
-
-def _a_field(value: Any) -> str:
-    if not isinstance(value, str) or _FIELD.fullmatch(value) is None:
-        raise ValueError(
-            'a field of a message, such as data, wrench.force.z, "position[0]" or "position[finger_joint]"'
-        )
-    return value

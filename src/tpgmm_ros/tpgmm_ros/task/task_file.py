@@ -42,6 +42,7 @@ from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Sour
 from tpgmm_ros.task.frames_section import TaskFrameSpec, read_frames
 from tpgmm_ros.task.kinematic_section import KinematicSpec
 from tpgmm_ros.task.recordings_section import PoseArraySpec, read_recordings
+from tpgmm_ros.task.signals import TypedSignal
 from tpgmm_ros.task.source_entries import a_frame_id
 from tpgmm_ros.task.state_space import PoseSpace, StateSpace
 from tpgmm_ros.task.takes_section import TakesRule, TopicTakes, read_takes
@@ -197,6 +198,11 @@ class Task:
     def with_hand(self) -> tuple[str, ...]:
         """Frames that move with the hand while they are not seen, if they were seen to."""
         return tuple(spec.name for spec in self.frames.values() if spec.with_hand)
+
+    @property
+    def grippers(self) -> dict[str, TypedSignal]:
+        """What tells whether the hand holds a frame, by frame name, where the file says it."""
+        return {name: spec.gripper for name, spec in self.frames.items() if spec.gripper is not None}
 
     @property
     def topics(self) -> dict[str, str]:
