@@ -13,6 +13,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
+from sensor_msgs.msg import JointState
 
 from ros_graph import ALL_LATCHED, SECOND, Diagnostics, Inbox, ros_arguments
 from ros_testing import RunningProcess, StartProcess, spin_until
@@ -292,6 +293,64 @@ def test_a_frame_that_was_seen_to_move_with_the_hand_goes_on_with_it_and_one_bes
     assert np.sqrt(cup.pose_covariance[0]) == pytest.approx(0.01 + 0.1 * gone, rel=0.1) and gone > 0.05
     np.testing.assert_allclose(box.b[:3], compose(GOOD, in_hand)[:3], atol=1e-6)
     assert len(box.pose_covariance) == 0
+
+
+def test_what_a_gripper_closes_around_unseen_goes_with_the_hand_until_it_opens(
+    ros_node: Node, start_process: StartProcess, tmp_path: Path
+) -> None:
+    gripper = '{topic: fingers, type: sensor_msgs/JointState, field: "position[finger]", below: 0.03}'
+    frames = f"frames: {{nut: {{topic: nut, unseen: {{with: hand, gripper: {gripper}}}}}}}\n"
+    (tmp_path / "task.yaml").write_text(TASK.split("frames:")[0] + frames)
+    process = start_process("frame_tracker", *ros_arguments(task_file=tmp_path / "task.yaml"))
+    inbox = Inbox(ros_node, TaskParameters, "task_parameters", ALL_LATCHED)
+    diagnostics = Diagnostics(ros_node)
+    hands, nuts = (ros_node.create_publisher(PoseStamped, name, STREAM) for name in ("hand/pose", "nut"))
+    fingers = ros_node.create_publisher(JointState, "fingers", STREAM)
+    nut = GOOD + np.array([0.0, 0.04, 0.0, 0.0, 0.0, 0.0, 0.0])
+    way, width, published = [0.0], [0.08], [0]
+
+    def live(speed: float, *seen: np.ndarray) -> None:
+        """The hand goes on by so many m, at most every 5 ms."""
+        stamp = ros_node.get_clock().now().nanoseconds
+        if stamp - published[0] < SECOND // 200:
+            return
+        published[0] = stamp
+        way[0] += speed
+        hand = GOOD + np.array([way[0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        hands.publish(conversions.pose_stamped(hand, stamp, "base"))
+        fingers.publish(conversions.joint_state_message(["wrist", "finger"], stamp, np.array([0.0, width[0]])))
+        for pose in seen:
+            nuts.publish(conversions.pose_stamped(pose, stamp, "base"))
+
+    def is_there(x: float, status: int, speed: float, *seen: np.ndarray) -> Callable[[], bool]:
+        def check() -> bool:
+            live(speed if way[0] < x - GOOD[0] else 0.0, *seen)
+            found = next(iter(inbox.last.frames), None) if inbox.last else None
+            return found is not None and found.status == status and abs(found.b[0] - x) < 1e-6
+
+        return check
+
+    def says(words: str) -> Callable[[], bool]:
+        def check() -> bool:
+            live(0.0)
+            return words in diagnostics.values.get("frame_tracker", {}).get("note_nut_1", "")
+
+        return check
+
+    def until(condition: Callable[[], bool], what: str) -> None:
+        spin_until(ros_node, condition, message=what, processes=(process,))
+
+    until(is_there(GOOD[0], TaskFrame.VISIBLE, 0.0, nut), "the nut")
+    until(says("stays where it was: the gripper is open"), "the open gripper")
+    width[0] = 0.01
+    until(says("moves with the hand, whose gripper holds it"), "the closed gripper")
+    last = way[0]
+    until(lambda: live(0.002) or way[0] > last + 0.1, "the hand's way")
+    until(is_there(GOOD[0] + way[0], TaskFrame.HELD, 0.0), "the nut in the hand")
+    width[0], let_go = 0.08, GOOD[0] + way[0]
+    until(says("stays where the gripper let it go"), "the gripper to open")
+    until(lambda: live(0.002) or way[0] > last + 0.2, "the hand's way back")
+    until(is_there(let_go, TaskFrame.HELD, 0.0), "the nut where it was let go")
 
 
 def test_a_frame_that_no_transforms_lead_to_is_named_with_what_is_known(

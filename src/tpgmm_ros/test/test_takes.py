@@ -13,6 +13,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from synthetic_bags import REACH_TASK, START_S, Topic, reach, write_bag
+from tpgmm_core.geometry.pose import compose, inverse
 from tpgmm_ros.programs import evaluate, inspect, show, train
 from tpgmm_ros.recordings.bags import BagError, read_recording, read_recordings, read_takes
 from tpgmm_ros.recordings.recorded_topics import topics_of
@@ -190,6 +191,27 @@ def test_a_topic_cuts_a_bag_by_the_times_at_which_the_recorder_heard_both(takes:
         np.testing.assert_allclose(one.movement[0, :3], [0.4, 0.4, 0.4], atol=0.01)
     until_next = read_takes(bag, task_with(f"{takes[:-1]}, lasts: until_next}}"))[0]
     np.testing.assert_allclose(until_next[0].duration, BEGINS[1] - BEGINS[0], atol=2.0 / RATE)
+
+
+def test_what_a_gripper_holds_goes_with_the_hand_in_a_recording(tmp_path: Path) -> None:
+    topics = lessons(1)
+    hand = topics["/endpoint/pose"]
+    beside = hand.poses[0] + np.array([0.0, 0.0, 0.03, 0.0, 0.0, 0.0, 0.0])
+    topics["/object/pose"] = Topic(np.tile(beside, (10, 1)), hand.recorded[:10])  # then the hand covers it
+    bag = with_signals(tmp_path / "demo", topics)
+    gripper = '{topic: gripper/joint_states, type: sensor_msgs/JointState, field: "position[finger]", below: 0.02}'
+    unseen = f"{{topic: object/pose, unseen: {{with: hand, gripper: {gripper}}}"
+    task = Task.from_text(REACH_TASK.replace("{topic: object/pose", unseen))
+    assert topics_of(task)["gripper/joint_states"] == "sensor_msgs/msg/JointState"
+    found = read_recording(bag, task)
+    k = [round((BEGINS[0] + at) * RATE) for at in (-0.4, 0.0, 0.5 * REACH, REACH)]  # before, from the beginning on
+    np.testing.assert_allclose(found.frames["object"][k[0]], beside, atol=1e-12)
+    place = compose(inverse(found.movement[k[1]]), beside)
+    for at in k[2:]:
+        np.testing.assert_allclose(found.frames["object"][at], compose(found.movement[at], place), atol=1e-9)
+    after = found.frames["object"][k[3] + 2 :]
+    np.testing.assert_allclose(after, np.tile(after[0], (len(after), 1)), atol=1e-12)
+    assert any("moving with the hand" in note for note in found.notes)
 
 
 def test_a_recorder_of_the_task_records_what_cuts() -> None:

@@ -34,6 +34,10 @@ def changed(**changes: object) -> str:
     return yaml.safe_dump({**GOOD, **changes})
 
 
+def gripped(gripper: dict[str, object]) -> str:
+    return changed(frames={"object": {"topic": "a", "unseen": {"with": "hand", "gripper": gripper}}})
+
+
 def without(key: str) -> str:
     return yaml.safe_dump({name: value for name, value in GOOD.items() if name != key})
 
@@ -140,6 +144,10 @@ def test_a_missing_key_is_named(key: str) -> None:
         (changed(frames={"object": {"topic": "a", "unseen": "gone"}}), "'stays' .* or the time in s after which"),
         (changed(frames={"object": {"topic": "a", "unseen": -1}}), "'stays' .* or the time in s after which"),
         (changed(frames={"object": {"topic": "a", "unseen": {"with": "tray"}}}), "{with: hand} .* if it was last seen"),
+        (gripped({"topic": "width"}), "lacks the key 'type'"),
+        (gripped({"topic": "width", "type": "Float64"}), "the type of the messages, such as sensor_msgs/JointState"),
+        (gripped({"topic": "w", "type": "a/B", "above": 1, "below": 1}), "'above' and 'below': give only one"),
+        (gripped({"topic": "w", "type": "a/B", "pause": 1}), "pause"),
         (changed(frames={"a": {"topic": "a"}, "b": {"frame": "a", "unseen": "stays"}}), "'unseen', which is for"),
         (changed(frames={"object": {"topic": "a"}, "b": {"frame": "obj"}}), "derived from 'obj'; expected .*: object"),
         (changed(frames={"a": {"topic": "a"}, "b": {"frame": "a"}, "c": {"frame": "b"}}), "derived from 'b'"),
