@@ -17,8 +17,8 @@ import rclpy
 from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import Float64MultiArray
 
-from robots.contract import broken_by_stiffness, broken_by_target
-from robots.stand_in import StandIn, run, slower
+from interfaces.contract import broken_by_stiffness, broken_by_target
+from interfaces.stand_in import StandIn, run, slower
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.geometry.pose import pose_error
 from tpgmm_core.robot.model import RobotModel
@@ -63,9 +63,9 @@ class ImpedanceRobot(StandIn):
     def take(self, message: PoseStamped) -> None:
         if (count := self.count_publishers("target_pose")) > 1:
             self.violate(f"publishers: {count} of target_pose, which is then not heard")
-        now_ns, base = self.now_ns(), self.robot.base_frame
-        self.violate(*broken_by_target(message, base, self.target, now_ns, 1e-9 * (now_ns - self.told_ns)))
-        self.told_ns = now_ns
+        stamp_ns = conversions.time_to_ns(message.header.stamp)
+        since, self.told_ns = 1e-9 * (stamp_ns - self.told_ns), stamp_ns
+        self.violate(*broken_by_target(message, self.robot.base_frame, self.target, self.now_ns(), since))
         target = conversions.pose_to_array(message.pose)
         way, turn = pose_error(target, self.target)
         self.hear(way > MOVES[0] or turn > MOVES[1])

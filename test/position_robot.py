@@ -9,7 +9,7 @@ in the order that it is given. It goes along cubic splines, each from where it i
 `joint_states` at 125 Hz, with the joints in another order, as drivers do. `robot_mode` (std_msgs/String) takes "stuck"
 (it does not move, as after an emergency stop; a goal is aborted once its tolerance is exceeded), "silent" (no joint
 states), "refusing" (each goal), "deaf" (goals are not answered) and "well". What breaks the contract of the interface
-is on `violations`: see `robots.contract`.
+is on `violations`: see `interfaces.contract`.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from robots.contract import broken_by_trajectory
-from robots.stand_in import KEPT, StandIn, run, slower
+from interfaces.contract import broken_by_trajectory
+from interfaces.stand_in import KEPT, StandIn, run, slower
 from tpgmm_core.robot.model import RobotModel
 
 RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)

@@ -18,9 +18,9 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_msgs.msg import String
 
-from robots.cases import Case
-from robots.contract import broken_by_torques
-from robots.stand_in import KEPT
+from interfaces.cases import Case
+from interfaces.contract import broken_by_torques
+from interfaces.stand_in import KEPT
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.pose import compose, pose_error
 from tpgmm_core.robot.model import RobotModel

@@ -13,8 +13,8 @@ import signal
 import sys
 from pathlib import Path
 
-from robots.cases import CASES
-from robots.run import Conditions, run
+from interfaces.cases import CASES
+from interfaces.run import Conditions, run
 from tpgmm_core.common.report import format_table
 from tpgmm_ros.programs import train
 from tpgmm_ros.programs.reporting import run_with_report, write_report
