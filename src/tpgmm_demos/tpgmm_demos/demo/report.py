@@ -115,7 +115,8 @@ def _perception(recording: RunRecord, world: World) -> dict[str, Any]:
     """What of the camera's images came through to the task parameters, per second in which the object was in sight."""
     assert world.started_ns is not None
     counts = recording.observations(world.started_ns)
-    rates = {name: counts[name] / time for name, time in world.in_sight_s.items() if time > 0.0}
+    in_sight_s = world.in_sight_s(world.started_ns)
+    rates = {name: counts[name] / time for name, time in in_sight_s.items() if time > 0.0}
     return {"camera_hz": world.camera.config.rate, "rate_hz": rates}
 
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,8 +97,6 @@ class World:
     ----------
     started_ns
         stamp of the movement's start, ns; as long as it is None, the disturbances wait
-    in_sight_s
-        for how long each of the objects could be seen during the movement, s
     nearest
         how near (m, rad) the hand came to where it could grasp the object
     """
@@ -120,12 +118,20 @@ class World:
         self._task = task
         self.camera = camera
         self._lockstep = lockstep
-        self.in_sight_s = dict.fromkeys(task.topics, 0.0)
+        self._sights: list[tuple[int, float, Collection[str]]] = []
         self.nearest = np.inf, np.inf
         self._answered_ns = -1
         self._said: dict[str, PoseStamped] = {}
         self._publish = publish or _publisher(node, task)
         node.create_subscription(PoseStamped, task.movement, self._answer, STREAM)
+
+    def in_sight_s(self, since_ns: int) -> dict[str, float]:
+        """For how long each of the objects could be seen since a stamp, s.
+
+        By stamps, since in real time the world hears of the movement's start only some time after it.
+        """
+        seen = [sight for sight in self._sights if sight[0] >= since_ns]
+        return {name: sum(elapsed for _, elapsed, names in seen if name in names) for name in self._task.topics}
 
     def _answer(self, message: PoseStamped) -> None:
         stamp_ns = conversions.time_to_ns(message.header.stamp)
@@ -147,9 +153,7 @@ class World:
             self.nearest = min(self.nearest, pose_error(hand, hand_at(self.grasp.object)))
         places = {"target": self.situation.target, "object": self.grasp.object}
         in_sight = {name: place for name, place in places.items() if self._is_in_sight(name, time)}
-        if time >= 0.0:
-            for name in in_sight:
-                self.in_sight_s[name] += elapsed
+        self._sights.append((stamp_ns, elapsed, in_sight.keys()))
         sighting = self.camera.look(stamp_ns, in_sight)
         self._said = {}
         for name in places:

@@ -28,7 +28,7 @@ from tpgmm_ros.recordings.conversion.demonstrations import Columns, Shown, demon
 from tpgmm_ros.recordings.conversion.lerobot_layout import is_dataset
 from tpgmm_ros.recordings.conversion.lerobot_reading import TIME, read_dataset
 from tpgmm_ros.recordings.conversion.tables import Table, read_tables
-from tpgmm_ros.recordings.conversion.written import MOVEMENT, audit, topic_of, write_bag
+from tpgmm_ros.recordings.conversion.written import MOVEMENT, audit, topic_of, topics_of, write_bag
 from tpgmm_ros.recordings.judging import doubts_about
 from tpgmm_ros.task.task_file import Task
 
@@ -105,7 +105,7 @@ def _convert(options: argparse.Namespace, report: dict[str, Any]) -> None:
         )
     with progress_bar(total=len(shown), desc="writing bags", unit="bag") as bar:
         for name, one in shown.items():
-            bag = write_bag(options.to / name, one, options.base_frame)
+            bag = write_bag(options.to / name, one.ns, topics_of(one), options.base_frame, one.numbers)
             counts = audit(bag, one, options.base_frame)
             period = float(np.median(np.diff(one.ns))) * 1e-9
             report["bags"].append(

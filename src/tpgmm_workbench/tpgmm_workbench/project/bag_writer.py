@@ -5,19 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 
 from tpgmm_core.common.types import Array
+from tpgmm_ros.recordings.conversion import written
 from tpgmm_ros.task.task_file import Task
 from tpgmm_workbench.project.errors import ProjectError
-
-POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
-EPOCH_NS = 1_000_000_000
-"""Stamps begin here: a stamp of zero means that there is none."""
 
 
 def write_bag(path: Path, task: Task, times: Array, hand: Array, frames: Mapping[str, Array]) -> None:
@@ -51,25 +45,4 @@ def write_bag(path: Path, task: Task, times: Array, hand: Array, frames: Mapping
         if name not in frames:
             raise ProjectError(f"the pose of the frame {name!r} is not given; expected {', '.join(task.sources)}")
         topics[task.topics[name]] = np.broadcast_to(frames[name], (len(times), 7))
-    store = get_typestore(Stores.ROS2_JAZZY)
-    writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    with writer:
-        connections = {topic: writer.add_connection(f"/{topic}", POSE_STAMPED, typestore=store) for topic in topics}
-        for i, time in enumerate(times - times[0]):
-            ns = EPOCH_NS + round(1e9 * float(time))
-            for topic, poses in topics.items():
-                message = _message(store.types, task.base_frame, ns, poses[i])
-                writer.write(connections[topic], ns, store.serialize_cdr(message, POSE_STAMPED))
-
-
-def _message(types: Any, frame_id: str, ns: int, pose: Array) -> Any:
-    x, y, z, qx, qy, qz, qw = map(float, pose)
-    stamp = types["builtin_interfaces/msg/Time"](sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)
-    return types[POSE_STAMPED](
-        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id),
-        pose=types["geometry_msgs/msg/Pose"](
-            position=types["geometry_msgs/msg/Point"](x=x, y=y, z=z),
-            orientation=types["geometry_msgs/msg/Quaternion"](x=qx, y=qy, z=qz, w=qw),
-        ),
-    )
+    written.write_bag(path, np.rint(1e9 * (times - times[0])).astype(np.int64), topics, task.base_frame)

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tpgmm_core.common.types import Array
+from tpgmm_core.common.types import Array, Nanoseconds
 from tpgmm_ros.recordings.bag_messages import read_messages
 from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
 from tpgmm_ros.recordings.conversion.demonstrations import Shown
@@ -27,17 +28,28 @@ def topic_of(frame: str) -> str:
     return f"{frame}/pose"
 
 
-def write_bag(path: Path, shown: Shown, base_frame: str) -> Path:
-    """Write a demonstration as topics of PoseStamped, and of Float64 for further numbers.
+def topics_of(shown: Shown) -> dict[str, Array]:
+    """Topic → (T, 7) poses of the hand and of each frame."""
+    return {MOVEMENT: shown.movement} | {topic_of(name): values for name, values in shown.frames.items()}
+
+
+def write_bag(
+    path: Path, ns: Nanoseconds, poses: Mapping[str, Array], base_frame: str, numbers: Mapping[str, Array] | None = None
+) -> Path:
+    """Write poses that are known already as topics of PoseStamped, and further numbers as topics of Float64.
 
     Parameters
     ----------
     path
         of the bag, which does not exist yet
-    shown
-        the demonstration
+    ns
+        (T,) from the first sample
+    poses
+        topic → (T, 7); where a pose is not finite, none is written
     base_frame
         frame_id of all poses
+    numbers
+        topic → (T,)
 
     Returns
     -------
@@ -49,26 +61,26 @@ def write_bag(path: Path, shown: Shown, base_frame: str) -> Path:
     OSError
         the disk does not take it, or there is something at `path`.
     """
-    poses, numbers = types_for(POSE_STAMPED), types_for(FLOAT64)
-    kinds: Any = poses.types
-    moving = {MOVEMENT: shown.movement} | {topic_of(name): values for name, values in shown.frames.items()}
+    store, number_store = types_for(POSE_STAMPED), types_for(FLOAT64)
+    kinds: Any = store.types
+    numbers = numbers or {}
     writer = BagWriter(path)
     try:
-        topics = {name: writer.add_topic(f"/{name}", POSE_STAMPED, poses) for name in moving}
-        further = {name: writer.add_topic(f"/{name}", FLOAT64, numbers) for name in shown.numbers}
-        for k, ns in enumerate((START_NS + shown.ns).tolist()):
-            stamp = kinds["builtin_interfaces/msg/Time"](*divmod(ns, 1_000_000_000))
+        topics = {name: writer.add_topic(f"/{name}", POSE_STAMPED, store) for name in poses}
+        further = {name: writer.add_topic(f"/{name}", FLOAT64, number_store) for name in numbers}
+        for k, at in enumerate((START_NS + ns).tolist()):
+            stamp = kinds["builtin_interfaces/msg/Time"](*divmod(at, 1_000_000_000))
             header = kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=base_frame)
-            for name, values in moving.items():
+            for name, values in poses.items():
                 if np.isfinite(values[k]).all():
                     x, y, z, *q = values[k].tolist()
                     pose = kinds["geometry_msgs/msg/Pose"](
                         kinds["geometry_msgs/msg/Point"](x, y, z), kinds["geometry_msgs/msg/Quaternion"](*q)
                     )
-                    writer.write(topics[name], ns, poses.serialize_cdr(kinds[POSE_STAMPED](header, pose), POSE_STAMPED))
-            for name, column in shown.numbers.items():
-                message = numbers.types[FLOAT64](float(column[k]))
-                writer.write(further[name], ns, numbers.serialize_cdr(message, FLOAT64))
+                    writer.write(topics[name], at, store.serialize_cdr(kinds[POSE_STAMPED](header, pose), POSE_STAMPED))
+            for name, column in numbers.items():
+                message = number_store.types[FLOAT64](float(column[k]))
+                writer.write(further[name], at, number_store.serialize_cdr(message, FLOAT64))
         return writer.close()
     except BaseException:
         writer.discard()
@@ -97,7 +109,7 @@ def audit(bag: Path, shown: Shown, base_frame: str) -> dict[str, int]:
     ConversionError
         anything differs.
     """
-    moving = {MOVEMENT: shown.movement} | {topic_of(name): values for name, values in shown.frames.items()}
+    moving = topics_of(shown)
     found = read_messages(bag, list(moving), POSE_STAMPED)
     counts = {}
     for name, values in moving.items():
