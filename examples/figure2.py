@@ -79,12 +79,12 @@ def draw(terms: Sequence[Gaussian], product: Gaussian) -> Figure:
     cost = objective(np.stack([x, y], axis=-1), terms)
     lowest = float(cost.min())
     axes.contour(x, y, cost, levels=lowest + np.array([1.0, 4.0, 9.0, 16.0, 36.0, 64.0]), colors="0.75", linewidths=1.0)
+    planar.draw_ellipse(axes, product.mean, product.covariance, "#1b9e77", 0.6)
     for j, (term, (name, colour)) in enumerate(zip(terms, planar.FRAME_COLOURS.items(), strict=True), 1):
         planar.draw_ellipse(axes, term.mean, term.covariance, colour, 0.25)
         axes.plot(*np.stack([term.mean, product.mean]).T, color=colour, ls=":", lw=1.5)
         axes.plot(*term.mean, "o", color=colour, label=f"expected by the {name} box")
         name_of(axes, term, rf"^{{({j})}}", colour, 9)
-    planar.draw_ellipse(axes, product.mean, product.covariance, "#1b9e77", 0.6)
     axes.plot(*product.mean, "o", color="black", label="product, and minimum of Eq. (3)")
     name_of(axes, product, "", "black", -20)
     axes.plot([], [], color="0.75", label="contours of Eq. (3)")
@@ -98,7 +98,16 @@ def name_of(axes: Axes, gaussian: Gaussian, index: str, colour: str, above: floa
     """Write above a Gaussian's mean, by some points, what the paper calls it."""
     text = rf"$\mathcal{{N}}(\hat{{\xi}}_t{index},\ \hat{{\Sigma}}_t{index})$"
     place = float(gaussian.mean[0]), float(gaussian.mean[1])
-    axes.annotate(text, place, xytext=(0, above), textcoords="offset points", ha="center", color=colour, fontsize=11)
+    axes.annotate(
+        text,
+        place,
+        xytext=(0, above),
+        textcoords="offset points",
+        ha="center",
+        color=colour,
+        fontsize=11,
+        bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.7},
+    )
 
 
 if __name__ == "__main__":
