@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import re
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -18,7 +18,7 @@ import zstandard
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-#: Before the compressed messages: their length before and after, in bytes each.
+#: Bytes of each of the two lengths before the compressed messages, and of the steps at which arrays begin after them.
 _LENGTH = 8
 #: A window of this size, in pixels; the server hears a page as soon as it tells where its camera is.
 _CAMERA = {
@@ -65,13 +65,19 @@ class PageClient:
             self._take(packet)
 
     def _take(self, packet: bytes) -> None:
-        length = int.from_bytes(packet[_LENGTH : 2 * _LENGTH], "little")
-        content = msgspec.msgpack.decode(zstandard.decompress(packet[2 * _LENGTH : 2 * _LENGTH + length]))
+        begin = 2 * _LENGTH
+        end = begin + int.from_bytes(packet[_LENGTH:begin], "little")
+        content = msgspec.msgpack.decode(zstandard.decompress(packet[begin:end]))
+        arrays = []
+        for length in content["binaryBufferLengths"]:
+            end += -end % _LENGTH
+            arrays.append(packet[end : end + length])
+            end += length
         self.frames += 1
         self.bytes += len(packet)
         for message in content["messages"]:
             self.messages += 1
-            self.repeated += not self._changes(message)
+            self.repeated += not self._changes(_filled(message, arrays))
 
     def _changes(self, message: Mapping[str, Any]) -> bool:
         """Take one message in; whether anything is different by it."""
@@ -86,12 +92,9 @@ class PageClient:
         parts = {**message.get("updates", {}), **message.get("props", {})}
         own = {key: value for key, value in message.items() if key not in ("type", "name", "uuid", "updates", "props")}
         told = {(of, key): value for key, value in {**own, **parts}.items()}
-        # an array stands elsewhere in the packet: that it was sent is all that is told of it here
-        changed = [
-            key for key, value in told.items() if state.get(key, told) != value or "__binary_index" in str(value)
-        ]
+        changed = any(key not in state or state[key] != value for key, value in told.items())
         state.update(told)
-        return bool(changed) or not told
+        return changed or not told
 
     @property
     def text(self) -> str:
@@ -137,6 +140,15 @@ class PageClient:
                     await asyncio.sleep(0.02)
         except TimeoutError:
             raise TimeoutError(f"not within {timeout} s: {what}; the page says {self.text[:1000]}") from None
+
+
+def _filled(value: Any, arrays: Sequence[bytes]) -> Any:
+    """A message with its arrays, which stand at the end of the packet."""
+    if isinstance(value, dict):
+        if "__binary_index" in value:
+            return arrays[value["__binary_index"]]
+        return {key: _filled(part, arrays) for key, part in value.items()}
+    return value
 
 
 @contextlib.asynccontextmanager

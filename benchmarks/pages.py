@@ -23,8 +23,9 @@ from tpgmm_core.common.report import Row
 from tpgmm_ros.runtime.processes import end_with_parent
 
 PORT = 18480
-#: s until the program serves its page; how long each number of pages is measured; how long the hand is led one way.
-START, SECONDS, ONE_WAY = 300.0, 10.0, 2.5
+#: s until the program serves its page, until pages show the same; how long each number of pages is measured; how long
+#: the hand is led one way.
+START, SAME, SECONDS, ONE_WAY = 300.0, 60.0, 10.0, 2.5
 #: What a page says while the hand is not led.
 NOBODY = "Nobody leads the hand"
 
@@ -56,7 +57,14 @@ async def open_pages(stack: contextlib.AsyncExitStack, address: str, count: int)
 
 async def show_the_same(pages: Sequence[PageClient]) -> None:
     """Wait until all pages show the same, and one of them drives. Raises TimeoutError where they do not."""
-    await pages[0].until(lambda: all(page.shared == pages[0].shared for page in pages), "the same on all pages")
+    first = pages[0]
+    try:
+        await first.until(lambda: all(page.shared == first.shared for page in pages), "the same on all pages", SAME)
+    except TimeoutError:
+        shown = [page.shared for page in pages]
+        other = {key: [one.get(key) for one in shown] for key in set().union(*shown)}
+        differ = {key: values for key, values in other.items() if any(value != values[0] for value in values)}
+        raise TimeoutError(f"not within {SAME} s: the same on all pages; these differ: {differ}") from None
     if len(pages) > 1:
         await pages[0].until(
             lambda: sorted("this one drives" in page.text for page in pages) == [False] * (len(pages) - 1) + [True],
