@@ -27,7 +27,7 @@ DATA ?= ../shared/data
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup dev lint format test mutants properties faults fuzz determinism seeds soak networks demo workbench bags results figures figure5 figure6 bench scaling stress colcon docs reference lock clean
+.PHONY: help setup dev lint format test mutants properties faults fuzz determinism seeds soak networks demo workbench bags results figures figure5 figure6 bench pages scaling stress colcon docs reference lock clean
 
 help: ## list all targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
@@ -121,6 +121,9 @@ BENCHMARKS := em reproduction_step retrieval_step lqr control simulator loop lat
 bench: setup ## run the benchmarks: tables, and JSON in out/bench/; status 1 if one does not reach its bounds (needs two idle cores)
 	@failed=""; for name in $(BENCHMARKS); do PYTHONPATH=.:src/tpgmm_core/test $(PYTHON) benchmarks/$$name.py || failed="$$failed $$name"; \
 		done; if [ -n "$$failed" ]; then echo "not reached:$$failed"; exit 1; fi
+
+pages: setup ## open ten pages of the workbench at once, without browsers; what they cost, and whether each can stop: out/bench/
+	PYTHONPATH=. $(PYTHON) benchmarks/pages.py
 
 scaling: setup ## run the benchmarks of learning, 100 dimensions and a million samples: out/high_dimension/, out/scaling/
 	PYTHONPATH=. $(PYTHON) benchmarks/high_dimension.py

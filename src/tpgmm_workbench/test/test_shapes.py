@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from tpgmm_core.geometry.quaternion import rotation_matrix
 from tpgmm_core.robot.description import RobotDescription
-from tpgmm_workbench.scene.shapes import MAX_TRIANGLES, coarse, read_shapes
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_workbench.scene.robot_display import joined
+from tpgmm_workbench.scene.shapes import MAX_TRIANGLES, Shape, coarse, read_shapes
 
 ROOT = Path(__file__).resolve().parents[3]
 URDF = """<robot name="two"><link name="a"/><link name="b">{visual}</link><link name="c"/>
@@ -65,3 +68,21 @@ def test_baxter_without_meshes_has_a_shape_for_each_link_of_its_arms() -> None:
     links = {part.link for part in shapes.parts}
     assert {f"left_{name}" for name in ("upper_shoulder", "lower_elbow", "wrist")} <= links
     assert not shapes.notes
+
+
+def test_what_moves_together_is_drawn_as_one_and_stays_where_it_is() -> None:
+    robot = RobotModel.from_file(ROOT / "config" / "baxter.yaml")
+    shapes = read_shapes(RobotDescription.from_file(ROOT / "config" / "baxter.yaml").urdf, meshes=False)
+    bodies = joined(shapes, robot, (1, 2, 3))
+    assert len(bodies) <= 1 + len(robot.joint_names)
+    data = robot.create_data()
+    data.update(robot.home + 0.1)
+
+    def points(parts: tuple[Shape, ...]) -> np.ndarray:
+        poses = [data.frame_pose(robot.frame_id(part.link)) for part in parts]
+        placed = [part.vertices @ rotation_matrix(x[3:]).T + x[:3] for part, x in zip(parts, poses, strict=True)]
+        return np.sort(np.concatenate(placed), axis=0)
+
+    known = tuple(part for part in shapes.parts if robot.pinocchio.existFrame(part.link))
+    np.testing.assert_allclose(points(bodies), points(known), atol=1e-9)
+    assert sum(len(part.faces) for part in bodies) == sum(len(part.faces) for part in known)

@@ -13,7 +13,7 @@ from tpgmm_workbench.project.preview import preview
 from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.project.quality import quality_of
 from tpgmm_workbench.project.self_collision import SelfCollision
-from tpgmm_workbench.project.situations import Newness
+from tpgmm_workbench.project.situations import Newness, how_new
 from tpgmm_workbench.project.suggestion import FrameRegion, suggest
 from tpgmm_workbench.project.training import Training, TrainingOptions
 from tpgmm_workbench.project.training_process import train
@@ -170,3 +170,18 @@ def test_an_arm_within_the_other_one_is_seen(taught: Project) -> None:
     meeting = shapes.first(np.array([robot.home, crossed]))
     assert meeting is not None and meeting.at == 1
     assert {link.split("_")[0] for link in meeting.links} == {"left", "right"}
+
+
+@pytest.mark.parametrize(
+    ("score", "judged_by", "words"),
+    [
+        (0.0, 20, "like the demonstrations"),
+        (0.0, 3, "like the demonstrations, as far as 3 of them can tell"),
+        (0.9, 20, "at the edge of what was demonstrated: expect it to be less exact"),
+        (1.2, 20, "new: a little farther from the demonstrations than any of them from the others"),
+        (3.4, 20, "new: 3 times as far from the demonstrations as any of them from the others"),
+        (float("inf"), 20, "new: much farther from the demonstrations than any of them from the others"),
+    ],
+)
+def test_how_new_a_situation_is_is_said_in_words(score: float, judged_by: int, words: str) -> None:
+    assert how_new(score, judged_by) == words

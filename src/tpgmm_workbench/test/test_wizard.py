@@ -10,10 +10,12 @@ import pytest
 
 from tpgmm_core.robot.description import resolve_urdf
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_ros.task.task_file import Task
 from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.from_urdf import create_from_urdf
 from tpgmm_workbench.project.wizard import known_urdfs, propose_robot_file
 
+ROOT = Path(__file__).resolve().parents[3]
 ROBOTS = "package://example-robot-data/robots/"
 
 
@@ -78,6 +80,7 @@ def test_a_urdf_alone_becomes_a_project_with_a_task_for_its_arm(tmp_path: Path) 
     project, found = create_from_urdf(tmp_path / "known", ROBOTS + "z1_description/urdf/z1.urdf")
     assert project.robot().base_frame == project.task.base_frame == "world"
     assert project.task.endpoint == "arm" and set(project.task.topics) == {"object", "target"}
+    assert project.task.model == Task.load(ROOT / "config" / "pick_place.yaml").model
     assert any("joint6 moves so little" in words for words in found.suspicions)
     with pytest.raises(ProjectError, match="not empty"):
         create_from_urdf(tmp_path / "known", ROBOTS + "z1_description/urdf/z1.urdf")

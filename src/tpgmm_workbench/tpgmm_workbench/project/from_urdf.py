@@ -7,9 +7,12 @@ import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import yaml
+
 from tpgmm_core.common.text import one_line
 from tpgmm_core.robot.description import PACKAGE_SCHEME
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_ros.runtime.resources import config_file
 from tpgmm_workbench.project import folder as files
 from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.project import Project
@@ -25,9 +28,11 @@ frames:
   object: {{topic: object/pose}}
   target: {{topic: target/pose}}
   robot: {{pose: [0, 0, 0, 0, 0, 0, 1]}}
-model: {{n_components: 12, reg_covar: 1.0e-6, init: time, max_iter: 200, random_state: 0}}
+model: {model}
 """
 NAME = "object_to_target"
+#: Whose retrieval method and settings a new task has.
+LIKE = "pick_place.yaml"
 
 
 def create_from_urdf(folder: str | Path, urdf: str) -> tuple[Project, Proposal]:
@@ -65,5 +70,10 @@ def create_from_urdf(folder: str | Path, urdf: str) -> tuple[Project, Proposal]:
             shutil.copyfile(path, robot.with_name(path.name))
         robot.write_text(found.text)
         base = RobotModel.from_file(robot).base_frame
-        task.write_text(TASK.format(name=NAME, base=base, endpoint=found.endpoints[0]))
+        task.write_text(TASK.format(name=NAME, base=base, endpoint=found.endpoints[0], model=_settings()))
         return Project.create(folder, task, robot), found
+
+
+def _settings() -> str:
+    settings = yaml.safe_load(config_file(LIKE).read_text(encoding="utf-8"))["model"]
+    return str(yaml.safe_dump(settings, default_flow_style=True, sort_keys=False, width=200)).strip()

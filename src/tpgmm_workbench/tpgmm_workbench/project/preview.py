@@ -22,7 +22,7 @@ from tpgmm_core.robot.model import RobotModel
 from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.joints_along import joints_along
 from tpgmm_workbench.project.self_collision import SelfCollision
-from tpgmm_workbench.project.situations import frames_of
+from tpgmm_workbench.project.situations import frames_of, how_new
 
 FAR_M, FAR_RAD = 0.01, 0.1
 """A pose that the joints miss by more is out of reach."""
@@ -248,7 +248,7 @@ def _novelty(model: LearnedMixture, frames: Mapping[str, Array], hand: Array) ->
     known |= DerivedFrames.of_metadata(model.metadata_).frames(known, hand)
     seen = {name: known[name] for name in model.frame_names_ if name in known}
     novelty = scale.judge(make_retrieval(model, horizon_steps=0), seen, hand)
-    words = f"this situation is {novelty.score:.1f} times as new as the newest that the model was judged by"
+    words = f"this situation is {how_new(novelty.score, len(scale.distances))}"
     if novelty.score <= NEW:
         return Check("novelty", True, words)
-    return Check("novelty", False, f"{words}: show a demonstration like it, or move the objects to where they were")
+    return Check("novelty", False, f"{words}; show a demonstration like it, or move the objects to where they were")

@@ -16,10 +16,39 @@ from tpgmm_core.retrieval.novelty import NoveltyScale, SituationRange
 from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.project.taught import TaughtDemonstration
 
+#: Up to this share of the newest demonstration, a situation is like them; with fewer demonstrations, that is said with
+#: care. Between these numbers of times as far, the number is said.
+LIKE, FEW, LITTLE, MOST = 0.5, 6, 1.5, 20.0
+
 
 def frames_of(situation: Mapping[str, Array]) -> dict[str, Frame]:
     """Frames over [time, pose]; situation: name -> pose (7,) in the base frame."""
     return {name: Frame.from_pose(pose[:3], pose[3:]).with_time() for name, pose in situation.items()}
+
+
+def how_new(score: float, judged_by: int) -> str:
+    """What the newness of a situation means, in words.
+
+    Parameters
+    ----------
+    score
+        1: as new as the newest of the demonstrations was to a model of the others
+    judged_by
+        number of these demonstrations: of few, a low score says little
+
+    Returns
+    -------
+    str
+        begins with "like", "at the edge" or "new"
+    """
+    if score <= LIKE:
+        return "like the demonstrations" + (f", as far as {judged_by} of them can tell" if judged_by < FEW else "")
+    if score <= 1.0:
+        return "at the edge of what was demonstrated: expect it to be less exact"
+    if LITTLE < score < MOST:
+        return f"new: {score:.0f} times as far from the demonstrations as any of them from the others"
+    more = "a little" if score <= LITTLE else "much"
+    return f"new: {more} farther from the demonstrations than any of them from the others"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

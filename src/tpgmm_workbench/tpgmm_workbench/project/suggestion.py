@@ -13,7 +13,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.project import Project
-from tpgmm_workbench.project.situations import Newness
+from tpgmm_workbench.project.situations import Newness, how_new
 
 PLACINGS = 200
 NARROW_M, NARROW_RAD = 0.05, 0.2
@@ -173,7 +173,7 @@ def _words(score: float, newness: Newness, places: Mapping[str, _Places]) -> str
     text = (
         "the farthest from what was shown"
         if newness.scale is None
-        else f"where the model is least sure: {score:.1f} times as new as the newest that it was judged by"
+        else f"where the model is least sure: {how_new(score, len(newness.scale.distances))}"
     )
     if widened:
         text += f"; {', '.join(widened)} was always at one place, so that its influence is not known: it is moved"

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot in the scene: its links are put where joint positions say. Also as a ghost, of one colour."""
+"""The robot in the scene: its links are put where joint positions say. Also as a ghost, of one colour.
+
+Links that no joint moves against each other are one body: a page is told where each body is, and draws it at once.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_workbench.scene.colors import Color
 from tpgmm_workbench.scene.placing import place
-from tpgmm_workbench.scene.shapes import Shapes
+from tpgmm_workbench.scene.shapes import Shape, Shapes
 
 
 class RobotDisplay:
@@ -45,18 +48,16 @@ class RobotDisplay:
     ) -> None:
         self._data = robot.create_data()
         self._root = scene.add_frame(name, show_axes=False)
-        self._links: dict[str, Any] = {}
-        for number, part in enumerate(shapes.parts):
-            link = part.link
-            if not robot.pinocchio.existFrame(link):
-                continue
-            if link not in self._links:
-                self._links[link] = robot.frame_id(link), scene.add_frame(f"{name}/{link}", show_axes=False)
+        self._bodies: dict[str, Any] = {}
+        for number, part in enumerate(joined(shapes, robot, color)):
+            path = f"{name}/{part.link}"
+            if part.link not in self._bodies:
+                self._bodies[part.link] = robot.frame_id(part.link), scene.add_frame(path, show_axes=False)
             scene.add_mesh_simple(
-                f"{name}/{link}/{number}",
+                f"{path}/{number}",
                 part.vertices.astype(np.float32),
                 part.faces.astype(np.uint32),
-                color=part.color if color is None else color,
+                color=part.color,
                 opacity=opacity,
                 flat_shading=True,
                 side="double",
@@ -68,7 +69,7 @@ class RobotDisplay:
     def show(self, joints: Array) -> None:
         """Show the robot at joint positions (nv,), rad and m."""
         self._data.update(joints)
-        for frame_id, node in self._links.values():
+        for frame_id, node in self._bodies.values():
             place(node, self._data.frame_pose(frame_id))
 
     @property
@@ -80,3 +81,41 @@ class RobotDisplay:
     def visible(self, visible: bool) -> None:
         if visible != self._root.visible:
             self._root.visible = visible
+
+
+def joined(shapes: Shapes, robot: RobotModel, color: Color | None = None) -> tuple[Shape, ...]:
+    """What a robot looks like, with as few parts as it can be drawn and moved with.
+
+    Parameters
+    ----------
+    shapes
+        of its links; those that the robot does not have are left out
+    robot
+        says which links move together
+    color
+        of all of it; None: parts keep their colours
+
+    Returns
+    -------
+    tuple[Shape, ...]
+        one for each body and colour, in the axes of the body's first link
+    """
+    model = robot.pinocchio
+    first: dict[int, str] = {}
+    groups: dict[tuple[str, Color], list[Shape]] = {}
+    for part in shapes.parts:
+        if not model.existFrame(part.link):
+            continue
+        frame = model.frames[robot.frame_id(part.link)]
+        link = first.setdefault(frame.parentJoint, part.link)
+        placed = model.frames[robot.frame_id(link)].placement.actInv(frame.placement)
+        vertices = part.vertices @ placed.rotation.T + placed.translation
+        own = part.color if color is None else color
+        groups.setdefault((link, own), []).append(Shape(link, vertices, part.faces, own))
+    return tuple(_one(group) for group in groups.values())
+
+
+def _one(parts: list[Shape]) -> Shape:
+    begins = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    faces = np.concatenate([part.faces + begin for part, begin in zip(parts, begins, strict=True)])
+    return Shape(parts[0].link, np.concatenate([part.vertices for part in parts]), faces, parts[0].color)
