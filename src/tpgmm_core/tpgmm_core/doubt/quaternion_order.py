@@ -128,7 +128,7 @@ def _odd_part(shown: Sequence[RawDemonstration]) -> list[Doubt]:
     apart = max(float(_nearest(one, np.delete(same, j, axis=0))[0]) for j, one in enumerate(same))
     given = min(float(_nearest(one, same)[0]) for one in other)
     turned = max(float(_nearest(w_first(one), same)[0]) for one in other)
-    if given < max(ODD_RAD, AMONG * max(apart, turned)) or turned > max(AGREE_RAD, AMONG * apart):
+    if given < max(ODD_RAD, AMONG * apart, BETTER * turned):
         return []
     names = tuple(one.name for one, odd in zip(shown, is_odd.tolist(), strict=True) if odd)
     reason = (
