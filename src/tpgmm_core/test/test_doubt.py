@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
+from tpgmm_core.doubt.ends import doubts_of_ends
 from tpgmm_core.doubt.judging import judged
 from tpgmm_core.doubt.values import doubts_of_joint_units
 from tpgmm_core.geometry import quaternion
@@ -199,3 +200,38 @@ def test_two_publishers_by_turns_on_one_topic_are_said() -> None:
     several[1] = replace(several[1], movement=movement)
     (doubt,) = [doubt for doubt in judged(several) if "two programs publish" in doubt.text]
     assert doubt.about == ("demo_1",)
+
+
+@pytest.mark.parametrize("count", [6, 12])
+def test_half_of_the_demonstrations_otherwise_are_said(count: int) -> None:
+    """Half of them mirrored, or with w first: each half agrees in itself, so that no single one is odd."""
+    several = group(count)
+    w_first, mirrored = several.copy(), several.copy()
+    for k in range(1, count, 2):
+        w_first[k] = replace(w_first[k], movement=w_first[k].movement[:, [0, 1, 2, 6, 3, 4, 5]])
+        mirrored[k] = replace(mirrored[k], movement=mirrored[k].movement * [1, -1, 1, -1, 1, -1, 1])
+    odd = tuple(f"demo_{k}" for k in range(1, count, 2))
+    assert ("order", odd, False) in kinds(judged(w_first))
+    (doubt,) = [doubt for doubt in judged(mirrored) if doubt.about == odd]
+    assert doubt.kind == "misfit" and f"{len(odd)} of {count} demonstrations agree among themselves" in doubt.text
+    assert " m or more from all others, at 0 % of the time" in doubt.text and not doubt.refuses
+
+
+def test_movements_from_two_places_are_one_group_where_the_start_is_a_frame() -> None:
+    several = [replace(one, frames={}, visible={}) for one in group()]
+    for k in (1, 3, 5):
+        several[k] = replace(several[k], movement=several[0].movement + [0.0, 0.6, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for k in (0, 2, 4):
+        several[k] = replace(several[k], movement=several[0].movement + [0.001 * k, *np.zeros(6)])
+    assert [doubt.kind for doubt in judged(several)].count("misfit") == 1
+    assert not [doubt for doubt in judged([replace(one, from_start=True) for one in several]) if doubt.kind == "misfit"]
+
+
+def test_a_movement_whose_end_cannot_be_used_is_said() -> None:
+    times, good = np.arange(100, dtype=np.int64) * 50_000_000, np.ones(100, bool)
+    assert not doubts_of_ends("hand", times, good)
+    good[5:8] = good[95:] = False
+    assert not doubts_of_ends("hand", times, good)
+    good[80:] = False
+    (doubt,) = doubts_of_ends("hand", times, good)
+    assert doubt.kind == "gap" and "the last 1.00 s of hand cannot be used" in doubt.text

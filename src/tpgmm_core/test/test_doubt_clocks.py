@@ -131,6 +131,26 @@ def test_simulated_time_at_any_speed_is_no_lag() -> None:
     assert not clock.doubts and not clock.by_recorder
 
 
+@pytest.mark.parametrize(
+    ("stamps", "words"),
+    [
+        (1000.0 * T, "run 1e+03 times as fast"),  # ms written as s
+        (1e-6 * T, "e-06 times as fast"),  # us written as ps, say
+        (np.floor(T), "the same stamp in 16 messages"),  # the part of a second is never filled in
+        (np.floor(2.0 * T) / 2.0, "the same stamp in"),
+    ],
+)
+def test_stamps_in_another_unit_or_rounded_are_not_used(stamps: np.ndarray, words: str) -> None:
+    clock = common_clock(topic("hand", T, stamps), [topic("object", T[::3])])
+    assert clock.by_recorder and words in clock.notes[0]
+    assert seconds(clock, "hand") == pytest.approx(T - T[0], abs=1e-6)
+
+
+def test_recorded_times_in_a_burst_leave_the_stamps_as_they_are() -> None:
+    """Bags written by a program have the times at which it wrote."""
+    assert not common_clock(topic("hand", 1.0 + 1e-3 * T, T), [topic("object", 1.0 + 1e-3 * T, T)]).by_recorder
+
+
 def test_pauses_are_found_where_they_are() -> None:
     times = ns(np.concatenate([T[:30], T[30:] + 1.5]))
     ((begin, length),) = gaps(times, 0.5, 10.0)

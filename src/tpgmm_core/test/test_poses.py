@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tpgmm_core.observation.clocks import ENOUGH, LeadMeter
-from tpgmm_core.observation.poses import check_pose, check_poses, doubtful_units, wrong_frame
+from tpgmm_core.observation.poses import check_pose, check_poses, doubtful_units, never_filled, wrong_frame
 from tpgmm_core.observation.tracking import FrameTracker
 
 POSE = [0.5, 0.1, 0.2, 0.0, 0.0, 0.0, 1.0]
@@ -76,3 +76,21 @@ def test_the_tracker_takes_a_camera_whose_clock_is_ahead_and_says_so() -> None:
         assert frames.update(now)[0].stamp_ns <= now
     assert taken == 60 - ENOUGH + 1
     assert "its clock is 0.150 s ahead" in frames.health(now)["object"].notes[0]
+
+
+def test_numbers_that_are_no_rotation_are_no_quaternion() -> None:
+    """Angles in degrees or a rotation vector where a quaternion is expected; a length of 1.3 is one that was scaled."""
+    poses = np.tile([0.5, 0.1, 0.2, 0.0, 0.0, 0.0, 1.3], (4, 1))
+    poses[1, 3:], poses[2, 3:] = [0.0, 0.0, 46.0, 0.0], [0.0, 0.0, 0.3, 0.0]
+    _, good, reasons = check_poses(poses)
+    assert good.tolist() == [True, False, False, True]
+    assert reasons["no quaternion"] == (2, f"number 1: {check_pose(poses[1])[1]}")
+    assert "has length 46, expected 1; angles or a rotation vector" in check_pose(poses[1])[1]
+
+
+def test_poses_of_empty_messages_are_no_poses_where_others_are_elsewhere() -> None:
+    poses = np.tile([0.5, 0.1, 0.2, 0.0, 0.0, 0.0, 1.0], (4, 1))
+    poses[1] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    assert never_filled(poses).tolist() == [False, True, False, False]
+    begins_there = np.linspace([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], poses[0], 20)
+    assert not never_filled(begins_there).any() and not never_filled(poses[[1, 1]]).any()

@@ -178,7 +178,7 @@ def test_a_missing_key_is_named(key: str) -> None:
         ("!!python/object/apply:os.getcwd []", "is not a YAML file"),
         ("!!bool maybe", "is not a YAML file"),
         ("[" * 20_000, "nested too deeply|not a YAML file"),
-        ("", "the file is None, expected a mapping"),
+        ("", "the file is empty, expected a mapping"),
         ("1" * 5000, "expected a mapping|not a YAML file"),
     ],
 )

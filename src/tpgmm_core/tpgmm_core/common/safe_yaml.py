@@ -85,7 +85,8 @@ def parse_yaml(text: str, source: str) -> Any:
         return yaml.load(text, Loader=_Loader)
     # PyYAML lets more than YAMLError out of malformed scalars: KeyError, IndexError, AttributeError, ...
     except Exception as error:
-        raise YamlError(f"{source}: is not a YAML file that can be read: {one_line(error, 400)}") from None
+        hint = "; indent with spaces, not with tabs" if "\\t" in str(error) else ""
+        raise YamlError(f"{source}: is not a YAML file that can be read: {one_line(error, 400)}{hint}") from None
 
 
 class _Loader(yaml.SafeLoader):

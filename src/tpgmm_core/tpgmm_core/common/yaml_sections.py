@@ -21,7 +21,8 @@ class Section:
     def __init__(self, source: str, where: str, values: Any) -> None:
         self.source, self.where = source, where
         if not isinstance(values, Mapping):
-            raise self.error(f"is {shown(values)}, expected a mapping of keys to values")
+            found = "empty" if values is None else shown(values)
+            raise self.error(f"is {found}, expected a mapping of keys to values")
         for key in values:
             if not isinstance(key, str):
                 raise self.error(

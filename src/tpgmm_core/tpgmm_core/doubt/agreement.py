@@ -25,6 +25,8 @@ SHORTEST_M = 0.02
 SHARES = 50
 AHEAD = 5
 """Shares by which demonstrations may be ahead of one another."""
+FROM_START = 1
+"""Number of the view from the first pose."""
 MOST = 30
 """Demonstrations that each one is held against."""
 LASTS = 0.1
@@ -126,9 +128,37 @@ def distances_from_others(shown: Sequence[RawDemonstration]) -> tuple[Array, Arr
         distances (M, SHARES), m, and angles (M, SHARES), rad, at even shares of the time
     """
     views = _views(shown)
-    positions = _distances(views, lambda one, other: np.linalg.norm(one[..., :3] - other[..., :3], axis=-1))
-    turns = _distances(views, lambda one, other: quaternion.angle_between(one[..., 3:], other[..., 3:]))
-    return positions, turns
+    return _distances(views, _way), _distances(views, _turn)
+
+
+def pairwise_distances(shown: Sequence[RawDemonstration]) -> tuple[Array, Array]:
+    """How far each two demonstrations are from one another, in the frame that sees them nearest to one another.
+
+    Where the movement begins is a frame only if the task has it: the mean of two that begin elsewhere is neither.
+
+    Parameters
+    ----------
+    shown
+        M of one task, two or more
+
+    Returns
+    -------
+    tuple[Array, Array]
+        distances (M, M, SHARES), m, and angles (M, M, SHARES), rad, at even shares of the time
+    """
+    views = _views(shown)
+    if not any(one.from_start for one in shown):
+        del views[FROM_START]
+    way, turn = ([_between(view, view, apart) for view in views] for apart in (_way, _turn))
+    return np.asarray(np.min(way, axis=0)), np.asarray(np.min(turn, axis=0))
+
+
+def _way(one: Array, other: Array) -> Array:
+    return np.asarray(np.linalg.norm(one[..., :3] - other[..., :3], axis=-1))
+
+
+def _turn(one: Array, other: Array) -> Array:
+    return np.asarray(quaternion.angle_between(one[..., 3:], other[..., 3:]))
 
 
 def _views(shown: Sequence[RawDemonstration]) -> list[Array]:
@@ -154,17 +184,23 @@ def _distances(views: Sequence[Array], distance: Callable[[Array, Array], Array]
 
     A pose is held against those at nearly the same share of the time: some are a little ahead of the others.
     """
-    shares, found = np.arange(SHARES), []
+    found = []
     for view in views:
         others = view[: MOST * (len(view) // MOST) or None : max(1, len(view) // MOST)]
-        between = np.full((len(view), len(others), SHARES), np.inf)
-        for shift in range(-AHEAD, AHEAD + 1):
-            moved = others[:, np.clip(shares + shift, 0, SHARES - 1)]
-            between = np.minimum(between, distance(view[:, None], moved[None]))
-        between = np.sort(between, axis=1)
+        between = np.sort(_between(view, others, distance), axis=1)
         itself = int(len(others) == len(view))
         found.append(between[:, itself + (len(others) - itself - 1) // 2])
     return np.asarray(np.min(found, axis=0))
+
+
+def _between(view: Array, others: Array, distance: Callable[[Array, Array], Array]) -> Array:
+    """Distances (M, N, S) of poses (M, S, 7) from others (N, S, 7) at nearly the same share of the time."""
+    shares = np.arange(SHARES)
+    between = np.full((len(view), len(others), SHARES), np.inf)
+    for shift in range(-AHEAD, AHEAD + 1):
+        moved = others[:, np.clip(shares + shift, 0, SHARES - 1)]
+        between = np.minimum(between, distance(view[:, None], moved[None]))
+    return between
 
 
 def _longest_run(is_far: NDArray[np.bool_]) -> tuple[int, int]:

@@ -33,6 +33,12 @@ STEADY = 0.02
 """A lag is steady where it varies by less than this time, or this share of itself."""
 ENOUGH = 5
 """Messages that a rate or a lag needs."""
+COARSE = 3.0
+"""Messages to a stamp: where there are more, stamps are rounded, and no longer tell the messages apart."""
+PACE = 50.0
+"""No simulation is so many times as fast, or as slow, as the clock of the recorder."""
+SHORTEST_S, LONGEST_S = 2e-4, 0.5
+"""Periods of what moves; what is beyond has stamps in another unit."""
 EARLY_S = 0.5
 """A topic whose messages go on later than this stood, until then, where it was last."""
 
@@ -213,6 +219,16 @@ def _problem_of_stamps(streams: Sequence[TopicTimes]) -> str | None:
             return f"{stream.name} has stamps of zero"
         if (np.diff(stream.stamps) < 0).any():
             return f"{stream.name} has stamps that run backwards"
+    seconds, recorded = (1e-9 * float(series[-1] - series[0]) for series in (movement.stamps, movement.recorded))
+    period, pace = seconds / len(movement.stamps), seconds / max(recorded, 1e-9)
+    if (period > LONGEST_S and pace > PACE) or (period < SHORTEST_S and pace < 1.0 / PACE):
+        return (
+            f"{movement.name} has stamps that run {pace:.3g} times as fast as the recorder's clock, as where ms or us "
+            "are written as s, or the reverse"
+        )
+    stamps, times = (len(np.unique(series)) for series in (movement.stamps, movement.recorded))
+    if times > COARSE * stamps:
+        return f"{movement.name} has the same stamp in {times / stamps:.0f} messages one after another, as if rounded"
     if len(breaks(movement.stamps)) and not len(breaks(movement.recorded)):
         return f"{movement.name} has stamps that jump"
     for stream in streams[1:]:

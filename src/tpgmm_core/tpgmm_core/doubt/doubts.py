@@ -61,6 +61,8 @@ class RawDemonstration:
         name → (T, 7) of frames that were observed
     visible
         name → (T,) where they had been seen
+    from_start
+        whether the task sees the movement also from where it begins
     """
 
     name: str
@@ -68,6 +70,7 @@ class RawDemonstration:
     movement: Array
     frames: Mapping[str, Array] = field(default_factory=dict)
     visible: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    from_start: bool = False
 
     @property
     def duration(self) -> float:

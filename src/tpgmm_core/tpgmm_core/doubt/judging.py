@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 from tpgmm_core.doubt.agreement import doubts_of_copies, doubts_of_durations, doubts_of_misfits
 from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
+from tpgmm_core.doubt.groups import doubts_of_groups
 from tpgmm_core.doubt.quaternion_order import doubts_of_quaternion_order
 from tpgmm_core.doubt.values import doubts_of_speed, doubts_of_stillness, doubts_of_turns_taken, doubts_of_units
 
@@ -44,4 +45,5 @@ def judged(
         *doubts_of_copies(shown),
         *doubts_of_durations(shown),
         *doubts_of_misfits(shown),
+        *doubts_of_groups(shown),
     ]

@@ -8,7 +8,7 @@ they are. So a movement by itself, however smooth, says nothing. What can tell:
   object that is turned from one recording to the next, and how it is turned there;
 - objects stand upright and are turned about the vertical in the one order, and hang upside down and are turned about
   their horizontal x axis in the other;
-- one recording is turned far from all others in the one order, and is among them in the other;
+- one recording, or some of them, are turned far from all others in the one order, and are among them in the other;
 - all that was observed, hand and objects, begins near no rotation in the one order, and upside down in the other; or
   an orientation that nobody measured is 1 0 0 0, bit by bit.
 
@@ -78,7 +78,8 @@ def doubts_of_quaternion_order(shown: Sequence[RawDemonstration]) -> list[Doubt]
             )
     if reasons:
         return [_suspicion((), reasons)]
-    return [_suspicion((shown[i].name,), found) for i, found in _odd_ones(shown, frames).items()]
+    odd = [_suspicion((shown[i].name,), found) for i, found in _odd_ones(shown, frames).items()]
+    return odd or _odd_part(shown)
 
 
 def _suspicion(about: tuple[str, ...], reasons: Mapping[str, str]) -> Doubt:
@@ -114,6 +115,27 @@ def _odd_ones(shown: Sequence[RawDemonstration], frames: Sequence[str]) -> dict[
                 )
     # a hand that points downwards and takes hold turned by half a turn is as one in the other order: frames must say it
     return {i: reasons for i, reasons in found.items() if set(reasons) != {MOVEMENT}}
+
+
+def _odd_part(shown: Sequence[RawDemonstration]) -> list[Doubt]:
+    """Several recordings whose hand begins far from all others, and among them in the other order."""
+    q = np.array([one.movement[:1, 3:] for one in shown])
+    in_order = (quaternion.angle_between(q[:1], q) <= quaternion.angle_between(q[:1], w_first(q)))[:, 0]
+    is_odd = in_order if 2 * in_order.sum() < len(q) else ~in_order
+    same, other = q[~is_odd], q[is_odd]
+    if len(other) < 2:
+        return []
+    apart = max(float(_nearest(one, np.delete(same, j, axis=0))[0]) for j, one in enumerate(same))
+    given = min(float(_nearest(one, same)[0]) for one in other)
+    turned = max(float(_nearest(w_first(one), same)[0]) for one in other)
+    if given < max(ODD_RAD, AMONG * apart, BETTER * turned):
+        return []
+    names = tuple(one.name for one, odd in zip(shown, is_odd.tolist(), strict=True) if odd)
+    reason = (
+        f"as it is read, it begins {np.degrees(given):.0f} deg or more from how it begins in the other recordings, and "
+        f"with w first at most {np.degrees(turned):.0f} deg from the nearest"
+    )
+    return [_suspicion(names, {MOVEMENT: reason})]
 
 
 def _nearest(q: Array, others: Array) -> Array:

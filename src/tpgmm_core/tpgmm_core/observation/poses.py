@@ -2,8 +2,9 @@
 """What makes a pose of a frame out of an observation: one rule, for topics and for recordings.
 
 An observation is used where it is in the base frame and is a pose. Frame ids may have the leading slash of ROS 1. A
-quaternion may have any length but zero: it is scaled to one, and lengths that are no rounding are said. So are
-positions whose magnitude looks like millimetres: large numbers are no fault where the base is a map.
+quaternion may have half or twice the length of one: it is scaled, and lengths that are no rounding are said. Others
+are no quaternions, but angles or a rotation vector, say. Said are also positions whose magnitude looks like
+millimetres: large numbers are no fault where the base is a map.
 """
 
 from __future__ import annotations
@@ -22,13 +23,17 @@ from tpgmm_core.geometry import quaternion
 MAX_NUMBER = 1e8
 #: A quaternion that is shorter was never filled in.
 SHORTEST = 1e-3
+#: Four numbers whose length is not between these are no rotation: angles, say.
+LEAST_LENGTH, MOST_LENGTH = 0.5, 2.0
+#: A pose without any number in it, and others farther away than this, m: its message was never filled in.
+UNFILLED_WAY = 0.1
 #: Lengths of quaternions further from 1 are no rounding, and are said.
 ROUNDING = 0.1
 #: No arm reaches things that are farther away, m: millimetres, or a far origin.
 FAR = 20.0
 
 _SMALLEST = float(np.finfo(np.float64).tiny)
-_KINDS = ("", "not finite", "implausibly large", "not written as floats", "zero quaternion")
+_KINDS = ("", "not finite", "implausibly large", "not written as floats", "zero quaternion", "no quaternion")
 
 
 class Observation(NamedTuple):
@@ -140,6 +145,28 @@ def check_poses(poses: ArrayLike) -> CheckedPoses:
     return CheckedPoses(checked, good, reasons)
 
 
+def never_filled(poses: Array) -> NDArray[np.bool_]:
+    """Which poses (T, 7) of a recording hold nothing but the values of an empty message, unlike the others.
+
+    A movement may begin at the origin: then it is near there afterwards.
+
+    Parameters
+    ----------
+    poses
+        as they came, or with unit quaternions
+
+    Returns
+    -------
+    NDArray[np.bool_]
+        (T,)
+    """
+    empty = (poses[:, :6] == 0.0).all(axis=1) & np.isin(poses[:, 6], (0.0, 1.0))
+    if not empty.any() or empty.all():
+        return np.zeros(len(poses), np.bool_)
+    nearest = np.nanmin(np.append(np.linalg.norm(poses[~empty, :3], axis=1), np.inf))
+    return empty if nearest > UNFILLED_WAY else np.zeros(len(poses), np.bool_)
+
+
 def odd_length(pose: Sequence[float] | Array) -> bool:
     """Whether the quaternion of a pose (7,), as it came, has a length that is no rounding."""
     _, _, _, x, y, z, w = pose
@@ -164,7 +191,7 @@ def _is_faultless(pose: Array) -> bool:
         if not (value == 0.0 or _SMALLEST <= abs(value) <= MAX_NUMBER):
             return False
     x, y, z, w = values[3:]
-    return bool(x * x + y * y + z * z + w * w >= SHORTEST**2)
+    return bool(LEAST_LENGTH**2 <= x * x + y * y + z * z + w * w <= MOST_LENGTH**2)
 
 
 def _faults(poses: Array) -> NDArray[np.intp]:
@@ -175,8 +202,9 @@ def _faults(poses: Array) -> NDArray[np.intp]:
     # rclpy copies the bits of a Python int into a float field, without an error
     bits = ((sizes < _SMALLEST) & (sizes != 0.0)).any(axis=1)
     x, y, z, w = np.where((largest <= MAX_NUMBER)[:, None], poses[:, 3:], 1.0).T
-    short = x * x + y * y + z * z + w * w < SHORTEST**2
-    return np.select([~finite, largest > MAX_NUMBER, bits, short], [1, 2, 3, 4], 0)
+    square = x * x + y * y + z * z + w * w
+    short, other = square < SHORTEST**2, (square < LEAST_LENGTH**2) | (square > MOST_LENGTH**2)
+    return np.select([~finite, largest > MAX_NUMBER, bits, short, other], [1, 2, 3, 4, 5], 0)
 
 
 def _words(code: int, pose: Array) -> str:
@@ -188,4 +216,5 @@ def _words(code: int, pose: Array) -> str:
     if code == 3:
         return f"{_KINDS[code]}: {found}; an integer in a float field looks like this; write 1.0, not 1"
     length = float(np.linalg.norm(pose[3:]))
-    return f"{_KINDS[code]}: {pose[3:].tolist()} has length {length:.3g}, expected 1"
+    hint = "" if code == 4 else "; angles or a rotation vector must be converted before they are published"
+    return f"{_KINDS[code]}: {pose[3:].tolist()} has length {length:.3g}, expected 1{hint}"

@@ -160,9 +160,13 @@ def resolve_urdf(reference: str, folder: Path) -> Path:
                 raise RobotFileError(f"urdf {shown(reference)} is a link to {found}, outside the robot file's folder")
             return found
     if is_package:
-        places = listed(map(str, candidates), 6)
+        package, _, file = str(relative).partition("/")
+        found_packages = [str(share / package) for share in _share_folders() if os.path.isdir(share / package)]
+        if found_packages:
+            raise RobotFileError(f"there is no URDF {shown(file)} in the package {listed(found_packages, 3)}")
         raise RobotFileError(
-            f"there is no URDF {shown(reference)} in {places}; install its package (pip install example-robot-data)"
+            f"the package {shown(package)} of the URDF {shown(reference)} is not installed; source its ROS workspace, "
+            "install it (pip install example-robot-data), or copy the URDF next to the robot file and name it there"
         )
     hint = "; expand a xacro first: xacro FILE.xacro > robot.urdf" if "xacro" in reference else ""
     raise RobotFileError(

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
 from tpgmm_core.doubt.judging import judged, judged_alone
+from tpgmm_core.model.derived_frames import HAND
 from tpgmm_ros.recordings.recording import Recording
 from tpgmm_ros.task.task_file import Task
 
@@ -50,4 +51,5 @@ def shown_in(recording: Recording, task: Task) -> RawDemonstration:
     """A recording as doubts are about it: with the frames that were observed."""
     frames = {name: poses for name, poses in recording.frames.items() if task.frames[name].pose is None}
     visible = {name: recording.visible[name] for name in frames}
-    return RawDemonstration(recording.place, recording.times, recording.movement, frames, visible)
+    from_start = any(source.of == HAND for source in task.derived.sources.values())
+    return RawDemonstration(recording.place, recording.times, recording.movement, frames, visible, from_start)

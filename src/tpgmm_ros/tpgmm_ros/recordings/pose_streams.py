@@ -11,10 +11,11 @@ import numpy as np
 
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array, Nanoseconds
+from tpgmm_core.doubt.ends import doubts_of_ends
 from tpgmm_core.geometry.pose import compose
 from tpgmm_core.observation.gate import MotionLimits
 from tpgmm_core.observation.plausible_poses import plausible_poses
-from tpgmm_core.observation.poses import ROUNDING, check_poses, doubtful_units, wrong_frame
+from tpgmm_core.observation.poses import ROUNDING, check_poses, doubtful_units, never_filled, wrong_frame
 from tpgmm_core.observation.transforms import NO_TRANSFORM, TransformError
 from tpgmm_ros.messages.sources import Source, TopicSource, TransformSource
 from tpgmm_ros.recordings.bag_messages import MOST_BAD, BagError, Stream, take_messages
@@ -129,7 +130,7 @@ class _Seen:
         stamps, recorded = np.array(self.stamps, np.int64), np.array(self.recorded, np.int64)
         seen = Observed(stamps, self.frame_ids, np.array(self.numbers).reshape(-1, 7))
         poses, good, notes = usable_poses(path, topic, seen, base_frame, transforms)
-        return Stream(topic, stamps[good], recorded[good], poses, notes)
+        return Stream(topic, stamps[good], recorded[good], poses, notes, doubts_of_ends(topic, recorded, good))
 
 
 class Observed(NamedTuple):
@@ -183,6 +184,10 @@ def usable_poses(
     numbers, frame_ids = observed.numbers, np.array(observed.frame_ids, dtype=object)
     poses, good, reasons = check_poses(numbers)
     notes = []
+    if (empty := good & never_filled(numbers)).any():
+        good = good & ~empty
+        first = f"number {int(np.argmax(empty))}: never filled in: all numbers of an empty message, unlike the others"
+        reasons["never filled in"] = int(np.count_nonzero(empty)), first
     for frame_id in sorted(set(frame_ids.tolist())):
         if not (reason := wrong_frame(frame_id, base_frame)):
             continue

@@ -155,6 +155,8 @@ def _taken(stream: Stream, which: np.ndarray) -> Stream:
 def _read(path: Path, task: Task) -> tuple[dict[str, Stream], dict[str, Array]]:
     """All topics as they were recorded, and poses of frames that do not move."""
     streams, fixed = read_pose_streams(path, _sources(task), task.base_frame)
+    # a frame that is lost at an end stays where it was, or is not seen yet
+    streams = {name: s if name == MOVEMENT else replace(s, doubts=()) for name, s in streams.items()}
     if isinstance(task.recorded_movement, JointStateSource):
         streams[MOVEMENT] = read_link_stream(path, task.recorded_movement, task.base_frame)
     if names := task.space.joints():
