@@ -14,10 +14,10 @@ from tpgmm_core import Demonstration, Frame
 from tpgmm_core.choice.candidates import frame_candidates, in_order_of_preference
 from tpgmm_core.choice.plan import Plan
 from tpgmm_core.choice.reproducing import reproduce
-from tpgmm_core.choice.screen import screen_frames
 from tpgmm_core.choice.search import Search, run_search
 from tpgmm_core.choice.trial import HeldOutError, Problem, Trial, TrialResult
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.learning.frame_screen import screen_frames
 from tpgmm_core.model.derived_frames import BASE, HAND, DerivedFrames, FrameSource
 
 SPACE = "R1 x R3"

@@ -12,13 +12,13 @@ import numpy as np
 
 from tpgmm_core.choice.candidates import frame_candidates, in_order_of_preference
 from tpgmm_core.choice.plan import Plan
-from tpgmm_core.choice.screen import METRES_PER_RADIAN, FrameScreen, screen_frames
 from tpgmm_core.choice.search import Search, TrialProgress, run_search
 from tpgmm_core.choice.trial import SAMPLES, Problem, TrialResult, thinned
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.iteration import EmProgress
+from tpgmm_core.learning.frame_screen import METRES_PER_RADIAN, FrameScreen, screen_frames
 from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.derived_frames import BASE, HAND, DerivedFrames, with_frames

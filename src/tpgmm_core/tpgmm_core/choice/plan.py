@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is tried, in which order: methods and frames, then components, then frames one by one, then priors."""
+"""What is tried, in which order: methods and frames, segments, components, then frames one by one, then priors."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 from tpgmm_core.choice.search import LEADERS, Search
 from tpgmm_core.choice.trial import Trial
 from tpgmm_core.retrieval.methods import KEY, METHODS
+from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 
 COMPONENTS = (3, 5, 7, 10, 14)
 STRUCTURES = ("diag", "full")
@@ -20,6 +21,8 @@ LOCALITIES = (0.3, 1.0, 3.0)
 """How much more demonstrations say whose situations are near, for methods that can tell."""
 STRENGTHS = (0.0, 1.0, 3.0, 10.0, 30.0)
 """Of the prior of the covariances, in demonstrations."""
+PRUNED = (0.2, 0.4)
+"""Relevances below which a frame is left out of a segment of the movement."""
 MORE_FRAMES = 2
 """Declared frames that the screen drops, up to which they are tried with every method all the same."""
 START = 7
@@ -53,6 +56,12 @@ class Plan:
     def rounds(self, search: Search) -> Iterator[Sequence[Trial]]:
         """See `tpgmm_core.choice.search.Rounds`."""
         yield self._first()
+        yield [
+            pruned
+            for result in search.leaders[:LEADERS]
+            for least in PRUNED
+            if PRUNE_KEY in (pruned := result.trial.changed(**{PRUNE_KEY: least})).settings
+        ]
         yield [
             result.trial.changed(n_components=K)
             for result in search.leaders[:LEADERS]
