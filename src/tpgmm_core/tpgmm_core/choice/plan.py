@@ -9,7 +9,7 @@ from typing import Any
 
 from tpgmm_core.choice.search import LEADERS, Search
 from tpgmm_core.choice.trial import Trial
-from tpgmm_core.retrieval.methods import KEY, METHODS
+from tpgmm_core.retrieval.methods import ALL_METHODS, DEFAULT, KEY, METHODS
 from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 
 COMPONENTS = (3, 5, 7, 10, 14)
@@ -79,8 +79,9 @@ class Plan:
     def _first(self) -> list[Trial]:
         """What the task file says, then every method; functions of time first, which are quick to try."""
         settings = {name: value for name, value in self.settings.items() if name != KEY}
-        methods = sorted(self.methods, key=lambda name: METHODS[name].time_parametrized is None)
-        given = Trial.of(str(self.settings.get(KEY, methods[0])), self.declared, {"n_components": START, **settings})
+        methods = sorted(self.methods, key=lambda name: ALL_METHODS[name].time_parametrized is None)
+        default = DEFAULT if DEFAULT in methods else methods[0]
+        given = Trial.of(str(self.settings.get(KEY, default)), self.declared, {"n_components": START, **settings})
         # With many frames that the screen drops, every model of all of them would be slow to learn, and poor
         sets = [self.kept, *([self.declared] if len(self.declared) <= len(self.kept) + MORE_FRAMES else [])]
         others = [

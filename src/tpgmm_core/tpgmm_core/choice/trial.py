@@ -231,8 +231,14 @@ class Problem:
     objects: tuple[str, ...]
 
     @classmethod
-    def of(cls, demonstrations: Sequence[Demonstration], manifold: str | Manifold, objects: Sequence[str]) -> Problem:
-        """Make one, with SAMPLES samples of each demonstration.
+    def of(
+        cls,
+        demonstrations: Sequence[Demonstration],
+        manifold: str | Manifold,
+        objects: Sequence[str],
+        samples: int = SAMPLES,
+    ) -> Problem:
+        """Make one, with at most so many samples of each demonstration.
 
         Returns
         -------
@@ -250,7 +256,7 @@ class Problem:
                 "record more, or say in the task file what to learn with"
             )
         space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold)
-        return cls(tuple(thinned(shown, SAMPLES) for shown in demonstrations), space, tuple(objects))
+        return cls(tuple(thinned(shown, samples) for shown in demonstrations), space, tuple(objects))
 
     @property
     def folds(self) -> tuple[tuple[int, ...], ...]:

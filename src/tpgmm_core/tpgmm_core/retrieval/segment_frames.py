@@ -8,10 +8,10 @@ k is then, the relevance of frame j in segment k is its precision there over tha
     r_jk = min_i e_ik^2 / e_jk^2,   e_jk^2 = sum_s h_k(s) e_j(s)^2 / sum_s h_k(s).
 
 Of few demonstrations, some direction of a frame agrees by chance, and EM takes the frame for certain of it. Where r_jk
-is too small the frame is left out: to its covariance there, WIDER times that of all that it saw is added, the
-same in all directions of a place, and in those of a turn. In the product (Eq. 6) it then has next to no weight. It is not without
-any, so that regression goes on without a jump, and so that it still says roughly where the hand is as long as the
-frames that count there are not seen.
+is too small the frame is left out: to its covariance there, WIDER times that of all that it saw is added, the same in
+all directions of a place, and in those of a turn. In the product (Eq. 6) it then has next to no weight. It is not
+without any, so that regression goes on without a jump, and so that it still says roughly where the hand is as long as
+the frames that count there are not seen.
 """
 
 from __future__ import annotations
