@@ -56,6 +56,7 @@ def ways(
         trials=options.trials,
         seconds=options.seconds,
         workers=options.workers,
+        methods=options.methods,
     )
     best = choice.best
     chosen = {"method": best.trial.method, "frames": list(best.trial.frames), "settings": dict(best.trial.settings)}
@@ -122,7 +123,7 @@ def show(name: str, rows: Sequence[Mapping[str, Any]]) -> None:
             chosen = row["chosen"]
             settings = {
                 key: chosen["settings"].get(key)
-                for key in ("covariance", "n_components", "regularization", "reg_covar")
+                for key in ("covariance", "n_components", "regularization", "reg_covar", "prune")
             }
             said = " ".join(str(value) for value in settings.values() if value is not None)
             print(
@@ -138,6 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--set", nargs=2, action="append", metavar=("TASK", "BAGS"), help="task file, directory of bags"
     )
     parser.add_argument("--trials", type=int, default=60, help="ways of learning that are tried in each fold (60)")
+    parser.add_argument("--methods", nargs="+", help="of retrieval that are tried (default: all)")
     parser.add_argument("--seconds", type=float, help="time for each fold; without, trials alone count")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one per core)")
     parser.add_argument(

@@ -2,7 +2,8 @@
 """What frames that do not matter cost, and what the screen makes of them: leave-one-out, the screen made in each fold.
 
 To the recordings' own frames are added some at random places, anew in each demonstration, and some that hardly move.
-One model is learned of all frames, one of those that the screen keeps, with the same settings for both.
+Models are learned of all frames, of those that the screen keeps, and of both with frames left out of the segments in
+which they predict badly (`prune`), with the same settings for all.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ from tqdm import tqdm  # noqa: E402
 from tpgmm_core import Demonstration, Frame  # noqa: E402
 from tpgmm_core.choice.candidates import frame_candidates, in_order_of_preference  # noqa: E402
 from tpgmm_core.choice.reproducing import reproduce  # noqa: E402
-from tpgmm_core.choice.screen import screen_frames  # noqa: E402
 from tpgmm_core.choice.trial import SAMPLES, thinned  # noqa: E402
 from tpgmm_core.common.report import format_table  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
+from tpgmm_core.learning.frame_screen import screen_frames  # noqa: E402
 from tpgmm_core.model.derived_frames import with_frames  # noqa: E402
 from tpgmm_core.retrieval.recipe import Recipe  # noqa: E402
 from tpgmm_ros.programs.reporting import write_report  # noqa: E402
@@ -38,9 +39,13 @@ SETS = (
     ("config/franka_bolts.yaml", "../shared/data/franka_bolts"),
     ("config/pick_place.yaml", "bags/pick_place"),
 )
+type Errors = np.ndarray[tuple[int], np.dtype[np.float64]]
+
 SETTINGS = {"n_components": 7, "covariance": "diag", "reg_covar": 1e-4, "max_iter": 100}
 BORNE = 1.1
 """Largest error with frames that do not matter, once they are screened, over that without them."""
+PRUNE = 0.4
+"""Relevance below which a frame is left out of a segment."""
 STILL_NOISE = (0.005, 0.02)
 """How far the frames that hardly move do so, standard deviation, m and rad."""
 
@@ -85,10 +90,11 @@ def demonstrations_of(recordings: Sequence[Recording]) -> tuple[list[Demonstrati
     ], "R1 x R3"
 
 
-def errors(recordings: Sequence[Recording], is_screened: bool) -> tuple[float, set[str]]:
-    """Mean RMSE of positions of what was left out, m, and all frames that models were learned of."""
+def errors(recordings: Sequence[Recording], method: str, is_screened: bool) -> tuple[Errors, Errors, set[str]]:
+    """RMSE of positions of what was left out, m, without and with PRUNE, and all frames that models were learned of."""
     shown, space = demonstrations_of(recordings)
-    found, used = [], set[str]()
+    found: tuple[list[float], list[float]] = [], []
+    used = set[str]()
     for i, left_out in enumerate(shown):
         others = shown[:i] + shown[i + 1 :]
         frames, situation = tuple(left_out.frames), left_out
@@ -98,10 +104,18 @@ def errors(recordings: Sequence[Recording], is_screened: bool) -> tuple[float, s
             situation = derived.extended(left_out)
             frames = tuple(screen_frames(others, in_order_of_preference(others, derived)).shares())
         used |= set(frames)
-        model = Recipe.of(SETTINGS, "regress_product").learn([with_frames(item, frames) for item in others], space)
-        path = reproduce(model, with_frames(situation, frames))
-        found.append(float(np.sqrt(np.mean(np.sum((path[:, :3] - left_out.data[:, 1:4]) ** 2, axis=1)))))
-    return float(np.mean(found)), used
+        others, situation = [with_frames(item, frames) for item in others], with_frames(situation, frames)
+        for errors_of_kind, prune in zip(found, (0.0, PRUNE), strict=True):
+            path = reproduce(Recipe.of({**SETTINGS, "prune": prune}, method).learn(others, space), situation)
+            off = np.sum((path[:, :3] - left_out.data[:, 1:4]) ** 2, axis=1)
+            errors_of_kind.append(float(np.sqrt(np.mean(off))))
+    return np.array(found[0]), np.array(found[1]), used
+
+
+def more(pruned: Errors, whole: Errors) -> str:
+    """By how much errors change, with the standard error of that."""
+    change = pruned - whole
+    return f"{change.mean():+.4f} ± {change.std(ddof=1) / np.sqrt(len(change)):.4f}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -114,6 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--phantoms", type=int, default=10, help="frames at random places (default: 10)")
     parser.add_argument("--still", type=int, default=10, help="frames that hardly move (default: 10)")
     parser.add_argument("--seeds", type=int, default=5, help="so many times (default: 5)")
+    parser.add_argument("--method", default="regress_product", help="of retrieval (default: regress_product)")
     parser.add_argument("--output", type=Path, default=Path("out/results/irrelevant_frames"), help="of report.json")
     options = parser.parse_args(arguments)
     report: dict[str, Any] = {}
@@ -127,29 +142,44 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if bad:
             raise bad[0]
         recordings = recordings[: options.first]
-        plain, screened = errors(recordings, False)[0], errors(recordings, True)[0]
-        rows.append((task.name, "none", f"{plain:.4f}", f"{screened:.4f}", "", ""))
-        report[task.name] = {"frames_of_the_task": plain, "screened": screened, "seeds": []}
+        plain, plain_pruned, _ = errors(recordings, options.method, False)
+        base, base_pruned, _ = errors(recordings, options.method, True)
+        kinds = (plain, plain_pruned, base, base_pruned)
+        rows.append(
+            (task.name, "none", *(f"{kind.mean():.4f}" for kind in kinds))
+            + (more(plain_pruned, plain), more(base_pruned, base), "", "")
+        )
+        report[task.name] = {
+            "frames_of_the_task": plain.mean(),
+            "frames_of_the_task_pruned": plain_pruned.mean(),
+            "screened": base.mean(),
+            "screened_pruned": base_pruned.mean(),
+            "seeds": [],
+        }
         for seed in tqdm(range(options.seeds), desc=task.name, disable=None, file=sys.stderr):
-            more = with_irrelevant(recordings, seed, options.phantoms, options.still)
-            everything, (kept, used) = errors(more, False)[0], errors(more, True)
+            extended = with_irrelevant(recordings, seed, options.phantoms, options.still)
+            whole, pruned, _ = errors(extended, options.method, False)
+            kept, kept_pruned, used = errors(extended, options.method, True)
             intruders = sorted(name for name in used if name.startswith(("phantom", "still")))
+            share = kept.mean() / base.mean()
             rows.append(
-                (
-                    task.name,
-                    f"seed {seed}",
-                    f"{everything:.4f}",
-                    f"{kept:.4f}",
-                    f"{kept / screened - 1.0:+.1%}",
-                    str(len(intruders)),
-                )
+                (task.name, f"seed {seed}", *(f"{kind.mean():.4f}" for kind in (whole, pruned, kept, kept_pruned)))
+                + (more(pruned, whole), more(kept_pruned, kept), f"{share - 1.0:+.1%}", str(len(intruders)))
             )
-            row = {"seed": seed, "all": everything, "screened": kept, "intruders": intruders}
+            row = {
+                "seed": seed,
+                "all": whole.mean(),
+                "all_pruned": pruned.mean(),
+                "screened": kept.mean(),
+                "screened_pruned": kept_pruned.mean(),
+                "intruders": intruders,
+            }
             report[task.name]["seeds"].append(row)
     print(
         f"\n{options.phantoms} frames at random places and {options.still} that hardly move; mean RMSE of positions, m"
     )
-    print(format_table(("data", "added", "all frames", "screened", "against none added", "added frames kept"), rows))
+    head = ("data", "added", "all frames", "pruned", "screened", "screened, pruned", "pruned - all")
+    print(format_table((*head, "pruned - screened", "screened against none added", "added frames kept"), rows))
     if not report:
         print("irrelevant_frames: skipped, there is no data set")
         return 0

@@ -11,14 +11,18 @@ import numpy as np
 import pytest
 
 from tpgmm_core import Demonstration, Frame
+from tpgmm_core.choice.automatic import choose
 from tpgmm_core.choice.candidates import frame_candidates, in_order_of_preference
 from tpgmm_core.choice.plan import Plan
 from tpgmm_core.choice.reproducing import reproduce
-from tpgmm_core.choice.screen import screen_frames
 from tpgmm_core.choice.search import Search, run_search
 from tpgmm_core.choice.trial import HeldOutError, Problem, Trial, TrialResult
+from tpgmm_core.choice.turns import one_turn, phases_of
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.frame_screen import screen_frames
 from tpgmm_core.model.derived_frames import BASE, HAND, DerivedFrames, FrameSource
+from wiping import repeated
 
 SPACE = "R1 x R3"
 CAUSES = {"hand_start", "object", "bin_unturned"}
@@ -268,3 +272,34 @@ def test_a_search_without_success_says_why() -> None:
     failed = TrialResult(Trial("dmp", ("a",)), {}, is_complete=False, refusals=("too few samples",))
     with pytest.raises(ValueError, match="no model could be learned .* were tried: too few samples"):
         _ = Search([failed]).best
+
+
+# Movements that repeat
+
+
+def test_only_where_every_demonstration_repeats_a_phase_is_found() -> None:
+    there = [reach(i) for i in range(3)]
+    again = [repeated(shown) for shown in there]
+    space = Manifold.parse(SPACE)
+    assert phases_of(there, space) is None and phases_of([*again[:2], there[2]], space) is None
+    phases = phases_of(again, space)
+    assert phases is not None
+    for shown, phase in zip(again, phases, strict=True):
+        turn = one_turn(shown, phase)
+        # the way there and back again, whatever the phase at which it begins
+        far = np.linalg.norm(turn.data[:, 1:] - shown.data[0, 1:], axis=1)
+        assert (
+            far.min() < 0.05 and far.max() > 0.9 * np.linalg.norm(shown.data[:, 1:] - shown.data[0, 1:], axis=1).max()
+        )
+
+
+def test_nothing_is_tried_for_movements_that_do_not_repeat_that_was_not_before() -> None:
+    """The method for movements that repeat is offered where all do, and only there."""
+    shown = [reach(i) for i in range(4)]
+    names = {False: "adapt_regress", True: "periodic"}
+    for repeats, name in names.items():
+        given = [repeated(item, cycles=3) for item in shown] if repeats else shown
+        choice = choose(given, SPACE, {"n_components": 3, "reg_covar": 1e-4, "max_iter": 20}, trials=2)
+        assert choice.given.trial.method == "adapt_regress"
+        assert [result.trial.method for result in choice.search.results[1:]] == [name]
+        assert ("hand_start" in choice.screen.names) is not repeats and choice.cycles == (3 if repeats else 1)

@@ -58,7 +58,17 @@ def test_wiping_is_trained_shown_and_known_where_it_was_left_out(
     assert row["position_rmse_m"] == pytest.approx(report["leave_one_out"]["mean"]["position_rmse_m"])
 
 
-def test_what_repeats_is_not_chosen_for(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["--task", str(folder / "task.yaml"), "--auto", "--trials", "1", "--output", str(tmp_path / "model")]
-    assert train.main([*arguments, str(folder / "bags")]) == 1
-    assert "a movement that repeats is learned by one method" in capsys.readouterr().err
+def test_what_repeats_is_found_out_and_chosen_for(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The task file names no method, or another one."""
+    (tmp_path / "task.yaml").write_text(REACH_TASK)
+    arguments = ["--task", str(tmp_path / "task.yaml"), "--auto", "--trials", "2", "--workers", "1"]
+    arguments += ["--output", str(tmp_path / "model"), "--report", str(tmp_path)]
+    assert train.main([*arguments, str(folder / "bags")]) == 0
+    said, report = capsys.readouterr().out, json.loads((tmp_path / "report.json").read_text())
+    assert report["auto"]["best"]["method"] == "periodic" and report["auto"]["best"]["frames"] == ["object"]
+    assert report["auto"]["best"]["error"]["position"] < 0.01 < report["auto"]["task_file"]["error"]["position"]
+    assert "in each tenth of the cycle" in said and "the movement repeats" in said
+    model = load_model(tmp_path / "model")
+    assert model.period_ == pytest.approx(PERIOD, rel=0.15)  # type: ignore[attr-defined]

@@ -62,6 +62,22 @@ def test_a_model_of_every_kind_is_shown_and_the_frame_that_matters_changes_on_th
     assert "not calibrated" in found["text"] and "expected errors are not known" in found["text"]
 
 
+def test_frames_that_count_in_each_segment_are_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recipe = Recipe.of({"n_components": 3, "reg_covar": 1e-5, "prune": 0.4})
+    recipe.learn(demonstrations(), MANIFOLD, DIMENSIONS).save(tmp_path / "model")
+    found = shown(tmp_path / "model", capsys)
+    segments, order = found["segments"], np.argsort(found["segments"]["at"])
+    assert segments["prune"] == 0.4 and not found["other_metadata"].keys() & {"prune", "prune.object", "prune.robot"}
+    for name, first, last in (("robot", True, False), ("object", False, True)):
+        assert [segments["kept"][name][k] for k in order[[0, -1]]] == [first, last]
+    title, _, *rows = found["text"][found["text"].index("frames that count in each segment") :].splitlines()[:6]
+    assert (
+        "left out below 0.4" in title
+        and "kept 1.00" in rows[-1]
+        and rows[-1].index("kept") < rows[-1].index("left out")
+    )
+
+
 def test_what_a_model_was_learned_from_and_how_exact_it_is_stands_in_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

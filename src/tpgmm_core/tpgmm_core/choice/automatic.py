@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -12,17 +13,19 @@ import numpy as np
 
 from tpgmm_core.choice.candidates import frame_candidates, in_order_of_preference
 from tpgmm_core.choice.plan import Plan
-from tpgmm_core.choice.screen import METRES_PER_RADIAN, FrameScreen, screen_frames
 from tpgmm_core.choice.search import Search, TrialProgress, run_search
 from tpgmm_core.choice.trial import SAMPLES, Problem, TrialResult, thinned
+from tpgmm_core.choice.turns import one_turn, phases_of
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.cycles import TURN
 from tpgmm_core.learning.estimation.iteration import EmProgress
+from tpgmm_core.learning.frame_screen import METRES_PER_RADIAN, FrameScreen, screen_frames
 from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.derived_frames import BASE, HAND, DerivedFrames, with_frames
-from tpgmm_core.retrieval.methods import KEY, METHODS, PERIODIC
+from tpgmm_core.retrieval.methods import METHODS, PERIODIC
 
 POSITIONS = "R1 x R3"
 STILL = 0.02
@@ -49,6 +52,8 @@ class Choice:
         frames of the task
     still
         observed frames that hardly moved between the demonstrations or within them
+    cycles
+        of demonstrations that repeat, at most, the part of the last one too; 1 where they do not
     """
 
     search: Search
@@ -56,6 +61,7 @@ class Choice:
     derived: DerivedFrames
     declared: tuple[str, ...]
     still: tuple[str, ...]
+    cycles: int = 1
 
     @property
     def best(self) -> TrialResult:
@@ -75,7 +81,7 @@ class Choice:
         return tuple(sorted(i for i, cost in costs.items() if cost > limit))
 
     def relevance(self, parts: int = 10) -> dict[str, list[float]]:
-        """What each frame that was chosen says of where the hand is, in each part of the time; adds up to 1."""
+        """What each frame that was chosen says of where the hand is, in each part of the time or cycle; sums to 1."""
         return {name: shares.tolist() for name, shares in self.screen.relevance(self.best.trial.frames, parts).items()}
 
     def learn(
@@ -99,7 +105,7 @@ class Choice:
         derived = self.derived.only(trial.frames)
         missing = [name for name in derived.sources if name not in demonstrations[0].frames]
         extended = [derived.only(missing).extended(item) for item in demonstrations]
-        shown = [thinned(with_frames(item, trial.frames), SAMPLES) for item in extended]
+        shown = [thinned(with_frames(item, trial.frames), SAMPLES * self.cycles) for item in extended]
         model = trial.recipe.learn(shown, manifold, dimensions, progress)
         model.metadata_ |= derived.metadata()
         return model
@@ -143,7 +149,7 @@ def choose(
     settings: Mapping[str, Any] | None = None,
     declared: DerivedFrames | None = None,
     *,
-    methods: Sequence[str] = tuple(METHODS),
+    methods: Sequence[str] | None = None,
     trials: int | None = None,
     seconds: float | None = None,
     workers: int = 1,
@@ -164,7 +170,7 @@ def choose(
     declared
         those of the demonstrations' frames that are derived
     methods
-        of retrieval
+        of retrieval; None: all, and where every demonstration repeats itself, first the one for such movements
     trials, seconds, workers, progress, clock
         see `run_search`
 
@@ -176,30 +182,34 @@ def choose(
     Raises
     ------
     ValueError
-        for too few demonstrations, for movements that repeat, and where nothing could be learned
+        for too few demonstrations, and where nothing could be learned
     """
-    if PERIODIC.name in (*methods, (settings or {}).get(KEY)):
-        raise ValueError(
-            "a movement that repeats is learned by one method, and frames are screened over time, which has no "
-            "beginning and no end there: learn it without a choice"
-        )
     derived = DerivedFrames() if declared is None else declared
     if not any(_has_orientations(shown) for shown in demonstrations):
         demonstrations, manifold = [positions_alone(shown) for shown in demonstrations], POSITIONS
+    space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold)
+    phases = phases_of(demonstrations, space)
     candidates = frame_candidates(demonstrations, derived)
+    if phases is not None:  # where the hand happens to begin says nothing of a movement that goes on and on
+        candidates = DerivedFrames({name: source for name, source in candidates.sources.items() if source.of != HAND})
     names = tuple(demonstrations[0].frames)
     every = DerivedFrames({**derived.sources, **candidates.sources})
     extended = [candidates.extended(shown) for shown in demonstrations]
-    screen = screen_frames(extended, in_order_of_preference(extended, every))
+    turns = extended if phases is None else [one_turn(*item) for item in zip(extended, phases, strict=True)]
+    screen = screen_frames(turns, in_order_of_preference(extended, every))
     kept = tuple(screen.shares())
     # The hand is to be exact where frames are that matter: at objects, also where these are derived frames' sources
     objects = tuple(dict.fromkeys(every.sources[n].of if n in every.sources else n for n in kept))
-    problem = Problem.of(extended, manifold, [name for name in objects if name not in (HAND, BASE)])
+    cycles = 1 if phases is None else max(math.ceil((one[-1] - one[0]) / TURN) for one in phases)
+    problem = Problem.of(extended, space, [name for name in objects if name not in (HAND, BASE)], SAMPLES * cycles)
+    if methods is None:
+        methods = tuple(METHODS) if phases is None else (PERIODIC.name, *METHODS)
     plan = Plan(names, kept, screen.rivals()[:MORE], dict(settings or {}), tuple(methods))
     search = run_search(problem, plan.rounds, trials, seconds, workers, progress, clock)
     _ = search.best  # raises where there is none
     observed = [name for name in names if name not in derived.sources]
-    return Choice(search, screen, every, names, tuple(name for name in observed if _moved(extended, name) < STILL))
+    still = tuple(name for name in observed if _moved(extended, name) < STILL)
+    return Choice(search, screen, every, names, still, cycles)
 
 
 def _has_orientations(shown: Demonstration) -> bool:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is tried, in which order: methods and frames, then components, then frames one by one, then priors."""
+"""What is tried, in which order: methods and frames, segments, components, then frames one by one, then priors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 
 from tpgmm_core.choice.search import LEADERS, Search
 from tpgmm_core.choice.trial import Trial
-from tpgmm_core.retrieval.methods import KEY, METHODS
+from tpgmm_core.retrieval.methods import ALL_METHODS, DEFAULT, KEY, METHODS
+from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 
 COMPONENTS = (3, 5, 7, 10, 14)
 STRUCTURES = ("diag", "full")
@@ -20,6 +21,8 @@ LOCALITIES = (0.3, 1.0, 3.0)
 """How much more demonstrations say whose situations are near, for methods that can tell."""
 STRENGTHS = (0.0, 1.0, 3.0, 10.0, 30.0)
 """Of the prior of the covariances, in demonstrations."""
+PRUNED = (0.2, 0.4)
+"""Relevances below which a frame is left out of a segment of the movement."""
 MORE_FRAMES = 2
 """Declared frames that the screen drops, up to which they are tried with every method all the same."""
 START = 7
@@ -54,6 +57,12 @@ class Plan:
         """See `tpgmm_core.choice.search.Rounds`."""
         yield self._first()
         yield [
+            pruned
+            for result in search.leaders[:LEADERS]
+            for least in PRUNED
+            if PRUNE_KEY in (pruned := result.trial.changed(**{PRUNE_KEY: least})).settings
+        ]
+        yield [
             result.trial.changed(n_components=K)
             for result in search.leaders[:LEADERS]
             if "n_components" in result.trial.settings
@@ -70,8 +79,9 @@ class Plan:
     def _first(self) -> list[Trial]:
         """What the task file says, then every method; functions of time first, which are quick to try."""
         settings = {name: value for name, value in self.settings.items() if name != KEY}
-        methods = sorted(self.methods, key=lambda name: METHODS[name].time_parametrized is None)
-        given = Trial.of(str(self.settings.get(KEY, methods[0])), self.declared, {"n_components": START, **settings})
+        methods = sorted(self.methods, key=lambda name: ALL_METHODS[name].time_parametrized is None)
+        default = DEFAULT if DEFAULT in methods else methods[0]
+        given = Trial.of(str(self.settings.get(KEY, default)), self.declared, {"n_components": START, **settings})
         # With many frames that the screen drops, every model of all of them would be slow to learn, and poor
         sets = [self.kept, *([self.declared] if len(self.declared) <= len(self.kept) + MORE_FRAMES else [])]
         others = [

@@ -18,15 +18,16 @@ from typing import Any
 import numpy as np
 
 from tpgmm_core.choice.reproducing import reproduce
-from tpgmm_core.choice.screen import distances
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.frame_screen import distances
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.derived_frames import with_frames
 from tpgmm_core.retrieval.exact import KEY as EXACT_KEY
 from tpgmm_core.retrieval.methods import KEY, method_named
 from tpgmm_core.retrieval.recipe import Recipe
+from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 
 WORTH = 0.01
 """A frame has to make the error less by this share: one that does not matter may do so a little by chance."""
@@ -74,7 +75,7 @@ class Trial:
         """
         chosen = method_named(method)
         known = {item.name for item in fields(chosen.encoding)} | inspect.signature(chosen.estimator).parameters.keys()
-        used = (known | {EXACT_KEY}) - {KEY}
+        used = (known | {EXACT_KEY, *([PRUNE_KEY] if chosen.has_segments else [])}) - {KEY}
         return cls(chosen.name, tuple(frames), {name: settings[name] for name in settings if name in used})
 
     def changed(self, **settings: Any) -> Trial:
@@ -230,8 +231,14 @@ class Problem:
     objects: tuple[str, ...]
 
     @classmethod
-    def of(cls, demonstrations: Sequence[Demonstration], manifold: str | Manifold, objects: Sequence[str]) -> Problem:
-        """Make one, with SAMPLES samples of each demonstration.
+    def of(
+        cls,
+        demonstrations: Sequence[Demonstration],
+        manifold: str | Manifold,
+        objects: Sequence[str],
+        samples: int = SAMPLES,
+    ) -> Problem:
+        """Make one, with at most so many samples of each demonstration.
 
         Returns
         -------
@@ -249,7 +256,7 @@ class Problem:
                 "record more, or say in the task file what to learn with"
             )
         space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold)
-        return cls(tuple(thinned(shown, SAMPLES) for shown in demonstrations), space, tuple(objects))
+        return cls(tuple(thinned(shown, samples) for shown in demonstrations), space, tuple(objects))
 
     @property
     def folds(self) -> tuple[tuple[int, ...], ...]:

@@ -167,6 +167,28 @@ def _cycles(samples: Samples) -> list[Cycles]:
     return found
 
 
+def phases_shown(samples: Samples) -> list[Array]:
+    """The phases of demonstrations that repeat.
+
+    Parameters
+    ----------
+    samples
+        over [time, data]
+
+    Returns
+    -------
+    list[Array]
+        of each demonstration (T,), rad, increasing; they fit each other as `beginnings` says
+
+    Raises
+    ------
+    ValueError
+        for a demonstration that does not repeat
+    """
+    found = _cycles(samples)
+    return [begin + one.phases for one, begin in zip(found, beginnings(found), strict=True)]
+
+
 def _over_phase(samples: Samples, found: Sequence[Cycles], begins: Sequence[float] | Array) -> Samples:
     """Samples whose first dimension is the phase, 0 to 2 pi, and whose times are the phases without the wrap."""
     phases = np.concatenate([begin + one.phases for one, begin in zip(found, begins, strict=True)])

@@ -18,7 +18,9 @@ import numpy as np
 from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.settings import Settings, configured, setting
 from tpgmm_core.common.text import shown
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.cycles import TURN
 from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.dmp import DmpParameters
@@ -41,6 +43,8 @@ class Encoding(Settings, ABC):
         where EM should start from, if not from the estimator's own default (see `TPGMM`)
     description
         what the rows of the model's data hold
+    follows_time
+        whether time, or what time leads through, is the first dimension
 
     Raises
     ------
@@ -51,6 +55,7 @@ class Encoding(Settings, ABC):
     name: ClassVar[str]
     init: ClassVar[str | None] = None
     description: ClassVar[str]
+    follows_time: ClassVar[bool] = True
 
     @abstractmethod
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:
@@ -84,6 +89,12 @@ class Encoding(Settings, ABC):
     @abstractmethod
     def dimensions(self, names: Sequence[str], manifold: Manifold) -> tuple[str, ...]:
         """Names of the model's ambient numbers, from those of the demonstrations."""
+
+    def inputs(self, shares: Array, duration: float) -> Array:
+        """The model's first dimension (S,) at shares (S,) of a movement of a duration, s; ValueError without time."""
+        if not self.follows_time:
+            raise ValueError(f"a model of {self.description} has no time")
+        return shares * duration
 
     def metadata(self) -> dict[str, str | float]:
         """The encoding as a model keeps it: `encoding`, and a number for each option."""
@@ -139,6 +150,10 @@ class PeriodicEncoding(Encoding):
         """The names, with "phase" in place of the time."""
         return ("phase", *names[1:])
 
+    def inputs(self, shares: Array, duration: float) -> Array:
+        """Phases (S,), rad, at shares (S,) of a cycle, whatever the duration."""
+        return TURN * shares
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DerivativesEncoding(Encoding):
@@ -190,6 +205,10 @@ class DmpEncoding(Encoding):
         """The names, with "decay" in place of the time."""
         return ("decay", *names[1:])
 
+    def inputs(self, shares: Array, duration: float) -> Array:
+        """Decay terms (S,) at shares (S,) of the movement, whatever the duration."""
+        return np.asarray(np.exp(-self.decay_rate * shares))
+
 
 _CLOSED = 0.1
 """A path is closed where it ends nearer to its beginning than this share of how far it goes away."""
@@ -202,6 +221,7 @@ class VelocityEncoding(Encoding):
     name: ClassVar[str] = "velocity"
     init: ClassVar[str | None] = "bins"
     description: ClassVar[str] = "[data, velocity]"
+    follows_time: ClassVar[bool] = False
     window: float = setting(9, 3, 999, _WINDOW)
 
     def encode(self, demonstration: Demonstration, manifold: Manifold) -> Demonstration:

@@ -84,6 +84,11 @@ class RetrievalMethod:
     movement: Callable[..., Retrieval] | None = None
     phase: Callable[[LearnedMixture], ClockPhase] | None = None
 
+    @property
+    def has_segments(self) -> bool:
+        """Whether its models are of few components over time, each a segment of the movement (`segment_frames`)."""
+        return issubclass(self.estimator, TPGMM) and self.encoding.follows_time
+
     def check(self, model: LearnedMixture) -> None:
         """Check that this method can retrieve from a model.
 

@@ -21,6 +21,8 @@ from tpgmm_core.retrieval.encodings import Encoding
 from tpgmm_core.retrieval.exact import KEY as EXACT_KEY
 from tpgmm_core.retrieval.exact import parsed
 from tpgmm_core.retrieval.methods import DEFAULT, KEY, RetrievalMethod, method_named
+from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
+from tpgmm_core.retrieval.segment_frames import prune
 
 PRIOR_STRENGTH = 3.0
 """Weight, in demonstrations, of the prior of the covariances where settings name none: half of one for each dimension
@@ -41,18 +43,22 @@ class Recipe:
         of the method's estimator, without the manifold
     exact
         what the movement meets exactly, as a text (`tpgmm_core.retrieval.exact.parsed`)
+    prune
+        relevance below which a frame is left out of a segment (`tpgmm_core.retrieval.segment_frames`); 0: none is
     """
 
     method: RetrievalMethod
     encoding: Encoding
     arguments: Mapping[str, Any] = field(default_factory=dict)
     exact: str | None = None
+    prune: float = 0.0
 
     @classmethod
     def of(cls, settings: Mapping[str, Any], method: str | None = None) -> Self:
-        """Make a recipe from settings by name: `retrieval`, `exact`, options of the encoding, of the estimator.
+        """Make a recipe from settings by name: `retrieval`, `exact`, `prune`, those of the encoding and the estimator.
 
-        Settings of `TPGMM` that the method's estimator does not have are left out. Where they name no
+        Settings of `TPGMM` that the method's estimator does not have are left out, and `prune` where its models have
+        no segments. Where they name no
         `prior_strength` and the estimator has none of its own, it is PRIOR_STRENGTH.
 
         Parameters
@@ -74,6 +80,9 @@ class Recipe:
         """
         rest = dict(settings)
         exact = rest.pop(EXACT_KEY, None)
+        least = float(rest.pop(PRUNE_KEY, 0.0))
+        if not 0.0 <= least <= 1.0:
+            raise ValueError(f"{PRUNE_KEY} is a relevance from 0 to 1, got {least}")
         named = rest.pop(KEY, DEFAULT)
         chosen = method_named(named if method is None else method)
         options = {item.name for item in fields(chosen.encoding)}
@@ -94,7 +103,7 @@ class Recipe:
             rest.setdefault("prior_strength", PRIOR_STRENGTH)
         if exact is not None:
             parsed(exact)
-        return cls(chosen, encoding, rest, exact)
+        return cls(chosen, encoding, rest, exact, least if chosen.has_segments else 0.0)
 
     @property
     def max_iter(self) -> int:
@@ -134,8 +143,12 @@ class Recipe:
         space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold)
         encoded = _Encoded([demonstrations], self.encoding, space)
         model = self._model(space)
-        model.fit(next(iter(encoded)), progress)
-        return self._finished(model, encoded, dimensions)
+        (shown,) = encoded
+        model.fit(shown, progress)
+        self._finished(model, encoded, dimensions)
+        if self.prune:
+            prune(model, demonstrations, shown, space, self.prune)
+        return model
 
     def check_parts(self) -> None:
         """Check that `learn_parts` can learn in this way.
@@ -150,6 +163,8 @@ class Recipe:
                 f"{self.method.name} learns a {self.method.estimator.__name__}, which needs all demonstrations at "
                 "once; Gaussian mixtures over time can be learned in parts"
             )
+        if self.prune:
+            raise ValueError(f"{PRUNE_KEY} compares all demonstrations at once")
         TPGMM(**self.arguments).check_parts()
 
     def learn_parts(

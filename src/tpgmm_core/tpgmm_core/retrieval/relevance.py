@@ -16,9 +16,8 @@ import numpy as np
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.mixture import GaussianMixture
-from tpgmm_core.learning.cycles import TURN
 from tpgmm_core.learning.learned_mixture import LearnedMixture
-from tpgmm_core.retrieval.encodings import DmpEncoding, PeriodicEncoding, VelocityEncoding, encoding_of
+from tpgmm_core.retrieval.encodings import encoding_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,16 +61,10 @@ def relevance(model: LearnedMixture, parts: int = 10) -> Relevance:
     if len(spaces) > 1:
         raise ValueError(f"the frames see different spaces ({listed(sorted(spaces))}): shares depend on the situation")
     encoding = encoding_of(model)
-    has_time = not isinstance(encoding, VelocityEncoding)
+    has_time = encoding.follows_time
     places, tangent = position_dimensions(model)
     if has_time:
-        progress = (np.arange(parts) + 0.5) / parts
-        if isinstance(encoding, DmpEncoding):
-            inputs = np.exp(-encoding.decay_rate * progress)
-        elif isinstance(encoding, PeriodicEncoding):
-            inputs = TURN * progress
-        else:
-            inputs = progress * float(model.metadata_.get("duration_s", 1.0))
+        inputs = encoding.inputs((np.arange(parts) + 0.5) / parts, float(model.metadata_.get("duration_s", 1.0)))
         seen = {name: _over_time(model, name, places, inputs) for name in model.frame_names_}
     else:
         seen = {name: model.covariances_[name][:, tangent[:, None], tangent] for name in model.frame_names_}
@@ -97,7 +90,7 @@ def position_dimensions(model: LearnedMixture) -> tuple[list[int], Array]:
     tuple[list[int], Array]
         ambient dimensions, three or fewer, and tangent dimensions
     """
-    first = 0 if isinstance(encoding_of(model), VelocityEncoding) else 1
+    first = 1 if encoding_of(model).follows_time else 0
     flat = [int(i) for i in model.manifold_.flat_ambient if i >= first]
     names = model.dimensions_
     if names is not None:

@@ -25,8 +25,10 @@ from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.methods import ALL_METHODS, DEFAULT, KEY, load_model
 from tpgmm_core.retrieval.novelty import NoveltyScale
 from tpgmm_core.retrieval.relevance import relevance
+from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 from tpgmm_core.retrieval.sub_objectives import quadratic_costs
 from tpgmm_ros.models.training_record import expected_errors, learned_from
+from tpgmm_ros.programs.components import MOST_COMPONENTS, components_of, segments_of, segments_table, timeline
 from tpgmm_ros.programs.reporting import json_text
 
 EXAMPLES = """\
@@ -38,8 +40,6 @@ examples:
 exit status: 0 the file is a model; 1 it is not, the reason is on stderr; 2 wrong arguments
 """
 PARTS = 10
-MOST_COMPONENTS = 30
-"""More are in the JSON alone."""
 COST_TIMES = 101
 """At which costs are written, from the beginning to the end."""
 BAR = 30
@@ -107,7 +107,7 @@ def described(model: LearnedMixture, path: Path) -> dict[str, Any]:
         "log_likelihood": float(model.log_likelihood_),
         "exact": said.get("exact"),
         "frames": _frames(model),
-        "components": _components(model),
+        "components": components_of(model),
     }
     if isinstance(model, TimeStepTPGMM) and model.modes_.any():
         found["ways"] = model.modes_.tolist()
@@ -123,7 +123,20 @@ def described(model: LearnedMixture, path: Path) -> dict[str, Any]:
     if scale is not None:
         found["novelty"] = {"contradictions": list(scale.contradictions), "distances": list(scale.distances)}
     found["expected_errors"] = expected_errors(model)
-    known = {KEY, "bags", "expected_errors", "novelty", "derived_frames", *map(scale_key, ALL_METHODS), *found}
+    segments = segments_of(model)
+    if segments is not None:
+        found["segments"] = segments
+    pruning = {PRUNE_KEY, *(f"{PRUNE_KEY}.{name}" for name in model.frame_names_)}
+    known = {
+        KEY,
+        "bags",
+        "expected_errors",
+        "novelty",
+        "derived_frames",
+        *map(scale_key, ALL_METHODS),
+        *pruning,
+        *found,
+    }
     found["other_metadata"] = {key: value for key, value in said.items() if key not in known}
     return found
 
@@ -165,22 +178,6 @@ def _frames(model: LearnedMixture) -> dict[str, str]:
     return {name: str(derived[name]) if name in derived else "of the task" for name in model.frame_names_}
 
 
-def _components(model: LearnedMixture) -> list[dict[str, Any]]:
-    """Each component: its share of the samples, and its mean in each frame."""
-    names = model.dimensions_
-    has_time = names is not None and names[0] == "time"
-    rows = []
-    for k, prior in enumerate(model.priors_):
-        means = {name: [round(float(x), 6) for x in model.means_[name][k]] for name in model.frame_names_}
-        row: dict[str, Any] = {"prior": float(prior), "means": means}
-        if has_time:
-            first = model.frame_names_[0]
-            row["time_s"] = float(model.means_[first][k, 0])
-            row["time_deviation_s"] = float(np.sqrt(model.covariances_[first][k, 0, 0]))
-        rows.append(row)
-    return rows
-
-
 def _relevance(model: LearnedMixture, method: str) -> tuple[str, dict[str, list[float]]]:
     if method == KINEMATIC:
         raise ValueError("kinematic frames: how much each counts depends on the posture of the robot")
@@ -209,7 +206,9 @@ def _text(found: Mapping[str, Any]) -> str:
     parts.append(format_table(("frame", "what it is"), found["frames"].items()))
     parts.append(_bars(found))
     if any("time_s" in row for row in found["components"]):
-        parts.append(_timeline(found))
+        parts.append(timeline(found["components"]))
+    if "segments" in found:
+        parts.append(segments_table(found["segments"]))
     parts.append(_exactness(found))
     if found["other_metadata"]:
         parts.append(
@@ -244,16 +243,6 @@ def _bars(found: Mapping[str, Any]) -> str:
         )
     title = f"how much each frame determines the pose of the hand, {words} (shares):\n"
     return title + format_table(("", *names), rows)
-
-
-def _timeline(found: Mapping[str, Any]) -> str:
-    rows = [
-        (i, f"{row['time_s']:.2f}", f"{row['time_deviation_s']:.2f}", f"{row['prior']:.3f}")
-        for i, row in sorted(enumerate(found["components"]), key=lambda item: item[1]["time_s"])
-    ]
-    more = f"\nand {len(rows) - MOST_COMPONENTS} more: see --json" if len(rows) > MOST_COMPONENTS else ""
-    table = format_table(("component", "at s", "spread s", "share of samples"), rows[:MOST_COMPONENTS])
-    return f"components:\n{table}{more}"
 
 
 def _exactness(found: Mapping[str, Any]) -> str:

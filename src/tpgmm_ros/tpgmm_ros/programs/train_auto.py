@@ -14,7 +14,8 @@ from tpgmm_core.choice.automatic import MISFIT, Choice, choose
 from tpgmm_core.choice.trial import HeldOutError, TrialResult
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed
-from tpgmm_core.retrieval.methods import METHODS
+from tpgmm_core.retrieval.methods import ALL_METHODS
+from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 from tpgmm_ros.recordings.bags import Recording, align
 from tpgmm_ros.task.task_file import Task
 
@@ -61,7 +62,7 @@ def choose_for(
             task.space.manifold(),
             settings,
             task.derived,
-            methods=tuple(METHODS) if method is None else (method,),
+            methods=None if method is None else (method,),
             trials=trials,
             seconds=seconds,
             workers=workers or os.cpu_count() or 1,
@@ -85,9 +86,22 @@ def _tried(choice: Choice) -> str:
         if result.trial.key not in shown and not shown.issuperset(keys):
             rows.append(("", result))
         shown.update(keys)
-    lost = [method for method in METHODS if ("method", method) not in shown and _was_tried(choice, method)]
+    lost = [method for method in ALL_METHODS if ("method", method) not in shown and _was_tried(choice, method)]
     rows = [("chosen", best), *rows[:12]]
-    head = ("", "method", "frames", "structure", "K", "prior", "error m", "RMSE m", "deg", "at objects m", "end m")
+    head = (
+        "",
+        "method",
+        "frames",
+        "structure",
+        "K",
+        "prior",
+        PRUNE_KEY,
+        "error m",
+        "RMSE m",
+        "deg",
+        "at objects m",
+        "end m",
+    )
     text = [
         f"{len(search.results)} configurations were tried ({ENDED[search.ended]}); each was tested on demonstrations "
         "that it had not learned from:",
@@ -125,6 +139,7 @@ def _row(result: TrialResult) -> tuple[object, ...]:
         settings.get("covariance", "full"),
         settings.get("n_components"),
         prior,
+        settings.get(PRUNE_KEY),
     )
     if not result.is_complete:
         return (*row, *"-" * 5)
@@ -160,7 +175,8 @@ def _frames(choice: Choice) -> str:
     head = ("frame", "what it is", "predicts best", "counts most at", *(f"{10 * (t + 1)} %" for t in range(10)))
     dropped = [name for name in choice.declared if name not in choice.best.trial.frames]
     text = [
-        "how much each frame determines the pose of the hand, in each tenth of the movement (shares):",
+        f"how much each frame determines the pose of the hand, in each tenth of the "
+        f"{'movement' if choice.cycles == 1 else 'cycle'} (shares):",
         format_table(head, rows),
     ]
     if dropped:

@@ -15,6 +15,7 @@ from tpgmm_core.learning.model_header import ModelFileError
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.recipe import Recipe
+from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 from tpgmm_ros.models.task_model import load_task_model
 from tpgmm_ros.models.training_record import forget_errors, keep_recordings, learned_from
 from tpgmm_ros.models.validation import tried
@@ -38,13 +39,17 @@ def online(recipe: Recipe) -> Recipe:
     Raises
     ------
     ValueError
-        for a method whose models are something else.
+        for a method whose models are something else, and frames that are left out of segments.
     """
     method = recipe.method
     if method.estimator is not TPGMM:
         raise ValueError(
             f"--online is for methods whose models are Gaussian mixtures over time; {method.name} learns a "
             f"{method.estimator.__name__}: leave out --online, and train again with all bags once there are more"
+        )
+    if recipe.prune:
+        raise ValueError(
+            f"{PRUNE_KEY} compares all demonstrations at once, and --online does not keep them: leave one of them out"
         )
     return replace(recipe, method=replace(method, estimator=OnlineTPGMM))
 

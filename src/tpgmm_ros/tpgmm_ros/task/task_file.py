@@ -241,6 +241,7 @@ def _model(section: Section, space: StateSpace) -> dict[str, Any]:
         "modes": an_integer(0),
         "mode": an_integer(0),
         "exact": a_text,
+        "prune": a_number(0.0),
         **{item.name: a_number() for encoding in ENCODINGS.values() for item in fields(encoding)},
     }
     section.refuse_others(*filter(space.takes, readers))

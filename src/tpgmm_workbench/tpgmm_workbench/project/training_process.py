@@ -18,7 +18,6 @@ from tpgmm_core import LearnedMixture
 from tpgmm_core.choice.automatic import Choice, choose
 from tpgmm_core.choice.trial import TrialResult
 from tpgmm_core.common.text import listed, one_line
-from tpgmm_core.retrieval.methods import METHODS
 from tpgmm_ros.recordings.judging import doubts_about
 from tpgmm_ros.recordings.recording import Recording, align
 from tpgmm_ros.task.task_file import Task
@@ -184,7 +183,7 @@ def _chosen(
         task.space.manifold(),
         dict(task.model),
         task.derived,
-        methods=tuple(METHODS) if options.method is None else (options.method,),
+        methods=None if options.method is None else (options.method,),
         seconds=options.budget_s,
         progress=progress,
     )
