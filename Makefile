@@ -27,7 +27,7 @@ DATA ?= ../shared/data
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup dev lint format test mutants properties faults fuzz determinism seeds soak networks demo workbench bags results figures figure5 figure6 bench pages scaling stress colcon docs reference lock clean
+.PHONY: help setup dev lint format test mutants properties faults fuzz determinism seeds soak networks robots demo workbench bags results figures figure5 figure6 bench pages scaling stress colcon docs reference lock clean
 
 help: ## list all targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
@@ -76,6 +76,9 @@ soak: setup ## run 30 minutes of simulated time with random faults, watch tasks 
 
 networks: setup ## run the demo's task on three hosts whose network loses packets, is slow, and cuts off the camera: out/networks/ (Linux)
 	PYTHONPATH=. $(PYTHON) benchmarks/networks.py --seed $(SEED)
+
+robots: setup ## a Panda by torques, a UR5 by FollowJointTrajectory, a Panda behind crisp topics do the task, contracts are checked: out/robots/ (SLOWER=12 on busy machines)
+	PYTHONPATH=.:test $(PYTHON) -m interfaces --seed $(SEED) $(if $(SLOWER),--slower $(SLOWER))
 
 faults: dev ## cause every known fault in the running nodes and check how they react: out/faults/ (20 minutes; RATE=250 on slow cores)
 	PYTHONPATH=.:test $(PYTHON) -m faults $(if $(RATE),--rate $(RATE))

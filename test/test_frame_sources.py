@@ -330,6 +330,13 @@ def test_what_a_gripper_closes_around_unseen_goes_with_the_hand_until_it_opens(
 
         return check
 
+    def is_gone(x: float) -> Callable[[], bool]:
+        def check() -> bool:
+            live(0.002)
+            return way[0] > x
+
+        return check
+
     def says(words: str) -> Callable[[], bool]:
         def check() -> bool:
             live(0.0)
@@ -345,11 +352,11 @@ def test_what_a_gripper_closes_around_unseen_goes_with_the_hand_until_it_opens(
     width[0] = 0.01
     until(says("moves with the hand, whose gripper holds it"), "the closed gripper")
     last = way[0]
-    until(lambda: live(0.002) or way[0] > last + 0.1, "the hand's way")
+    until(is_gone(last + 0.1), "the hand's way")
     until(is_there(GOOD[0] + way[0], TaskFrame.HELD, 0.0), "the nut in the hand")
     width[0], let_go = 0.08, GOOD[0] + way[0]
     until(says("stays where the gripper let it go"), "the gripper to open")
-    until(lambda: live(0.002) or way[0] > last + 0.2, "the hand's way back")
+    until(is_gone(last + 0.2), "the hand's further way")
     until(is_there(let_go, TaskFrame.HELD, 0.0), "the nut where it was let go")
 
 

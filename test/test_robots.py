@@ -10,7 +10,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import Float64MultiArray
 
-from interfaces.cases import CASES
+from interfaces.cases import CASES, Case
 from interfaces.contract import broken_by_stiffness, broken_by_target, broken_by_torques, broken_by_trajectory
 from interfaces.run import Conditions, run
 from position_bench import ARM, UR5
@@ -71,7 +71,7 @@ def test_a_target_that_goes_on_keeps_the_contract_and_each_change_of_it_is_named
 
 
 def test_torques_within_the_limits_keep_the_contract_and_each_change_of_them_is_named() -> None:
-    stamps = np.arange(5) * 1_000_000
+    stamps = np.arange(5, dtype=np.int64) * 1_000_000
     tau = np.outer(np.arange(5), np.full(PANDA.nv, 0.9))
     assert not broken_by_torques(PANDA, stamps, tau, 0.02)
     assert kinds(broken_by_torques(PANDA, stamps, 2.0 * tau, 0.02)) == {"rate"}
@@ -81,7 +81,7 @@ def test_torques_within_the_limits_keep_the_contract_and_each_change_of_them_is_
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_each_robot_is_started_by_files_of_config_and_arguments_of_the_launch_file(case, tmp_path: Path) -> None:
+def test_each_robot_is_started_by_files_of_config_and_arguments_of_the_launch_file(case: Case, tmp_path: Path) -> None:
     for path in (config_file(case.robot), config_file(case.task)):
         assert path.is_file()
     executables = [process.executable for process in case.processes(tmp_path / "a.tpgmm")]

@@ -26,7 +26,7 @@ COLUMNS = ("robot", "interface", "error", "commands", "longest gap", "after the 
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="robots", description=__doc__)
+    parser = argparse.ArgumentParser(prog="interfaces", description=__doc__)
     parser.add_argument(
         "names", nargs="*", help=f"only these robots, of {', '.join(case.name for case in CASES)} (default: all)"
     )

@@ -11,7 +11,7 @@ from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from tpgmm_core.common.types import Array
+from tpgmm_core.common.types import Array, Nanoseconds
 from tpgmm_core.geometry.pose import pose_error
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.messages import conversions
@@ -83,7 +83,7 @@ def broken_by_stiffness(message: Float64MultiArray) -> list[str]:
     return []
 
 
-def broken_by_torques(robot: RobotModel, stamps_ns: Array, torques: Array, silence: float) -> list[str]:
+def broken_by_torques(robot: RobotModel, stamps_ns: Nanoseconds, torques: Array, silence: float) -> list[str]:
     """What a robot that takes torques would stop for.
 
     Of the states that `torques` (T, nv) answer with `stamps_ns` (T,): limits, how fast a torque changes where the robot

@@ -116,8 +116,11 @@ def run(case: Case, model: Path, output: Path, under: Conditions) -> dict[str, A
             texts[kind] += 1
             examples.setdefault(kind, message.data)
 
+        def hear_report(message: String) -> None:
+            reports[0] = message.data
+
         graph.node.create_subscription(String, "violations", hear, KEPT)
-        graph.node.create_subscription(String, "robot_report", lambda m: reports.__setitem__(0, m.data), KEPT)
+        graph.node.create_subscription(String, "robot_report", hear_report, KEPT)
         recorder = Node("robot_recorder")
         record = RunRecord(recorder, task, list(robot.joint_names), with_other_hosts=False)
         loop = case.processes(model, **under.arguments(case, output))
@@ -195,6 +198,7 @@ def _end(graph: Graph, record: RunRecord, hand: Hand, name: str, watched: float)
     def has_passed() -> bool:
         nonlocal farthest
         record.poll()
+        assert hand.pose is not None
         farthest = max(farthest, pose_error(hand.pose, before)[0])
         return ending.poll() is not None and time.monotonic() > until
 

@@ -14,6 +14,7 @@ from tpgmm_core.control.motion_aims import Aim
 from tpgmm_core.control.pose_target import PoseReference
 from tpgmm_core.control.supervised_motion import MotionTimeouts, SupervisedMotion
 from tpgmm_core.control.supervision import ControllerMode
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.robot.model import RobotModel
 
 UR5 = RobotModel.from_file(Path(__file__).resolve().parents[3] / "config" / "ur5.yaml")
@@ -211,3 +212,41 @@ def test_a_clock_that_is_set_back_moves_nothing() -> None:
     q = bench.supervised.motion.q.copy()
     assert bench.supervised.step(bench.now_ns - 300 * MS) is None
     np.testing.assert_array_equal(bench.supervised.motion.q, q)
+
+
+def test_a_robot_that_is_told_poses_chooses_its_joints_and_only_its_hand_has_to_follow() -> None:
+    panda = RobotModel.from_file(Path(__file__).resolve().parents[3] / "config" / "panda.yaml")
+    supervised = SupervisedMotion(panda, "hand", panda.indices("arm"), by_pose=True)
+    data, now = panda.create_data(), 1000 * MS
+    data.update(panda.home)
+    home, q = data.pose("hand"), panda.home.copy()
+    aim = Aim.of_pose("hand", PoseReference(home + np.array([0.05, 0.1, -0.05, 0, 0, 0, 0]), 1e-6 * np.eye(6)))
+
+    def run(seconds: float) -> None:
+        nonlocal now
+        for _ in range(round(100 * seconds)):
+            now += 10 * MS
+            supervised.take_state(q, now, now, now)
+            supervised.take_reference([aim], now, now, now)
+            if supervised.step(now) is None:
+                continue
+            # the robot's own law: to the pose by the shortest way of its joints, which drift where they are free
+            for _ in range(3):
+                data.update(q)
+                J, error = data.jacobian("hand"), POSE.log(data.pose("hand"), supervised.motion.pose("hand"))
+                q[:] += np.linalg.pinv(J) @ error
+            data.update(q)
+            J = data.jacobian("hand")
+            free = np.linalg.svd(J)[2][-1]
+            q[:] += 0.004 * free * np.sign(free[0])
+
+    run(1.5)
+    assert supervised.mode is ControllerMode.ACTIVE, supervised.reason
+    assert np.abs(q - panda.home).max() > 0.3, "farther than joints may lag behind"
+    assert supervised.lag.largest < 0.01 and set(supervised.lag.values) == {"hand_lag_mm", "hand_lag_deg"}
+    assert np.abs(q - supervised.motion.q).max() < 0.2, "the limits are those of the measured joints"
+    q[3] += 0.9  # somebody holds the arm elsewhere
+    now += 10 * MS
+    supervised.take_state(q, now, now, now)
+    supervised.step(now)
+    assert supervised.mode is ControllerMode.HOLD and "the robot does not follow: hand is" in supervised.reason

@@ -331,9 +331,10 @@ class FrameTracker:
         else:
             status = FrameStatus.MISSING
         pose, covariance = track.pose, track.covariance
-        left = self._hand.left(name) if name in self._hand and unseen > config.visible_timeout else None
-        if (carried or left is not None) and pose is not None:
-            place = self._hand.place(name) if carried else left
+        place = None
+        if unseen > config.visible_timeout and name in self._hand:
+            place = self._hand.place(name) if carried else self._hand.left(name)
+        if place is not None and pose is not None:
             pose, covariance = place, carried_covariance(covariance, pose, place)
         elif status is FrameStatus.HELD and track.unknown_after is not None:
             covariance = track.motion.covariance(covariance, unseen)

@@ -19,6 +19,7 @@ from tpgmm_core.observation.gate import MotionLimits
 from tpgmm_core.observation.in_hand import carried_poses
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_core.observation.tracked import TrackingConfig
+from tpgmm_core.observation.unseen import START_TOLERANCE_S, last_seen
 from tpgmm_ros.recordings.bag_messages import BagError
 from tpgmm_ros.recordings.numeric_fields import read_numbers
 from tpgmm_ros.recordings.pose_streams import without_leaps
@@ -28,9 +29,6 @@ from tpgmm_ros.task.task_file import Task
 MOVEMENT = "the movement"
 JOINTS = "the joints"
 """Names of the movement and of the joints among the streams; no frame's name has a space."""
-
-START_TOLERANCE_S = 0.5
-"""Topics start in any order when a recorder is switched on: a frame seen so soon was there all along."""
 
 GAP_S = 0.5
 FRAME_GAP_S = 1.0
@@ -159,7 +157,8 @@ class BagStreams:
                     f"frame {name!r} before the demonstration starts",
                 )
             unknown_after = self.task.frames[name].unknown_after
-            frames[name], visible[name] = _hold(*series[name], at, unknown_after)
+            which, visible[name] = last_seen(series[name][0], at, unknown_after)
+            frames[name] = series[name][1][which]
             if self.task.frames[name].with_hand:
                 frames[name], moved = carried_poses(
                     at, movement, *series[name], frames[name], tracking.visible_timeout, self._gripper(name)
@@ -239,19 +238,3 @@ def _doubts_of_rate(topic: str, series: tuple[Nanoseconds, Array], moves: bool) 
                 what = "it goes on where it was: it rested, or a clock was set forward"
             found.append(Doubt("gap", (), f"{where}; {what}"))
     return found[:3]
-
-
-def _hold(
-    seen: Nanoseconds, poses: Array, at: Nanoseconds, unknown_after: float | None
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Latest of the poses (S, 7) seen (S,) at or before each time (T,): poses (T, 7), and mask (T,) where.
-
-    Later than `unknown_after`, s, the pose is not known any more; None: it is for ever.
-    """
-    latest = np.searchsorted(seen, at, side="right") - 1
-    visible = latest >= 0
-    if seen[0] - at[0] <= START_TOLERANCE_S * SECOND:
-        visible[:] = True
-    if unknown_after is not None:
-        visible &= at - seen[np.maximum(latest, 0)] <= unknown_after * SECOND
-    return poses[np.maximum(latest, 0)], visible
