@@ -37,6 +37,8 @@ SHARES = (0.25, 0.5, 1.0)
 BINS = (0.0, 0.5, 0.8, 0.95, 1.0)
 ACCURATE = 0.9
 """Share of whole movements that are to be told apart."""
+QUICK = 1.0
+"""Processor time within which half of the steps are to be done, ms."""
 OVERCONFIDENT = 0.1
 """By how much the mean probability of what is most probable may exceed the share of it that is right."""
 VALVE_SCALE, PICK_SCALE = 2.6, 1.5
@@ -92,7 +94,7 @@ def drawings() -> Iterator[Fold]:
 
 
 def measure(name: str, folds: Iterator[Fold]) -> tuple[Row, list[Row]]:
-    """A row of accuracy and of the time of a step; rows of calibration."""
+    """A row of accuracy and of the processor time of a step; rows of calibration."""
     right: dict[float, list[bool]] = {share: [] for share in SHARES}
     said: list[tuple[float, bool]] = []
     steps: list[float] = []
@@ -100,23 +102,25 @@ def measure(name: str, folds: Iterator[Fold]) -> tuple[Row, list[Row]]:
         recognizer.start()
         ends = {max(1, round(share * len(shown.times))): share for share in SHARES}
         for t, (now, point) in enumerate(zip(shown.times, shown.data[:, 1:], strict=True), start=1):
-            began = time.perf_counter()
+            began = time.thread_time()
             found = recognizer.step(round(1e9 * now), point, shown.frames)
-            steps.append(time.perf_counter() - began)
+            steps.append(time.thread_time() - began)
             said.append((found.probabilities[found.most_probable], found.most_probable == truth))
             if t in ends:
                 right[ends[t]].append(found.most_probable == truth)
     p, is_right = np.array([one for one, _ in said]), np.array([one for _, one in said])
     accuracy = {f"right_after_{100 * share:.0f}": float(np.mean(right[share])) for share in SHARES}
     too_sure = float(p.mean() - is_right.mean())
+    typical = 1e3 * float(np.median(steps))
     row: Row = {
         "data": name,
         "movements": len(right[1.0]),
         **{key: round(value, 3) for key, value in accuracy.items()},
         "mean_probability": round(float(p.mean()), 3),
         "right": round(float(is_right.mean()), 3),
-        "step_p50_ms": round(1e3 * float(np.median(steps)), 3),
-        "passed": bool(accuracy["right_after_100"] >= ACCURATE and too_sure <= OVERCONFIDENT),
+        "step_p50_ms": round(typical, 3),
+        "step_p99_ms": round(1e3 * float(np.percentile(steps, 99)), 3),
+        "passed": bool(accuracy["right_after_100"] >= ACCURATE and too_sure <= OVERCONFIDENT and typical < QUICK),
     }
     return row, calibration(name, p, is_right)
 

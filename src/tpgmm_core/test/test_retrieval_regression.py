@@ -8,7 +8,7 @@ import pytest
 
 from random_problems import random_covariance
 from reaching import DURATION, frames_at, place, reaching_model
-from tpgmm_core import TPGMM, Frame, Gaussian, GaussianMixture
+from tpgmm_core import TPGMM, Demonstration, Frame, Gaussian, GaussianMixture
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.retrieval.frames import without_time
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
@@ -126,3 +126,32 @@ def test_a_frame_that_shifts_time_is_refused(order: Order) -> None:
     shifted = Frame(frames["goal"].A, frames["goal"].b + [0.1, 0.0, 0.0])
     with pytest.raises(ValueError, match="time"):
         order(planar_model()).retrieve({**frames, "goal": shifted}, TIMES)
+
+
+def test_a_point_in_the_middle_of_the_movement_moves_with_its_own_frame() -> None:
+    rng, s = np.random.default_rng(3), np.linspace(0.0, 1.0, 60)
+
+    def situation() -> dict[str, np.ndarray]:
+        return {
+            "start": rng.normal(scale=0.1, size=2),
+            "via": [0.5, 0.3] + rng.normal(scale=0.1, size=2),
+            "goal": [1.0, 0.0] + rng.normal(scale=0.1, size=2),
+        }
+
+    def frames(places: dict[str, np.ndarray]) -> dict[str, Frame]:
+        return {name: Frame(np.eye(2), place).with_time() for name, place in places.items()}
+
+    def demonstrate(places: dict[str, np.ndarray]) -> Demonstration:
+        corners = np.stack(list(places.values()))
+        path = np.stack(
+            [np.interp(s, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0], corners[[0, 0, 1, 1, 2, 2], k]) for k in (0, 1)], 1
+        )
+        path += 1e-3 * rng.normal(size=path.shape)
+        return Demonstration(s, np.column_stack([s, path]), frames(places))
+
+    model = TPGMM(5, reg_covar=1e-5, init="time").fit([demonstrate(situation()) for _ in range(8)])
+    for shift in ([0.0, 0.0], [0.2, -0.3], [-0.2, 0.4]):
+        new = situation()
+        new["via"] = np.array([0.5, 0.3]) + shift
+        begin, middle, end = (g.mean for g in RegressThenProduct(model).retrieve(frames(new), [0.1, 0.5, 0.9]))
+        np.testing.assert_allclose([begin, middle, end], list(new.values()), atol=0.02)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -23,6 +23,7 @@ from tpgmm_demos.figure5.sequences import AFTER, CUP, HELD, MOVE, SUGAR, Sequenc
 #: Links that are drawn, from the shoulder to between the finger tips.
 LINKS = ("upper_shoulder", "lower_shoulder", "upper_elbow", "lower_elbow", "upper_forearm", "wrist", "gripper")
 COLORS = {"left": "#1f4e9c", "right": "#e07b39"}
+PUSH_COLOR, SUGAR_COLOR = "#2a9d3a", "#c1121f"
 #: Moments of the first push that are drawn, s.
 MOMENTS = (0.0, 0.6 * MOVE, MOVE + 0.9 * HELD, MOVE + HELD + 0.2, MOVE + HELD + 0.95 * AFTER)
 CUP_HEIGHT, CUP_RADIUS = 0.08, 0.035  # m
@@ -58,40 +59,60 @@ def draw(robot: RobotModel, courses: Sequence[SequenceResult], directory: Path) 
 
 
 def _strip(robot: RobotModel, result: SequenceResult) -> plt.Figure:
+    """The robot at some moments of the first push; pale where it was before."""
     pushed = result.pushes[0]
     time, q = pushed.segment.time, pushed.segment.q
-    figure = plt.figure(figsize=(3.1 * len(MOMENTS), 3.4), layout="constrained")
     data, link = robot.create_data(), robot.frame_id(pushed.link)
-    data.update(q[0])
-    begin = data.frame_pose(link)[:3]
-    for n, moment in enumerate(MOMENTS):
+    seen = []
+    for moment in MOMENTS:
+        data.update(q[min(int(np.searchsorted(time, moment)), len(q) - 1)])
+        arms = {
+            hand: np.stack([data.frame_pose(robot.frame_id(f"{hand}_{name}"))[:3] for name in LINKS]) for hand in HANDS
+        }
+        seen.append((arms, {hand: data.pose(hand) for hand in HANDS}, data.frame_pose(link)[:3]))
+    everything = np.concatenate([points for arms, _, _ in seen for points in arms.values()])
+    lower, upper = everything.min(axis=0) - CUP_HEIGHT, everything.max(axis=0) + CUP_HEIGHT
+    figure = plt.figure(figsize=(3.0 * len(MOMENTS), 3.2), layout="constrained")
+    for n, (moment, (arms, hands, now)) in enumerate(zip(MOMENTS, seen, strict=True)):
         ax = figure.add_subplot(1, len(MOMENTS), n + 1, projection="3d")
         assert isinstance(ax, Axes3D)
-        data.update(q[min(int(np.searchsorted(time, moment)), len(q) - 1)])
-        for hand in HANDS:
-            points = np.stack([data.frame_pose(robot.frame_id(f"{hand}_{name}"))[:3] for name in LINKS])
-            ax.plot(*points.T, "-o", color=COLORS[hand], lw=3, ms=3)
-        _cup(ax, data.pose("left"))
-        ax.plot(*data.pose("right")[:3, None], "s", color="#c1121f", ms=6)
-        now = data.frame_pose(link)[:3]
-        if np.linalg.norm(now - begin) > 0.01:
-            ax.plot(*np.stack([begin, now]).T, color="#2a9d3a", lw=2)
-        ax.set(xlim=(0.1, 1.0), ylim=(-0.5, 0.5), zlim=(-0.15, 0.6), title=f"{moment:.1f} s")
-        ax.set_box_aspect((0.9, 1.0, 0.75), zoom=1.5)
-        ax.view_init(elev=18, azim=-25)
-        ax.set_xticks([]), ax.set_yticks([]), ax.set_zticks([])
-    figure.suptitle(f"{result.sequence.title} (green: how far the pushed link is; red: the sugar)", fontsize=11)
+        ax.computed_zorder = False  # what is drawn later is in front
+        if n > 0:
+            _arms(ax, seen[0][0], dict.fromkeys(HANDS, "0.8"), lw=3)
+        ax.plot(*np.stack([arms[hand][0] for hand in HANDS]).T, color="0.4", lw=8, solid_capstyle="round")
+        _arms(ax, arms, COLORS, lw=5)
+        _cup(ax, hands["left"])
+        ax.plot(*hands["right"][:3, None], "s", color=SUGAR_COLOR, ms=9, mec="white", zorder=5)
+        if np.linalg.norm(now - seen[0][2]) > 0.01:
+            ax.plot(*np.stack([seen[0][2], now]).T, color=PUSH_COLOR, lw=3, zorder=4)
+            ax.plot(*seen[0][2][:, None], "o", color=PUSH_COLOR, ms=5, zorder=4)
+        ax.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
+        ax.set_title(f"{moment:.1f} s", fontsize=12)
+        ax.set_box_aspect(upper - lower, zoom=1.4)
+        ax.view_init(elev=20, azim=-50)
+        ax.set_axis_off()
+    figure.suptitle(
+        f"{result.sequence.title} (green: how far the pushed link is; red: the sugar; grey: before the push)"
+    )
     return figure
 
 
+def _arms(ax: Axes3D, arms: Mapping[str, Array], colors: Mapping[str, str], lw: float) -> None:
+    for hand, points in arms.items():
+        ax.plot(*points.T, "-o", color=colors[hand], lw=lw, ms=lw, solid_joinstyle="round")
+
+
 def _cup(ax: Axes3D, pose: Array) -> None:
-    """Rim and bottom of the cup in the left hand."""
+    """Wall, rim and bottom of the cup in the left hand."""
     turn = np.linspace(0.0, 2.0 * np.pi, 25)
     across = np.eye(3)[np.argsort(np.abs(CUP_AXIS))[:2]]
     circle = CUP_RADIUS * (np.cos(turn)[:, None] * across[0] + np.sin(turn)[:, None] * across[1])
     R = quaternion.rotation_matrix(pose[3:])
-    for height in (-0.5 * CUP_HEIGHT, 0.5 * CUP_HEIGHT):
-        ax.plot(*(pose[:3] + (circle + height * CUP_AXIS) @ R.T).T, color="black", lw=1.5)
+    bottom, rim = (pose[:3] + (circle + 0.5 * end * CUP_HEIGHT * CUP_AXIS) @ R.T for end in (-1.0, 1.0))
+    wall = np.stack([bottom, rim])
+    ax.plot_surface(wall[..., 0], wall[..., 1], wall[..., 2], color="0.85", shade=False, zorder=3)
+    for edge in (bottom, rim):
+        ax.plot(*edge.T, color="black", lw=1.5, zorder=4)
 
 
 def _errors(robot: RobotModel, result: SequenceResult) -> plt.Figure:
@@ -102,9 +123,9 @@ def _errors(robot: RobotModel, result: SequenceResult) -> plt.Figure:
     for pushed in shown:
         m, segment = measure(robot, pushed.segment, pushed.link), pushed.segment
         time = start + segment.time
-        axes[0].plot(time, 100.0 * m.moved, color="#2a9d3a")
+        axes[0].plot(time, 100.0 * m.moved, color=PUSH_COLOR)
         axes[1].plot(time, m.tilt, color="black")
-        axes[2].plot(time, 100.0 * m.offset, color="#c1121f")
+        axes[2].plot(time, 100.0 * m.offset, color=SUGAR_COLOR)
         for ax, arm, hand in zip(axes[3:], arms, HANDS, strict=True):
             ax.plot(time, segment.tau[:, arm] / robot.effort_limits[arm], lw=0.9, color=COLORS[hand], alpha=0.8)
         for ax in axes:
