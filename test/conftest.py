@@ -6,5 +6,6 @@ import pytest
 pytest.register_assert_rewrite("reproduction_player")
 
 from reproduction_player import inactive, model_file, models, player, process  # noqa: E402
+from workbench_user import browser  # noqa: E402
 
-__all__ = ["inactive", "model_file", "models", "player", "process"]
+__all__ = ["browser", "inactive", "model_file", "models", "player", "process"]

@@ -14,28 +14,21 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-import viser
 from rclpy.node import Node
 
 from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.pose import compose, inverse, pose_error
-from tpgmm_workbench.page.access import Access, guarded
 from tpgmm_workbench.page.camera import camera_for
 from tpgmm_workbench.project.project import Project
-from workbench_user import CHROMIUM, FLAGS, PATIENCE, Places, User
+from workbench_user import PATIENCE, Places, User
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="no Playwright: `make dev` installs it")
-pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: apt-get install --no-install-recommends chromium"),
-    pytest.mark.timeout(600),
-    pytest.mark.alone,
-]
+pytestmark = [pytest.mark.timeout(600), pytest.mark.alone]
 #: What the page says while the skill runs.
 RUNS = "Move an object, or hide it"
 #: What it says while the hand is not led.
@@ -44,16 +37,11 @@ NOBODY = "Nobody leads the hand"
 DURATION, SPEED = 0, 1
 #: Demonstrations that are taught.
 COUNT = 3
+#: Where pictures of a second robot are to be drawn, and its URDF.
+PICTURES = os.environ.get("TPGMM_PICTURES", "")
+URDF = "package://example-robot-data/robots/ur_description/urdf/ur5_robot.urdf"
 #: Pages that are open at once. Ten take minutes on two cores, where each draws without a graphics card.
 PAGES = int(os.environ.get("TPGMM_PAGES", "3"))
-
-
-@pytest.fixture
-def browser() -> Iterator[Any]:
-    with sync_api.sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield running
-        running.close()
 
 
 def start(
@@ -124,10 +112,10 @@ def test_an_empty_folder_becomes_a_skill_that_runs_by_clicks_keys_and_drags_and_
     again.sees("Press Run. Move the objects")
 
 
-def _teach(user: User, places: Places, folder: Path) -> Array:
+def _teach(user: User, places: Places, folder: Path, count: int = COUNT) -> Array:
     """Some demonstrations: the hand is led by clicks, and recorded by a key and a button. Returns the grasp (7,)."""
     home, stop = places.of("hand"), user.stop_box()
-    for number in range(1, COUNT + 1):
+    for number in range(1, count + 1):
         if number > 1:
             user.page.keyboard.press("n")
             _lead_home(user, places, home)
@@ -222,10 +210,6 @@ def _note(user: User, folder: Path) -> None:
     assert user.scroll_down() > 0.0 and user.sees_stop()
 
 
-def _comment(folder: Path) -> str:
-    return Project.open(folder).demonstration(COUNT).notes.comment
-
-
 def _share(user: User, folder: Path, place: Path) -> None:
     """The project comes as a file, and goes back into a folder of its own."""
     user.opens("Share")
@@ -239,6 +223,38 @@ def _share(user: User, folder: Path, place: Path) -> None:
     user.sees("imported into")
     user.shoot("share")
     assert len(Project.open(folder.parent / "project_2").demonstrations()) == COUNT
+
+
+@pytest.mark.timeout(1200)
+@pytest.mark.skipif(
+    not PICTURES, reason="draws the tutorial's pictures of a second robot: TPGMM_PICTURES=docs/pictures"
+)
+def test_a_robot_of_which_there_is_a_urdf_alone_is_taught_and_runs(
+    browser: Any, ros_node: Node, ros_domain: int, start_process: StartProcess, tmp_path: Path
+) -> None:
+    began = time.monotonic()
+    folder, pictures = tmp_path / "project", Path(PICTURES)
+    process, address = start(start_process, ros_domain, folder, "--urdf", URDF)
+    places = Places(ros_node, "arm")
+    spin_until(ros_node, address, PATIENCE, "the address", (process,))
+    user = User(browser, ros_node, process, address())
+    user.sees("object: seen")
+    user.until(lambda: places.are_known, "the poses of hand and objects")
+    home = places.of("hand")
+    user.shoot("workbench_ur5_page", pictures)
+    _teach(user, places, folder)
+    _train(user)
+    _look_ahead(user, places, home)
+    user.shoot("workbench_ur5_preview", pictures)
+    user.opens("Nodes")
+    user.page.get_by_label("dark").check(force=True)
+    for tab in ("Nodes", "Robot", "Train", "Teach", "Run"):  # to be looked at
+        user.opens(tab)
+        user.shoot(f"dark_{tab.lower()}")
+    user.click("Run [G]")
+    user.sees(RUNS)
+    print(f"\nfrom the start to a skill that runs: {time.monotonic() - began:.0f} s, with {COUNT} demonstrations")
+    user.shoot("dark_runs")
 
 
 def test_several_pages_show_the_same_and_come_back_after_the_program_was_killed(
@@ -279,28 +295,3 @@ def test_several_pages_show_the_same_and_come_back_after_the_program_was_killed(
         user.process = first.process
         user.is_heard()
         user.sees("object: seen")
-
-
-def test_a_page_that_is_open_to_other_machines_is_seen_with_its_token_alone_which_leaves_the_address(
-    browser: Any,
-) -> None:
-    access = Access("127.0.0.2")  # an address of this machine that counts as one of a network
-    with guarded(access):
-        server = viser.ViserServer(access.host, 18280, verbose=False)
-    try:
-        server.gui.add_button("Record")
-        address = access.address(server.get_port())
-        plain = address.partition("?")[0]
-        page = browser.new_page()
-        page.goto(plain)
-        page.get_by_text("needs its token").wait_for()
-        page.goto(address)
-        page.get_by_role("button", name="Record").wait_for()  # it comes by the web socket
-        assert page.url == plain
-        page.goto(plain)
-        page.get_by_role("button", name="Record").wait_for()
-        stranger = browser.new_context().new_page()
-        stranger.goto(plain)
-        stranger.get_by_text("needs its token").wait_for()
-    finally:
-        server.stop()

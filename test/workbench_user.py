@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
@@ -27,6 +29,18 @@ WINDOW = {"width": WIDTH, "height": HEIGHT}
 PATIENCE = 150.0
 #: Length of an object's gizmo, m, and the share of it where its arrow is taken hold of.
 GIZMO, HOLD = 0.16, 0.85
+
+
+@pytest.fixture
+def browser() -> Iterator[Any]:
+    """A browser without a window; a test that asks for it is skipped where there is none."""
+    if CHROMIUM is None:
+        pytest.skip("no Chromium: apt-get install --no-install-recommends chromium")
+    sync_api = pytest.importorskip("playwright.sync_api", reason="no Playwright: `make dev` installs it")
+    with sync_api.sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield running
+        running.close()
 
 
 class User:
@@ -120,10 +134,10 @@ class User:
             )
         )
 
-    def shoot(self, name: str) -> None:
+    def shoot(self, name: str, folder: Path = OUTPUT) -> None:
         """Write a picture of the page."""
-        OUTPUT.mkdir(parents=True, exist_ok=True)
-        self.page.screenshot(path=OUTPUT / f"{name}.png")
+        folder.mkdir(parents=True, exist_ok=True)
+        self.page.screenshot(path=folder / f"{name}.png")
 
 
 def pixel(camera: Camera, point: Array) -> tuple[float, float]:
@@ -140,11 +154,11 @@ def pixel(camera: Camera, point: Array) -> tuple[float, float]:
 class Places:
     """Where hand and objects are, as their topics say."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, endpoint: str = "left") -> None:
         self._inbox = {
             name: Inbox(node, PoseStamped, topic, STREAM)
             for name, topic in {
-                "hand": "endpoint/left/pose",
+                "hand": f"endpoint/{endpoint}/pose",
                 "object": "object/pose",
                 "target": "target/pose",
             }.items()

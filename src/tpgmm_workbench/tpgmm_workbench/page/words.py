@@ -18,7 +18,7 @@ SUGGESTED = 4
 THERE = 0.012
 _CONTROLLER = {"WAITING": GREY, "ACTIVE": GREEN, "HOLD": YELLOW, "DAMPING": SKY, "FAULT": RED}
 #: Of the words below STOP; more of them are scrolled.
-STATUS_HEIGHT = "9em"
+STATUS_HEIGHT = "11em"
 #: Shares of a torque limit from which on a joint is near it, and at it.
 NEAR_LIMIT, AT_LIMIT = 0.7, 0.98
 _LEVELS: dict[str, tuple[Color, str]] = {

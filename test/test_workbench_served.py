@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a page is served, in a real browser, without a robot: to whom, and with what is added so that it can be read."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+import viser
+
+from tpgmm_workbench.page.access import Access, guarded
+from tpgmm_workbench.page.added import completed
+from tpgmm_workbench.scene.colors import Color, contrast
+
+pytestmark = [pytest.mark.timeout(600), pytest.mark.alone]
+
+
+def test_a_page_that_is_open_to_other_machines_is_seen_with_its_token_alone_which_leaves_the_address(
+    browser: Any,
+) -> None:
+    access = Access("127.0.0.2")  # an address of this machine that counts as one of a network
+    with guarded(access):
+        server = viser.ViserServer(access.host, 18280, verbose=False)
+    try:
+        server.gui.add_button("Record")
+        address = access.address(server.get_port())
+        plain = address.partition("?")[0]
+        page = browser.new_page()
+        page.goto(plain)
+        page.get_by_text("needs its token").wait_for()
+        page.goto(address)
+        page.get_by_role("button", name="Record").wait_for()  # it comes by the web socket
+        assert page.url == plain
+        page.goto(plain)
+        page.get_by_role("button", name="Record").wait_for()
+        stranger = browser.new_context().new_page()
+        stranger.goto(plain)
+        stranger.get_by_text("needs its token").wait_for()
+    finally:
+        server.stop()
+
+
+@pytest.mark.parametrize("is_dark", [False, True])
+def test_buttons_can_be_read_in_light_and_dark(browser: Any, is_dark: bool) -> None:
+    access = Access()
+    with guarded(access, completed):
+        server = viser.ViserServer(access.host, 18281, verbose=False)
+    try:
+        server.gui.configure_theme(dark_mode=is_dark)
+        for color in ("red", "blue", "green", "orange", None):
+            server.gui.add_button(f"try {color}", color=color)  # type: ignore[arg-type]
+        server.gui.add_button("try disabled", disabled=True)
+        page = browser.new_page()
+        page.goto(access.address(server.get_port()))
+        page.get_by_role("button", name="try disabled").wait_for()
+        found = page.evaluate(
+            """() => [...document.querySelectorAll('button')].filter((one) => one.innerText.startsWith('try')).map(
+            (one) => [one.innerText, getComputedStyle(one).color, getComputedStyle(one).backgroundColor])"""
+        )
+    finally:
+        server.stop()
+    assert len(found) == 6
+    read = {name: contrast(*(_rgb(text) for text in colors)) for name, *colors in found}
+    assert min(read.values()) >= 4.5, read
+
+
+def _rgb(text: str) -> Color:
+    red, green, blue = (int(part) for part in re.findall("[0-9]+", text)[:3])
+    return red, green, blue
