@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Doubts about values, and about demonstrations beside the others: found where they are, and nowhere else."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from tpgmm_core.doubt.ends import doubts_of_ends
 from tpgmm_core.doubt.judging import judged
 from tpgmm_core.doubt.values import doubts_of_joint_units
 from tpgmm_core.geometry import quaternion
-from tpgmm_core.geometry.pose import compose
+from tpgmm_core.geometry.pose import compose, inverse
 
 
 def smooth(share: np.ndarray) -> np.ndarray:
@@ -235,3 +236,58 @@ def test_a_movement_whose_end_cannot_be_used_is_said() -> None:
     good[80:] = False
     (doubt,) = doubts_of_ends("hand", times, good)
     assert doubt.kind == "gap" and "the last 1.00 s of hand cannot be used" in doubt.text
+
+
+def seen_from(several: list[RawDemonstration], change: Callable[[np.ndarray], np.ndarray]) -> list[RawDemonstration]:
+    return [replace(one, frames={"object": change(one.frames["object"])}) for one in several]
+
+
+def test_inverted_poses_of_a_frame_are_suspected() -> None:
+    (doubt,) = [doubt for doubt in judged(seen_from(group(), inverse)) if doubt.kind == "order"]
+    assert "the frame object: its poses are inverted, it seems" in doubt.text
+    (doubt,) = [d for d in judged(seen_from(group(), lambda p: p * [1, 1, 1, -1, -1, -1, 1])) if d.kind == "order"]
+    assert "the frame object: its quaternions are conjugated, it seems" in doubt.text
+
+
+def test_a_frame_that_is_on_the_hand_all_the_time_is_said() -> None:
+    several = group()
+    for k, one in enumerate(several):
+        held = one.movement[np.arange(80) // 3 * 3]  # seen at a third of the rate
+        several[k] = replace(one, frames={"object": compose(held, np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 1.0]))})
+    (doubt,) = [doubt for doubt in judged(several) if doubt.kind == "still"]
+    assert "the frame object moves with the hand, all the time" in doubt.text
+    carried = one.movement.copy()
+    carried[:40] = one.movement[40]
+    several[0] = replace(several[0], frames={"object": carried})
+    assert not [doubt for doubt in judged(several) if doubt.kind == "still"]
+
+
+def test_frames_that_change_places_are_said() -> None:
+    one = shown(0)
+    here, there = one.frames["object"], one.frames["object"] + [0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    after = (one.times > 2.0)[:, None]
+    both = {"a": np.where(after, there, here), "b": np.where(after, here, there)}
+    (doubt,) = judged([replace(one, frames=both, visible={})])
+    assert "the frames a and b change places at 2.0" in doubt.text and not doubt.refuses
+    assert not judged([replace(one, frames={"a": np.where(after, there, here), "b": there}, visible={})])
+
+
+def test_rests_that_differ_are_said() -> None:
+    several = group(noise=0.0)
+    one = several[2]
+    rest = np.tile(one.movement[:1], (100, 1))
+    times = np.append(np.arange(100) * 0.05, one.times + 5.0)
+    frames = {"object": np.tile(one.frames["object"][:1], (180, 1))}
+    several[2] = replace(one, times=times, movement=np.vstack([rest, one.movement]), frames=frames, visible={})
+    (doubt,) = [doubt for doubt in judged(several) if doubt.kind == "duration"]
+    assert doubt.about == ("demo_2",) and "s before it moves" in doubt.text and "still: 1.0" in doubt.text
+
+
+def test_a_hand_whose_publisher_stops_in_the_middle_of_the_movement_is_said() -> None:
+    one = shown(0)
+    movement = one.movement.copy()
+    movement[40:] = movement[40]
+    assert "has the same pose in the next 39 messages" in judged([replace(one, movement=movement)])[0].text
+    rests = np.vstack([one.movement, np.tile(one.movement[-1:], (60, 1))])
+    at = np.append(one.times, one.times[-1] + 0.05 * np.arange(1, 61))
+    assert not judged([replace(one, times=at, movement=rests, frames={}, visible={})])

@@ -17,6 +17,9 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_ros.programs import convert, train
 from tpgmm_ros.recordings.bags import find_bags, read_recording
+from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
+from tpgmm_ros.recordings.conversion.demonstrations import Columns, demonstrations_of
+from tpgmm_ros.recordings.conversion.tables import read_tables
 from tpgmm_ros.recordings.numeric_fields import read_numbers
 from tpgmm_ros.task.task_file import Task
 
@@ -208,6 +211,41 @@ def test_rows_one_after_the_other_are_split_and_what_was_not_seen_is_not_written
     assert not first.visible["object"][:20].any() and first.visible["object"][20:].all()
     found = run(capsys, "--to", tmp_path / "again", *options, tmp_path / "both.csv")
     assert "times that do not increase: 4 s in row 40" in found["error"] and "--split" in found["error"]
+
+
+def test_a_table_joined_from_topics_of_several_rates_keeps_what_stands_between() -> None:
+    """As PlotJuggler and pandas write them: a row for each message of each topic, with holes for the others."""
+    hand, place = shown(0)
+    movement, frame = np.repeat(hand, 2, axis=0), np.tile(place, (82, 1))
+    movement[1::2], frame[0::2] = np.nan, np.nan
+    table = {"t": 0.05 * np.arange(82.0)[:, None], "hand": movement, "object": frame}
+    (found,) = demonstrations_of(table, Columns("hand", "t", frames={"object": "object"}))
+    np.testing.assert_array_equal(found.movement, hand)
+    assert np.isnan(found.frames["object"][0]).all()
+    np.testing.assert_array_equal(found.frames["object"][1:], np.tile(place, (40, 1)))
+
+
+def test_rows_that_repeat_a_time_are_left_out_and_rounded_times_are_refused() -> None:
+    hand, _ = shown(0)
+    twice = {"t": np.repeat(TIMES, 2)[:, None], "hand": np.repeat(hand, 2, axis=0)}
+    (found,) = demonstrations_of(twice, Columns("hand", "t"))
+    np.testing.assert_array_equal(found.movement, hand)
+    assert found.notes == ("41 of 82 rows repeat the time of the one before: left out",)
+    with pytest.raises(ConversionError, match="has 8 rows to each time, which is rounded.* --rate"):
+        demonstrations_of({"t": np.floor(TIMES)[:, None], "hand": hand}, Columns("hand", "t"))
+
+
+def test_structured_arrays_are_columns_by_name(tmp_path: Path) -> None:
+    hand, _ = shown(0)
+    np.save(tmp_path / "a.npy", np.rec.fromarrays(hand.T, names=["x", "y", "z", "qx", "qy", "qz", "qw"]))
+    (table,) = read_tables(tmp_path / "a.npy", {"x"})
+    np.testing.assert_array_equal(table["qw"].ravel(), hand[:, 6])
+
+
+def test_angles_in_degrees_are_refused() -> None:
+    hand = np.hstack([shown(0)[0][:, :3], np.linspace([180.0, 0.0, 0.0], [180.0, 0.0, 45.0], 41)])
+    with pytest.raises(ConversionError, match="angles up to 180, .* are they in degrees"):
+        demonstrations_of({"t": TIMES[:, None], "hand": hand}, Columns("hand", "t", orientation="rpy"))
 
 
 def no_numbers(path: Path) -> None:

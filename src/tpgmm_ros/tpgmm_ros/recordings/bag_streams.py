@@ -21,8 +21,8 @@ from tpgmm_core.observation.streams import SECOND
 from tpgmm_core.observation.tracked import TrackingConfig
 from tpgmm_core.observation.unseen import START_TOLERANCE_S, last_seen
 from tpgmm_ros.recordings.bag_messages import BagError
+from tpgmm_ros.recordings.leaps import without_leaps
 from tpgmm_ros.recordings.numeric_fields import read_numbers
-from tpgmm_ros.recordings.pose_streams import without_leaps
 from tpgmm_ros.recordings.recording import Recording
 from tpgmm_ros.task.task_file import Task
 

@@ -23,6 +23,8 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ORIENTATIONS = ("xyzw", "wxyz", "rpy", "rotation_vector")
 _ITEM = re.compile(r"([^\[\],]*)(?:\[(\d+)(?::(\d+))?\])?")
+MOST_RAD = 4.0 * np.pi
+"""Angles of a hand that are larger are in degrees."""
 _SQUARE = 1e-3
 """How far a rotation matrix that people write down may be from one."""
 
@@ -145,6 +147,12 @@ def _quaternions(turns: Array, orientation: str) -> Array:
         return turns
     if orientation == "wxyz":
         return turns[:, [1, 2, 3, 0]]
+    largest = float(np.nanmax(np.abs(turns), initial=0.0))
+    if largest > MOST_RAD:
+        raise ConversionError(
+            f"has angles up to {largest:.4g}, which are {largest / (2.0 * np.pi):.0f} turns in rad: are they in "
+            "degrees? Convert them to rad, and convert again"
+        )
     if orientation == "rotation_vector":
         return quaternion.exp(turns)
     x, y, z = (quaternion.exp(np.outer(turns[:, k], np.eye(3)[k])) for k in range(3))

@@ -96,6 +96,8 @@ def _values(path: Path, lines: Sequence[_Line], delimiter: str | None, names: Se
         words = _words(text, delimiter)
         if rows and len(words) != len(rows[0]):
             hint = _COMMAS if delimiter == "," and len(words) != len(names) else ""
+            if line is lines[-1] and len(words) < len(rows[0]):
+                hint = "; it is the last line: the file was cut off. Delete this line"
             raise ConversionError(
                 f"{path}: line {line.number} has {len(words)} values, the lines before have {len(rows[0])}{hint}"
             )

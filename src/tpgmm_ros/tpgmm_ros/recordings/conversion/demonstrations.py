@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_ros.recordings.conversion.columns import TIME_UNITS, columns_of, names_in, poses_of
@@ -16,6 +17,8 @@ from tpgmm_ros.recordings.conversion.tables import Table
 FEWEST = 10
 LONGEST_S, SLOWEST_S = 1e7, 1.0
 """No demonstration lasts longer; samples that are further apart are said."""
+MOST_REPEATED = 3
+"""Rows to a time: where there are more, times are rounded, and say too little."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,14 +139,24 @@ def demonstrations_of(table: Table, columns: Columns) -> list[Shown]:
                 "--time-unit s, ms, us or ns, or name another column"
             )
         ns = np.round(1e9 * (times[at] - times[at[0]])).astype(np.int64)
+        fresh = np.diff(ns, prepend=ns[0] - 1) != 0
+        repeated = int((~fresh).sum())
+        if len(ns) <= MOST_REPEATED * fresh.sum():
+            at, ns = at[fresh], ns[fresh]
         if not (np.diff(ns) > 0).all():
             k = int(np.argmin(np.diff(ns) > 0))
+            if (np.diff(ns) >= 0).all():
+                raise ConversionError(
+                    f"has {len(ns) / fresh.sum():.0f} rows to each time, which is rounded, as {times[at[k]]:g} s in "
+                    f"row {at[k]} and the next one; name another column, or give --rate instead of --time"
+                )
             raise ConversionError(
                 f"has times that do not increase: {times[at[k]]:g} s in row {at[k]}, {times[at[k + 1]]:g} s in the "
                 "next one; name another column, or --split where several demonstrations lie one after the other"
             )
         left_out = int((~finite).sum())
         said = [f"{left_out} of {last - first} rows are not finite: left out"] if left_out else []
+        said += [f"{repeated} of {last - first} rows repeat the time of the one before: left out"] if repeated else []
         if (period := 1e-9 * float(np.median(np.diff(ns)))) > SLOWEST_S:
             said.append(
                 f"its samples are {period:.4g} s apart: if its times are not in {columns.time_unit}, give their "
@@ -153,12 +166,23 @@ def demonstrations_of(table: Table, columns: Columns) -> list[Shown]:
             Shown(
                 ns,
                 movement[at],
-                {name: poses[at] for name, poses in frames.items()},
-                {name: values[at] for name, values in numbers.items()},
+                {name: _latest(poses, at, first) for name, poses in frames.items()},
+                {name: _latest(values[:, None], at, first)[:, 0] for name, values in numbers.items()},
                 (*notes, *said),
             )
         )
     return found
+
+
+def _latest(values: Array, at: NDArray[np.intp], first: int) -> Array:
+    """What (T, k) holds at some rows (S,), or else in those that were left out before each, from the first row on.
+
+    Programs that join topics of several rates to one table have a row for each message of each.
+    """
+    rows = np.where(np.isfinite(values).all(axis=1), np.arange(len(values)), -1)
+    latest = np.maximum.accumulate(rows)[at]
+    since = np.append(first - 1, at[:-1])
+    return np.where((latest > since)[:, None], values[latest], np.nan)
 
 
 def _single(numbers: Array, text: str) -> Array:

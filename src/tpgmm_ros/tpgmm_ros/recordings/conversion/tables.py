@@ -70,12 +70,19 @@ def read_tables(path: Path, wanted: Collection[str]) -> list[Table]:
 
 
 def _npy(path: Path) -> dict[str, Any]:
-    return {"": np.load(path, allow_pickle=False)}
+    return _fields("", np.load(path, allow_pickle=False))
 
 
 def _npz(path: Path) -> dict[str, Any]:
     with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+        return {key: value for name in file.files for key, value in _fields(f"{name}.", file[name]).items()}
+
+
+def _fields(prefix: str, value: Any) -> dict[str, Any]:
+    """An array by its name, or the fields of a structured one, as `np.genfromtxt(names=True)` makes them."""
+    if not value.dtype.names:
+        return {prefix.removesuffix("."): value}
+    return {f"{prefix}{field}": value[field] for field in value.dtype.names}
 
 
 def _mat(path: Path) -> dict[str, Any]:
