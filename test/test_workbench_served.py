@@ -49,7 +49,7 @@ def test_buttons_can_be_read_in_light_and_dark(browser: Any, is_dark: bool) -> N
     try:
         server.gui.configure_theme(dark_mode=is_dark)
         for color in ("red", "blue", "green", "orange", None):
-            server.gui.add_button(f"try {color}", color=color)  # type: ignore[arg-type]
+            server.gui.add_button(f"try {color}", color=color)
         server.gui.add_button("try disabled", disabled=True)
         page = browser.new_page()
         page.goto(access.address(server.get_port()))
