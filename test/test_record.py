@@ -19,7 +19,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from geometry_msgs.msg import PoseStamped, TransformStamped
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -144,6 +147,46 @@ def contents(bag: Path, whole: bool = True) -> dict[str, int]:
     return counts
 
 
+def check_by_other_readers(bag: Path, node: Node) -> None:
+    """What MCAP's own readers find in a bag, and what rosbag2 asks of its metadata (version 9)."""
+    counts = contents(bag)
+    (file,) = bag.glob("*.mcap")
+    positions = []
+    found = dict.fromkeys(counts, 0)
+    with file.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        summary = reader.get_summary()
+        for _, channel, message, decoded in reader.iter_decoded_messages():
+            found[channel.topic] += 1
+            if channel.topic == "/joint_states":
+                positions.append(decoded.position[0])
+                stamp = decoded.header.stamp
+                assert abs(stamp.sec + 1e-9 * stamp.nanosec - 1e-9 * message.log_time) < 10.0
+    assert found == counts
+    np.testing.assert_allclose(np.diff(positions), 0.001, atol=1e-9)
+    assert summary is not None and summary.statistics is not None
+    statistics = summary.statistics
+    about = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert (about["version"], about["storage_identifier"]) == (9, "mcap")
+    assert about["message_count"] == statistics.message_count == sum(counts.values())
+    assert about["starting_time"]["nanoseconds_since_epoch"] == statistics.message_start_time
+    assert about["duration"]["nanoseconds"] == statistics.message_end_time - statistics.message_start_time
+    assert about["relative_file_paths"] == [part["path"] for part in about["files"]] == [file.name]
+    assert about["files"][0]["message_count"] == about["message_count"]
+    assert (about["compression_format"], about["compression_mode"]) == ("", "") and "custom_data" in about
+    assert about["ros_distro"]
+    hashes = {}
+    for topic in about["topics_with_message_count"]:
+        known = topic["topic_metadata"]
+        assert known["serialization_format"] == "cdr" and topic["message_count"] == counts[known["name"]]
+        assert all(
+            {"reliability", "durability", "history", "depth"} <= set(qos) for qos in known["offered_qos_profiles"]
+        )
+        hashes[known["name"]] = known["type_description_hash"]
+    offered = {name: node.get_publishers_info_by_topic(name) for name in hashes}
+    assert hashes == {name: str(publishers[0].topic_type_hash) for name, publishers in offered.items()}
+
+
 def test_every_kind_of_source_is_recorded_and_read_and_what_was_published_once_is_in_each_bag(
     ros_node: Node,
     start_process: StartProcess,
@@ -167,10 +210,11 @@ def test_every_kind_of_source_is_recorded_and_read_and_what_was_published_once_i
     robot.run()
     process.send_signal(signal.SIGINT)
     spin_until(ros_node, lambda: process.returncode is not None, message="the end")
-    assert process.returncode == 0, process.output
+    assert process.returncode == 0 and "will not draw" not in process.output, process.output
     assert [bag.name for bag in find_bags([folder])] == ["demo_01", "demo_02", "demo_04"]
 
     task = Task.load(task_file)
+    check_by_other_readers(folder / "demo_01", ros_node)
     for bag in find_bags([folder]):
         counts = contents(bag)
         assert counts["/robot_description"] == counts["/tf_static"] == counts["/lid/pose"] == 1
@@ -248,6 +292,7 @@ def test_keys_of_a_terminal_start_stop_undo_and_end_and_the_line_says_what_is_mi
     ros_node: Node, task_file: Path, tmp_path: Path
 ) -> None:
     robot, folder = Robot(ros_node, cup="can"), tmp_path / "bags"
+    ros_node.destroy_publisher(robot.publishers.pop("description"))
     master, slave = pty.openpty()
     command = [sys.executable, "-m", "tpgmm_ros.programs.record", str(task_file), "--to", str(folder)]
     with subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave) as process:
@@ -288,5 +333,5 @@ def test_keys_of_a_terminal_start_stop_undo_and_end_and_the_line_says_what_is_mi
         finally:
             process.kill()
             os.close(master)
-    assert "space or Enter" in shown
+    assert "space or Enter" in shown and "rerun will not draw the robot" in shown
     assert [bag.name for bag in find_bags([folder])] == ["demo_02"]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tpgmm_core.common.constants import RANK_TOLERANCE
+from tpgmm_core.common.constants import ORTHOGONAL, RANK_TOLERANCE
 from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
@@ -241,8 +241,18 @@ class Frame:
         return np.einsum("...ij,...j->...i", self.pseudo_inverse(), xi - self.b)
 
     def pseudo_inverse(self) -> Array:
-        """A^+, or `inverse` where the frame has one of its own, (..., D_j, D)."""
-        return np.linalg.pinv(self.A, rcond=RANK_TOLERANCE) if self.inverse is None else self.inverse
+        """A^+, or `inverse` where the frame has one of its own, (..., D_j, D).
+
+        A^T where A^T A = I to rounding, as in pose frames: singular values of each sample of a frame that moves would
+        take most of the time of learning.
+        """
+        if self.inverse is not None:
+            return self.inverse
+        transposed = self.A.swapaxes(-1, -2)
+        n = self.A.shape[-1]
+        if self.A.shape[-2] == n and np.abs(transposed @ self.A - np.eye(n)).max(initial=0.0) < ORTHOGONAL:
+            return transposed
+        return np.linalg.pinv(self.A, rcond=RANK_TOLERANCE)
 
 
 # of the fields, which a frozen class does not offer

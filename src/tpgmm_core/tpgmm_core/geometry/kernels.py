@@ -13,6 +13,7 @@ from typing import Any
 import numba
 import numpy as np
 
+from tpgmm_core.common.constants import ORTHOGONAL
 from tpgmm_core.common.types import Array
 
 # Sums may be reordered and fused so that they vectorise; NaN and infinity keep their meaning.
@@ -154,7 +155,7 @@ def is_orthogonal(A: Array) -> bool:
             total = 0.0
             for c in range(n):
                 total += A[i, c] * A[m, c]
-            if not abs(total - (1.0 if i == m else 0.0)) < 1e-14:
+            if not abs(total - (1.0 if i == m else 0.0)) < ORTHOGONAL:
                 return False
     return True
 

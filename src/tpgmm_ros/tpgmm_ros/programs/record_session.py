@@ -11,7 +11,7 @@ from pathlib import Path
 from tpgmm_ros.messages.sources import TransformSource
 from tpgmm_ros.nodes.frame_watch import FrameWatch, Seen
 from tpgmm_ros.recordings.bag_recorder import BagRecorder
-from tpgmm_ros.recordings.recorded_topics import needed_topics
+from tpgmm_ros.recordings.recorded_topics import ROBOT_DESCRIPTION, needed_topics
 from tpgmm_ros.recordings.storage.bag_writer import UNDONE, free_name
 from tpgmm_ros.task.task_file import Task
 
@@ -82,6 +82,11 @@ class RecordSession:
             if self._is_missing(frame) and frame.count == self._before[frame.name].count:
                 lost.append(f"frame {frame.name}" + (f" ({frame.trouble})" if frame.trouble else ""))
         self.done.append(Recorded(bag, duration, counts, tuple(lost)))
+        if len(self.done) == 1 and not counts[ROBOT_DESCRIPTION]:
+            self._said(
+                "nobody publishes robot_description, so Foxglove and rerun will not draw the robot from these bags: "
+                "start a robot_state_publisher, or endpoint_poses with broadcast_transforms:=true"
+            )
         return self._tell(str(self.done[-1]))
 
     def _is_missing(self, frame: Seen) -> bool:

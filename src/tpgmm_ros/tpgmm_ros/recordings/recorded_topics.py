@@ -10,7 +10,7 @@ from tpgmm_ros.recordings.joint_streams import JOINT_STATE
 from tpgmm_ros.task.takes_section import TopicTakes
 from tpgmm_ros.task.task_file import Task
 
-__all__ = ["JOINT_STATE", "needed_topics", "topics_of"]
+__all__ = ["JOINT_STATE", "ROBOT_DESCRIPTION", "needed_topics", "topics_of"]
 
 ROBOT_DESCRIPTION = "robot_description"
 """What draws the robot: its URDF."""
