@@ -37,7 +37,7 @@ NOBODY = "Nobody leads the hand"
 DURATION, SPEED = 0, 1
 #: Demonstrations that are taught.
 COUNT = 3
-#: Where pictures of a second robot are to be drawn, and its URDF.
+#: Where pictures of a second robot are to be drawn; its URDF.
 PICTURES = os.environ.get("TPGMM_PICTURES", "")
 URDF = "package://example-robot-data/robots/ur_description/urdf/ur5_robot.urdf"
 #: Pages that are open at once. Ten take minutes on two cores, where each draws without a graphics card.
@@ -232,8 +232,7 @@ def _share(user: User, folder: Path, place: Path) -> None:
 def test_a_robot_of_which_there_is_a_urdf_alone_is_taught_and_runs(
     browser: Any, ros_node: Node, ros_domain: int, start_process: StartProcess, tmp_path: Path
 ) -> None:
-    began = time.monotonic()
-    folder, pictures = tmp_path / "project", Path(PICTURES)
+    began, folder, pictures = time.monotonic(), tmp_path / "project", Path(PICTURES)
     process, address = start(start_process, ros_domain, folder, "--urdf", URDF)
     places = Places(ros_node, "arm")
     spin_until(ros_node, address, PATIENCE, "the address", (process,))
@@ -244,17 +243,21 @@ def test_a_robot_of_which_there_is_a_urdf_alone_is_taught_and_runs(
     user.shoot("workbench_ur5_page", pictures)
     _teach(user, places, folder)
     _train(user)
-    _look_ahead(user, places, home)
+    user.opens("Teach")
+    _lead_home(user, places, home)
+    user.opens("Run")
+    _set(user, DURATION, 30)
+    user.page.keyboard.press("p")
+    user.sees("may run")
     user.shoot("workbench_ur5_preview", pictures)
     user.opens("Nodes")
-    user.page.get_by_label("dark").check(force=True)
+    user.page.get_by_role("checkbox", name="dark", exact=True).check(force=True)
     for tab in ("Nodes", "Robot", "Train", "Teach", "Run"):  # to be looked at
         user.opens(tab)
         user.shoot(f"dark_{tab.lower()}")
     user.click("Run [G]")
     user.sees(RUNS)
     print(f"\nfrom the start to a skill that runs: {time.monotonic() - began:.0f} s, with {COUNT} demonstrations")
-    user.shoot("dark_runs")
 
 
 def test_several_pages_show_the_same_and_come_back_after_the_program_was_killed(
