@@ -91,7 +91,19 @@ class Encoding(Settings, ABC):
         """Names of the model's ambient numbers, from those of the demonstrations."""
 
     def inputs(self, shares: Array, duration: float) -> Array:
-        """The model's first dimension (S,) at shares (S,) of a movement of a duration, s.
+        """The model's first dimension at shares (S,) of a movement of a duration, s.
+
+        Parameters
+        ----------
+        shares
+            (S,), 0 to 1
+        duration
+            s
+
+        Returns
+        -------
+        Array
+            (S,)
 
         Raises
         ------

@@ -70,7 +70,17 @@ class SegmentFrames:
 
     @classmethod
     def of_model(cls, model: LearnedMixture) -> SegmentFrames | None:
-        """Read what a model keeps; None where all frames count everywhere.
+        """Read what a model keeps.
+
+        Parameters
+        ----------
+        model
+            with metadata
+
+        Returns
+        -------
+        SegmentFrames | None
+            None where all frames count everywhere
 
         Raises
         ------
