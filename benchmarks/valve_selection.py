@@ -99,7 +99,9 @@ def _reproduction(row: Candidate, estimator: SelectableEstimator, recordings: li
     def learn(demonstrations: list[Demonstration]) -> TPGMM:
         model = unfitted(estimator)
         assert isinstance(model, TPGMM)
-        return model.fit(demonstrations)
+        model.fit(demonstrations)
+        model.metadata_["duration_s"] = float(np.mean([shown.times[-1] - shown.times[0] for shown in demonstrations]))
+        return model
 
     folds = cross_validate(recordings, learn, next(iter(recordings[0].frames)))
     errors = mean_errors([fold.model for fold in folds])

@@ -91,7 +91,25 @@ class Encoding(Settings, ABC):
         """Names of the model's ambient numbers, from those of the demonstrations."""
 
     def inputs(self, shares: Array, duration: float) -> Array:
-        """The model's first dimension (S,) at shares (S,) of a movement of a duration, s; ValueError without time."""
+        """The model's first dimension at shares (S,) of a movement of a duration, s.
+
+        Parameters
+        ----------
+        shares
+            (S,), 0 to 1
+        duration
+            s
+
+        Returns
+        -------
+        Array
+            (S,)
+
+        Raises
+        ------
+        ValueError
+            for a model without time
+        """
         if not self.follows_time:
             raise ValueError(f"a model of {self.description} has no time")
         return shares * duration

@@ -70,7 +70,23 @@ class SegmentFrames:
 
     @classmethod
     def of_model(cls, model: LearnedMixture) -> SegmentFrames | None:
-        """Read what a model keeps; None where all frames count everywhere. Raises ValueError for other metadata."""
+        """Read what a model keeps.
+
+        Parameters
+        ----------
+        model
+            with metadata
+
+        Returns
+        -------
+        SegmentFrames | None
+            None where all frames count everywhere
+
+        Raises
+        ------
+        ValueError
+            for metadata that are no relevances
+        """
         if KEY not in model.metadata_:
             return None
         relevance = {}
