@@ -241,10 +241,15 @@ class Frame:
         return np.einsum("...ij,...j->...i", self.pseudo_inverse(), xi - self.b)
 
     def pseudo_inverse(self) -> Array:
-        """A^+, or `inverse` where the frame has one of its own, (..., D_j, D).
+        """Compute A^+, or take `inverse` where the frame has one of its own.
 
         A^T where A^T A = I to rounding, as in pose frames: singular values of each sample of a frame that moves would
         take most of the time of learning.
+
+        Returns
+        -------
+        Array
+            (..., D_j, D)
         """
         if self.inverse is not None:
             return self.inverse

@@ -129,6 +129,16 @@ class World:
         """For how long each of the objects could be seen since a stamp, s.
 
         By stamps, since in real time the world hears of the movement's start only some time after it.
+
+        Parameters
+        ----------
+        since_ns
+            the stamp, ns
+
+        Returns
+        -------
+        dict[str, float]
+            s by the object's name
         """
         seen = [sight for sight in self._sights if sight[0] >= since_ns]
         return {name: sum(elapsed for _, elapsed, names in seen if name in names) for name in self._task.topics}
