@@ -94,6 +94,8 @@ def broken_by_torques(robot: RobotModel, stamps_ns: Nanoseconds, torques: Array,
         found.append("torques: not finite")
     above = (np.abs(torques) > robot.effort_limits + 1e-9).any(axis=1)
     found += [f"effort: {tau} above {robot.effort_limits}" for tau in torques[above]]
+    last = np.append(np.diff(stamps_ns) > 0, True)[: len(torques)]  # a state may be answered again, by a newer reference
+    stamps_ns, torques = stamps_ns[last], torques[last]
     time = 1e-9 * np.diff(stamps_ns)
     change = np.abs(np.diff(torques, axis=0))
     # of states that were lost on the way, one answers for all: limits hold between those that it knows
