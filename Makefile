@@ -77,7 +77,7 @@ soak: setup ## run 30 minutes of simulated time with random faults, watch tasks 
 networks: setup ## run the demo's task on three hosts whose network loses packets, is slow, and cuts off the camera: out/networks/ (Linux)
 	PYTHONPATH=. $(PYTHON) benchmarks/networks.py --seed $(SEED)
 
-robots: setup ## a Panda by torques, a UR5 by FollowJointTrajectory, a Panda behind crisp topics do the task, contracts are checked: out/robots/ (SLOWER=12 on busy machines)
+robots: setup ## a Panda by torques, a UR5 by FollowJointTrajectory, a Panda behind crisp topics do the task, contracts are checked: out/robots/ (SLOWER=2 on two cores, more on busy ones)
 	PYTHONPATH=.:test $(PYTHON) -m interfaces --seed $(SEED) $(if $(SLOWER),--slower $(SLOWER))
 
 faults: dev ## cause every known fault in the running nodes and check how they react: out/faults/ (20 minutes; RATE=250 on slow cores)

@@ -73,11 +73,11 @@ def test_a_target_that_goes_on_keeps_the_contract_and_each_change_of_it_is_named
 def test_torques_within_the_limits_keep_the_contract_and_each_change_of_them_is_named() -> None:
     stamps = np.arange(5, dtype=np.int64) * 1_000_000
     tau = np.outer(np.arange(5), np.full(PANDA.nv, 0.9))
-    assert not broken_by_torques(PANDA, stamps, tau, 0.02)
-    assert kinds(broken_by_torques(PANDA, stamps, 2.0 * tau, 0.02)) == {"rate"}
-    assert kinds(broken_by_torques(PANDA, stamps, tau + 100.0, 0.02)) == {"effort"}
-    assert kinds(broken_by_torques(PANDA, stamps * 30, tau, 0.02)) == {"silence"}
-    assert "torques" in kinds(broken_by_torques(PANDA, stamps, np.full_like(tau, np.nan), 0.02))
+    assert not broken_by_torques(PANDA, stamps, tau, 0.02, 0.001)
+    assert kinds(broken_by_torques(PANDA, stamps, 2.0 * tau, 0.02, 0.001)) == {"rate"}
+    assert kinds(broken_by_torques(PANDA, stamps, tau + 100.0, 0.02, 0.001)) == {"effort"}
+    assert kinds(broken_by_torques(PANDA, stamps * 30, tau, 0.02, 0.001)) == {"silence"}
+    assert "torques" in kinds(broken_by_torques(PANDA, stamps, np.full_like(tau, np.nan), 0.02, 0.001))
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)

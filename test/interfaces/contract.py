@@ -83,23 +83,27 @@ def broken_by_stiffness(message: Float64MultiArray) -> list[str]:
     return []
 
 
-def broken_by_torques(robot: RobotModel, stamps_ns: Nanoseconds, torques: Array, silence: float) -> list[str]:
+def broken_by_torques(
+    robot: RobotModel, stamps_ns: Nanoseconds, torques: Array, silence: float, period: float
+) -> list[str]:
     """What a robot that takes torques would stop for.
 
     Of the states that `torques` (T, nv) answer with `stamps_ns` (T,): limits, how fast a torque changes where the robot
-    says how fast it may, and pauses longer than `silence`, s.
+    says how fast it may, and pauses longer than `silence`, s. A robot judges changes by its own `period`, s, wherever
+    the stamps of its states lie.
     """
     found = []
     if not np.isfinite(torques).all():
         found.append("torques: not finite")
     above = (np.abs(torques) > robot.effort_limits + 1e-9).any(axis=1)
     found += [f"effort: {tau} above {robot.effort_limits}" for tau in torques[above]]
-    last = np.append(np.diff(stamps_ns) > 0, True)[: len(torques)]  # a state may be answered again, by a newer reference
-    stamps_ns, torques = stamps_ns[last], torques[last]
+    # A state that is answered again, by a newer reference, has taken of the time until the next one
+    first = np.diff(stamps_ns, prepend=-1) > 0
+    stamps_ns, torques = stamps_ns[first], torques[first]
     time = 1e-9 * np.diff(stamps_ns)
     change = np.abs(np.diff(torques, axis=0))
     # of states that were lost on the way, one answers for all: limits hold between those that it knows
-    too_fast = (change > robot.torque_rates * time[:, None] + 1e-6).any(axis=1)
+    too_fast = (change > robot.torque_rates * np.maximum(time, period)[:, None] + 1e-6).any(axis=1)
     found += [f"rate: {c} N m in {1e3 * t:.1f} ms" for c, t in zip(change[too_fast], time[too_fast], strict=True)]
     found += [f"silence: {1e3 * t:.0f} ms without torques" for t in time[time > silence]]
     return found

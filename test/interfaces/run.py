@@ -142,7 +142,7 @@ def run(case: Case, model: Path, output: Path, under: Conditions) -> dict[str, A
         commands, gap = told["commands"], told["longest_gap_s"]
     else:
         torque = record.torque()
-        broken = broken_by_torques(robot, torque.stamps_ns, torque.values, case.silence)
+        broken = broken_by_torques(robot, torque.stamps_ns, torque.values, case.silence, 1.0 / under.rate)
         texts.update(text.partition(":")[0] for text in broken)
         examples |= {text.partition(":")[0]: text for text in reversed(broken)}
         commands, gap = len(torque.values), 1e-9 * float(np.diff(torque.stamps_ns).max())
