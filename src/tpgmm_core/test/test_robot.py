@@ -142,7 +142,7 @@ def test_friction_of_a_joint_replaces_that_of_its_group(arm: RobotModel) -> None
     ("changes", "message"),
     [
         ({"urdf": "other.urdf"}, "no URDF"),
-        ({"urdf": "package://nowhere/a.urdf"}, "no URDF"),
+        ({"urdf": "package://nowhere/a.urdf"}, "the package .nowhere. .* is not installed"),
         ({"home": None}, "lacks the key .home."),
         ({"colour": "red"}, "unknown key .colour., expected urdf"),
         ({"home": {"turn": 0.0}}, "home lacks .*slide"),
