@@ -72,9 +72,10 @@ def test_a_model_that_is_loaded_during_a_movement_takes_over_without_a_jump_and_
         backwards.successful or "speed" in backwards.reason
     )
     assert set_parameters(player.node, NODE, speed=1.0).successful
-    # In m per tick of 5 ms: as fast as elsewhere, and no jump of the velocity
+    # In m per tick of 5 ms: as fast as elsewhere, and no jump of the velocity. Where a busy machine took more ticks to
+    # load the model, the movement has come further, to where it is faster by itself
     path = means(player.references[1:])[:, :3]
-    usual, around = path[: before - 1], path[before - 5 :]
+    usual, around = path[: before - 1], path[before - 5 : before + 60]
     step, change = (np.abs(np.diff(usual, n=n, axis=0)).max() for n in (1, 2))
     assert np.abs(np.diff(around, axis=0)).max() < 2.0 * step
     assert np.abs(np.diff(around, n=2, axis=0)).max() < 3.0 * change
