@@ -125,8 +125,9 @@ bench: setup ## run the benchmarks: tables, and JSON in out/bench/; status 1 if 
 	@failed=""; for name in $(BENCHMARKS); do PYTHONPATH=.:src/tpgmm_core/test $(PYTHON) benchmarks/$$name.py || failed="$$failed $$name"; \
 		done; if [ -n "$$failed" ]; then echo "not reached:$$failed"; exit 1; fi
 
-pages: setup ## open ten pages of the workbench at once, without browsers; what they cost, and whether each can stop: out/bench/
+pages: setup ## open ten pages of the workbench at once, without browsers; what they cost, also the loop, and whether each can stop: out/bench/
 	PYTHONPATH=. $(PYTHON) benchmarks/pages.py
+	PYTHONPATH=. $(PYTHON) benchmarks/loop_page.py
 
 scaling: setup ## run the benchmarks of learning, 100 dimensions and a million samples: out/high_dimension/, out/scaling/
 	PYTHONPATH=. $(PYTHON) benchmarks/high_dimension.py
