@@ -75,6 +75,8 @@ def test_torques_within_the_limits_keep_the_contract_and_each_change_of_them_is_
     tau = np.outer(np.arange(5), np.full(PANDA.nv, 0.9))
     assert not broken_by_torques(PANDA, stamps, tau, 0.02, 0.001)
     assert kinds(broken_by_torques(PANDA, stamps, 2.0 * tau, 0.02, 0.001)) == {"rate"}
+    twice = stamps - np.array([0, 0, 0, 1, 1], np.int64) * 1_000_000  # the fourth answers the third state again
+    assert kinds(broken_by_torques(PANDA, twice, tau, 0.02, 0.001)) == {"rate"}
     assert kinds(broken_by_torques(PANDA, stamps, tau + 100.0, 0.02, 0.001)) == {"effort"}
     assert kinds(broken_by_torques(PANDA, stamps * 30, tau, 0.02, 0.001)) == {"silence"}
     assert "torques" in kinds(broken_by_torques(PANDA, stamps, np.full_like(tau, np.nan), 0.02, 0.001))

@@ -97,9 +97,9 @@ def broken_by_torques(
         found.append("torques: not finite")
     above = (np.abs(torques) > robot.effort_limits + 1e-9).any(axis=1)
     found += [f"effort: {tau} above {robot.effort_limits}" for tau in torques[above]]
-    # A state that is answered again, by a newer reference, has taken of the time until the next one
-    first = np.diff(stamps_ns, prepend=-1) > 0
-    stamps_ns, torques = stamps_ns[first], torques[first]
+    # Of a state that is answered again, by a newer reference, the robot applies the last answer
+    last = np.diff(stamps_ns, append=np.iinfo(np.int64).max) > 0
+    stamps_ns, torques = stamps_ns[last], torques[last]
     time = 1e-9 * np.diff(stamps_ns)
     change = np.abs(np.diff(torques, axis=0))
     # of states that were lost on the way, one answers for all: limits hold between those that it knows
