@@ -105,7 +105,6 @@ def loop(ros_node: Node, start_process: StartProcess, tmp_path: Path) -> Loop:
     return Loop(ros_node, start_process, tmp_path)
 
 
-@pytest.mark.alone  # where joint states come irregularly, two steps may have one time
 def test_what_nodes_hand_over_is_on_the_topics_too_each_message_once(loop: Loop) -> None:
     references = Inbox(loop.node, Reference, "reference")
     frames = Inbox(loop.node, TaskParameters, "task_parameters", ALL_LATCHED)

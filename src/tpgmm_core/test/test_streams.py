@@ -116,13 +116,13 @@ def test_a_step_between_two_messages_has_a_time_between_them_and_time_never_goes
     beat.take(1010 * MS, 15 * MS)
     assert beat.between(15 * MS) is None
     assert beat.between(19 * MS) == 1014 * MS
-    assert beat.between(18 * MS) == 1014 * MS
+    assert beat.between(18 * MS) is None and beat.between(19 * MS) is None  # what would be sent has been sent
+    assert beat.between(20 * MS) == 1015 * MS
     assert beat.between(24 * MS) is None  # the next message is near
-    assert beat.between(19 * MS, 0.0019) is not None and beat.between(19 * MS, 0.0021) is None  # it would take too long
-    beat.take(1012 * MS, 20 * MS)  # it came earlier than expected, after a step that was later
-    assert beat.step_ns == 1014 * MS
-    beat.take(1022 * MS, 30 * MS)
-    assert beat.step_ns == 1022 * MS
+    assert beat.between(22 * MS, 0.0021) is None and beat.between(22 * MS, 0.0019) is not None  # it would take too long
+    assert not beat.take(1012 * MS, 23 * MS)  # it came earlier than expected, after a step that was later
+    assert beat.step_ns == 1017 * MS
+    assert beat.take(1022 * MS, 30 * MS) and beat.step_ns == 1022 * MS
     beat.take(5022 * MS, 4030 * MS)  # after a pause
     beat.take(5032 * MS, 4040 * MS)
     assert beat.between(4060 * MS) is None and beat.between(4045 * MS) == 5037 * MS

@@ -220,14 +220,14 @@ class Beat:
     Attributes
     ----------
     step_ns : int
-        Time of the last step, ns; it never goes back, unless the stream does.
+        Time of the last step, ns; no two steps have the same, and it never goes back, unless the stream does.
     """
 
     def __init__(self) -> None:
         self._interval_ns = self._period_ns = self._stamp_ns = self._received_ns = self.step_ns = 0
 
-    def take(self, stamp_ns: int, now_ns: int, restarted: bool = False) -> None:
-        """A step with a message.
+    def take(self, stamp_ns: int, now_ns: int, restarted: bool = False) -> bool:
+        """Whether a message calls for a step.
 
         Parameters
         ----------
@@ -237,12 +237,19 @@ class Beat:
             When it came, by a clock that does not jump, ns.
         restarted : bool
             Whether time has jumped backwards.
+
+        Returns
+        -------
+        bool
+            False where messages come irregularly, and a step between two of them was for a later time than this one.
         """
         former, self._interval_ns = self._interval_ns, stamp_ns - self._stamp_ns if self._stamp_ns else 0
         self._period_ns = min(former, self._interval_ns)  # a pause is no period
         self._stamp_ns, self._received_ns = stamp_ns, now_ns
-        # where messages come irregularly, a step between two of them may have been late
-        self.step_ns = stamp_ns if restarted else max(stamp_ns, self.step_ns)
+        if not restarted and stamp_ns <= self.step_ns:
+            return False
+        self.step_ns = stamp_ns
+        return True
 
     def between(self, now_ns: int, cost: float = 0.0) -> int | None:
         """The time of a step that is made now, on the clock of the stamps.
@@ -258,10 +265,12 @@ class Beat:
         -------
         int or None
             ns; None where the next message is near (by the shorter one of the last two intervals), where such a step
-            would take too long, and before the third message.
+            would take too long, before the third message, and where there was a step for this time already.
         """
         elapsed = now_ns - self._received_ns
         if not 0 < elapsed < BETWEEN * self._period_ns or cost * SECOND > AFFORDED * self._period_ns:
             return None
-        self.step_ns = max(self.step_ns, self._stamp_ns + elapsed)
+        if self._stamp_ns + elapsed <= self.step_ns:
+            return None
+        self.step_ns = self._stamp_ns + elapsed
         return self.step_ns

@@ -186,8 +186,8 @@ class ReproductionNode(ManagedNode):
         if self._barrier is not None:
             self._barrier.take(heard.stamp_ns, heard.stamp_ns)
         elif heard.kind is not Stamp.REPEATED:
-            self._beat.take(heard.stamp_ns, self._heard_ns, heard.kind is Stamp.RESTARTED)
-            self._step(self._beat.step_ns)
+            if self._beat.take(heard.stamp_ns, self._heard_ns, heard.kind is Stamp.RESTARTED):
+                self._step(self._beat.step_ns)
         elif self._sent is not None and self._sent.stamp_ns >= heard.stamp_ns:
             self._send(self._sent)  # it comes again, since an answer was lost
 
