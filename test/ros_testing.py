@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 # Processes start Python twice and import much; a busy machine takes long for both
-STARTUP_TIMEOUT = 30.0
+STARTUP_TIMEOUT = 60.0
 # Time from one signal to the next, stronger one [s]
 STOP_TIMEOUT = 5.0
 

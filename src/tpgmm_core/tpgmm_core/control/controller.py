@@ -120,7 +120,15 @@ class Controller[TargetT]:
         self.pipeline.restart()
 
     def step(
-        self, q: Array, v: Array, target: TargetT | None, dt: float, loop: Loop = AT_ONCE, *, brakes: bool = False
+        self,
+        q: Array,
+        v: Array,
+        target: TargetT | None,
+        dt: float,
+        loop: Loop = AT_ONCE,
+        *,
+        brakes: bool = False,
+        now_ns: int | None = None,
     ) -> TorqueCommand | None:
         """Torques for a state of the robot.
 
@@ -139,6 +147,8 @@ class Controller[TargetT]:
             how late the torques are
         brakes
             without the law: gravity compensation with damping at this state. The law starts anew afterwards
+        now_ns
+            see `TorquePipeline.step`
 
         Returns
         -------
@@ -154,22 +164,24 @@ class Controller[TargetT]:
         if q.shape != (self.robot.nv,) or v.shape != (self.robot.nv,):
             raise ValueError(f"q and v have shapes {q.shape} and {v.shape}, expected ({self.robot.nv},)")
         if not (finite(q) and finite(v)):
-            return self.rest(0.0, dt, "the joint state is not finite", loop)
+            return self.rest(0.0, dt, "the joint state is not finite", loop, now_ns)
         q = self.robot.unwound(q, self.robot.home if self._q is None else self._q)
         moment = DynamicState.at(self._data, q, v, loop)
         if brakes:
             self.law.reset()
         asked = None if brakes else self.law.step(moment, target, self.pipeline.time_step(dt))
         if asked is not None and asked.reason:
-            return self.rest(0.0, dt, asked.reason, loop)
+            return self.rest(0.0, dt, asked.reason, loop, now_ns)
         if self._closed_elsewhere and self._sent is not None:
             self.pipeline.acts(self._sent.acting(q, v))
-        tau, done = self.pipeline.step(None if asked is None else asked.tau, moment, dt)
+        tau, done = self.pipeline.step(None if asked is None else asked.tau, moment, dt, now_ns)
         self._q, self._v = q.copy(), v.copy()
         self._sent = TorqueCommand(tau, self._q, self._v, asked, actions(done), "")
         return self._sent
 
-    def rest(self, age: float, dt: float, reason: str = "", loop: Loop = AT_ONCE) -> TorqueCommand | None:
+    def rest(
+        self, age: float, dt: float, reason: str = "", loop: Loop = AT_ONCE, now_ns: int | None = None
+    ) -> TorqueCommand | None:
         """Gravity compensation with damping, at the last good state; None if there was none.
 
         The damping answers the last speed, which is assumed to fade: otherwise it would push a robot backwards that
@@ -185,6 +197,8 @@ class Controller[TargetT]:
             for the command
         loop
             how late the torques are
+        now_ns
+            see `TorquePipeline.step`
 
         Returns
         -------
@@ -196,7 +210,7 @@ class Controller[TargetT]:
             return None
         v = self._v * math.exp(-max(0.0, age) / REST_TIME)
         moment = DynamicState.at(self._data, self._q, v, replace(loop, age=0.0))
-        tau, done = self.pipeline.step(None, moment, dt)
+        tau, done = self.pipeline.step(None, moment, dt, now_ns)
         self._sent = TorqueCommand(tau, moment.q, moment.v, None, actions(done), reason)
         return self._sent
 

@@ -205,7 +205,7 @@ class SupervisedController[TargetT]:
         self.guard.age.take(stamp_ns, clock_ns, of_another_clock=timeouts.max_age == 0.0)
         self.decision = self.guard.judge(decide(self._inputs(now_ns), timeouts))
         guard = self.guard
-        command = self.controller.step(q, v, self._target(), dt, guard.loop(), brakes=guard.swings)
+        command = self.controller.step(q, v, self._target(), dt, guard.loop(), brakes=guard.swings, now_ns=now_ns)
         if command is None or command.reason:
             # a state that is well-formed and still cannot be right
             self._state_fault = command.reason if command is not None else "the joint state is not finite"
@@ -236,12 +236,14 @@ class SupervisedController[TargetT]:
         if state_ns is None or reference_ns is None or not self._answered_state:
             return None
         dt = self._since_last(None, now_ns)
-        if not 0 < reference_ns - state_ns < BETWEEN * self._period_ns or dt <= 0.0:
+        longest = BETWEEN * self._period_ns  # then the next state is near, or should have been here
+        if not 0 < reference_ns - state_ns < longest or not 0.0 < dt < longest / SECOND:
             return None
         if self.guard.judge(decide(self._inputs(now_ns), self.timeouts)).mode is not ControllerMode.ACTIVE:
             return None
         guard = self.guard
-        command = self.controller.step(self._q, self._v, self._moving, dt, guard.loop(), brakes=guard.swings)
+        loop, brakes = guard.loop(), guard.swings
+        command = self.controller.step(self._q, self._v, self._moving, dt, loop, brakes=brakes, now_ns=now_ns)
         answer = self._send(command, state_ns, now_ns, to_state=False)
         self._used = self.controller.pipeline.time_step(dt)
         return answer
@@ -313,7 +315,7 @@ class SupervisedController[TargetT]:
         if not self.decision.sends:
             return None
         dt = self._since_last(None, now_ns)
-        command = self.controller.rest(inputs.state_age or 0.0, dt, loop=self.guard.loop())
+        command = self.controller.rest(inputs.state_age or 0.0, dt, loop=self.guard.loop(), now_ns=now_ns)
         return self._send(command, stamp_ns, now_ns, to_state=False)
 
     def _inputs(self, now_ns: int) -> Inputs:

@@ -8,7 +8,8 @@
 5. repulsion from the margin before the position limits (`repel`).
 6. effort and rate: `|tau| <= effort limit` and `|tau - last tau| <= torque_rate dt` are one interval per joint. Where
    the robot file gives a rate of the robot's own, the smaller one counts, and no more than one period of it at once:
-   the robot compares with the torque of its last cycle, however long our pause was.
+   the robot compares with the torque of its last cycle, however long our pause was. Which one that was is not known
+   where several were sent within a period, so that no torque is farther than this from any of them.
 7. power: the power that the motors put into the motion is at most `max_power`.
 
 **What holds at the output.** Finite, within the effort limits, within the rate limit: always, and at once. The
@@ -50,6 +51,7 @@ from tpgmm_core.control.torque_limits import (
     torque_bounds,
 )
 from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.observation.streams import SECOND
 from tpgmm_core.robot.model import RobotModel
 
 #: What a step did beside passing a torque on, by the bits of `limit_torques`.
@@ -93,7 +95,7 @@ def limit_torques(
     v: Array,
     nonlinear: Array,
     inverse: Array,
-    previous: Array,
+    acting: Array,
     dt: float,
     delay: float,
     share: float,
@@ -124,10 +126,10 @@ def limit_torques(
         (n,), N m, what carries the robot at q and v: gravity and Coriolis torques
     inverse
         (n, n), M^-1
-    previous
-        (n,), N m, the last torques; NaN where there were none
+    acting
+        (m, n), N m, those that the robot may still apply when these come, the last one at the end; NaN: none
     dt
-        time since then, s
+        time since the last one, s
     delay
         of the loop, s
     share
@@ -184,7 +186,13 @@ def limit_torques(
         change[i] = torque_rate * dt * effort[i]
         if own_rates[i] < np.inf:
             change[i] = min(change[i], (1.0 - ROUNDING) * own_rates[i] * min(dt, period))
-    torque_bounds(effort, previous, change, lowest, highest)
+    torque_bounds(effort, acting[-1], change, lowest, highest)
+    for k in range(len(acting) - 1):
+        for i in range(n):
+            if own_rates[i] < np.inf:
+                farthest = (1.0 - ROUNDING) * own_rates[i] * period
+                lowest[i] = max(lowest[i], acting[k, i] - farthest)
+                highest[i] = min(highest[i], acting[k, i] + farthest)
     if keep_within(tau, lowest, highest):
         done |= BOUNDED
     if known and limit_power(tau, v, nonlinear, max_power, lowest, highest):
@@ -212,6 +220,9 @@ class TorquePipeline:
 
     def __init__(self, robot: RobotModel, limits: TorqueLimits | None = None, period: float = math.inf) -> None:
         self.robot, self._period = robot, period
+        # where no joint has a rate of the robot's own, only the last torques count
+        is_judged = math.isfinite(period) and bool(np.isfinite(robot.torque_rates).any())
+        self._period_ns = round(period * SECOND) if is_judged else 0
         self.configure(limits or TorqueLimits())
         self.reset()
         moment = DynamicState.at(robot.create_data(), robot.home, np.zeros(robot.nv))
@@ -224,7 +235,7 @@ class TorquePipeline:
 
     def reset(self) -> None:
         """Forget the last torques: the next ones have no rate to keep. Only while none act on the robot."""
-        self._previous = np.full(self.robot.nv, np.nan)
+        self._sent: list[tuple[int, Array]] = []
         self.restart()
 
     def restart(self) -> None:
@@ -233,9 +244,11 @@ class TorquePipeline:
 
     def acts(self, tau: Array) -> None:
         """Note that other torques (nv,) than the last ones act on the robot now: the rate limit refers to these."""
-        self._previous = tau
+        self._sent = [(self._sent[-1][0] if self._sent else 0, tau)]
 
-    def step(self, wanted: Array | None, moment: DynamicState, dt: float) -> tuple[Array, int]:
+    def step(
+        self, wanted: Array | None, moment: DynamicState, dt: float, now_ns: int | None = None
+    ) -> tuple[Array, int]:
         """Limit the torques of a law; see the module.
 
         Parameters
@@ -246,6 +259,8 @@ class TorquePipeline:
             the state of the robot
         dt
             since the last step, s; a pause counts as `max_time_step`, NaN and steps backwards as none
+        now_ns
+            when these torques are sent, ns, on a clock that does not jump; None: dt after the last ones
 
         Returns
         -------
@@ -267,13 +282,17 @@ class TorquePipeline:
             self._blend = min(1.0, self._blend + dt / limits.recovery_time)
             tau = np.array(wanted, dtype=np.float64)
         safe = np.empty(robot.nv)
+        if now_ns is None:
+            now_ns = round(dt * SECOND) + (self._sent[-1][0] if self._sent else 0)
+        self._sent = self._in_force(now_ns)
+        acting = [before for _, before in self._sent] or [np.full(robot.nv, np.nan)]
         done = limit_torques(
             tau,
             moment.q,
             moment.v,
             moment.nonlinear,
             moment.inverse,
-            self._previous,
+            np.array(acting),
             dt,
             moment.loop.delay,
             smoothstep(self._blend),
@@ -294,8 +313,16 @@ class TorquePipeline:
         )
         if done & NOT_FINITE:
             self._blend = 0.0
-        self._previous = tau
+        self._sent.append((now_ns, tau))
         return tau.copy(), done
+
+    def _in_force(self, now_ns: int) -> list[tuple[int, Array]]:
+        """The torques that the robot may have applied within its last period, with when they were sent, ns."""
+        sent = [(min(sent_ns, now_ns), tau) for sent_ns, tau in self._sent]  # simulated time may begin anew
+        replaced_ns = [sent_ns for sent_ns, _ in sent[1:]]
+        return [
+            one for one, end_ns in zip(sent, replaced_ns, strict=False) if end_ns > now_ns - self._period_ns
+        ] + sent[-1:]
 
     def time_step(self, dt: float) -> float:
         """The dt that the pipeline counts; 0 for NaN and for a step backwards, so that nothing may change."""
