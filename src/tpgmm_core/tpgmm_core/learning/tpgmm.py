@@ -4,15 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tpgmm_core.common.text import shown
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.covariance.structure import Structure
+from tpgmm_core.learning.covariance.structure import OPTIONS, Structure
 from tpgmm_core.learning.estimation import initialization
 from tpgmm_core.learning.estimation.compiled_em import (
     Estimate,
@@ -27,6 +28,7 @@ from tpgmm_core.learning.estimation.emissions import Emissions
 from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.estimation.structured_em import fit_structure
 from tpgmm_core.learning.learned_mixture import LearnedMixture
+from tpgmm_core.learning.shared_bases import Bases, transforms_of
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.samples import Samples
 
@@ -67,6 +69,10 @@ class TPGMM(LearnedMixture):
         columns of the loadings of "mfa", "mppca" and "deep_mfa", for frames of more dimensions
     covariance_options
         other fields of `tpgmm_core.learning.covariance.structure.Structure` by name, or None
+    bases
+        of "semi_tied": a model with semi-tied covariances, such as of another task, or name → transform (n_j, n_j).
+        Its bases (synergies) are taken as they are for all frames of the data, and only the variances along them are
+        learned. None: the bases are learned too
     prior_strength
         weight, in demonstrations, of an inverse-Wishart prior of the covariances whose scale the data give
         (`tpgmm_core.learning.estimation.covariance_prior`); 0: none. 3 is a good value for demonstrations of poses
@@ -87,6 +93,7 @@ class TPGMM(LearnedMixture):
     covariance: str = "full"
     n_factors: int = 1
     covariance_options: Mapping[str, Any] | None = None
+    bases: Bases | None = None
     prior_strength: float = 0.0
     n_threads: int = 1
 
@@ -198,7 +205,7 @@ class TPGMM(LearnedMixture):
             if isinstance(self.init, LearnedMixture) and start.priors is self.init.priors_
             else None
         )
-        estimate = fit_structure(samples, structure, start, begun, self.random_state, **rules)
+        estimate = fit_structure(samples, structure, start, begun, self.random_state, self._bases(samples), **rules)
         return estimate.with_dense_covariances(), estimate.emissions
 
     def _prior(self, samples: Samples, start: MixtureParameters) -> CovariancePrior | None:
@@ -214,11 +221,14 @@ class TPGMM(LearnedMixture):
 
     def _structure(self) -> Structure:
         options = dict(self.covariance_options or {})
-        try:
-            return Structure(self.covariance, self.n_factors, self.reg_covar, self.regularization, **options)
-        except TypeError:
-            known = [field.name for field in fields(Structure)][4:]
-            raise ValueError(f"covariance_options may hold {', '.join(known)}, got {sorted(options)}") from None
+        if not options.keys() <= set(OPTIONS):
+            raise ValueError(f"covariance_options may hold {', '.join(OPTIONS)}, got {sorted(options)}")
+        settings = (self.covariance, self.n_factors, self.reg_covar, self.regularization)
+        return Structure(*settings, **options, fixed_bases=self.bases is not None)
+
+    def _bases(self, samples: Samples) -> dict[str, Array] | None:
+        """The transforms of the data's frames that `bases` gives."""
+        return None if self.bases is None else transforms_of(self.bases, samples.manifolds)
 
     def _check_parameters(self) -> None:
         self._check_integers("n_components", "max_iter", "n_init", "n_threads")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
+from tpgmm_core.learning.covariance.semi_tied import SemiTiedCovariances
 from tpgmm_core.learning.covariance.structure import Covariances, Structure
 from tpgmm_core.learning.covariance.structures import covariances_class
 from tpgmm_core.learning.estimation import initialization
@@ -116,6 +117,7 @@ class Emissions:
         counts: Array,
         means: Mapping[str, Array],
         covariances: Mapping[str, Array],
+        bases: Mapping[str, Array] | None = None,
     ) -> Emissions:
         """Components of a structure that are nearest to Gaussians with full covariances.
 
@@ -131,14 +133,20 @@ class Emissions:
             name → shape (K, D_j)
         covariances
             name → shape (K, n_j, n_j)
+        bases
+            of a structure whose bases are fixed, name → transform (n_j, n_j)
 
         Returns
         -------
         Emissions
             with the same means
         """
-        kind = covariances_class(structure)
-        frames = {name: _named(name, kind.start, structure, counts, covariances[name]) for name in samples.X}
+        if bases is None:
+            kind = covariances_class(structure)
+            frames = {name: _named(name, kind.start, structure, counts, covariances[name]) for name in samples.X}
+        else:
+            on_basis = SemiTiedCovariances.on_basis
+            frames = {name: _named(name, on_basis, structure, bases[name], covariances[name]) for name in samples.X}
         K, is_prior = len(counts), structure.regularization == "prior"
         prior_scatter = structure.reg_covar * samples.n_samples / K if is_prior else 0.0
         return cls(structure, dict(samples.manifolds), dict(means), frames, prior_scatter)
