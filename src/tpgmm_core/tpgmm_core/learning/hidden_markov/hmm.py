@@ -91,8 +91,8 @@ class TPHMM(TPGMM):
 
     A sample of state k has the density prod_j N(x^(j); mu_k^(j), Sigma_k^(j)) over the frames that saw it, as a
     component of a TP-GMM; which state follows which is learned (Baum-Welch). Order comes from the transitions, so
-    that the data need not hold time, and may come back to where it was before. Parameters and attributes that are not
-    listed here are those of `TPGMM`.
+    that the data need not hold time, and may come back to where it was before. Library only: programs learn `TPHSMM`,
+    which also knows durations. Parameters and attributes that are not listed here are those of `TPGMM`.
 
     Parameters
     ----------
