@@ -53,6 +53,40 @@ def transforms_of(bases: Bases, manifolds: Mapping[str, Manifold]) -> dict[str, 
     return {name: found[name] for name in manifolds}
 
 
+def dimensions_of(
+    n_factors: Mapping[str, ArrayLike], n_components: int, manifolds: Mapping[str, Manifold]
+) -> dict[str, Array]:
+    """Numbers of factors of each component in each frame of the data.
+
+    Parameters
+    ----------
+    n_factors
+        name → shape (K,), such as `DPMeans.dimensions_`
+    n_components
+        K
+    manifolds
+        name → space of what that frame sees
+
+    Returns
+    -------
+    dict[str, Array]
+        name → d, shape (K,), integers
+
+    Raises
+    ------
+    ValueError
+        for another number of components, frames without numbers, and numbers that are none from 0 to n_j - 1
+    """
+    found = {}
+    for name, manifold in manifolds.items():
+        d, n = np.asarray(n_factors.get(name, ())), manifold.tangent_dim
+        if d.shape != (n_components,) or d.dtype.kind not in "iu" or d.min() < 0 or d.max() >= n:
+            expected = f"{n_components} integers from 0 to {n - 1}"
+            raise ValueError(f"n_factors of frame {shown(name)} are {expected}, got {shown(d.tolist())}")
+        found[name] = d
+    return found
+
+
 def _learned(model: StoredMixture, manifolds: Mapping[str, Manifold]) -> dict[str, Array]:
     emissions = model.emissions_
     if emissions.structure.name != "semi_tied":

@@ -11,6 +11,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning import model_file
 from tpgmm_core.learning.covariance.classical import FullCovariances
+from tpgmm_core.learning.covariance.factor_analyzers import PrincipalComponentAnalyzers
 from tpgmm_core.learning.covariance.structure import OPTIONS, Structure
 from tpgmm_core.learning.estimation.compiled_em import Estimate, MixtureParameters
 from tpgmm_core.learning.estimation.emissions import Emissions
@@ -57,6 +58,7 @@ class StoredMixture(Estimator):
     regularization: str = "add"
     covariance_options: Mapping[str, Any] | None = None
     bases: Any = None
+    n_factors: Any = 1
 
     priors_: Array
     means_: dict[str, Array]
@@ -213,6 +215,12 @@ class StoredMixture(Estimator):
             model.covariance_options = {k: v for k, v in options.items() if v != getattr(Structure(), k)} or None
             if header.structure.fixed_bases:  # so that it goes on to learn with them
                 model.bases = {name: frame.arrays()["transform"] for name, frame in contents.frames.items()}
+            if header.structure.name == "mppca" and "n_factors" not in known:  # one number per component
+                model.n_factors = {
+                    name: frame.dimensions
+                    for name, frame in contents.frames.items()
+                    if isinstance(frame, PrincipalComponentAnalyzers)
+                }
             manifolds = {name: view_manifold(header.manifold, m.shape[1]) for name, m in contents.means.items()}
             emissions = Emissions(header.structure, manifolds, contents.means, contents.frames)
         model._learned(

@@ -54,7 +54,7 @@ class SemiTiedCovariances(Covariances):
         Raises
         ------
         ValueError
-            for a structure whose bases are fixed: see `on_basis`
+            for a structure whose bases are fixed: see `start_given`
         """
         if structure.fixed_bases:
             raise ValueError("the bases of this structure are fixed, but none are given")
@@ -66,24 +66,9 @@ class SemiTiedCovariances(Covariances):
         return cls(structure, A, _diagonals(A, scatters))
 
     @classmethod
-    def on_basis(cls, structure: Structure, transform: Array, scatters: Array) -> Self:
-        """The likeliest covariances of scatters with a given transform (Gales 1999, Section III): diag(A S_k A^T).
-
-        Parameters
-        ----------
-        structure
-            settings of the structure
-        transform
-            A, shape (n, n), regular
-        scatters
-            S, shape (K, n, n)
-
-        Returns
-        -------
-        Self
-            with this transform
-        """
-        return cls(structure, transform, _diagonals(transform, scatters))
+    def start_given(cls, structure: Structure, given: Array, scatters: Array) -> Self:
+        """With the transform A: the likeliest variances are diag(A S_k A^T) (Gales 1999, Section III)."""
+        return cls(structure, given, _diagonals(given, scatters))
 
     def maximised(self, counts: Array, scatters: Array) -> Self:
         """Raise the likelihood by SWEEPS updates of all rows of A, each followed by the diagonals.
@@ -91,7 +76,7 @@ class SemiTiedCovariances(Covariances):
         With `fixed_bases`, the diagonals alone, which are then the maximum.
         """
         if self.structure.fixed_bases:
-            return self.on_basis(self.structure, self.transform, scatters)
+            return self.start_given(self.structure, self.transform, scatters)
         A, variances = self.transform, self.variances
         _check_definite(np.einsum("k,kij->ij", counts, scatters), scatters)
         for _ in range(SWEEPS):

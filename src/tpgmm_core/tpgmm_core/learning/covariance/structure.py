@@ -110,6 +110,31 @@ class Covariances(ABC):
             of this structure
         """
 
+    @classmethod
+    def start_given(cls, structure: Structure, given: Array, scatters: Array) -> Self:
+        """Covariances to start EM from, the likeliest ones for scatters with a part that EM then keeps.
+
+        Parameters
+        ----------
+        structure
+            settings of the structure
+        given
+            the part: of "semi_tied" with `fixed_bases` the transform A, of "mppca" the numbers of factors (K,)
+        scatters
+            shape (K, n, n)
+
+        Returns
+        -------
+        Self
+            of this structure
+
+        Raises
+        ------
+        ValueError
+            for a structure of which no part can be given
+        """
+        raise ValueError(f"no part of the structure {structure.name} can be given")
+
     @abstractmethod
     def maximised(self, counts: Array, scatters: Array) -> Self:
         """M-step: raises -1/2 sum_k counts_k (log|Sigma_k| + tr(Sigma_k^-1 S_k)), or keeps it.

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.covariance.semi_tied import SemiTiedCovariances
 from tpgmm_core.learning.covariance.structure import Covariances, Structure
 from tpgmm_core.learning.covariance.structures import covariances_class
 from tpgmm_core.learning.estimation import initialization
@@ -117,7 +116,7 @@ class Emissions:
         counts: Array,
         means: Mapping[str, Array],
         covariances: Mapping[str, Array],
-        bases: Mapping[str, Array] | None = None,
+        given: Mapping[str, Array] | None = None,
     ) -> Emissions:
         """Components of a structure that are nearest to Gaussians with full covariances.
 
@@ -133,20 +132,21 @@ class Emissions:
             name → shape (K, D_j)
         covariances
             name → shape (K, n_j, n_j)
-        bases
-            of a structure whose bases are fixed, name → transform (n_j, n_j)
+        given
+            name → the part of the structure that is given (`Covariances.start_given`)
 
         Returns
         -------
         Emissions
             with the same means
         """
-        if bases is None:
-            kind = covariances_class(structure)
+        kind = covariances_class(structure)
+        if given is None:
             frames = {name: _named(name, kind.start, structure, counts, covariances[name]) for name in samples.X}
         else:
-            on_basis = SemiTiedCovariances.on_basis
-            frames = {name: _named(name, on_basis, structure, bases[name], covariances[name]) for name in samples.X}
+            frames = {
+                name: _named(name, kind.start_given, structure, given[name], covariances[name]) for name in samples.X
+            }
         K, is_prior = len(counts), structure.regularization == "prior"
         prior_scatter = structure.reg_covar * samples.n_samples / K if is_prior else 0.0
         return cls(structure, dict(samples.manifolds), dict(means), frames, prior_scatter)

@@ -25,7 +25,7 @@ def fit_structure(
     start: MixtureParameters,
     begun: Emissions | None,
     random_state: int | np.random.Generator | None,
-    bases: Mapping[str, Array] | None = None,
+    given: Mapping[str, Array] | None = None,
     *,
     tol: float,
     max_iter: int,
@@ -47,7 +47,7 @@ def fit_structure(
         else from the covariances of this structure that are nearest to those of `start`
     random_state
         seed or generator for dividing the components of "deep_mfa"
-    bases
+    given
         as for `Emissions.from_gaussians`
     tol, max_iter
         as for `fit_mixture`
@@ -63,7 +63,7 @@ def fit_structure(
     """
     is_deep = structure.name == "deep_mfa"
     first = replace(structure, name="mfa") if is_deep else structure
-    emissions = replace(start_emissions(samples, first, start, begun, bases), prior=prior)
+    emissions = replace(start_emissions(samples, first, start, begun, given), prior=prior)
     if is_deep:
         return fit_deep_mixture(
             samples, start.priors, emissions, structure,
@@ -77,13 +77,13 @@ def start_emissions(
     structure: Structure,
     start: MixtureParameters,
     begun: Emissions | None,
-    bases: Mapping[str, Array] | None = None,
+    given: Mapping[str, Array] | None = None,
 ) -> Emissions:
     """The components that EM starts from.
 
     Parameters
     ----------
-    samples, structure, start, begun, bases
+    samples, structure, start, begun, given
         as for `fit_structure`
 
     Returns
@@ -92,8 +92,8 @@ def start_emissions(
         of this structure
     """
     counts = samples.n_samples * start.priors
-    emissions = Emissions.from_gaussians(structure, samples, counts, start.means, start.covariances, bases)
-    if begun is None or bases is not None:  # which are those of `begun`, or ought to replace them
+    emissions = Emissions.from_gaussians(structure, samples, counts, start.means, start.covariances, given)
+    if begun is None or given is not None:  # which is the part of `begun`, or ought to replace it
         return emissions
     if (begun.structure.name, begun.structure.n_factors) != (structure.name, structure.n_factors):
         return emissions

@@ -226,7 +226,7 @@ class TPHMM(TPGMM):
         return self._new_chain(per_demonstration.sum(axis=0) / visits, max(samples.lengths)), emissions
 
     def _begun(self, samples: Samples, start: MixtureParameters, before: Emissions | None) -> Emissions:
-        return start_emissions(samples, self._structure(), start, before, self._bases(samples))
+        return start_emissions(samples, self._structure(), start, before, self._given(samples))
 
     def _new_chain(self, mean_durations: Array, longest: int) -> Chain:
         """A chain to start EM from; mean_durations (K,) and the longest demonstration in samples."""

@@ -154,7 +154,7 @@ class OnlineTPGMM(TPGMM):
             cells.n_samples * start.priors,
             start.means,
             start.covariances,
-            self._bases(samples),
+            self._given(samples),
         )
         chosen = np.eye(self.n_components)[labels]
         counts = chosen.T @ cells.counts
@@ -196,7 +196,7 @@ class OnlineTPGMM(TPGMM):
                 counts,
                 {name: np.concatenate([mean, more.means[name]]) for name, mean in emissions.means.items()},
                 {name: np.concatenate([covariances[name], C]) for name, C in more.covariances.items()},
-                self._bases(samples),
+                self._given(samples),
             )
         emissions = self._with_priors(emissions, priors, cells)
         # the old samples hardly change: the new ones determine the gain
