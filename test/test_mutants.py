@@ -45,8 +45,11 @@ def test_lines_are_found_at_any_indentation_and_keep_it() -> None:
             mutant.faulty(source)
 
 
-def test_faults_are_killed_survive_or_are_not_found(tmp_path: Path) -> None:
-    root = tmp_path / "root"
+FILE, TESTS = "src/tpgmm_core/tpgmm_core/sums.py", ("test/test_sums.py",)
+
+
+def sources(root: Path) -> Path:
+    """A small tree of a module and its test; the module."""
     package = root / "src" / "tpgmm_core" / "tpgmm_core"
     package.mkdir(parents=True)
     module = package / "sums.py"
@@ -59,10 +62,26 @@ def test_faults_are_killed_survive_or_are_not_found(tmp_path: Path) -> None:
         "sums = importlib.util.module_from_spec(spec)\nspec.loader.exec_module(sums)\n"
         "def test_total():\n    assert sums.total(1, 2) == 3\n"
     )
-    file, tests = "src/tpgmm_core/tpgmm_core/sums.py", ("test/test_sums.py",)
+    return module
+
+
+def test_faults_are_killed_survive_or_are_not_found(tmp_path: Path) -> None:
+    root = tmp_path / "root"
+    module = sources(root)
     faults = (("a + b", "a - b"), ("a + b", "b + a"), ("a * b", "a"), ("return a + b", "return +"))
-    rows = mutants.run([mutants.Mutant(file, *fault, tests) for fault in faults], root, tmp_path / "out")
+    rows = mutants.run([mutants.Mutant(FILE, *fault, TESTS) for fault in faults], root, tmp_path / "out")
     verdicts = [row["verdict"] for row in rows]
     assert verdicts[:3] == ["passed", "killed", "SURVIVED"] and verdicts[4] == "killed"
     assert verdicts[3].startswith("NOT FOUND: the text is there 0 times")
     assert "a + b" in module.read_text() and "assert -1 == 3" in (tmp_path / "out" / "001.txt").read_text()
+
+
+def test_a_fault_that_makes_a_test_wait_for_ever_is_noticed_and_a_slow_machine_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mutants, "TIMEOUT", 0.1)  # s: pytest alone takes longer to start
+    sources(tmp_path / "root")
+    fault = mutants.Mutant(FILE, "    return a + b", "    while True: a = b", TESTS)
+    rows = mutants.run([fault], tmp_path / "root", tmp_path / "out")
+    assert [row["verdict"] for row in rows] == ["passed", "killed"]
+    assert "not done in" in (tmp_path / "out" / "001.txt").read_text()

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,7 +11,11 @@ from hypothesis import strategies as st
 
 from tpgmm_core import TPGMM
 from tpgmm_core.common.types import Array
+from tpgmm_core.learning.covariance.factor_analyzers import PrincipalComponentAnalyzers
 from tpgmm_core.learning.dp_means import DPMeans
+from tpgmm_core.learning.estimation.em import expectation
+from tpgmm_core.learning.hidden_markov.hmm import TPHMM
+from tpgmm_core.model.samples import Samples
 from workloads import pose_demonstrations
 
 
@@ -96,6 +103,67 @@ def test_the_labels_start_em() -> None:
     clusters = DPMeans(penalty=5.0, manifold="R1 x R3 x S3").fit(demos)
     model = TPGMM(clusters.n_components_, init=clusters.labels_, manifold="R1 x R3 x S3").fit(demos)
     assert len(model.priors_) == clusters.n_components_ > 1 and np.isfinite(model.log_likelihood_)
+
+
+def lines_and_planes(rng: np.random.Generator, *counts: int) -> list[dict[str, Array]]:
+    """Samples of a point, two lines and a plane, with noise, as two frames see them."""
+    found: list[dict[str, Array]] = [{} for _ in counts]
+    for frame, dims in {"a": (0, 1, 1, 2), "b": (1, 1, 0, 2)}.items():
+        bases = [np.linalg.qr(rng.normal(size=(5, 3)))[0][:, :dim] for dim in dims]
+        centres = 8.0 * rng.normal(size=(4, 5))
+        for view, count in zip(found, counts, strict=True):
+            parts = [c + 3.0 * rng.normal(size=(count, B.shape[1])) @ B.T for c, B in zip(centres, bases, strict=True)]
+            view[frame] = np.concatenate(parts) + 0.05 * rng.normal(size=(4 * count, 5))
+    return found
+
+
+def test_the_dimensions_that_are_found_enter_the_model_one_per_component_and_frame(tmp_path: Path) -> None:
+    shown, unseen = lines_and_planes(np.random.default_rng(3), 40, 500)
+    clusters = DPMeans(penalty=4.0, dimension_penalty=2.0).fit_projected(shown)
+    assert sorted(zip(clusters.dimensions_["a"], clusters.dimensions_["b"], strict=True)) == [
+        (0, 1),
+        (1, 0),
+        (1, 1),
+        (2, 2),
+    ]
+    rules: dict[str, Any] = {"init": clusters.labels_, "covariance": "mppca", "reg_covar": 1e-6, "tol": 0.0}
+    model = TPGMM(4, n_factors=clusters.dimensions_, max_iter=20, **rules).fit_projected(shown)
+    sizes = 0
+    for name, frame in model.emissions_.frames.items():
+        assert isinstance(frame, PrincipalComponentAnalyzers)
+        np.testing.assert_array_equal(frame.dimensions, clusters.dimensions_[name])
+        for k, d in enumerate(clusters.dimensions_[name]):  # as many directions stand out of the noise
+            values = np.linalg.eigvalsh(model.covariances_[name][k])
+            np.testing.assert_allclose(values[: 5 - d], frame.noise[k, 0], rtol=1e-9)
+            assert np.all(values[5 - d :] > 10.0 * values[0])
+            sizes += 5 + (5 * d - d * (d - 1) // 2) + 1
+    assert model.n_parameters_ == sizes + 3
+    assert np.diff(model.objectives_).min() > -1e-9 * np.abs(model.objectives_).max()
+
+    def score(other: TPGMM) -> float:
+        samples = Samples.from_projected(unseen, None, "euclidean")
+        return expectation(other.priors_, other.emissions_, samples)[1] / samples.n_samples
+
+    for d in (1, 2, 4):  # the same number everywhere is too few, or too many
+        assert score(model) > score(TPGMM(4, n_factors=d, max_iter=20, **rules).fit_projected(shown))
+    model.save(tmp_path / "model")
+    loaded = TPGMM.load(tmp_path / "model")
+    assert loaded.n_parameters_ == model.n_parameters_ and score(loaded) == pytest.approx(score(model), rel=1e-12)
+    again = TPGMM(4, **{**rules, "init": loaded}, n_factors=loaded.n_factors, max_iter=1).fit_projected(shown)
+    assert again.log_likelihoods_[0] >= model.log_likelihood_ - 1e-9
+
+
+def test_numbers_of_factors_that_do_not_fit_are_refused_in_words() -> None:
+    x = {"a": np.random.default_rng(0).normal(size=(30, 3))}
+    rules: dict[str, Any] = {"covariance": "mppca", "init": np.arange(30) % 2}
+    for numbers in ([1], [1, 3], [-1, 1], [1.0, 1.0]):
+        with pytest.raises(ValueError, match="n_factors of frame 'a' are 2 integers from 0 to 2, got"):
+            TPGMM(2, n_factors={"a": numbers}, **rules).fit_projected(x)
+    with pytest.raises(ValueError, match=r"n_factors of frame 'a' .* got \[\]"):
+        TPGMM(2, n_factors={"b": [1, 1]}, **rules).fit_projected(x)
+    for kind, more in ((TPGMM, {"covariance": "mfa"}), (TPGMM, {"init": "bins"}), (TPGMM, {"n_init": 2}), (TPHMM, {})):
+        with pytest.raises(ValueError, match='are for TPGMM, covariance "mppca", and one start from labels'):
+            kind(2, n_factors={"a": [1, 1]}, **{**rules, **more}).fit_projected(x)
 
 
 def test_the_suggested_penalty_gives_about_the_components_asked_for() -> None:

@@ -32,7 +32,8 @@ LOG_2, LOG_PI, LOG_2PI = np.log(2.0), np.log(np.pi), np.log(2.0 * np.pi)
 class DirichletTPGMM(LearnedMixture):
     """TP-GMM with a Dirichlet process prior: `n_components` is the most that there may be, not how many there are.
 
-    Parameters and attributes that are not listed here mean what they mean in `TPGMM` and `StoredMixture`.
+    Parameters and attributes that are not listed here mean what they mean in `TPGMM` and `StoredMixture`. Library
+    only: no program learns it.
 
     Parameters
     ----------

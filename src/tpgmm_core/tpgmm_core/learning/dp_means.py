@@ -37,7 +37,7 @@ class DPMeans(Estimator):
     Coordinates are scaled to unit variance per dimension, since seconds, metres and radians do not compare,
     and S³ is seen in the tangent space at the mean of its samples; so both penalties are pure numbers. The
     search starts from one cluster without dimensions, adds clusters until all samples are near one, and then
-    lets subspaces grow and absorb neighbours.
+    lets subspaces grow and absorb neighbours. Library only: no program finds such clusters.
 
     Parameters
     ----------

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import copy
 import inspect
+from collections.abc import Mapping
 from typing import Any, Self
 
 import numpy as np
@@ -114,4 +115,6 @@ def _shown(value: Any) -> str:
         return f"<{type(value).__name__}>"
     if isinstance(value, np.ndarray) and value.size > 10:
         return f"<array of shape {value.shape}>"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key!r}: {_shown(item)}' for key, item in value.items())}}}"
     return repr(value)

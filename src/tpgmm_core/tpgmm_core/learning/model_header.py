@@ -63,7 +63,7 @@ class ModelHeader:
             "manifold": str(self.manifold),
             "settings": dict(self.settings),
             "metadata": dict(self.metadata),
-            "structure": None if self.structure is None else asdict(self.structure),
+            "structure": None if self.structure is None else _texts_of(self.structure),
         }
         header = {"format": FORMAT, "version": version} | texts
         if self.structure is None:
@@ -119,6 +119,14 @@ class ModelHeader:
             metadata=dict(header["metadata"]),
             structure=structure,
         )
+
+
+def _texts_of(structure: Structure) -> dict[str, Any]:
+    """Its settings; what earlier versions do not know is there only where it counts."""
+    settings = asdict(structure)
+    if not structure.fixed_bases:
+        del settings["fixed_bases"]
+    return settings
 
 
 def _is_names(value: Any) -> bool:

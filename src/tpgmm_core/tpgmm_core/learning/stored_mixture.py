@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
 from os import PathLike
 from typing import Any, Self
 
@@ -12,7 +11,8 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning import model_file
 from tpgmm_core.learning.covariance.classical import FullCovariances
-from tpgmm_core.learning.covariance.structure import Structure
+from tpgmm_core.learning.covariance.factor_analyzers import PrincipalComponentAnalyzers
+from tpgmm_core.learning.covariance.structure import OPTIONS, Structure
 from tpgmm_core.learning.estimation.compiled_em import Estimate, MixtureParameters
 from tpgmm_core.learning.estimation.emissions import Emissions
 from tpgmm_core.learning.estimator import Estimator
@@ -57,6 +57,8 @@ class StoredMixture(Estimator):
     reg_covar: float
     regularization: str = "add"
     covariance_options: Mapping[str, Any] | None = None
+    bases: Any = None
+    n_factors: Any = 1
 
     priors_: Array
     means_: dict[str, Array]
@@ -209,8 +211,16 @@ class StoredMixture(Estimator):
         model = cls(**known)
         emissions = None
         if header.structure is not None and contents.frames is not None:
-            options = {f.name: getattr(header.structure, f.name) for f in fields(Structure)[4:]}
+            options = {name: getattr(header.structure, name) for name in OPTIONS}
             model.covariance_options = {k: v for k, v in options.items() if v != getattr(Structure(), k)} or None
+            if header.structure.fixed_bases:  # so that it goes on to learn with them
+                model.bases = {name: frame.arrays()["transform"] for name, frame in contents.frames.items()}
+            if header.structure.name == "mppca" and "n_factors" not in known:  # one number per component
+                model.n_factors = {
+                    name: frame.dimensions
+                    for name, frame in contents.frames.items()
+                    if isinstance(frame, PrincipalComponentAnalyzers)
+                }
             manifolds = {name: view_manifold(header.manifold, m.shape[1]) for name, m in contents.means.items()}
             emissions = Emissions(header.structure, manifolds, contents.means, contents.frames)
         model._learned(

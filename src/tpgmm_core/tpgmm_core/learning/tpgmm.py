@@ -4,15 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tpgmm_core.common.text import shown
+from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.learning.covariance.structure import Structure
+from tpgmm_core.learning.covariance.structure import OPTIONS, Structure
 from tpgmm_core.learning.estimation import initialization
 from tpgmm_core.learning.estimation.compiled_em import (
     Estimate,
@@ -27,6 +28,7 @@ from tpgmm_core.learning.estimation.emissions import Emissions
 from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.estimation.structured_em import fit_structure
 from tpgmm_core.learning.learned_mixture import LearnedMixture
+from tpgmm_core.learning.shared_bases import Bases, dimensions_of, transforms_of
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.samples import Samples
 
@@ -64,9 +66,14 @@ class TPGMM(LearnedMixture):
         "full", or a structure with fewer parameters, for all components and frames: "diag", "spherical", "tied", "mfa",
         "mppca", "hddc", "semi_tied", "deep_mfa" (which divides the K components further)
     n_factors
-        columns of the loadings of "mfa", "mppca" and "deep_mfa", for frames of more dimensions
+        columns of the loadings of "mfa", "mppca" and "deep_mfa", for frames of more dimensions. For "mppca" also name →
+        shape (K,), one number per frame and component, with labels as `init`: `DPMeans.dimensions_`
     covariance_options
         other fields of `tpgmm_core.learning.covariance.structure.Structure` by name, or None
+    bases
+        of "semi_tied": a model with semi-tied covariances, such as of another task, or name → transform (n_j, n_j).
+        Its bases (synergies) are taken as they are for all frames of the data, and only the variances along them are
+        learned. None: the bases are learned too
     prior_strength
         weight, in demonstrations, of an inverse-Wishart prior of the covariances whose scale the data give
         (`tpgmm_core.learning.estimation.covariance_prior`); 0: none. 3 is a good value for demonstrations of poses
@@ -85,8 +92,9 @@ class TPGMM(LearnedMixture):
     regularization: str = "add"
     n_init: int = 1
     covariance: str = "full"
-    n_factors: int = 1
+    n_factors: int | Mapping[str, ArrayLike] = 1
     covariance_options: Mapping[str, Any] | None = None
+    bases: Bases | None = None
     prior_strength: float = 0.0
     n_threads: int = 1
 
@@ -198,7 +206,7 @@ class TPGMM(LearnedMixture):
             if isinstance(self.init, LearnedMixture) and start.priors is self.init.priors_
             else None
         )
-        estimate = fit_structure(samples, structure, start, begun, self.random_state, **rules)
+        estimate = fit_structure(samples, structure, start, begun, self.random_state, self._given(samples), **rules)
         return estimate.with_dense_covariances(), estimate.emissions
 
     def _prior(self, samples: Samples, start: MixtureParameters) -> CovariancePrior | None:
@@ -214,16 +222,28 @@ class TPGMM(LearnedMixture):
 
     def _structure(self) -> Structure:
         options = dict(self.covariance_options or {})
-        try:
-            return Structure(self.covariance, self.n_factors, self.reg_covar, self.regularization, **options)
-        except TypeError:
-            known = [field.name for field in fields(Structure)][4:]
-            raise ValueError(f"covariance_options may hold {', '.join(known)}, got {sorted(options)}") from None
+        if not options.keys() <= set(OPTIONS):
+            raise ValueError(f"covariance_options may hold {', '.join(OPTIONS)}, got {sorted(options)}")
+        largest = 1 if isinstance(self.n_factors, Mapping) else self.n_factors
+        settings = (self.covariance, largest, self.reg_covar, self.regularization)
+        return Structure(*settings, **options, fixed_bases=self.bases is not None)
+
+    def _given(self, samples: Samples) -> dict[str, Array] | None:
+        """What `bases` or `n_factors` give of the covariances of the data's frames."""
+        if self.bases is not None:
+            return transforms_of(self.bases, samples.manifolds)
+        if isinstance(self.n_factors, Mapping):
+            return dimensions_of(self.n_factors, self.n_components, samples.manifolds)
+        return None
 
     def _check_parameters(self) -> None:
         self._check_integers("n_components", "max_iter", "n_init", "n_threads")
         self._check_numbers("reg_covar", "tol", "prior_strength")
         self._structure()
+        if isinstance(self.n_factors, Mapping) and (
+            type(self) is not TPGMM or self.covariance != "mppca" or isinstance(self.init, str) or self.n_init > 1
+        ):  # elsewhere components come, go, or change places
+            raise ValueError('n_factors of each component are for TPGMM, covariance "mppca", and one start from labels')
         if isinstance(self.init, str) and self.init not in ("time", "bins", "kmeans"):
             raise ValueError(f'init is "time", "bins", "kmeans", labels or a fitted model, got {self.init!r}')
 

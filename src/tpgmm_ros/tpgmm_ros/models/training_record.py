@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from tpgmm_core import LearnedMixture
 from tpgmm_core.common.text import shown
 
-BAGS, ERRORS = "bags", "expected_errors"
+BAGS, ERRORS, BASES = "bags", "expected_errors", "bases"
 """Keys in the metadata."""
 _NAMES = ("position_rmse_m", "position_end_m", "orientation_mean_deg")
 MOST_BAGS = 1000
@@ -45,6 +46,46 @@ def keep_errors(model: LearnedMixture, source: str, path_m: float, end_m: float,
 def forget_errors(model: LearnedMixture) -> None:
     """Take back what `keep_errors` wrote: the model has changed since."""
     model.metadata_.pop(ERRORS, None)
+
+
+def keep_bases(model: LearnedMixture, path: Path, other: LearnedMixture) -> None:
+    """Write into a model of which other model its bases are.
+
+    Parameters
+    ----------
+    model
+        to write into
+    path
+        of the other model; only its name is kept
+    other
+        the other model
+    """
+    said = {name: other.metadata_[name] for name in ("task", "demonstrations") if name in other.metadata_}
+    model.metadata_[BASES] = json.dumps({"model": path.name, **said})
+
+
+def bases_from(model: LearnedMixture) -> dict[str, Any]:
+    """`model` (file name), and `task` and `demonstrations` where known, of the model whose bases it has, or nothing.
+
+    Parameters
+    ----------
+    model
+        with metadata
+
+    Returns
+    -------
+    dict[str, Any]
+        by name
+
+    Raises
+    ------
+    ValueError
+        the metadata hold something else there.
+    """
+    found = _read(model, BASES, {})
+    if not isinstance(found, dict) or (found and not isinstance(found.get("model"), str)):
+        raise ValueError(f"the model's metadata say {BASES} = {shown(found)}; expected a model by name, train it again")
+    return found
 
 
 def learned_from(model: LearnedMixture) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ from tpgmm_core.retrieval.novelty import NoveltyScale
 from tpgmm_core.retrieval.relevance import relevance
 from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 from tpgmm_core.retrieval.sub_objectives import quadratic_costs
-from tpgmm_ros.models.training_record import expected_errors, learned_from
+from tpgmm_ros.models.training_record import bases_from, expected_errors, learned_from
 from tpgmm_ros.programs.components import MOST_COMPONENTS, components_of, segments_of, segments_table, timeline
 from tpgmm_ros.programs.reporting import json_text
 
@@ -102,6 +102,7 @@ def described(model: LearnedMixture, path: Path) -> dict[str, Any]:
         "manifold": str(model.manifold_),
         "dimensions": list(model.dimensions_ or ()),
         "covariance": model.emissions_.structure.name,
+        "bases": _bases(model),
         "iterations": int(model.n_iter_),
         "converged": bool(model.converged_),
         "log_likelihood": float(model.log_likelihood_),
@@ -172,6 +173,17 @@ def _encodes(method: str) -> str:
     return ALL_METHODS[method].encoding.description if method in ALL_METHODS else "configurations of joints"
 
 
+def _bases(model: LearnedMixture) -> str | None:
+    """Whose bases a model was learned with, in words; None for its own, or none."""
+    if not model.emissions_.structure.fixed_bases:
+        return None
+    said = bases_from(model)
+    source = f"those of {said['model']}" if said else "given"
+    more = [f"task {said['task']}"] if "task" in said else []
+    more += [f"{said['demonstrations']} demonstrations"] if "demonstrations" in said else []
+    return source + (f" ({', '.join(more)})" if more else "") + ", not learned"
+
+
 def _frames(model: LearnedMixture) -> dict[str, str]:
     """What each frame is."""
     derived = DerivedFrames.of_metadata(model.metadata_).sources
@@ -191,6 +203,7 @@ def _text(found: Mapping[str, Any]) -> str:
         learned += f": {listed(found['learned_from'])}"
     rows = {
         "model": f"{found['kind']}, {len(found['components'])} components, {found['covariance']} covariances",
+        "bases": found["bases"],
         "retrieval": f"{found['retrieval']}, of {found['encodes']}",
         "task": found["task"],
         "hand": _of_hand(found),

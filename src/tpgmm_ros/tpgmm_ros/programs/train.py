@@ -24,12 +24,13 @@ from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.methods import KEY
 from tpgmm_core.retrieval.recipe import Recipe
-from tpgmm_ros.models.training_record import keep_errors, keep_recordings
+from tpgmm_ros.models.training_record import keep_bases, keep_errors, keep_recordings
 from tpgmm_ros.models.validation import Fold
 from tpgmm_ros.programs.leave_one_out import validate
 from tpgmm_ros.programs.reading import TrainingError, progress_bar, read_bags
 from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.programs.train_auto import choose_for, words
+from tpgmm_ros.programs.train_bases import with_bases
 from tpgmm_ros.programs.train_options import parser_of_train
 from tpgmm_ros.programs.train_update import load_online, online, said_twice, update
 from tpgmm_ros.programs.training_page import write_page
@@ -108,6 +109,8 @@ def _run(options: argparse.Namespace, report: dict[str, Any], learned: list[Trai
             training = _train(task, recipe, recordings, partial(recipe.learn, align(recordings)[0]))
     if not options.auto and options.update is None:
         training.model.metadata_ |= task.derived.metadata()
+    if options.bases is not None:
+        keep_bases(training.model, options.bases, recipe.arguments["bases"])
     learned.append(training)
     _summarize(training, task, report)
     if options.leave_one_out:
@@ -136,15 +139,26 @@ def _recipe(task: Task, options: argparse.Namespace) -> Recipe:
     if options.auto and options.budget is None and options.trials is None:
         options.budget = 60.0
     if options.update is not None:
-        fixed = (options.auto, options.leave_one_out, options.online, options.components, options.retrieval)
+        fixed = (
+            options.auto,
+            options.leave_one_out,
+            options.online,
+            options.components,
+            options.retrieval,
+            options.bases,
+        )
         if any(fixed) or options.seed is not None:
             raise TrainingError(
                 "--update goes on with a model as it was learned: leave out --auto, --leave-one-out, --online, "
-                "--components, --retrieval and --seed"
+                "--components, --retrieval, --bases and --seed"
             )
     if options.online and options.auto:
         raise TrainingError("--auto chooses how the model is learned, and --online says it: leave one of them out")
+    if options.auto and options.bases is not None:
+        raise TrainingError("--auto chooses covariances by itself: leave out --bases")
     recipe = task.space.recipe(settings, options.retrieval)
+    if options.bases is not None:
+        recipe = with_bases(recipe, task, options.bases)
     if options.one_by_one:
         others = ("auto", "leave_one_out", "online", "update")
         named = [f"--{name.replace('_', '-')}" for name in others if getattr(options, name)]

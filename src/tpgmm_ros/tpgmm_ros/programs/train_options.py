@@ -21,6 +21,7 @@ examples:
   train --task config/pick_place.yaml --output first.tpgmm --online bags/monday
   train --task config/pick_place.yaml --output better.tpgmm --update first.tpgmm bags/tuesday
   train --task config/pick_place.yaml --output all.tpgmm --one-by-one bags/
+  train --task config/pick_place.yaml --output place.tpgmm --bases pick.tpgmm bags/place
   train --task config/pick_place.yaml --output few.tpgmm --components 4 --every 5 --skip-bad bags/
 
 exit status: 0 the model was trained and saved; 1 it was not, the reason is on stderr; 2 wrong arguments;
@@ -89,6 +90,13 @@ def parser_of_train() -> argparse.ArgumentParser:
         type=Path,
         metavar="MODEL",
         help="continue to learn with this model, which was learned with --online, from the BAGs",
+    )
+    parser.add_argument(
+        "--bases",
+        type=Path,
+        metavar="MODEL",
+        help="take the bases (synergies) of this model, of the same frames and with semi_tied covariances, as they "
+        "are, and learn only the variances along them: for few demonstrations of a related task",
     )
     parser.add_argument(
         "--report",

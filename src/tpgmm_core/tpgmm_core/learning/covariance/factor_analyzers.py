@@ -92,6 +92,11 @@ class PrincipalComponentAnalyzers(LowRankCovariances):
         K, n = scatters.shape[:2]
         return cls._principal(structure, scatters, np.full(K, min(structure.n_factors, n - 1)))
 
+    @classmethod
+    def start_given(cls, structure: Structure, given: Array, scatters: Array) -> Self:
+        """With the numbers of dimensions d_k: the closed form for them."""
+        return cls._principal(structure, scatters, given.astype(np.intp))
+
     def maximised(self, counts: Array, scatters: Array) -> Self:
         """M-step in closed form, with the same numbers of dimensions."""
         return self._principal(self.structure, scatters, self.dimensions)
@@ -105,8 +110,8 @@ class PrincipalComponentAnalyzers(LowRankCovariances):
 
     @property
     def dimensions(self) -> NDArray[np.intp]:
-        """Number of factors d_k of each component, (K,)."""
-        return np.full(self.shape[0], self.loadings.shape[2])
+        """Number of factors d_k of each component, (K,): the number of columns of the loadings that are not zero."""
+        return np.any(self.loadings != 0.0, axis=1).sum(axis=1)
 
     @property
     def n_parameters(self) -> int:
@@ -133,11 +138,6 @@ class SubspaceCovariances(PrincipalComponentAnalyzers):
         """M-step in closed form, for the dimensions found in the scatters, or the present ones where these are more."""
         found = scree_dimensions(scatters, self.structure.scree_threshold)
         return self._principal(self.structure, scatters, np.maximum(found, self.dimensions))
-
-    @property
-    def dimensions(self) -> NDArray[np.intp]:
-        """d_k, (K,): the number of columns of the loadings that are not zero."""
-        return np.any(self.loadings != 0.0, axis=1).sum(axis=1)
 
 
 def scree_dimensions(scatters: Array, threshold: float) -> NDArray[np.intp]:

@@ -24,7 +24,8 @@ SWEEPS = 3
 class SemiTiedCovariances(Covariances):
     """Sigma_k = H diag(variances_k) H^T; the columns of H are synergies that all components share.
 
-    The paper's "tied structures ... reuse of previously acquired synergies".
+    The paper's "tied structures in the covariances to enable the organization and reuse of previously acquired
+    synergies" (Section 4): with `fixed_bases`, H is that of another task, and only the variances are learned.
 
     Parameters
     ----------
@@ -49,7 +50,14 @@ class SemiTiedCovariances(Covariances):
         """The axes that make two pooled scatters diagonal at once: exact for two components.
 
         With more components, the scatters are those of every second one and of all.
+
+        Raises
+        ------
+        ValueError
+            for a structure whose bases are fixed: see `start_given`
         """
+        if structure.fixed_bases:
+            raise ValueError("the bases of this structure are fixed, but none are given")
         halves = [counts[::2] @ scatters[::2].reshape(-1, scatters[0].size)]
         halves.append(counts @ scatters.reshape(-1, scatters[0].size))
         one, both = (half.reshape(scatters[0].shape) / counts.sum() for half in halves)
@@ -57,8 +65,18 @@ class SemiTiedCovariances(Covariances):
         A = eigh(one, both)[1].T
         return cls(structure, A, _diagonals(A, scatters))
 
+    @classmethod
+    def start_given(cls, structure: Structure, given: Array, scatters: Array) -> Self:
+        """With the transform A: the likeliest variances are diag(A S_k A^T) (Gales 1999, Section III)."""
+        return cls(structure, given, _diagonals(given, scatters))
+
     def maximised(self, counts: Array, scatters: Array) -> Self:
-        """Raise the likelihood by SWEEPS updates of all rows of A, each followed by the diagonals."""
+        """Raise the likelihood by SWEEPS updates of all rows of A, each followed by the diagonals.
+
+        With `fixed_bases`, the diagonals alone, which are then the maximum.
+        """
+        if self.structure.fixed_bases:
+            return self.start_given(self.structure, self.transform, scatters)
         A, variances = self.transform, self.variances
         _check_definite(np.einsum("k,kij->ij", counts, scatters), scatters)
         for _ in range(SWEEPS):
@@ -117,9 +135,11 @@ class SemiTiedCovariances(Covariances):
     def n_parameters(self) -> int:
         """Free parameters: n (n - 1) + K n, since the scale of the rows of A is free.
 
-        For one or two components they are those of full covariances.
+        For one or two components they are those of full covariances. With `fixed_bases`, K n.
         """
         K, n = self.shape
+        if self.structure.fixed_bases:
+            return K * n
         return min(n * (n - 1) + K * n, K * n * (n + 1) // 2)
 
 

@@ -16,6 +16,8 @@ from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
 
 STRUCTURES = ("full", "diag", "spherical", "tied", "mfa", "mppca", "hddc", "semi_tied", "deep_mfa")
+OPTIONS = ("scree_threshold", "layers")
+"""Settings of single structures: what `covariance_options` of an estimator may hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +41,8 @@ class Structure:
     layers
         of "deep_mfa", above the first: pairs of the number of components into which each component of the layer below
         is divided, and of the columns of their loadings
+    fixed_bases
+        whether the transforms of "semi_tied" are given, such as those of another task, and stay as they are
 
     Raises
     ------
@@ -52,6 +56,7 @@ class Structure:
     regularization: str = "add"
     scree_threshold: float = 0.2
     layers: tuple[tuple[int, int], ...] = ((2, 1),)
+    fixed_bases: bool = False
 
     def __post_init__(self) -> None:
         if self.name not in STRUCTURES:
@@ -64,6 +69,8 @@ class Structure:
             raise ValueError(f"reg_covar is a finite number from 0, got {self.reg_covar!r}")
         if self.regularization not in ("add", "prior"):
             raise ValueError(f'regularization is "add" or "prior", got {shown(self.regularization)}')
+        if self.fixed_bases and self.name != "semi_tied":
+            raise ValueError(f'bases are of covariance "semi_tied", got {shown(self.name)}')
         if not 0.0 < self.scree_threshold < 1.0:
             raise ValueError(f"scree_threshold is between 0 and 1, got {self.scree_threshold!r}")
 
@@ -102,6 +109,31 @@ class Covariances(ABC):
         Self
             of this structure
         """
+
+    @classmethod
+    def start_given(cls, structure: Structure, given: Array, scatters: Array) -> Self:
+        """Covariances to start EM from, the likeliest ones for scatters with a part that EM then keeps.
+
+        Parameters
+        ----------
+        structure
+            settings of the structure
+        given
+            the part: of "semi_tied" with `fixed_bases` the transform A, of "mppca" the numbers of factors (K,)
+        scatters
+            shape (K, n, n)
+
+        Returns
+        -------
+        Self
+            of this structure
+
+        Raises
+        ------
+        ValueError
+            for a structure of which no part can be given
+        """
+        raise ValueError(f"no part of the structure {structure.name} can be given")
 
     @abstractmethod
     def maximised(self, counts: Array, scatters: Array) -> Self:

@@ -116,6 +116,7 @@ class Emissions:
         counts: Array,
         means: Mapping[str, Array],
         covariances: Mapping[str, Array],
+        given: Mapping[str, Array] | None = None,
     ) -> Emissions:
         """Components of a structure that are nearest to Gaussians with full covariances.
 
@@ -131,6 +132,8 @@ class Emissions:
             name → shape (K, D_j)
         covariances
             name → shape (K, n_j, n_j)
+        given
+            name → the part of the structure that is given (`Covariances.start_given`)
 
         Returns
         -------
@@ -138,7 +141,12 @@ class Emissions:
             with the same means
         """
         kind = covariances_class(structure)
-        frames = {name: _named(name, kind.start, structure, counts, covariances[name]) for name in samples.X}
+        if given is None:
+            frames = {name: _named(name, kind.start, structure, counts, covariances[name]) for name in samples.X}
+        else:
+            frames = {
+                name: _named(name, kind.start_given, structure, given[name], covariances[name]) for name in samples.X
+            }
         K, is_prior = len(counts), structure.regularization == "prior"
         prior_scatter = structure.reg_covar * samples.n_samples / K if is_prior else 0.0
         return cls(structure, dict(samples.manifolds), dict(means), frames, prior_scatter)

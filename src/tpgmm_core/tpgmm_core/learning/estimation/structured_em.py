@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from tpgmm_core.common.types import Array
 from tpgmm_core.learning.covariance.structure import Structure
 from tpgmm_core.learning.estimation.compiled_em import MixtureParameters
 from tpgmm_core.learning.estimation.covariance_prior import CovariancePrior
@@ -23,6 +25,7 @@ def fit_structure(
     start: MixtureParameters,
     begun: Emissions | None,
     random_state: int | np.random.Generator | None,
+    given: Mapping[str, Array] | None = None,
     *,
     tol: float,
     max_iter: int,
@@ -44,6 +47,8 @@ def fit_structure(
         else from the covariances of this structure that are nearest to those of `start`
     random_state
         seed or generator for dividing the components of "deep_mfa"
+    given
+        as for `Emissions.from_gaussians`
     tol, max_iter
         as for `fit_mixture`
     prior
@@ -58,7 +63,7 @@ def fit_structure(
     """
     is_deep = structure.name == "deep_mfa"
     first = replace(structure, name="mfa") if is_deep else structure
-    emissions = replace(start_emissions(samples, first, start, begun), prior=prior)
+    emissions = replace(start_emissions(samples, first, start, begun, given), prior=prior)
     if is_deep:
         return fit_deep_mixture(
             samples, start.priors, emissions, structure,
@@ -68,13 +73,17 @@ def fit_structure(
 
 
 def start_emissions(
-    samples: Samples, structure: Structure, start: MixtureParameters, begun: Emissions | None
+    samples: Samples,
+    structure: Structure,
+    start: MixtureParameters,
+    begun: Emissions | None,
+    given: Mapping[str, Array] | None = None,
 ) -> Emissions:
     """The components that EM starts from.
 
     Parameters
     ----------
-    samples, structure, start, begun
+    samples, structure, start, begun, given
         as for `fit_structure`
 
     Returns
@@ -83,8 +92,10 @@ def start_emissions(
         of this structure
     """
     counts = samples.n_samples * start.priors
-    emissions = Emissions.from_gaussians(structure, samples, counts, start.means, start.covariances)
-    if begun is None or (begun.structure.name, begun.structure.n_factors) != (structure.name, structure.n_factors):
+    emissions = Emissions.from_gaussians(structure, samples, counts, start.means, start.covariances, given)
+    if begun is None or given is not None:  # which is the part of `begun`, or ought to replace it
+        return emissions
+    if (begun.structure.name, begun.structure.n_factors) != (structure.name, structure.n_factors):
         return emissions
     frames = {name: replace(frame, structure=structure) for name, frame in begun.frames.items()}  # type: ignore[type-var]
     return replace(emissions, frames=frames)

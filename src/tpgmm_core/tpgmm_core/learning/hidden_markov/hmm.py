@@ -91,8 +91,8 @@ class TPHMM(TPGMM):
 
     A sample of state k has the density prod_j N(x^(j); mu_k^(j), Sigma_k^(j)) over the frames that saw it, as a
     component of a TP-GMM; which state follows which is learned (Baum-Welch). Order comes from the transitions, so
-    that the data need not hold time, and may come back to where it was before. Parameters and attributes that are not
-    listed here are those of `TPGMM`.
+    that the data need not hold time, and may come back to where it was before. Library only: programs learn `TPHSMM`,
+    which also knows durations. Parameters and attributes that are not listed here are those of `TPGMM`.
 
     Parameters
     ----------
@@ -207,8 +207,8 @@ class TPHMM(TPGMM):
 
     def _start_of_chain(self, samples: Samples, start: MixtureParameters) -> tuple[Chain, Emissions]:
         if isinstance(self.init, type(self)) and start.priors is self.init.priors_:
-            return self.init.chain_, start_emissions(samples, self._structure(), start, self.init.emissions_)
-        emissions = start_emissions(samples, self._structure(), start, None)
+            return self.init.chain_, self._begun(samples, start, self.init.emissions_)
+        emissions = self._begun(samples, start, None)
         responsibilities, _ = expectation(start.priors, emissions, samples)
         if isinstance(self.transitions, str) and self.transitions == "left-right":
             # in the order in which a movement meets them
@@ -220,10 +220,13 @@ class TPHMM(TPGMM):
                 {name: mean[order] for name, mean in start.means.items()},
                 {name: covariance[order] for name, covariance in start.covariances.items()},
             )
-            emissions = start_emissions(samples, self._structure(), start, None)
+            emissions = self._begun(samples, start, None)
         per_demonstration = np.add.reduceat(responsibilities, np.cumsum([0, *samples.lengths[:-1]]), axis=0)
         visits = np.maximum(np.minimum(per_demonstration, 1.0).sum(axis=0), 1e-300)
         return self._new_chain(per_demonstration.sum(axis=0) / visits, max(samples.lengths)), emissions
+
+    def _begun(self, samples: Samples, start: MixtureParameters, before: Emissions | None) -> Emissions:
+        return start_emissions(samples, self._structure(), start, before, self._given(samples))
 
     def _new_chain(self, mean_durations: Array, longest: int) -> Chain:
         """A chain to start EM from; mean_durations (K,) and the longest demonstration in samples."""

@@ -149,7 +149,12 @@ class OnlineTPGMM(TPGMM):
         labels = initialization.assignments(samples, init, self.n_components, rng)
         start = self._start(samples, labels)
         emissions = Emissions.from_gaussians(
-            self._structure(), samples, cells.n_samples * start.priors, start.means, start.covariances
+            self._structure(),
+            samples,
+            cells.n_samples * start.priors,
+            start.means,
+            start.covariances,
+            self._given(samples),
         )
         chosen = np.eye(self.n_components)[labels]
         counts = chosen.T @ cells.counts
@@ -191,6 +196,7 @@ class OnlineTPGMM(TPGMM):
                 counts,
                 {name: np.concatenate([mean, more.means[name]]) for name, mean in emissions.means.items()},
                 {name: np.concatenate([covariances[name], C]) for name, C in more.covariances.items()},
+                self._given(samples),
             )
         emissions = self._with_priors(emissions, priors, cells)
         # the old samples hardly change: the new ones determine the gain
