@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from tpgmm_core.doubt.agreement import doubts_of_copies, doubts_of_durations, doubts_of_misfits
+from tpgmm_core.doubt.cameras import doubts_of_cameras
 from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
 from tpgmm_core.doubt.frames import doubts_of_frames_on_the_hand, doubts_of_inverse_poses, doubts_of_swaps
 from tpgmm_core.doubt.groups import doubts_of_groups
@@ -42,11 +43,12 @@ def judged(
         return units
     rests = doubts_of_rests(shown)
     single = [doubt for one in shown for doubt in alone(one)]
+    inverse = doubts_of_inverse_poses(shown)
     return [
         *units,
         *single,
         *doubts_of_quaternion_order(shown),
-        *doubts_of_inverse_poses(shown),
+        *(inverse or doubts_of_cameras(shown)),
         *doubts_of_frames_on_the_hand(shown),
         *rests,
         *doubts_of_copies(shown),
