@@ -12,13 +12,20 @@ from tpgmm_core.doubt.frames import doubts_of_frames_on_the_hand, doubts_of_inve
 from tpgmm_core.doubt.groups import doubts_of_groups
 from tpgmm_core.doubt.quaternion_order import doubts_of_quaternion_order
 from tpgmm_core.doubt.rests import doubts_of_frozen_hands, doubts_of_rests
-from tpgmm_core.doubt.values import doubts_of_speed, doubts_of_stillness, doubts_of_turns_taken, doubts_of_units
+from tpgmm_core.doubt.values import (
+    doubts_of_rounding,
+    doubts_of_speed,
+    doubts_of_stillness,
+    doubts_of_turns_taken,
+    doubts_of_units,
+)
 
 
 def judged_alone(one: RawDemonstration) -> list[Doubt]:
     """What makes no sense in one recording, whatever the others are; it takes all samples."""
-    moves = [*doubts_of_speed(one), *doubts_of_turns_taken(one), *doubts_of_stillness(one)]
-    return [*moves, *doubts_of_frozen_hands(one), *doubts_of_swaps(one)]
+    rounded = doubts_of_rounding(one)  # steps pass for leaps and for rests
+    moves = rounded or [*doubts_of_speed(one), *doubts_of_turns_taken(one), *doubts_of_frozen_hands(one)]
+    return [*moves, *doubts_of_stillness(one), *doubts_of_swaps(one)]
 
 
 def judged(
