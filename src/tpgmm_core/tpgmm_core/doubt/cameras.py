@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
+from tpgmm_core.doubt.doubts import Doubt, RawDemonstration, evenly_chosen
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.pose import compose, inverse
 
@@ -56,7 +56,7 @@ def doubts_of_cameras(shown: Sequence[RawDemonstration]) -> list[Doubt]:
     list[Doubt]
         one for each such frame; nothing is corrected
     """
-    some = [shown[i] for i in np.unique(np.linspace(0, len(shown) - 1, MOST).round().astype(int)).tolist()]
+    some = evenly_chosen(shown, MOST)
     found = []
     for name in shown[0].frames if len(some) >= LEAST else ():
         if all(name in one.frames and len(one.seen(name)) for one in some):
