@@ -130,6 +130,17 @@ def test_turns_that_flip_are_named() -> None:
     assert ("speed", ("demo_1",), False) in kinds(judged(several))
 
 
+@pytest.mark.parametrize("step", [0.1, 0.02])
+def test_positions_that_are_rounded_are_called_so(step: float) -> None:
+    """They leap, and stand still in between: neither of these is the reason."""
+    several = group(samples=400)
+    movement = several[2].movement.copy()
+    movement[:, :3] = step * np.round(movement[:, :3] / step)
+    several[2] = replace(several[2], movement=movement)
+    found = [doubt for doubt in judged(several) if doubt.about == ("demo_2",)]
+    assert [doubt.kind for doubt in found] == ["speed"] and f"in steps of {step:.3g} m" in found[0].text
+
+
 def test_a_hand_that_stands_still_is_named() -> None:
     several = group()
     several[0] = replace(several[0], movement=np.tile(several[0].movement[0], (80, 1)))

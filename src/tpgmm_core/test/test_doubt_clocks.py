@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from tpgmm_core.common.types import Nanoseconds
-from tpgmm_core.doubt.clocks import ClockError, CommonClock, TopicTimes, common_clock, gaps
+from tpgmm_core.doubt.clocks import ClockError, CommonClock, common_clock, gaps
+from tpgmm_core.doubt.stamps import TopicTimes
 
 START = 1_750_000_000.0
 
@@ -144,6 +145,26 @@ def test_stamps_in_another_unit_or_rounded_are_not_used(stamps: np.ndarray, word
     clock = common_clock(topic("hand", T, stamps), [topic("object", T[::3])])
     assert clock.by_recorder and words in clock.notes[0]
     assert seconds(clock, "hand") == pytest.approx(T - T[0], abs=1e-6)
+
+
+@pytest.mark.parametrize(("unit", "count"), [("us", 1e6), ("ms", 1e3)])
+@pytest.mark.parametrize("wrong", ["hand", "object"])
+def test_the_topic_whose_nanoseconds_are_microseconds_is_named(wrong: str, unit: str, count: float) -> None:
+    """Its lag goes from 0 to 1 s and back: this is no clock that drifts."""
+    stamps = dict.fromkeys(("hand", "object"), T) | {wrong: np.floor(T) + 1e-9 * np.floor(count * (T % 1.0))}
+    hand, thing = (topic(name, T, stamped, start=0.0) for name, stamped in stamps.items())
+    clock = common_clock(hand, [thing])
+    assert clock.by_recorder
+    assert clock.notes[0].startswith(f"{wrong} has stamps whose field for nanoseconds counts {unit}")
+    assert seconds(clock, "object") == pytest.approx(T - T[0], abs=1e-6)
+
+
+def test_a_topic_that_comes_at_full_seconds_has_good_stamps() -> None:
+    tick = np.arange(1.0, 11.0)
+    burst = (tick[:, None] + 1e-4 * np.arange(6)).ravel()
+    hand = np.linspace(1.0, 11.0, 201)
+    clock = common_clock(topic("hand", hand), [topic("object", burst + 0.02, burst)])
+    assert not clock.by_recorder and not clock.notes
 
 
 def test_recorded_times_in_a_burst_leave_the_stamps_as_they_are() -> None:

@@ -88,9 +88,11 @@ def test_numbers_that_are_no_rotation_are_no_quaternion() -> None:
     assert "has length 46, expected 1; angles or a rotation vector" in check_pose(poses[1])[1]
 
 
-def test_poses_of_empty_messages_are_no_poses_where_others_are_elsewhere() -> None:
+@pytest.mark.parametrize("orientation", [[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.6, 0.8]])
+def test_poses_of_empty_messages_are_no_poses_where_others_are_elsewhere(orientation: list[float]) -> None:
+    """Also where only the position was not filled in."""
     poses = np.tile([0.5, 0.1, 0.2, 0.0, 0.0, 0.0, 1.0], (4, 1))
-    poses[1] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    poses[1] = [0.0, 0.0, 0.0, *orientation]
     assert never_filled(poses).tolist() == [False, True, False, False]
     begins_there = np.linspace([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], poses[0], 20)
     assert not never_filled(begins_there).any() and not never_filled(poses[[1, 1]]).any()

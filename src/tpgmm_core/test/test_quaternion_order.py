@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -104,3 +105,22 @@ def test_one_recording_in_another_order_than_the_others_is_named() -> None:
     assert not doubts_of_quaternion_order([*several[:3], miswritten(several[3], frames=False), *several[4:]])
     (doubt,) = doubts_of_quaternion_order([*several[:3], miswritten(several[3]), *several[4:]])
     assert doubt.about == ("demo_3",) and "object: " in doubt.text
+
+
+def test_many_recordings_are_gone_through_in_time_that_grows_with_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each is held against all others in one call; not once more for each that may be left out."""
+    calls = 0
+
+    def counted(*poses: np.ndarray, measure: Callable[..., np.ndarray] = quaternion.angle_between) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        return measure(*poses)
+
+    monkeypatch.setattr(quaternion, "angle_between", counted)
+    needed = []
+    for count in (20, 40):
+        several, calls = [reaching(seed, [0.0, 0.05, 0.1]) for seed in range(count)], 0
+        (doubt,) = doubts_of_quaternion_order([*several[:3], miswritten(several[3]), *several[4:]])
+        assert doubt.about == ("demo_3",)
+        needed.append(calls)
+    assert needed[1] < 2.5 * needed[0]

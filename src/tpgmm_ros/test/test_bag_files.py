@@ -243,6 +243,12 @@ WRONG: dict[str, tuple[bytes, str]] = {
     "zip": (b"PK\x03\x04" + bytes(40), "packed by zip"),
     "a few bytes": (b"\x89MCA", "cut off after 4 bytes"),
     "cut off": (whole(poses(reach(0)))[:-100], "cut off.*without the footer.*mcap recover"),
+    "garbage behind": (whole(poses(reach(0))) + b"more" * 9, "it ends after .*something else of 36 bytes follows"),
+    "two files": (2 * whole(poses(reach(0))), "another MCAP file of .* bytes follows.*head -c"),
+    "two files of other sizes": (
+        whole(chunk(poses(reach(0)))) + whole(poses(reach(1, samples=30))),
+        "another MCAP file of .* bytes follows",
+    ),
     "damaged": (whole(b"\x00" * 90 + poses(reach(0))), "damaged inside.*no whole record"),
     "unknown compression": (
         whole(chunk(poses(reach(0)), "brotli")),
@@ -271,6 +277,15 @@ def test_each_damage_has_a_text_of_its_own(kind: str, tmp_path: Path) -> None:
         at = bag.index(b"index_pos=") + len(b"index_pos=")
         path.write_bytes(bag[:at] + bytes(8) + bag[at + 8 :])
     refused(path, words)
+
+
+@pytest.mark.parametrize(("column", "value"), [("timestamp", "'soon'"), ("timestamp", "1.5"), ("data", "'text'")])
+def test_values_of_other_kinds_in_sqlite_are_damage(column: str, value: str, tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "demo", reach(0), "sqlite3")
+    with sqlite3.connect(next(bag.glob("*.db3"))) as database:
+        database.execute(f"UPDATE messages SET {column} = {value} WHERE id = 7")
+    database.close()
+    refused(bag, "damaged inside.*message [0-9]+ has the time .* expected an integer, ns, and bytes")
 
 
 def test_a_missing_part_is_named(tmp_path: Path) -> None:

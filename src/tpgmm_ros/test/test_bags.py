@@ -440,6 +440,15 @@ def test_what_holds_no_bag_is_refused(tmp_path: Path) -> None:
         find_bags([tmp_path / "text.txt"])
 
 
+def test_what_may_hold_bags_but_is_none_is_named(tmp_path: Path) -> None:
+    (tmp_path / "demo_1.mcap.gz").write_bytes(b"")
+    with pytest.raises(BagError, match="files that are packed; unpack them first: demo_1.mcap.gz"):
+        find_bags([tmp_path])
+    (tmp_path / "demo_2.mcap").symlink_to(tmp_path / "elsewhere.mcap")
+    with pytest.raises(BagError, match="links to what is not there: demo_2.mcap"):
+        find_bags([tmp_path])
+
+
 def test_folders_of_folders_are_named_and_what_is_hidden_is_passed_over(tmp_path: Path) -> None:
     bags = [write_bag(tmp_path / kind / "demo_1", reach(0)) for kind in ("left", "right")]
     (tmp_path / "pictures").mkdir()

@@ -100,6 +100,18 @@ def test_csv_of_any_country_is_read_alike(
     holds(tmp_path / "bags", 0, *shown(0))
 
 
+def test_units_in_brackets_are_part_of_a_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hand = shown(0)[0]
+    rows = [f"{t},{x},{y},{z}" for t, (x, y, z) in zip(TIMES.tolist(), hand[:, :3].tolist(), strict=True)]
+    (tmp_path / "shown.csv").write_text("\n".join(["t [s],x [m],y [m],z [m]", *rows]))
+    columns = ["--time", "t [s]", "--movement", "x [m],y [m],z [m]"]
+    assert run(capsys, "--to", tmp_path / "bags", *columns, tmp_path / "shown.csv")["passed"]
+    np.testing.assert_array_equal(
+        read_recording(find_bags([tmp_path / "bags"])[0], Task.load(tmp_path / "bags" / "task.yaml")).movement[:, :3],
+        hand[:, :3],
+    )
+
+
 def test_what_was_not_measured_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = csv_of(*shown(0)).splitlines()
     lines[9] = ",".join([lines[9].split(",")[0], "n/a", "", *lines[9].split(",")[3:]])
@@ -252,6 +264,12 @@ def no_numbers(path: Path) -> None:
     np.save(path, np.array([{"a": 1}], object), allow_pickle=True)
 
 
+def several_arrays(path: Path) -> None:
+    with path.open("wb") as file:
+        for _ in range(2):
+            np.save(file, np.zeros((12, 3)))
+
+
 @pytest.mark.parametrize(
     ("name", "content", "movement", "words"),
     [
@@ -268,6 +286,7 @@ def no_numbers(path: Path) -> None:
         ("a.csv", "x,y\n" + "1,2\n" * 3, "x,y", "has 3 samples from row 0 on, expected at least 10"),
         ("a.csv", "x,y\n" + "1,2\n" * 12, "[0:5]", "has no columns '\\[0:5\\]'; it has 2"),
         ("a.npy", no_numbers, "[0:3]", "holds Python objects .pickle., which are never loaded"),
+        ("a.npy", several_arrays, "[0:3]", "goes on for 416 bytes behind its array, as where several"),
         ("a.npy", "no array", "[0:3]", "a.npy: cannot be read"),
         ("a.mat", "no array", "x", "a.mat: cannot be read"),
         ("a.npz", "no array", "x", "a.npz: cannot be read"),

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
+from tpgmm_ros.messages.fields import time_to_ns
 from tpgmm_ros.recordings.storage.message_types import quick_decoder
 from tpgmm_ros.recordings.storage.pose_bytes import POSE_STAMPED, PoseStampedDecoder
 from tpgmm_ros.recordings.storage.storage_file import FileTopic
@@ -40,9 +41,9 @@ def topic(definition: str, encoding: str = "cdr") -> FileTopic:
     st.integers(0, 2**32 - 1),
 )
 def test_poses_are_the_same_as_by_way_of_messages(frame_id: str, numbers: list[float], sec: int, nanosec: int) -> None:
-    raw = bytes(STORE.serialize_cdr(message(frame_id, numbers, sec, nanosec), POSE_STAMPED))
-    found = PoseStampedDecoder()(raw)
-    assert found is not None and found[:2] == (sec * 1_000_000_000 + nanosec, frame_id)
+    sent = message(frame_id, numbers, sec, nanosec)
+    found = PoseStampedDecoder()(bytes(STORE.serialize_cdr(sent, POSE_STAMPED)))
+    assert found is not None and found[:2] == (time_to_ns(sent.header.stamp), frame_id)
     np.testing.assert_array_equal(found[2], numbers)
 
 

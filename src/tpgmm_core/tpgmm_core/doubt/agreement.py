@@ -187,9 +187,10 @@ def _distances(views: Sequence[Array], distance: Callable[[Array, Array], Array]
     found = []
     for view in views:
         others = view[: MOST * (len(view) // MOST) or None : max(1, len(view) // MOST)]
-        between = np.sort(_between(view, others, distance), axis=1)
         itself = int(len(others) == len(view))
-        found.append(between[:, itself + (len(others) - itself - 1) // 2])
+        middle = itself + (len(others) - itself - 1) // 2
+        parts = [view[k : k + MOST] for k in range(0, len(view), MOST)]  # the memory is that of one part
+        found.append(np.concatenate([np.sort(_between(part, others, distance), axis=1)[:, middle] for part in parts]))
     return np.asarray(np.min(found, axis=0))
 
 

@@ -16,59 +16,30 @@ from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Nanoseconds
 from tpgmm_core.doubt.doubts import Doubt
+from tpgmm_core.doubt.stamps import (
+    DISORDER_S,
+    ENOUGH,
+    SLOW_LATENCY_S,
+    TopicTimes,
+    breaks,
+    has_lag,
+    is_sane,
+    problem_of_stamps,
+)
 
-DISORDER_S = 0.05
-"""Messages that were written in another order than they came by no more than this have only overtaken one another."""
-LEAP_S = 10.0
-LEAP_PERIODS = 200.0
-"""A pause longer than both is a leap of the clock, or a recording that was interrupted."""
 WHOLE = 0.9
 """The longest part of a recording is all of the movement where it has this share of the messages."""
 LATENCY_S = 0.25
 """Perception may take so long, or a little more than its own period: stamps tell when a picture was taken."""
-SLOW_LATENCY_S = 1.0
-"""No perception of a moving object takes longer."""
 STEADY_S = 0.05
 STEADY = 0.02
 """A lag is steady where it varies by less than this time, or this share of itself."""
-ENOUGH = 5
-"""Messages that a rate or a lag needs."""
-COARSE = 3.0
-"""Messages to a stamp: where there are more, stamps are rounded, and no longer tell the messages apart."""
-PACE = 50.0
-"""No simulation is so many times as fast, or as slow, as the clock of the recorder."""
-SHORTEST_S, LONGEST_S = 2e-4, 0.5
-"""Periods of what moves; what is beyond has stamps in another unit."""
 EARLY_S = 0.5
 """A topic whose messages go on later than this stood, until then, where it was last."""
 
 
 class ClockError(ValueError):
     """Times of a recording that cannot be told."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TopicTimes:
-    """Times of the messages of a topic in the order of writing.
-
-    Attributes
-    ----------
-    key
-        name of what is told of, since several things may be on one topic
-    name
-        of the topic
-    stamps, recorded
-        (T,) header stamps, and times of the recorder, ns
-    """
-
-    key: str
-    name: str
-    stamps: Nanoseconds
-    recorded: Nanoseconds
-
-    def taken(self, which: NDArray[np.intp]) -> TopicTimes:
-        """Some of the messages."""
-        return TopicTimes(self.key, self.name, self.stamps[which], self.recorded[which])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +97,7 @@ def common_clock(movement: TopicTimes, others: Sequence[TopicTimes]) -> CommonCl
         for stream in others:
             kept[stream.key] = _within(stream, begin, end)
     streams = [stream.taken(kept[stream.key]) for stream in streams]
-    problem = _problem_of_stamps(streams)
+    problem = problem_of_stamps(streams)
     if problem:
         times = {stream.key: stream.recorded for stream in streams}
         notes = [f"{problem}: the recorder's times are used instead"]
@@ -149,22 +120,13 @@ def common_clock(movement: TopicTimes, others: Sequence[TopicTimes]) -> CommonCl
     )
 
 
-def breaks(times: Nanoseconds) -> NDArray[np.intp]:
-    """Numbers of the messages at times (T,), ns, before which the clock steps back, begins, or leaps."""
-    seconds = 1e-9 * np.diff(times)
-    period = float(np.median(seconds[seconds > 0.0])) if (seconds > 0.0).any() else 0.0
-    begins = (times[:-1] <= 0) & (seconds > max(10.0 * period, 0.5))
-    leaps = seconds > max(LEAP_S, LEAP_PERIODS * period)
-    return np.flatnonzero((seconds < -DISORDER_S) | begins | leaps) + 1
-
-
 def _whole_part(stream: TopicTimes, moves: bool) -> NDArray[np.intp]:
     """Numbers of the messages in the part of a stream that the clock's steps leave whole."""
     everything = np.arange(len(stream.recorded))
     at = breaks(stream.recorded)
     if not len(at) or not moves:
         return everything
-    if _is_sane(stream.stamps) and not len(breaks(stream.stamps)):
+    if is_sane(stream.stamps) and not len(breaks(stream.stamps)):
         return everything  # only the recorder's clock steps, which nobody needs then
     parts = np.split(everything, at)
     longest = max(parts, key=len)
@@ -205,48 +167,9 @@ def _within(stream: TopicTimes, begin: int, end: int) -> NDArray[np.intp]:
     return np.flatnonzero(inside)
 
 
-def _is_sane(stamps: Nanoseconds) -> bool:
-    return bool((stamps > 0).all() and (np.diff(stamps) >= 0).all() and stamps[0] != stamps[-1])
-
-
-def _problem_of_stamps(streams: Sequence[TopicTimes]) -> str | None:
-    """What forbids to use the header stamps of a recording, or None."""
-    movement = streams[0]
-    if movement.stamps[0] == movement.stamps[-1]:
-        return f"{movement.name} has stamps that never change"
-    for stream in streams:
-        if (stream.stamps <= 0).any():
-            return f"{stream.name} has stamps of zero"
-        if (np.diff(stream.stamps) < 0).any():
-            return f"{stream.name} has stamps that run backwards"
-    seconds, recorded = (1e-9 * float(series[-1] - series[0]) for series in (movement.stamps, movement.recorded))
-    period, pace = seconds / len(movement.stamps), seconds / max(recorded, 1e-9)
-    if (period > LONGEST_S and pace > PACE) or (period < SHORTEST_S and pace < 1.0 / PACE):
-        return (
-            f"{movement.name} has stamps that run {pace:.3g} times as fast as the recorder's clock, as where ms or us "
-            "are written as s, or the reverse"
-        )
-    stamps, times = (len(np.unique(series)) for series in (movement.stamps, movement.recorded))
-    if times > COARSE * stamps:
-        return f"{movement.name} has the same stamp in {times / stamps:.0f} messages one after another, as if rounded"
-    if len(breaks(movement.stamps)) and not len(breaks(movement.recorded)):
-        return f"{movement.name} has stamps that jump"
-    for stream in streams[1:]:
-        if not _has_lag(stream):
-            ahead = 1e-9 * (np.median(stream.stamps - stream.recorded) - np.median(movement.stamps - movement.recorded))
-            if not -3600.0 < ahead < SLOW_LATENCY_S:
-                return f"{stream.name} is stamped {ahead:+.1f} s away from {movement.name}"
-    return None
-
-
-def _has_lag(stream: TopicTimes) -> bool:
-    """Whether a topic came all the time: one that was sent once may be as old as it is."""
-    return len(np.unique(stream.stamps)) >= max(ENOUGH, len(stream.stamps) // 2)
-
-
 def _lag(movement: TopicTimes, stream: TopicTimes) -> NDArray[np.float64] | None:
     """How much later a topic's messages are than their stamps say, compared with the movement's, (T,) s."""
-    if not _has_lag(stream):
+    if not has_lag(stream):
         return None
     order = np.argsort(movement.recorded, kind="stable")
     known = movement.recorded[order]

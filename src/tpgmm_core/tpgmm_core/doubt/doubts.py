@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,6 +43,11 @@ class Doubt:
         if len(self.about) > MOST_NAMES:
             names.append(f"and {len(self.about) - MOST_NAMES} more")
         return f"{', '.join(names)}: {self.text}" if names else self.text
+
+
+def evenly_chosen[T](several: Sequence[T], most: int) -> list[T]:
+    """All of several things, or so many of them at even distances: what holds of all shows in some."""
+    return [several[i] for i in np.unique(np.linspace(0, len(several) - 1, most).round().astype(int)).tolist()]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
+from tpgmm_core.doubt.doubts import Doubt, RawDemonstration, evenly_chosen
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.pose import compose, inverse
 
@@ -22,7 +22,8 @@ MOVES_M, RIGID_M, RIGID_RAD = 0.1, 0.01, 0.1
 SHARES = 50
 AGREE, BETTER = np.array([[0.02], [0.1]]), 3.0
 """Poses of the hand in inverted poses agree within this, m and rad, and so many times better than as they are given."""
-LEAST = 4
+LEAST, MOST = 4, 60
+"""Recordings from which on it is judged how they agree, and that are looked at, evenly chosen."""
 
 
 def doubts_of_swaps(one: RawDemonstration) -> list[Doubt]:
@@ -117,6 +118,7 @@ def doubts_of_inverse_poses(shown: Sequence[RawDemonstration]) -> list[Doubt]:
     """
     if len(shown) < LEAST:
         return []
+    shown = evenly_chosen(shown, MOST)
     samples = [np.linspace(0, len(one.times) - 1, SHARES).round().astype(int) for one in shown]
     hand = np.array([one.movement[at] for one, at in zip(shown, samples, strict=True)])
     found = []

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.doubt.agreement import APART_M, APART_RAD, APART_SHARE, FURTHER, LASTS, SHARES, pairwise_distances
-from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
+from tpgmm_core.doubt.doubts import Doubt, RawDemonstration, evenly_chosen
 
 Members = NDArray[np.bool_]
 
@@ -36,7 +36,7 @@ def doubts_of_groups(shown: Sequence[RawDemonstration]) -> list[Doubt]:
     list[Doubt]
         one at most, about the smaller group
     """
-    some = [shown[i] for i in np.unique(np.linspace(0, len(shown) - 1, MOST).round().astype(int)).tolist()]
+    some = evenly_chosen(shown, MOST)
     if len(some) < 2 * FEWEST:
         return []
     positions, turns = pairwise_distances(some)

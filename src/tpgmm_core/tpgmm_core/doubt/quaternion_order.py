@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
@@ -101,10 +102,11 @@ def _odd_ones(shown: Sequence[RawDemonstration], frames: Sequence[str]) -> dict[
     streams |= {name: [quaternion.normalize(one.seen(name)[[0, -1], 3:]) for one in shown] for name in frames}
     for name, turns in streams.items():
         q = np.array(turns)
+        near, who = _two_nearest(q)
         for i in range(len(shown)):
-            others = np.delete(q, i, axis=0)
-            apart = np.array([_nearest(one, np.delete(others, j, axis=0)) for j, one in enumerate(others)]).max(axis=0)
-            angles, in_order = _nearest(q[i], others), _nearest(w_first(q[i]), others)
+            without = np.where(who == i, near[1], near[0])
+            apart = np.delete(without, i, axis=0).max(axis=0)
+            angles, in_order = near[0, i], _nearest(w_first(q[i]), np.delete(q, i, axis=0))
             is_odd = angles > np.maximum(ODD_RAD, ODD * apart)
             if (is_odd & (in_order < np.maximum(AGREE_RAD, AMONG * apart))).any():
                 k = int(np.argmax(angles - in_order))
@@ -141,6 +143,17 @@ def _odd_part(shown: Sequence[RawDemonstration]) -> list[Doubt]:
 def _nearest(q: Array, others: Array) -> Array:
     """Angles (S,) of rotations (S, 4) from the nearest of others (M, S, 4)."""
     return np.asarray(quaternion.angle_between(q[None], others).min(axis=0))
+
+
+def _two_nearest(q: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Angles (2, M, S) of each of rotations (M, S, 4) from the two nearest others, and which (M, S) is the nearest."""
+    near, who = np.empty((2, *q.shape[:2])), np.empty(q.shape[:2], np.intp)
+    for j, one in enumerate(q):
+        angles = quaternion.angle_between(one[None], q)
+        angles[j] = np.inf
+        who[j] = angles.argmin(axis=0)
+        near[:, j] = np.partition(angles, 1, axis=0)[:2]
+    return near, who
 
 
 def w_first(q: Array) -> Array:

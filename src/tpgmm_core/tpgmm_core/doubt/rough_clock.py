@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Nanoseconds
-from tpgmm_core.doubt.clocks import DISORDER_S, breaks
+from tpgmm_core.doubt.stamps import DISORDER_S, breaks
 
 _NEAR_NS = 500_000_000
 """Topics begin and end so far from one another."""

@@ -30,6 +30,8 @@ MOST_TURN = 4.0 * np.pi
 """rad: no joint of an arm is two turns away from its zero."""
 BEYOND_LIMITS = 0.1
 """rad or m: encoders and soft stops are less far off."""
+ROUNDED_M, REPEATED = 0.005, 4.0
+"""Positions in steps of so much, which as many samples have, are rounded: slower ones repeat what they received."""
 WINDOW_S = 0.02
 """Speeds are means over this time, since those of two samples are mostly noise at high rates."""
 
@@ -229,6 +231,34 @@ def doubts_of_joint_limits(joints: Sequence[str], positions: Array, lower: Array
         "of the task, or what publishes the joint states"
     )
     return (Doubt("units", (), text),)
+
+
+def doubts_of_rounding(one: RawDemonstration) -> list[Doubt]:
+    """Positions that are all multiples of a coarse step.
+
+    Parameters
+    ----------
+    one
+        a recording
+
+    Returns
+    -------
+    list[Doubt]
+        one at most
+    """
+    axis = int(np.argmax(np.ptp(one.movement[:, :3], axis=0)))
+    values = np.unique(one.movement[:, axis])
+    if not 4 <= len(values) <= len(one.times) / REPEATED:
+        return []
+    steps = np.diff(values)
+    counts = steps / steps.min()
+    if steps.min() < ROUNDED_M or np.abs(counts - counts.round()).max() > 1e-3:
+        return []
+    text = (
+        f"its positions go in steps of {steps.min():.3g} m: they are rounded, so that between steps the hand seems to "
+        "stand still. Publish all digits, and record again"
+    )
+    return [Doubt("speed", (one.name,), text)]
 
 
 def doubts_of_stillness(one: RawDemonstration) -> list[Doubt]:

@@ -10,7 +10,7 @@ predicts is in proportion to the leverage h^T (H^T H)^-1 h, which is largest at 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -124,13 +124,13 @@ class DemonstratedSituations:
         return text
 
 
-def demonstrated_situations(demonstrations: Sequence[Demonstration], manifold: Manifold) -> DemonstratedSituations:
+def demonstrated_situations(demonstrations: Iterable[Demonstration], manifold: Manifold) -> DemonstratedSituations:
     """Judge the situations at the beginnings of demonstrations.
 
     Parameters
     ----------
     demonstrations
-        over [time, data]
+        over [time, data]; gone through once
     manifold
         of [time, data]
 
@@ -159,7 +159,7 @@ def demonstrated_situations(demonstrations: Sequence[Demonstration], manifold: M
         undetermined = int(np.count_nonzero(eigenvalues < COLLINEAR))
         best = dict(zip([named[i] for i in chosen], _most_informative(coordinates, values, chosen), strict=True))
     return DemonstratedSituations(
-        count=len(demonstrations),
+        count=len(situations),
         varied=tuple(named[i] for i in chosen),
         constant=tuple(named[i] for i in np.flatnonzero(~varies) if names[i][0] in moving),
         least=d + 1,
@@ -175,7 +175,7 @@ def first_frames(demonstration: Demonstration) -> dict[str, Frame]:
     for name, frame in demonstration.frames.items():
         seen = np.flatnonzero(demonstration.is_visible(name))
         if len(seen):
-            found[name] = frame.at(int(seen[0]))
+            found[name] = frame.at(seen[:1]).at(0) if frame.is_time_varying else frame  # no view of all the others
     return found
 
 

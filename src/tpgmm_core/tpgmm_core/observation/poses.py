@@ -146,7 +146,7 @@ def check_poses(poses: ArrayLike) -> CheckedPoses:
 
 
 def never_filled(poses: Array) -> NDArray[np.bool_]:
-    """Which poses (T, 7) of a recording hold nothing but the values of an empty message, unlike the others.
+    """Which poses (T, 7) of a recording have the position of an empty message, number by number, unlike the others.
 
     A movement may begin at the origin: then it is near there afterwards.
 
@@ -160,7 +160,7 @@ def never_filled(poses: Array) -> NDArray[np.bool_]:
     NDArray[np.bool_]
         (T,)
     """
-    empty = (poses[:, :6] == 0.0).all(axis=1) & np.isin(poses[:, 6], (0.0, 1.0))
+    empty = (poses[:, :3] == 0.0).all(axis=1)
     if not empty.any() or empty.all():
         return np.zeros(len(poses), np.bool_)
     nearest = np.nanmin(np.append(np.linalg.norm(poses[~empty, :3], axis=1), np.inf))

@@ -267,7 +267,8 @@ def _summarize(training: TrainingResult, task: Task, report: dict[str, Any]) -> 
         report["modes"] = model.modes_.tolist()
         print(_ways(model, training.recordings))
     if not task.space.joints():
-        situations = demonstrated_situations(align(training.recordings)[0], task.space.manifold())
+        shown = (recording.to_demonstration(training.duration_s) for recording in training.recordings)
+        situations = demonstrated_situations(shown, task.space.manifold())
         report["situations"], report["situations_text"] = asdict(situations), str(situations)
         print(f"situations: {situations}")
 

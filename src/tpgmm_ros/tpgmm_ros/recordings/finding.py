@@ -21,6 +21,8 @@ from tpgmm_ros.recordings.storage.formats import has_known_format, is_storage_fi
 
 FOLLOWS = 3.0
 """A part begins at most this many periods of the movement after the one before has ended."""
+PACKED = (".gz", ".tgz", ".bz2", ".xz", ".lz4", ".zip", ".7z", ".tar")
+"""How names of files end that may hold bags, but are none."""
 _TOLERANCE_NS = 50_000_000
 _CONTINUES_M = 0.005
 
@@ -83,6 +85,13 @@ def _why_none(path: Path) -> str:
             f"holds no bag itself, but bags lie in its folders: {listed(with_bags)}. Give those of these folders that "
             "show one task"
         )
+    there = _inside(path) if path.is_dir() else []
+    for odd, what in (
+        ([one.name for one in there if one.is_symlink() and not one.exists()], "links to what is not there"),
+        ([one.name for one in there if one.name.endswith(PACKED)], "files that are packed; unpack them first"),
+    ):
+        if odd:
+            return f"contains no bag, but {what}: {listed(odd)}"
     return (
         "is not a bag and contains none; expected a rosbag2 directory (metadata.yaml and .mcap or .db3), a .bag, .mcap "
         "or .db3 file, or a directory of such bags"

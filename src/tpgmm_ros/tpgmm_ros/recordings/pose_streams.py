@@ -181,7 +181,7 @@ def usable_poses(
     notes = []
     if (empty := good & never_filled(numbers)).any():
         good = good & ~empty
-        first = f"number {int(np.argmax(empty))}: never filled in: all numbers of an empty message, unlike the others"
+        first = f"number {int(np.argmax(empty))}: never filled in: at 0 0 0 as in an empty message, unlike the others"
         reasons["never filled in"] = int(np.count_nonzero(empty)), first
     for frame_id in sorted(set(frame_ids.tolist())):
         if not (reason := wrong_frame(frame_id, base_frame)):

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.doubt.clocks import ClockError, CommonClock, TopicTimes, common_clock
+from tpgmm_core.doubt.clocks import ClockError, CommonClock, common_clock
 from tpgmm_core.doubt.rough_clock import RoughClock
+from tpgmm_core.doubt.stamps import TopicTimes
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source

@@ -5,6 +5,7 @@ x,y,z,qx,qy,qz,qw    columns by name
 poses                a whole array
 s.Data[1:4]          some columns of an array; [2] is a single one, counted from 0
 [1:8]                of a file without names
+x [m],y [m]          what is no number is part of the name
 """
 
 from __future__ import annotations
@@ -30,8 +31,10 @@ _SQUARE = 1e-3
 
 
 def names_in(text: str) -> set[str]:
-    """Names of the arrays in a text as above."""
-    return {found[1].strip() for found in map(_ITEM.fullmatch, text.split(",")) if found is not None}
+    """Names that arrays may have in a text as above; what stands in brackets may be a unit, and part of the name."""
+    items = text.split(",")
+    parts = {found[1].strip() for found in map(_ITEM.fullmatch, items) if found is not None}
+    return parts | {item.strip() for item in items}
 
 
 def columns_of(table: Table, text: str) -> Array:
@@ -56,6 +59,9 @@ def columns_of(table: Table, text: str) -> Array:
     """
     parts = []
     for item in text.split(","):
+        if item.strip() in table:
+            parts.append(_upright(table[item.strip()]))
+            continue
         found = _ITEM.fullmatch(item.strip())
         name = "" if found is None else str(found[1]).strip()
         if found is None or name not in table:

@@ -70,7 +70,14 @@ def read_tables(path: Path, wanted: Collection[str]) -> list[Table]:
 
 
 def _npy(path: Path) -> dict[str, Any]:
-    return _fields("", np.load(path, allow_pickle=False))
+    with path.open("rb") as file:
+        found = np.load(file, allow_pickle=False)
+        if more := len(file.read()):
+            raise ConversionError(
+                f"{path}: goes on for {more} bytes behind its array, as where several were saved into one file: save "
+                "each into its own, or all by numpy.savez"
+            )
+    return _fields("", found)
 
 
 def _npz(path: Path) -> dict[str, Any]:

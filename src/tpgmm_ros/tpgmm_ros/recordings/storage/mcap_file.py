@@ -91,8 +91,9 @@ class McapFile(StorageFile):
         try:
             self._open()
         except (DamageError, struct.error) as error:
+            more = self._more()
             self.close()
-            raise self._damaged(error) from None
+            raise more or self._damaged(error) from None
         except BaseException:
             self.close()
             raise
@@ -108,7 +109,7 @@ class McapFile(StorageFile):
                 self._end = end_of_whole_records(self._data)
                 self._scan(self._end)
                 return
-            raise BagError(
+            raise self._more() or BagError(
                 self._label,
                 f"cannot be read: it was cut off; its {size} bytes end without the footer that an MCAP file has, as "
                 f"when the recorder was killed, the disk was full, or a copy was not finished. {RECOVER}",
@@ -119,8 +120,25 @@ class McapFile(StorageFile):
         if opcode != _FOOTER or summary > self._end:
             raise DamageError("its footer is damaged")
         if not (summary and self._read_summary(summary)):
+            if more := self._more():
+                raise more
             self._scan(summary or self._end)
         self._end = summary or self._end
+
+    def _more(self) -> BagError | None:
+        """What is wrong where a file has its end before its last byte; None where it has not."""
+        size, end = len(self._data), self._map.find(MAGIC, _FOOTER_SIZE) + len(MAGIC)
+        if not _FOOTER_SIZE < end < size:
+            return None
+        if RECORD.unpack_from(self._data, end - _FOOTER_SIZE) != (_FOOTER, _FOOTER_SIZE - RECORD.size - len(MAGIC)):
+            return None
+        is_file = bytes(self._data[end : end + len(MAGIC)]) == MAGIC
+        return BagError(
+            self._label,
+            f"cannot be read: it ends after {end} bytes, and {'another MCAP file' if is_file else 'something else'} of "
+            f"{size - end} bytes follows. Files of bags are not joined by writing one behind the other: cut it apart "
+            f"('head -c {end}', 'tail -c +{end + 1}'), into parts of their own",
+        )
 
     def _read_summary(self, begin: int) -> bool:
         """Whether the summary tells all that is needed; a file may have a part of it, or a damaged one."""

@@ -13,6 +13,8 @@ from functools import cache
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from tpgmm_ros.messages.fields import nanoseconds
+
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 _LITTLE_ENDIAN = b"\x00\x01"
 _BODY = 4
@@ -54,7 +56,7 @@ class PoseStampedDecoder:
         name, layout = known
         if len(raw) != layout.size:
             return None
-        return sec * 1_000_000_000 + nanosec, name, layout.unpack(raw)
+        return nanoseconds(sec, nanosec), name, layout.unpack(raw)
 
     def _learned(self, text: bytes) -> tuple[str, struct.Struct] | None:
         """Name of the frame, and where the numbers are behind it: on a multiple of 8."""

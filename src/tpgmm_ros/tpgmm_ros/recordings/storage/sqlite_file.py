@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from urllib.parse import quote
 
+from tpgmm_core.common.text import one_line
 from tpgmm_ros.recordings.storage.bag_error import BagError
 from tpgmm_ros.recordings.storage.storage_file import FileTopic, RawMessage, StorageFile
 
@@ -69,7 +70,7 @@ class SqliteFile(StorageFile):
             definitions = {kind: (encoding, _bytes(text)) for kind, encoding, text in rows}
         counts = dict(ask("SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id"))
         first, last = ask("SELECT MIN(timestamp), MAX(timestamp) FROM messages").fetchone()
-        self.first_ns, self.last_ns = first or 0, last or 0
+        self.first_ns, self.last_ns = (at if isinstance(at, int) else 0 for at in (first, last))
         self.topics = []
         for key, name, kind, encoding in ask("SELECT id, name, type, serialization_format FROM topics ORDER BY id"):
             found, definition = definitions.get(kind, ("", b""))
@@ -85,13 +86,20 @@ class SqliteFile(StorageFile):
         """
         wanted = ", ".join(str(int(key)) for key in keys)
         try:
-            yield from self._database.execute(
+            rows = self._database.execute(
                 f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({wanted}) ORDER BY id"
             )
+            for number, (key, at, raw) in enumerate(rows):
+                if type(at) is not int or type(raw) is not bytes:  # SQLite takes any value in any column
+                    raise self._damaged(
+                        f"message {number} has the time {one_line(repr(at)[:40])} and {type(raw).__name__} as data, "
+                        "expected an integer, ns, and bytes"
+                    )
+                yield key, at, raw
         except sqlite3.Error as error:
             raise self._damaged(error) from None
 
-    def _damaged(self, error: Exception) -> BagError:
+    def _damaged(self, error: Exception | str) -> BagError:
         return BagError(self._label, f"cannot be read: it is damaged inside (SQLite: {error}). {RECOVER}")
 
     def close(self) -> None:
