@@ -104,7 +104,8 @@ class RetrievalMethod:
                 f"{found.description}: train one with 'retrieval: {self.name}', or choose "
                 f"{' or '.join(method.name for method in ALL_METHODS.values() if isinstance(found, method.encoding))}"
             )
-        if not isinstance(model, self.estimator):
+        # Regression takes any mixture over time, also one whose number of components was found by learning
+        if self.estimator is not TPGMM and not isinstance(model, self.estimator):
             raise ValueError(
                 f"{self.name} needs a {self.estimator.__name__}, but this model is a {type(model).__name__}: "
                 f"train one with 'retrieval: {self.name}'"
