@@ -59,9 +59,9 @@ class Plan:
         first = self._first()
         quick = [trial for trial in first if _is_quick(trial.method) and set(trial.frames) == set(self.kept)]
         yield [first[0], *quick]  # what the task file says is asked for first, whatever it is
-        yield self._segments(search)
+        yield self._segments([result.trial for result in search.leaders if result.trial.method in self._early])
         yield first
-        yield self._segments(search)
+        yield self._segments([result.trial for result in search.leaders[:LEADERS]])
         yield [
             result.trial.changed(n_components=K)
             for result in search.leaders[:LEADERS]
@@ -92,11 +92,16 @@ class Plan:
         ]
         return [given, *others]
 
+    @property
+    def _early(self) -> tuple[str, ...]:
+        """Methods whose segments are tried early, whatever leads: with all choices held out, the default one gains."""
+        return (DEFAULT,) if DEFAULT in self.methods else self.methods
+
     @staticmethod
-    def _segments(search: Search) -> list[Trial]:
-        """Segments without some frames, for the best that have segments: so they may become the best of all."""
+    def _segments(trials: Sequence[Trial]) -> list[Trial]:
+        """The best of these that have segments, with some frames left out of segments."""
         first, *others = PRUNED
-        able = [result.trial for result in search.leaders if method_named(result.trial.method).has_segments]
+        able = [trial for trial in trials if method_named(trial.method).has_segments]
         pruned = {trial.key: trial for trial in (trial.changed(**{PRUNE_KEY: first}) for trial in able)}
         best = list(pruned.values())[:LEADERS]
         return [*best, *(trial.changed(**{PRUNE_KEY: least}) for least in others for trial in best)]
