@@ -250,30 +250,6 @@ def test_an_interruption_leaves_the_best_so_far_and_before_the_first_one_it_ends
         run_search(posed, at_once)
 
 
-def test_few_trials_reach_segments_without_frames_also_where_a_method_without_segments_leads() -> None:
-    """What has segments may become the best by them: it need not be among the best of all before."""
-    search = Search()
-    plan = Plan(("object", "bin"), ("object", "bin", "hand_start"), (), {"reg_covar": 1e-4})
-    costs = {"time_steps": 0.1, "promp": 0.11, "gaussian_process": 0.12, "adapt_regress": 0.2}
-    asked: dict[object, Trial] = {}
-    for trials in plan.rounds(search):
-        new = {trial.key: trial for trial in trials if trial.key not in asked}
-        asked |= new
-        for trial in new.values():
-            cost = costs.get(trial.method, 0.3) + 0.01 * (trial.settings.get("covariance") == "full")
-            search.results.append(TrialResult(trial, {0: HeldOutError(cost, 0.0, cost, cost, cost)}))
-        if len(asked) >= 14:
-            break
-    pruned = [trial for trial in list(asked.values())[:14] if "prune" in trial.settings]
-    assert len(pruned) >= 3
-    assert [(t.method, t.settings["covariance"], t.settings["prune"]) for t in pruned if t.frames == plan.kept][:2] == [
-        ("adapt_regress", "diag", 0.4),
-        ("adapt_regress", "full", 0.4),
-    ]
-    assert len({trial.key for trial in pruned}) == len(pruned)
-    assert all("prune" not in trial.settings for trial in list(asked.values())[:10])
-
-
 def test_likelihood_decides_only_between_what_reproduces_as_well() -> None:
     def result(cost: float, likelihood: float, method: str = "dmp") -> TrialResult:
         errors = {0: HeldOutError(cost, 0.0, cost, cost, cost)}

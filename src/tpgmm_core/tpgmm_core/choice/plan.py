@@ -9,8 +9,7 @@ from typing import Any
 
 from tpgmm_core.choice.search import LEADERS, Search
 from tpgmm_core.choice.trial import Trial
-from tpgmm_core.retrieval.methods import ALL_METHODS, DEFAULT, KEY, METHODS, method_named
-from tpgmm_core.retrieval.own_end import KEY as END_KEY
+from tpgmm_core.retrieval.methods import ALL_METHODS, DEFAULT, KEY, METHODS
 from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 
 COMPONENTS = (3, 5, 7, 10, 14)
@@ -22,8 +21,8 @@ LOCALITIES = (0.3, 1.0, 3.0)
 """How much more demonstrations say whose situations are near, for methods that can tell."""
 STRENGTHS = (0.0, 1.0, 3.0, 10.0, 30.0)
 """Of the prior of the covariances, in demonstrations."""
-PRUNED = (0.4, 0.2)
-"""Relevances below which a frame is left out of a segment of the movement; what helps more often is tried first."""
+PRUNED = (0.2, 0.4)
+"""Relevances below which a frame is left out of a segment of the movement."""
 MORE_FRAMES = 2
 """Declared frames that the screen drops, up to which they are tried with every method all the same."""
 START = 7
@@ -56,12 +55,13 @@ class Plan:
 
     def rounds(self, search: Search) -> Iterator[Sequence[Trial]]:
         """See `tpgmm_core.choice.search.Rounds`."""
-        first = self._first()
-        quick = [trial for trial in first if _is_quick(trial.method) and set(trial.frames) == set(self.kept)]
-        yield [first[0], *quick]  # what the task file says is asked for first, whatever it is
-        yield self._segments([result.trial for result in search.leaders if result.trial.method in self._early])
-        yield first
-        yield self._segments([result.trial for result in search.leaders[:LEADERS]])
+        yield self._first()
+        yield [
+            pruned
+            for result in search.leaders[:LEADERS]
+            for least in PRUNED
+            if PRUNE_KEY in (pruned := result.trial.changed(**{PRUNE_KEY: least})).settings
+        ]
         yield [
             result.trial.changed(n_components=K)
             for result in search.leaders[:LEADERS]
@@ -79,32 +79,18 @@ class Plan:
     def _first(self) -> list[Trial]:
         """What the task file says, then every method; functions of time first, which are quick to try."""
         settings = {name: value for name, value in self.settings.items() if name != KEY}
-        methods = sorted(self.methods, key=lambda name: not _is_quick(name))
+        methods = sorted(self.methods, key=lambda name: ALL_METHODS[name].time_parametrized is None)
         default = DEFAULT if DEFAULT in methods else methods[0]
         given = Trial.of(str(self.settings.get(KEY, default)), self.declared, {"n_components": START, **settings})
         # With many frames that the screen drops, every model of all of them would be slow to learn, and poor
         sets = [self.kept, *([self.declared] if len(self.declared) <= len(self.kept) + MORE_FRAMES else [])]
         others = [
-            Trial.of(method, frames, {END_KEY: True, **settings, "covariance": structure, "n_components": START})
+            Trial.of(method, frames, {**settings, "covariance": structure, "n_components": START})
             for frames in sets
             for method in methods
             for structure in STRUCTURES
         ]
         return [given, *others]
-
-    @property
-    def _early(self) -> tuple[str, ...]:
-        """Methods whose segments are tried early, whatever leads: with all choices held out, the default one gains."""
-        return (DEFAULT,) if DEFAULT in self.methods else self.methods
-
-    @staticmethod
-    def _segments(trials: Sequence[Trial]) -> list[Trial]:
-        """The best of these that have segments, with some frames left out of segments."""
-        first, *others = PRUNED
-        able = [trial for trial in trials if method_named(trial.method).has_segments]
-        pruned = {trial.key: trial for trial in (trial.changed(**{PRUNE_KEY: first}) for trial in able)}
-        best = list(pruned.values())[:LEADERS]
-        return [*best, *(trial.changed(**{PRUNE_KEY: least}) for least in others for trial in best)]
 
     def _frames(self, trial: Trial) -> list[Trial]:
         """One frame fewer, or one more."""
@@ -135,8 +121,3 @@ class Plan:
         K = int(trial.settings["n_components"])
         near = [k for k in (K - 2, K - 1, K + 1, K + 2) if k >= 1]
         return [trial.changed(n_components=k) for k in near]
-
-
-def _is_quick(method: str) -> bool:
-    """Whether a method is a function of time, which is quick to try."""
-    return ALL_METHODS[method].time_parametrized is not None

@@ -63,7 +63,23 @@ def some_names(value: Any) -> tuple[str, ...]:
 
 
 def a_truth(value: Any) -> bool:
-    """A value that must be true or false. Raises ValueError with what was expected."""
+    """A value that must be true or false.
+
+    Parameters
+    ----------
+    value
+        as YAML holds it
+
+    Returns
+    -------
+    bool
+        the value
+
+    Raises
+    ------
+    ValueError
+        with what was expected
+    """
     if not isinstance(value, bool):
         raise ValueError("true or false")
     return value
