@@ -139,6 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--set", nargs=2, action="append", metavar=("TASK", "BAGS"), help="task file, directory of bags"
     )
     parser.add_argument("--trials", type=int, default=60, help="ways of learning that are tried in each fold (60)")
+    parser.add_argument("--stride", type=int, default=1, metavar="N", help="leave out every N-th alone (default: 1)")
     parser.add_argument("--methods", nargs="+", help="of retrieval that are tried (default: all)")
     parser.add_argument("--seconds", type=float, help="time for each fold; without, trials alone count")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one per core)")
@@ -158,7 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         path.parent.mkdir(parents=True, exist_ok=True)
         rows: list[dict[str, Any]] = json.loads(path.read_text()) if path.exists() else []
         done = {row["left_out"] for row in rows}
-        for left_out in tqdm(recordings, desc=task.name, disable=None, file=sys.stderr):
+        for left_out in tqdm(recordings[:: options.stride], desc=task.name, disable=None, file=sys.stderr):
             if left_out.name in done:
                 continue
             others = [recording for recording in recordings if recording is not left_out]

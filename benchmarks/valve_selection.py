@@ -20,12 +20,13 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy
 import numpy as np  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from tpgmm_core import TPGMM, Demonstration  # noqa: E402
+from tpgmm_core import TPGMM, Demonstration, LearnedMixture  # noqa: E402
 from tpgmm_core.common.report import format_table  # noqa: E402
-from tpgmm_core.learning.covariance.structure import STRUCTURES  # noqa: E402  # noqa: E402
+from tpgmm_core.learning.covariance.structure import STRUCTURES  # noqa: E402
 from tpgmm_core.learning.dirichlet import DirichletTPGMM  # noqa: E402
 from tpgmm_core.learning.held_out import SelectableEstimator, unfitted  # noqa: E402
 from tpgmm_core.learning.selection import Candidate, select_model  # noqa: E402
+from tpgmm_core.retrieval.recipe import PRIOR_STRENGTH  # noqa: E402
 from tpgmm_ros.models.validation import cross_validate, mean_errors  # noqa: E402
 from tpgmm_ros.programs.reporting import write_report  # noqa: E402
 from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordings  # noqa: E402
@@ -78,8 +79,8 @@ def is_borne_out(rows: Sequence[Mapping[str, Any]], best: str, best_bic: str) ->
 
 
 def _candidates(task: Task, options: argparse.Namespace) -> dict[str, SelectableEstimator]:
-    """Every structure with every K, other settings from the task file; and a Dirichlet process with its own K."""
-    settings = {**task.model, "manifold": MANIFOLD, "n_factors": options.factors}
+    """Every structure with every K, other settings as `train` takes them; and a Dirichlet process with its own K."""
+    settings = {"prior_strength": options.prior, **task.model, "manifold": MANIFOLD, "n_factors": options.factors}
     candidates: dict[str, SelectableEstimator] = {}
     for structure in options.structures:
         for K in options.components:
@@ -96,9 +97,9 @@ def _reproduction(row: Candidate, estimator: SelectableEstimator, recordings: li
     if row.error is not None:
         return {"position_rmse_m": None, "orientation_mean_deg": None}
 
-    def learn(demonstrations: list[Demonstration]) -> TPGMM:
+    def learn(demonstrations: list[Demonstration]) -> LearnedMixture:
         model = unfitted(estimator)
-        assert isinstance(model, TPGMM)
+        assert isinstance(model, LearnedMixture)
         model.fit(demonstrations)
         model.metadata_["duration_s"] = float(np.mean([shown.times[-1] - shown.times[0] for shown in demonstrations]))
         return model
@@ -158,6 +159,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--components", type=int, nargs="+", metavar="K", default=[3, 5, 7, 10, 15])
     parser.add_argument("--structures", nargs="+", choices=STRUCTURES, default=STRUCTURES_ON_POSES)
     parser.add_argument("--factors", type=int, metavar="D", default=3, help="of mfa, mppca and deep_mfa (default: 3)")
+    parser.add_argument(
+        "--prior",
+        type=float,
+        default=PRIOR_STRENGTH,
+        help="of the covariances, in demonstrations (default: %(default)s)",
+    )
     parser.add_argument("--no-dirichlet", dest="dirichlet", action="store_false", help="without the Dirichlet process")
     parser.add_argument("--every", type=int, metavar="N", default=1, help="use every N-th sample (default: all)")
     parser.add_argument(

@@ -28,6 +28,8 @@ from reaching import DURATION, reaching_demonstrations, reaching_model
 from tpgmm_core import TPGMM, Demonstration, Frame
 from tpgmm_core.geometry.manifold import POSE, Manifold
 from tpgmm_core.learning import model_file
+from tpgmm_core.learning.dirichlet import DirichletTPGMM
+from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.retrieval.encodings import ENCODINGS, TimeEncoding, encoding_of
 from tpgmm_core.retrieval.methods import METHODS, load_model, make_retrieval, method_of
 from tpgmm_core.retrieval.recipe import Recipe
@@ -42,7 +44,7 @@ def learned(method: str) -> TPGMM:
     return recipe.learn(reaching_demonstrations(20), MANIFOLD, DIMENSIONS)
 
 
-def run(model: TPGMM, seconds: float, **settings: object) -> tuple[np.ndarray, float]:
+def run(model: LearnedMixture, seconds: float, **settings: object) -> tuple[np.ndarray, float]:
     """Means (T, 7) of the references to a robot that is at once where it is to be, and the last phase."""
     retrieval = make_retrieval(model, **settings)  # type: ignore[arg-type]
     pose, phase, path = START, 0.0, []
@@ -197,6 +199,15 @@ def test_a_way_named_in_settings_gives_way_to_one_that_is_asked_for() -> None:
 def test_a_model_that_does_not_suit_is_refused_with_the_reason(model: str, method: str, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         make_retrieval(learned(model), method)
+
+
+@pytest.mark.parametrize("method", ["adapt_regress", "regress_product"])
+def test_a_mixture_whose_number_of_components_was_found_is_retrieved_as_any_other(method: str) -> None:
+    model = DirichletTPGMM(6, init="bins", reg_covar=1e-5, manifold=MANIFOLD).fit(reaching_demonstrations(20))
+    model.metadata_["duration_s"] = DURATION
+    path, phase = run(model, 1.5 * DURATION, method=method)
+    assert phase == 1.0
+    np.testing.assert_allclose(path[-1][:3], GOAL[:3], atol=0.02)
 
 
 def test_a_phase_is_for_functions_of_time_only() -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from reaching import frames_at, place, reaching_demonstrations
 from tpgmm_core import Demonstration, LearnedMixture
+from tpgmm_core.choice.automatic import positions_alone
 from tpgmm_core.choice.reproducing import reproduce
 from tpgmm_core.choice.trial import Trial
 from tpgmm_core.retrieval.methods import METHODS, load_model
@@ -66,6 +67,23 @@ def test_what_is_left_out_still_says_roughly_where_the_hand_is_as_long_as_nothin
     hidden = {"object": np.zeros(len(alone.times), dtype=bool)}
     path = reproduce(pruned, Demonstration(alone.times, alone.data, alone.frames, hidden))
     assert np.linalg.norm(path[-1, :3] - alone.data[-1, 1:4]) < 0.3
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_positions_velocities_and_accelerations_are_each_widened_by_their_own_spread(alone: bool) -> None:
+    """As much is added to the positions with derivatives as without: their units have nothing to do with it."""
+    shown = [positions_alone(item) for item in SHOWN[:4]] if alone else SHOWN[:4]
+    space, n = ("R1 x R3", 3) if alone else (SPACE, 6)
+    settings = {"n_components": 5, "covariance": "diag", "reg_covar": 1e-4}
+    added = {}
+    for method in ("adapt_regress", "trajectory"):
+        whole, pruned = (Recipe.of({**settings, KEY: least}, method).learn(shown, space) for least in (0.0, 1.0))
+        added[method] = pruned.covariances_["phantom"][0] - whole.covariances_["phantom"][0]
+    np.testing.assert_allclose(added["trajectory"][: 1 + n, : 1 + n], added["adapt_regress"], atol=1e-9)
+    of_places = [np.diagonal(added["trajectory"])[1 + order * n :][:3] for order in range(3)]
+    for variances in of_places:
+        np.testing.assert_allclose(variances, variances[0])
+    assert len({round(float(variances[0]), 6) for variances in of_places}) == 3
 
 
 def test_a_method_without_segments_takes_no_notice_and_learning_in_parts_refuses() -> None:

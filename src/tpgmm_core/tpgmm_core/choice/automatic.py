@@ -185,7 +185,7 @@ def choose(
         for too few demonstrations, and where nothing could be learned
     """
     derived = DerivedFrames() if declared is None else declared
-    if not any(_has_orientations(shown) for shown in demonstrations):
+    if not any(has_orientations(shown) for shown in demonstrations):
         demonstrations, manifold = [positions_alone(shown) for shown in demonstrations], POSITIONS
     space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold)
     phases = phases_of(demonstrations, space)
@@ -212,7 +212,8 @@ def choose(
     return Choice(search, screen, every, names, still, cycles)
 
 
-def _has_orientations(shown: Demonstration) -> bool:
+def has_orientations(shown: Demonstration) -> bool:
+    """Whether any were recorded: every one of a demonstration without is 0 0 0 1."""
     return not (shown.data.shape[1] == 8 and (shown.data[:, 4:] == quaternion.IDENTITY).all())
 
 

@@ -26,6 +26,7 @@ from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.derived_frames import with_frames
 from tpgmm_core.retrieval.exact import KEY as EXACT_KEY
 from tpgmm_core.retrieval.methods import KEY, method_named
+from tpgmm_core.retrieval.own_end import KEY as END_KEY
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 
@@ -75,7 +76,8 @@ class Trial:
         """
         chosen = method_named(method)
         known = {item.name for item in fields(chosen.encoding)} | inspect.signature(chosen.estimator).parameters.keys()
-        used = (known | {EXACT_KEY, *([PRUNE_KEY] if chosen.has_segments else [])}) - {KEY}
+        allowed = {EXACT_KEY: True, PRUNE_KEY: chosen.has_segments, END_KEY: chosen.may_own_end, KEY: False}
+        used = (known | allowed.keys()) - {name for name, is_allowed in allowed.items() if not is_allowed}
         return cls(chosen.name, tuple(frames), {name: settings[name] for name in settings if name in used})
 
     def changed(self, **settings: Any) -> Trial:

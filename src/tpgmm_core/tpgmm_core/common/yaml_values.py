@@ -62,6 +62,29 @@ def some_names(value: Any) -> tuple[str, ...]:
     return tuple(value)
 
 
+def a_truth(value: Any) -> bool:
+    """A value that must be true or false.
+
+    Parameters
+    ----------
+    value
+        as YAML holds it
+
+    Returns
+    -------
+    bool
+        the value
+
+    Raises
+    ------
+    ValueError
+        with what was expected
+    """
+    if not isinstance(value, bool):
+        raise ValueError("true or false")
+    return value
+
+
 def a_number(least: float = -math.inf) -> Callable[[Any], float]:
     """A reader of finite numbers of at least `least`."""
 

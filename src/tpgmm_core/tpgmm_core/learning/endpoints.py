@@ -38,16 +38,7 @@ class EndpointTPGMM(TPGMM):
 
     def _fit(self, samples: Samples, progress: EmProgress | None) -> EndpointTPGMM:
         super()._fit(samples, progress)
-        last = np.cumsum(samples.lengths)
-        labels = np.full(samples.n_samples, -1, dtype=np.intp)
-        labels[last - np.asarray(samples.lengths)] = BEGIN
-        labels[last - 1] = END
-        means, covariances = {}, {}
-        for (name, x), seen in zip(samples.X.items(), samples.seen, strict=True):
-            means[name], sampled = initialization.moments(samples.manifolds[name], x, seen, labels, 2, self.reg_covar)
-            counts = np.array([np.count_nonzero(seen & (labels == k)) for k in (BEGIN, END)])
-            covariances[name] = _towards_diagonal(sampled, counts)
-        self._learned_endpoints(means, covariances)
+        self._learned_endpoints(*endpoint_gaussians(samples, self.reg_covar))
         return self
 
     def _learned_endpoints(self, means: Mapping[str, Array], covariances: Mapping[str, Array]) -> None:
@@ -78,6 +69,33 @@ class EndpointTPGMM(TPGMM):
                 raise ValueError(f"the covariances of the ends in frame {shown(name)} are not positive definite")
             means[name], covariances[name] = mean, covariance
         self._learned_endpoints(means, covariances)
+
+
+def endpoint_gaussians(samples: Samples, reg_covar: float) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Gaussians of the first and of the last samples of the demonstrations in each frame: see `EndpointTPGMM`.
+
+    Parameters
+    ----------
+    samples
+        of the demonstrations
+    reg_covar
+        added to the diagonals, in squared units of the data
+
+    Returns
+    -------
+    tuple[dict[str, Array], dict[str, Array]]
+        name -> means (2, D_j) and covariances (2, n_j, n_j), of BEGIN and END
+    """
+    last = np.cumsum(samples.lengths)
+    labels = np.full(samples.n_samples, -1, dtype=np.intp)
+    labels[last - np.asarray(samples.lengths)] = BEGIN
+    labels[last - 1] = END
+    means, covariances = {}, {}
+    for (name, x), seen in zip(samples.X.items(), samples.seen, strict=True):
+        means[name], sampled = initialization.moments(samples.manifolds[name], x, seen, labels, 2, reg_covar)
+        counts = np.array([np.count_nonzero(seen & (labels == k)) for k in (BEGIN, END)])
+        covariances[name] = _towards_diagonal(sampled, counts)
+    return means, covariances
 
 
 def _towards_diagonal(covariances: Array, counts: Array) -> Array:

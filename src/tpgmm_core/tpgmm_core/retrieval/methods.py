@@ -34,6 +34,7 @@ from tpgmm_core.retrieval.encodings import (
 from tpgmm_core.retrieval.exact import KEY as EXACT_KEY
 from tpgmm_core.retrieval.exact import Constrained, constraints_of
 from tpgmm_core.retrieval.interface import Retrieval, TimeParametrized
+from tpgmm_core.retrieval.own_end import OwnEnd, end_of
 from tpgmm_core.retrieval.periodic import PeriodicPhase, PhaseSteps
 from tpgmm_core.retrieval.phase import PHASES, ClockPhase
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
@@ -89,6 +90,11 @@ class RetrievalMethod:
         """Whether its models are of few components over time, each a segment of the movement (`segment_frames`)."""
         return issubclass(self.estimator, TPGMM) and self.encoding.follows_time
 
+    @property
+    def may_own_end(self) -> bool:
+        """Whether its movements end in the last component, unless their end is a Gaussian of its own (`own_end`)."""
+        return self.has_segments and not issubclass(self.estimator, EndpointTPGMM)
+
     def check(self, model: LearnedMixture) -> None:
         """Check that this method can retrieve from a model.
 
@@ -104,7 +110,8 @@ class RetrievalMethod:
                 f"{found.description}: train one with 'retrieval: {self.name}', or choose "
                 f"{' or '.join(method.name for method in ALL_METHODS.values() if isinstance(found, method.encoding))}"
             )
-        if not isinstance(model, self.estimator):
+        # Regression takes any mixture over time, also one whose number of components was found by learning
+        if self.estimator is not TPGMM and not isinstance(model, self.estimator):
             raise ValueError(
                 f"{self.name} needs a {self.estimator.__name__}, but this model is a {type(model).__name__}: "
                 f"train one with 'retrieval: {self.name}'"
@@ -138,6 +145,8 @@ class RetrievalMethod:
                 )
             return None if self.time_parametrized is None else self.time_parametrized(model)
         course = self.time_parametrized(model)
+        end = end_of(model, course.manifold)
+        course = course if end is None else OwnEnd(course, end)
         return Constrained(course, constraints) if constraints else course
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -83,6 +83,27 @@ class AdaptedStates:
                 mean_precisions[block] = np.exp(-np.mean(np.log(variances[:, block].mean(axis=1))))
         precisions = np.linalg.inv(covariances)
         return cls(manifold, means, gains * sample_time, covariances, precisions, seen, tolerance, mean_precisions)
+
+    def ending(self, end: Array, last: float) -> AdaptedStates:
+        """States of which the last begins where it did, and ends elsewhere.
+
+        Parameters
+        ----------
+        end
+            (D,), where
+        last
+            age of its last sample
+
+        Returns
+        -------
+        AdaptedStates
+            the same but for the mean and rate of the last one
+        """
+        means, rates = self.means.copy(), self.rates.copy()
+        missing = self.manifold.log(self.manifold.exp(means[-1], 0.5 * last * rates[-1]), end)
+        means[-1] = self.manifold.exp(means[-1], 0.5 * missing)
+        rates[-1] += missing / max(last, 1.0)
+        return replace(self, means=means, rates=rates)
 
     def fit(self, state: Array, given: Array) -> Array:
         """How well a position fits each state.

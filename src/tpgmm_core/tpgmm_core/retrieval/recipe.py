@@ -21,6 +21,8 @@ from tpgmm_core.retrieval.encodings import Encoding
 from tpgmm_core.retrieval.exact import KEY as EXACT_KEY
 from tpgmm_core.retrieval.exact import parsed
 from tpgmm_core.retrieval.methods import DEFAULT, KEY, RetrievalMethod, method_named
+from tpgmm_core.retrieval.own_end import KEY as END_KEY
+from tpgmm_core.retrieval.own_end import keep_end
 from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 from tpgmm_core.retrieval.segment_frames import prune
 
@@ -45,6 +47,8 @@ class Recipe:
         what the movement meets exactly, as a text (`tpgmm_core.retrieval.exact.parsed`)
     prune
         relevance below which a frame is left out of a segment (`tpgmm_core.retrieval.segment_frames`); 0: none is
+    own_end
+        whether the end of the movement is a Gaussian of its own (`tpgmm_core.retrieval.own_end`)
     """
 
     method: RetrievalMethod
@@ -52,14 +56,16 @@ class Recipe:
     arguments: Mapping[str, Any] = field(default_factory=dict)
     exact: str | None = None
     prune: float = 0.0
+    own_end: bool = False
 
     @classmethod
     def of(cls, settings: Mapping[str, Any], method: str | None = None) -> Self:
-        """Make a recipe from settings by name: `retrieval`, `exact`, `prune`, those of the encoding and the estimator.
+        """Make a recipe from settings by name.
 
-        Settings of `TPGMM` that the method's estimator does not have are left out, and `prune` where its models have
-        no segments. Where they name no
-        `prior_strength` and the estimator has none of its own, it is PRIOR_STRENGTH.
+        They are `retrieval`, `exact`, `prune`, `own_end`, those of the encoding and of the estimator. Settings of
+        `TPGMM` that the method's estimator does not have are left out, `prune` where its models have no segments, and
+        `own_end` where the movement has such an end anyway. Where they name no `prior_strength` and the estimator has
+        none of its own, it is PRIOR_STRENGTH.
 
         Parameters
         ----------
@@ -83,6 +89,9 @@ class Recipe:
         least = float(rest.pop(PRUNE_KEY, 0.0))
         if not 0.0 <= least <= 1.0:
             raise ValueError(f"{PRUNE_KEY} is a relevance from 0 to 1, got {least}")
+        own_end = rest.pop(END_KEY, False)
+        if not isinstance(own_end, bool):
+            raise ValueError(f"{END_KEY} is true or false, got {own_end!r}")
         named = rest.pop(KEY, DEFAULT)
         chosen = method_named(named if method is None else method)
         options = {item.name for item in fields(chosen.encoding)}
@@ -103,7 +112,7 @@ class Recipe:
             rest.setdefault("prior_strength", PRIOR_STRENGTH)
         if exact is not None:
             parsed(exact)
-        return cls(chosen, encoding, rest, exact, least if chosen.has_segments else 0.0)
+        return cls(chosen, encoding, rest, exact, least if chosen.has_segments else 0.0, own_end and chosen.may_own_end)
 
     @property
     def max_iter(self) -> int:
@@ -148,6 +157,8 @@ class Recipe:
         self._finished(model, encoded, dimensions)
         if self.prune:
             prune(model, demonstrations, shown, space, self.prune)
+        if self.own_end:
+            keep_end(model, demonstrations, space)
         return model
 
     def check_parts(self) -> None:
@@ -165,6 +176,8 @@ class Recipe:
             )
         if self.prune:
             raise ValueError(f"{PRUNE_KEY} compares all demonstrations at once")
+        if self.own_end:
+            raise ValueError(f"{END_KEY} takes the ends of all demonstrations at once")
         TPGMM(**self.arguments).check_parts()
 
     def learn_parts(

@@ -166,11 +166,14 @@ def prune(
     found = SegmentFrames(least, dict(zip(names, errors.min(axis=0) / errors, strict=True)))
     samples = Samples.from_demonstrations(encoded, model.manifold_)
     everything = np.zeros(samples.n_samples, dtype=np.intp)
+    data = space.subset(range(1, space.dim))
+    n, orders = data.tangent_dim, (model.manifold_.tangent_dim - 1) // data.tangent_dim
     for name, seen in zip(names, samples.seen, strict=True):
         manifold = samples.manifolds[name]
         (spread,) = moments(manifold, samples.X[name], seen, everything, 1, 0.0)[1]
         wider = model.covariances_[name].copy()
-        data = manifold.subset(range(1, manifold.dim))
-        wider[~found.is_kept(name), 1:, 1:] += WIDER * isotropic(data, spread[1:, 1:])
+        for order in range(orders):  # positions, velocities and accelerations each have a unit of their own
+            own = slice(1 + order * n, 1 + (order + 1) * n)
+            wider[~found.is_kept(name), own, own] += WIDER * isotropic(data, spread[own, own])
         model.covariances_[name] = wider
     model.metadata_ |= found.metadata()

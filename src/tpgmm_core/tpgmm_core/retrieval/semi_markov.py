@@ -28,6 +28,7 @@ from tpgmm_core.model.reference import Reference
 from tpgmm_core.model.situation import Situation
 from tpgmm_core.retrieval.dynamic_features import point_manifold, standing_frames
 from tpgmm_core.retrieval.interface import demonstrated_duration
+from tpgmm_core.retrieval.own_end import end_of
 from tpgmm_core.retrieval.path_follower import AdaptedStates, PathFollower
 from tpgmm_core.retrieval.state_filter import NominalSchedule, StateFilter
 
@@ -110,6 +111,8 @@ class SemiMarkovMovement:
         self._ahead = horizon_time_step * np.arange(1, 1 + horizon_steps)
         self._horizon_time_step = horizon_time_step if horizon_steps else 0.0
         self._adapter = Adapter(model)
+        end = end_of(model, self._manifold)
+        self._end = None if end is None else Adapter(end)
         self._blend_time = blend_time
         self._speed = 1.0
         self._started = False
@@ -272,6 +275,10 @@ class SemiMarkovMovement:
         if self._mixture.manifold is not self.model.manifold_ and self._mixture.manifold != self.model.manifold_:
             raise ValueError(f"the frames map to {self._mixture.manifold}, the model is on {self.model.manifold_}")
         states = AdaptedStates.of(self._mixture, self._manifold, self._sample_time, self._tolerance)
+        if self._end is not None:
+            D = 1 + self._manifold.dim
+            end = self._end.adapt(frames, None if full is None else full[:D], weights)
+            states = states.ending(end.means[0, 1:], self._schedule.nominal[-1] - 1.0)
         if self._situation is None:
             self._follower.begin(self._begin_place, states, where)
         else:

@@ -24,6 +24,7 @@ from tpgmm_core.retrieval.calibrated import scale_key
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.methods import ALL_METHODS, DEFAULT, KEY, load_model
 from tpgmm_core.retrieval.novelty import NoveltyScale
+from tpgmm_core.retrieval.own_end import KEY as END_KEY
 from tpgmm_core.retrieval.relevance import relevance
 from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 from tpgmm_core.retrieval.sub_objectives import quadratic_costs
@@ -127,7 +128,7 @@ def described(model: LearnedMixture, path: Path) -> dict[str, Any]:
     segments = segments_of(model)
     if segments is not None:
         found["segments"] = segments
-    pruning = {PRUNE_KEY, *(f"{PRUNE_KEY}.{name}" for name in model.frame_names_)}
+    of_frames = {f"{key}.{name}" for key in (PRUNE_KEY, END_KEY) for name in model.frame_names_}
     known = {
         KEY,
         "bags",
@@ -135,7 +136,8 @@ def described(model: LearnedMixture, path: Path) -> dict[str, Any]:
         "novelty",
         "derived_frames",
         *map(scale_key, ALL_METHODS),
-        *pruning,
+        PRUNE_KEY,
+        *of_frames,
         *found,
     }
     found["other_metadata"] = {key: value for key, value in said.items() if key not in known}

@@ -15,6 +15,7 @@ from tpgmm_core.choice.trial import HeldOutError, TrialResult
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed
 from tpgmm_core.retrieval.methods import ALL_METHODS
+from tpgmm_core.retrieval.own_end import KEY as END_KEY
 from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 from tpgmm_ros.recordings.bags import Recording, align
 from tpgmm_ros.task.task_file import Task
@@ -96,6 +97,7 @@ def _tried(choice: Choice) -> str:
         "K",
         "prior",
         PRUNE_KEY,
+        END_KEY,
         "error m",
         "RMSE m",
         "deg",
@@ -140,6 +142,7 @@ def _row(result: TrialResult) -> tuple[object, ...]:
         settings.get("n_components"),
         prior,
         settings.get(PRUNE_KEY),
+        "yes" if settings.get(END_KEY) else "",
     )
     if not result.is_complete:
         return (*row, *"-" * 5)

@@ -14,6 +14,7 @@ from tpgmm_core.learning.incremental.online import OnlineTPGMM
 from tpgmm_core.learning.model_header import ModelFileError
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.retrieval.interface import demonstrated_duration
+from tpgmm_core.retrieval.own_end import KEY as END_KEY
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 from tpgmm_ros.models.task_model import load_task_model
@@ -50,6 +51,10 @@ def online(recipe: Recipe) -> Recipe:
     if recipe.prune:
         raise ValueError(
             f"{PRUNE_KEY} compares all demonstrations at once, and --online does not keep them: leave one of them out"
+        )
+    if recipe.own_end:
+        raise ValueError(
+            f"{END_KEY} is where all demonstrations ended, which --online does not keep: leave one of them out"
         )
     return replace(recipe, method=replace(method, estimator=OnlineTPGMM))
 

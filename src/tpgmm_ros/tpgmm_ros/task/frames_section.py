@@ -19,7 +19,7 @@ from typing import Any
 
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.yaml_sections import Section
-from tpgmm_core.common.yaml_values import a_choice, a_name, a_number, a_quaternion, is_name, numbers
+from tpgmm_core.common.yaml_values import a_choice, a_name, a_number, a_quaternion, a_truth, is_name, numbers
 from tpgmm_core.model.derived_frames import HAND, DerivedFrames, FrameSource
 from tpgmm_ros.messages.sources import PoseStampedSource, Source
 from tpgmm_ros.task.signals import TypedSignal, read_typed_signal
@@ -133,7 +133,7 @@ def _refuse(entry: Section, keys: Iterable[str], what: str) -> None:
 
 
 def _source(entry: Section) -> FrameSource:
-    turned = entry.required("turned", _truth) if "turned" in entry.values else True
+    turned = entry.required("turned", a_truth) if "turned" in entry.values else True
     if "hand" in entry.values:
         entry.required("hand", a_choice("start"))
         return FrameSource(HAND, turned)
@@ -162,12 +162,6 @@ def _time_or_stays(value: Any) -> float:
             "was last seen to move with it, or if its gripper holds it), or the time in s after which its pose is "
             "unknown"
         ) from None
-
-
-def _truth(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError("true or false")
-    return value
 
 
 def _pose(value: Any) -> tuple[float, ...]:

@@ -31,6 +31,7 @@ from tpgmm_core.common.yaml_values import (
     a_number,
     a_text,
     a_topic,
+    a_truth,
     an_integer,
 )
 from tpgmm_core.learning.covariance.structure import STRUCTURES
@@ -242,6 +243,7 @@ def _model(section: Section, space: StateSpace) -> dict[str, Any]:
         "mode": an_integer(0),
         "exact": a_text,
         "prune": a_number(0.0),
+        "own_end": a_truth,
         **{item.name: a_number() for encoding in ENCODINGS.values() for item in fields(encoding)},
     }
     section.refuse_others(*filter(space.takes, readers))
