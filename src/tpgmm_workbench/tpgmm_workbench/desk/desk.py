@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from rclpy.node import Node
@@ -85,7 +86,7 @@ class Desk:
         self.table = SimulatedTable(world, self.home, self._movement, self._refused, self.say)
         self._said: list[tuple[float, str]] = []
         self._graph = GraphView()
-        self._speed, self._is_paused, self._duration = 1.0, False, 0.0
+        self._speed, self._is_paused, self._duration, self._stops = 1.0, False, 0.0, 0
         self._release_until: float | None = None
         self._is_read = False
 
@@ -252,11 +253,11 @@ class Desk:
             self.set_speed(self._speed)
             return
         self.table.let_go()
-        self._look_ahead(self._run_if_good)
+        self._look_ahead(partial(self._run_if_good, self._stops))
 
-    def _run_if_good(self, shown: Preview) -> None:
-        if not shown.may_run:
-            self.say(f"not run: {shown.words}")
+    def _run_if_good(self, stops: int, shown: Preview) -> None:
+        if stops != self._stops or not shown.may_run:
+            self.say(f"not run: {shown.words if stops == self._stops else 'stopped before it began'}")
             return
         if self._learning.model is not None and not self._refused(Action.RUN):
             self.set_speed(self._speed)
@@ -292,6 +293,7 @@ class Desk:
 
     def stop(self) -> None:
         """Stop the robot where it is; may always be asked for. A recording goes on until it is ended."""
+        self._stops += 1
         self._movement.stop()
         self.table.let_go()
         self._is_paused = False

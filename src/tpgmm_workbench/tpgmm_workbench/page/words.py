@@ -88,8 +88,11 @@ def status(view: DeskView) -> str:
 
 def led(view: DeskView) -> str:
     """How far the hand still is from where it is led."""
+    if view.aim is None:
+        reason = view.reasons.get(Action.DRAG_HAND, "")
+        return _block(["Nobody leads the hand.", escape(reason)] if reason else ["Nobody leads the hand."])
     if view.to_go is None:
-        return _block(["Nobody leads the hand."])
+        return _block(["The hand is led; no pose of it arrives."])
     return _block(["The hand is there." if view.to_go < THERE else f"{100.0 * view.to_go:.0f} cm to go."])
 
 
