@@ -65,8 +65,8 @@ def test_buttons_and_tabs_can_be_read_in_light_and_dark(browser: Any, is_dark: b
                 const color = getComputedStyle(one).backgroundColor;
                 return color === "rgba(0, 0, 0, 0)" && one.parentElement ? ground(one.parentElement) : color;
             };
-            const found = [...document.querySelectorAll("button, [role=tab]")].filter((one) => one.innerText.startsWith("try"));
-            return found.map((one) => {
+            const all = [...document.querySelectorAll("button, [role=tab]")];
+            return all.filter((one) => one.innerText.startsWith("try")).map((one) => {
                 const text = [...one.querySelectorAll("*"), one].find((part) => part.innerText === one.innerText);
                 return [one.innerText, getComputedStyle(text).color, ground(one)];
             });
