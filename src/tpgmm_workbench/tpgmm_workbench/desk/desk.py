@@ -82,7 +82,8 @@ class Desk:
         world: SimulatedWorld | None = None
         if simulated:
             regions = regions_of(project.task.name, project.task.topics, self.home)
-            world = SimulatedWorld(node, project.task, Arrangement(regions, seed))
+            hand = self.robot.endpoints[project.task.endpoint].frame
+            world = SimulatedWorld(node, project.task, Arrangement(regions, seed), hand)
         self.table = SimulatedTable(world, self.home, self._movement, self._refused, self.say)
         self._said: list[tuple[float, str]] = []
         self._graph = GraphView()
