@@ -80,7 +80,7 @@ def test_an_empty_folder_becomes_a_skill_that_runs_by_clicks_keys_and_drags_and_
     _look_ahead(user, places, home)
     user.click("Run [G]")
     user.sees(RUNS)
-    print(f"\nfrom the start to a skill that runs: {time.monotonic() - began:.0f} s, with {COUNT} demonstrations")
+    print(f"\nfrom the start to a skill that runs: {time.monotonic() - began:.0f} s, load {os.getloadavg()[0]:.0f}")
 
     # the object is dragged while the hand is on its way, and the hand goes to where it is by then
     was = places.of("object")
