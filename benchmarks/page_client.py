@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import re
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import viser
@@ -117,14 +117,32 @@ class PageClient:
         """
         for (of, key), value in self.panels.items():
             if key == "label" and str(value).startswith(label) and (option is None) != ((of, "options") in self.panels):
-                await self._send({"type": "GuiUpdateMessage", "uuid": of, "updates": {"value": option or True}})
+                await self._set(of, option or True)
                 return
         raise KeyError(f"no button {label!r} on the page")
+
+    async def set(self, label: str, value: float | bool) -> None:
+        """Move a slider, or tick a box, by its label. Raises StopIteration where the page has none."""
+        await self._set(next(of for (of, key), said in self.panels.items() if (key, said) == ("label", label)), value)
+
+    async def key(self, key: str) -> None:
+        """Press a key of the keyboard. Raises StopIteration where the page hears none such."""
+        of = next(of for (of, what), said in self.panels.items() if (what, said) == ("hotkey", key))
+        await self._send({"type": "CommandTriggerMessage", "uuid": of})
+
+    async def drag(self, name: str, phase: Literal["start", "update", "end"], x: float = 0.0) -> None:
+        """Take hold of a gizmo, move it to x (m), or let go of it."""
+        placed = {"position": (x, 0.0, 0.0), "wxyz": (1.0, 0.0, 0.0, 0.0)} if phase == "update" else {}
+        step = "Update" if phase == "update" else f"Drag{phase.title()}"
+        await self._send({"type": f"TransformControls{step}Message", "name": name, "owner": "", **placed})
 
     async def close(self) -> None:
         """Take nothing more."""
         self._listening.cancel()
         await asyncio.gather(self._listening, return_exceptions=True)
+
+    async def _set(self, of: str, value: float | bool | str) -> None:
+        await self._send({"type": "GuiUpdateMessage", "uuid": of, "updates": {"value": value}})
 
     async def _send(self, message: Mapping[str, Any]) -> None:
         await self._socket.send(msgspec.msgpack.encode(message))

@@ -26,8 +26,8 @@ PORT = 18480
 #: s until the program serves its page, until pages show the same; how long each number of pages is measured; how long
 #: the hand is led one way.
 START, SAME, SECONDS, ONE_WAY = 300.0, 60.0, 10.0, 2.5
-#: What a page says while the hand is not led.
-NOBODY = "Nobody leads the hand"
+#: What a page says while the hand is not led; once robot and objects are seen; and where the robot is not heard.
+NOBODY, INVITES, UNHEARD = "Nobody leads the hand", "Lead the hand to where it begins", "no joint states arrive"
 
 
 @contextlib.contextmanager
@@ -72,12 +72,30 @@ async def show_the_same(pages: Sequence[PageClient]) -> None:
         )
 
 
+async def lead(pages: Sequence[PageClient]) -> None:
+    """Let the first page, which drives, lead the hand: asked for when the page invites to, and again where it refused.
+
+    Raises
+    ------
+    TimeoutError
+        where the page neither invites, nor says that the hand is led, nor why not
+    """
+    first = pages[0]
+
+    def is_led() -> bool:
+        return not any(NOBODY in page.text for page in pages)
+
+    while not is_led():
+        await first.until(lambda: INVITES in first.text and UNHEARD not in first.text, "the page to invite to teach")
+        await first.press("object", "to object")
+        await first.until(lambda: is_led() or UNHEARD in first.text, "all pages to say that the hand is led")
+
+
 async def stop_from_each(pages: Sequence[PageClient]) -> list[float]:
     """Let the first page, which drives, lead the hand, and stop it from each; s until all pages are told."""
     took = []
     for page in pages:
-        await pages[0].press("object", "to object")
-        await page.until(lambda: not any(NOBODY in one.text for one in pages), "all pages to say that the hand is led")
+        await lead(pages)
         began = time.monotonic()
         await page.press("STOP")
         await page.until(lambda: all(NOBODY in one.text for one in pages), "the stop on all pages")

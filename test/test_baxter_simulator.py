@@ -208,6 +208,25 @@ def test_a_push_moves_the_hand_its_way_and_ends_when_it_is_not_repeated(lockstep
         assert lockstep.hand_speed < 0.9 * speed, "friction alone brakes a hand that nobody pushes any more"
 
 
+def test_a_hand_that_is_led_is_let_go_of_at_once(lockstep: Lockstep) -> None:
+    lead = lockstep.node.create_publisher(PoseStamped, "lead/left/pose", STREAM)
+    lockstep.advance(300, lambda q, v: compensation(q, v) - 5.0 * v)  # to rest
+    far = np.array([*(lockstep.hand + [0.0, 0.0, 0.3]), 0.0, 1.0, 0.0, 0.0])
+    own = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+    def told(pose: np.ndarray, frame: str, ticks: int) -> float:
+        """Tell the simulator all the time; the hand's speed, m/s, then."""
+        for _ in range(ticks // 10):
+            lead.publish(conversions.pose_stamped(pose, stamp_of(lockstep.states[-1]), frame))
+            lockstep.advance(10, leading)
+        return lockstep.hand_speed
+
+    slow, fast = (told(far, ROBOT.base_frame, ticks) for ticks in (150, 100))
+    assert fast > slow, "it is still being pulled faster"
+    speed = told(own, ROBOT.endpoints["left"].frame, 30)
+    assert told(own, ROBOT.endpoints["left"].frame, 100) < 0.9 * speed, "and is not, long before the time-out of 0.2 s"
+
+
 @pytest.mark.parametrize(
     ("reason", "link", "force"), [("nowhere", "nowhere", 1.0), ("is not finite", "left_gripper", np.nan)]
 )

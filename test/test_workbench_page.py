@@ -26,7 +26,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.pose import compose, inverse, pose_error
 from tpgmm_workbench.page.camera import camera_for
 from tpgmm_workbench.project.project import Project
-from workbench_user import PATIENCE, Places, User
+from workbench_user import OUTPUT, PATIENCE, Places, User
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.alone]
 #: What the page says while the skill runs.
@@ -37,7 +37,7 @@ NOBODY = "Nobody leads the hand"
 DURATION, SPEED = 0, 1
 #: Demonstrations that are taught.
 COUNT = 3
-#: Where pictures of a second robot are to be drawn; its URDF.
+#: Where the tutorial's pictures are to be drawn; URDF of a second robot.
 PICTURES = os.environ.get("TPGMM_PICTURES", "")
 URDF = "package://example-robot-data/robots/ur_description/urdf/ur5_robot.urdf"
 #: Pages that are open at once. Ten take minutes on two cores, where each draws without a graphics card.
@@ -75,12 +75,12 @@ def test_an_empty_folder_becomes_a_skill_that_runs_by_clicks_keys_and_drags_and_
     user.shoot("page")
     home = places.of("hand")
 
-    grasp = _teach(user, places, folder)
+    grasp = _teach(user, places, folder, Path(PICTURES or OUTPUT))
     _train(user)
     _look_ahead(user, places, home)
     user.click("Run [G]")
     user.sees(RUNS)
-    print(f"\nfrom the start to a skill that runs: {time.monotonic() - began:.0f} s, with {COUNT} demonstrations")
+    print(f"\nfrom the start to a skill that runs: {time.monotonic() - began:.0f} s, load {os.getloadavg()[0]:.0f}")
 
     # the object is dragged while the hand is on its way, and the hand goes to where it is by then
     was = places.of("object")
@@ -112,10 +112,10 @@ def test_an_empty_folder_becomes_a_skill_that_runs_by_clicks_keys_and_drags_and_
     again.sees("Press Run. Move the objects")
 
 
-def _teach(user: User, places: Places, folder: Path, count: int = COUNT) -> Array:
+def _teach(user: User, places: Places, folder: Path, pictures: Path = OUTPUT) -> Array:
     """Some demonstrations: the hand is led by clicks, and recorded by a key and a button. Returns the grasp (7,)."""
     home, stop = places.of("hand"), user.stop_box()
-    for number in range(1, count + 1):
+    for number in range(1, COUNT + 1):
         if number > 1:
             user.page.keyboard.press("n")
             _lead_home(user, places, home)
@@ -123,7 +123,7 @@ def _teach(user: User, places: Places, folder: Path, count: int = COUNT) -> Arra
         user.sees("recording")
         user.click("to object")
         user.until(lambda: pose_error(places.of("hand"), places.of("object"))[0] < 0.03, "the hand at the object")
-        user.shoot("teach")
+        user.shoot("workbench_teach", pictures)
         assert user.stop_box() == stop, "STOP stands still, whatever is said beside it"
         user.click("Finish [R]")
         user.until(lambda: _has_taught(folder, number), "the demonstration on the disk")  # noqa: B023  at once

@@ -42,7 +42,7 @@ def test_a_page_that_is_open_to_other_machines_is_seen_with_its_token_alone_whic
 
 
 @pytest.mark.parametrize("is_dark", [False, True])
-def test_buttons_can_be_read_in_light_and_dark(browser: Any, is_dark: bool) -> None:
+def test_buttons_and_tabs_can_be_read_in_light_and_dark(browser: Any, is_dark: bool) -> None:
     access = Access()
     with guarded(access, completed):
         server = viser.ViserServer(access.host, 18281, verbose=False)
@@ -51,16 +51,30 @@ def test_buttons_can_be_read_in_light_and_dark(browser: Any, is_dark: bool) -> N
         for color in ("red", "blue", "green", "orange", None):
             server.gui.add_button(f"try {color}", color=color)
         server.gui.add_button("try disabled", disabled=True)
+        tabs = server.gui.add_tab_group()
+        for name in ("try selected", "try another"):
+            with tabs.add_tab(name):
+                server.gui.add_button(f"in {name}")
         page = browser.new_page()
         page.goto(access.address(server.get_port()))
         page.get_by_role("button", name="try disabled").wait_for()
+        page.get_by_role("tab", name="try another").wait_for()
         found = page.evaluate(
-            """() => [...document.querySelectorAll('button')].filter((one) => one.innerText.startsWith('try')).map(
-            (one) => [one.innerText, getComputedStyle(one).color, getComputedStyle(one).backgroundColor])"""
+            """() => {
+            const ground = (one) => {
+                const color = getComputedStyle(one).backgroundColor;
+                return color === "rgba(0, 0, 0, 0)" && one.parentElement ? ground(one.parentElement) : color;
+            };
+            const all = [...document.querySelectorAll("button, [role=tab]")];
+            return all.filter((one) => one.innerText.startsWith("try")).map((one) => {
+                const text = [...one.querySelectorAll("*"), one].find((part) => part.innerText === one.innerText);
+                return [one.innerText, getComputedStyle(text).color, ground(one)];
+            });
+            }"""
         )
     finally:
         server.stop()
-    assert len(found) == 6
+    assert len(found) == 8
     read = {name: contrast(*(_rgb(text) for text in colors)) for name, *colors in found}
     assert min(read.values()) >= 4.5, read
 

@@ -102,6 +102,16 @@ def test_each_state_has_its_word_beside_its_colour() -> None:
     assert "no controller" in words.status(DeskView())
 
 
+def test_a_frame_that_is_not_seen_any_more_says_since_when() -> None:
+    frames = (
+        FrameView("cup", "held", 1.25),
+        FrameView("plate", "missing", 90.0),
+        FrameView("jug", "refused", 0.1, why="x"),
+    )
+    text = words.status(replace(READY, graph=replace(READY.graph, frames=frames)))
+    assert "cup: held, seen 1.2 s ago<" in text and "plate: missing for " in text and "jug: refused<" in text
+
+
 def test_torques_are_told_against_their_limits_and_what_is_near_one_says_so() -> None:
     graph = GraphView(
         torques=(

@@ -163,6 +163,9 @@ class BaxterSimulatorNode(Node):
             self.get_logger().error(f"wrench refused: {error}", throttle_duration_sec=1.0)
 
     def _take_lead(self, endpoint: str, message: PoseStamped) -> None:
+        if message.header.frame_id == self.robot.endpoints[endpoint].frame:  # in its own frame a hand is where it is
+            self._leads.pop(endpoint, None)
+            return
         pose, reason = check_pose(conversions.pose_to_array(message.pose))
         reason = wrong_frame(message.header.frame_id, self.robot.base_frame) or reason
         if pose is None or reason:

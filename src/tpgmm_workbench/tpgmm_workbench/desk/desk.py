@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from rclpy.node import Node
@@ -81,11 +82,12 @@ class Desk:
         world: SimulatedWorld | None = None
         if simulated:
             regions = regions_of(project.task.name, project.task.topics, self.home)
-            world = SimulatedWorld(node, project.task, Arrangement(regions, seed))
+            hand = self.robot.endpoints[project.task.endpoint].frame
+            world = SimulatedWorld(node, project.task, Arrangement(regions, seed), hand)
         self.table = SimulatedTable(world, self.home, self._movement, self._refused, self.say)
         self._said: list[tuple[float, str]] = []
         self._graph = GraphView()
-        self._speed, self._is_paused, self._duration = 1.0, False, 0.0
+        self._speed, self._is_paused, self._duration, self._stops = 1.0, False, 0.0, 0
         self._release_until: float | None = None
         self._is_read = False
 
@@ -252,11 +254,11 @@ class Desk:
             self.set_speed(self._speed)
             return
         self.table.let_go()
-        self._look_ahead(self._run_if_good)
+        self._look_ahead(partial(self._run_if_good, self._stops))
 
-    def _run_if_good(self, shown: Preview) -> None:
-        if not shown.may_run:
-            self.say(f"not run: {shown.words}")
+    def _run_if_good(self, stops: int, shown: Preview) -> None:
+        if stops != self._stops or not shown.may_run:
+            self.say(f"not run: {shown.words if stops == self._stops else 'stopped before it began'}")
             return
         if self._learning.model is not None and not self._refused(Action.RUN):
             self.set_speed(self._speed)
@@ -292,6 +294,7 @@ class Desk:
 
     def stop(self) -> None:
         """Stop the robot where it is; may always be asked for. A recording goes on until it is ended."""
+        self._stops += 1
         self._movement.stop()
         self.table.let_go()
         self._is_paused = False

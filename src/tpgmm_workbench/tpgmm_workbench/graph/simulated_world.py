@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -13,8 +14,11 @@ from tpgmm_ros.messages.qos import STREAM
 from tpgmm_ros.task.task_file import Task
 from tpgmm_workbench.session.arrangement import Arrangement
 
-#: Objects are seen, and the hand is led, this often, s.
-PERIOD = 1.0 / 30.0
+#: Objects are seen, and the hand is led, this often, s; a hand that is let go of is told so this many times.
+PERIOD, TOLD = 1.0 / 30.0, 10
+
+#: The hand's pose (7,) in its own frame.
+NOWHERE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 class SimulatedWorld:
@@ -28,6 +32,8 @@ class SimulatedWorld:
         names the topics
     arrangement
         where the objects lie
+    hand
+        frame of the hand
 
     Attributes
     ----------
@@ -35,10 +41,10 @@ class SimulatedWorld:
         (7,) where the hand is led to; None while nobody leads it
     """
 
-    def __init__(self, node: Node, task: Task, arrangement: Arrangement) -> None:
+    def __init__(self, node: Node, task: Task, arrangement: Arrangement, hand: str) -> None:
         self.aim: Array | None = None
         self.arrangement = arrangement
-        self._node, self._base = node, task.base_frame
+        self._node, self._base, self._hand, self._to_tell = node, task.base_frame, hand, 0
         self._lead = node.create_publisher(PoseStamped, f"lead/{task.endpoint}/pose", STREAM)
         self._places = {name: node.create_publisher(PoseStamped, topic, STREAM) for name, topic in task.topics.items()}
         self._told_ns = -1
@@ -54,4 +60,8 @@ class SimulatedWorld:
         for name, pose in self.arrangement.in_sight().items():
             self._places[name].publish(conversions.pose_stamped(pose, stamp_ns, self._base))
         if self.aim is not None:
+            self._to_tell = TOLD
             self._lead.publish(conversions.pose_stamped(self.aim, stamp_ns, self._base))
+        elif self._to_tell:  # at once, and not when the simulator has not heard of it for a while
+            self._to_tell -= 1
+            self._lead.publish(conversions.pose_stamped(NOWHERE, stamp_ns, self._hand))

@@ -9,6 +9,7 @@ from typing import Any
 from viser import ClientHandle, ViserServer
 
 from tpgmm_workbench.page.names import names_alone
+from tpgmm_workbench.scene.heard import in_order
 
 type Ask = Callable[..., None]
 """Called with the number of the page, a method of the desk, and its arguments."""
@@ -61,11 +62,11 @@ class Button:
         def asked(event: Any) -> None:
             do(event.client_id)
 
-        self._button.on_click(asked)
+        self._button.on_click(in_order(asked))
         self._command = None
         if key is not None:
             self._command = server.gui.add_command(label, hotkey=key)
-            self._command.on_trigger(asked)
+            self._command.on_trigger(in_order(asked))
 
     def show(self, reason: str = "", label: str | None = None, is_there: bool = True) -> None:
         """Show whether it may be pressed: not where there is a reason; another label; or nothing of it."""
@@ -118,7 +119,7 @@ class Slider:
             if event.client_id is not None:  # none: this program has set it
                 do(event.client_id, float(event.target.value))
 
-        self._slider.on_update(moved)
+        self._slider.on_update(in_order(moved))
 
     def show(self, value: float) -> None:
         """Show a value, unless the slider was moved since the last time: that is being asked for."""

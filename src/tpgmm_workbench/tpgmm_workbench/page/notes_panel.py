@@ -11,6 +11,7 @@ from tpgmm_workbench.desk.desk import Desk
 from tpgmm_workbench.desk.teaching import TaughtView
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page.controls import Ask, Button
+from tpgmm_workbench.scene.heard import in_order
 
 #: What the list of demonstrations holds while there is none.
 NONE = "none yet"
@@ -35,7 +36,7 @@ class NotesPanel:
             )
             self._is_used: Any = server.gui.add_checkbox("learn from it", True)
             for box in (self._which, self._comment, self._part, self._is_used):
-                box.on_update(self._choose)
+                box.on_update(in_order(self._choose))
             self._keep = Button(server, "Keep these notes", self._note)
 
     def _choose(self, event: GuiEvent[Any]) -> None:

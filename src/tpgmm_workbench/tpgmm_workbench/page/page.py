@@ -33,6 +33,7 @@ from tpgmm_workbench.project.preview import Preview
 from tpgmm_workbench.scene.colors import PREVIEW
 from tpgmm_workbench.scene.frames_display import FramesDisplay
 from tpgmm_workbench.scene.hand_display import HandDisplay
+from tpgmm_workbench.scene.heard import in_order
 from tpgmm_workbench.scene.model_display import ModelDisplay
 from tpgmm_workbench.scene.robot_display import RobotDisplay
 from tpgmm_workbench.scene.shapes import Shapes
@@ -125,10 +126,10 @@ class Page:
 
     def _make_panels(self, server: ViserServer) -> None:
         desk = self._desk
-        self._stop = StopPanel(server, lambda: self._give(desk.stop))
+        self._stop = StopPanel(server, self._stop_robot)
         self._told: dict[int, Text] = {}
         self._take_over = server.gui.add_button("Drive from this page", visible=False)
-        self._take_over.on_click(lambda event: self.driver.take_over(event.client_id))
+        self._take_over.on_click(in_order(lambda event: self.driver.take_over(event.client_id)))
         tabs = server.gui.add_tab_group()
         with tabs.add_tab("Teach"):
             teach = TeachPanel(server, desk, self.ask)
@@ -143,7 +144,7 @@ class Page:
         with tabs.add_tab("Nodes"):
             nodes = NodesPanel(server)
             dark = server.gui.add_checkbox("dark", False)
-            dark.on_update(lambda event: in_own_thread(server, self._dress, bool(event.target.value)))
+            dark.on_update(in_order(lambda event: self._dress(bool(event.target.value))))
         self._panels = (teach, train, run, robot, share, nodes)
 
     # -- who asks -----------------------------------------------------------------------------------------------------
@@ -163,6 +164,11 @@ class Page:
             self._frames.let_go()
             self._hand.let_go()
             self._give(self._desk.table.let_go)
+
+    def _stop_robot(self) -> None:
+        """From any page; a drag of the hand that goes on leads it no more: it has to be taken hold of again."""
+        self._hand.let_go()
+        self._give(self._desk.stop)
 
     def ask(self, page: int | None, method: Callable[..., object], *arguments: Any) -> None:
         """Ask for something, as the page of a number; the pages that do not drive are told so."""

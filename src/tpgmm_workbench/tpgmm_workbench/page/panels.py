@@ -14,6 +14,7 @@ from tpgmm_workbench.page import words
 from tpgmm_workbench.page.controls import Ask, Button, Slider, Text
 from tpgmm_workbench.page.notes_panel import NotesPanel
 from tpgmm_workbench.project.activities import Action, Activity
+from tpgmm_workbench.scene.heard import in_order
 
 
 class TeachPanel:
@@ -26,6 +27,7 @@ class TeachPanel:
         self._length = Text(server)
         self._hide: dict[str, Any] = {}
         self._led: Text | None = None
+        self._leads: list[Any] = []
         if desk.simulated:
             self._lead(server)
             self._objects(server)
@@ -47,15 +49,19 @@ class TeachPanel:
             self._led = Text(server)
             for name in desk.project.task.topics:
                 group = server.gui.add_button_group(name, (f"above {name}", f"to {name}"))
-                group.on_click(partial(self._lead_to, name))
+                group.on_click(in_order(partial(self._lead_to, name)))
+                self._leads.append(group)
             group = server.gui.add_button_group("hand", ("home", "let go"))
             group.on_click(
-                lambda event: (
-                    ask(event.client_id, desk.table.let_go)
-                    if event.target.value == "let go"
-                    else ask(event.client_id, desk.table.lead_to, "home", False)
+                in_order(
+                    lambda event: (
+                        ask(event.client_id, desk.table.let_go)
+                        if event.target.value == "let go"
+                        else ask(event.client_id, desk.table.lead_to, "home", False)
+                    )
                 )
             )
+            self._leads.append(group)
 
     def _objects(self, server: ViserServer) -> None:
         desk, ask = self._desk, self._ask
@@ -63,7 +69,7 @@ class TeachPanel:
             Button(server, "Lay them elsewhere", lambda page: ask(page, desk.table.shuffle), "N")
             for name in desk.project.task.topics:
                 box = server.gui.add_checkbox(f"hide {name}", False)
-                box.on_update(partial(self._hide_or_show, name))
+                box.on_update(in_order(partial(self._hide_or_show, name)))
                 self._hide[name] = box
 
     def _lead_to(self, name: str, event: GuiEvent[Any]) -> None:
@@ -87,6 +93,10 @@ class TeachPanel:
         self._notes.show(view)
         if self._led is not None:
             self._led.show(words.led(view))
+        may_not_lead = bool(view.reasons.get(Action.DRAG_HAND))
+        for group in self._leads:
+            if group.disabled != may_not_lead:
+                group.disabled = may_not_lead
         for name, box in self._hide.items():
             if box.value != (name in view.hidden):
                 box.value = name in view.hidden

@@ -15,6 +15,7 @@ from tpgmm_workbench.page import words
 from tpgmm_workbench.page.controls import Ask, Button, Text
 from tpgmm_workbench.page.own_thread import in_own_thread
 from tpgmm_workbench.project.activities import Action
+from tpgmm_workbench.scene.heard import in_order
 
 
 class SharePanel:
@@ -38,7 +39,7 @@ class SharePanel:
         self._import = server.gui.add_upload_button(
             "Import a project", mime_type="application/zip,.zip", icon=Icon.UPLOAD
         )
-        self._import.on_upload(self._take)
+        self._import.on_upload(in_order(self._take))
         self._text = Text(server)
 
     def _send(self, page: int | None) -> None:

@@ -80,7 +80,11 @@ def status(view: DeskView) -> str:
     else:
         first = chip(controller.state, _CONTROLLER.get(controller.state, GREY)) + " " + escape(controller.reason)
     robot = "" if view.graph.joints is not None else chip("no robot", RED) + " no joint states arrive"
-    frames = " ".join(chip(f"{frame.name}: {frame.state}", FRAME[frame.state]) for frame in view.graph.frames)
+    frames = " ".join(
+        # why one is refused is too long here, and stands among what the nodes say
+        chip(f"{frame.name}: {frame.state if frame.why else frame.words}", FRAME[frame.state])
+        for frame in view.graph.frames
+    )
     lines = [first, robot, frames, f"<b>{escape(next_step(view))}</b>"]
     lines += [f"<i>{escape(words)}</i>" for words in view.words]
     return _block([line for line in lines if line], f"height:{STATUS_HEIGHT};overflow-y:auto")
@@ -88,8 +92,11 @@ def status(view: DeskView) -> str:
 
 def led(view: DeskView) -> str:
     """How far the hand still is from where it is led."""
+    if view.aim is None:
+        reason = view.reasons.get(Action.DRAG_HAND, "")
+        return _block(["Nobody leads the hand.", escape(reason)] if reason else ["Nobody leads the hand."])
     if view.to_go is None:
-        return _block(["Nobody leads the hand."])
+        return _block(["The hand is led; no pose of it arrives."])
     return _block(["The hand is there." if view.to_go < THERE else f"{100.0 * view.to_go:.0f} cm to go."])
 
 

@@ -10,6 +10,7 @@ from viser import SceneApi, TransformControlsEvent
 
 from tpgmm_core.common.types import Array
 from tpgmm_workbench.scene.colors import FRAME
+from tpgmm_workbench.scene.heard import in_order
 from tpgmm_workbench.scene.placing import place, pose_of
 from tpgmm_workbench.session.view import FrameView
 
@@ -48,7 +49,7 @@ class FramesDisplay:
             self._labels[name] = scene.add_label(f"{path}/label", name, position=(0.0, 0.0, 0.06))
             if name in draggable:
                 gizmo = scene.add_transform_controls(f"/gizmos/{name}", scale=0.16, line_width=3.0, visible=False)
-                gizmo.on_update(self._follow(name, moved))
+                gizmo.on_update(in_order(self._follow(name, moved)))
                 self._gizmos[name] = gizmo
 
     def _follow(

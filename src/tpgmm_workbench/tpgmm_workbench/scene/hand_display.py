@@ -11,6 +11,7 @@ from viser import LineSegmentsHandle, SceneApi, TransformControlsEvent
 
 from tpgmm_core.common.types import Array
 from tpgmm_workbench.scene.colors import TRAIL
+from tpgmm_workbench.scene.heard import in_order
 from tpgmm_workbench.scene.placing import place, pose_of
 
 #: Points of the trail, the way between two of them, m.
@@ -36,23 +37,29 @@ class HandDisplay:
         self._count = 0
         self._trail: LineSegmentsHandle | None = None
         self._gizmo = None
-        self._held = False
+        self._holding: set[int | None] = set()
         if lead is not None:
             self._gizmo = scene.add_transform_controls(
                 "/gizmos/hand", scale=0.22, line_width=4.0, depth_test=False, visible=False
             )
-            self._gizmo.on_update(self._follow(lead))
+            self._gizmo.on_update(in_order(self._follow(lead)))
 
     def _follow(self, lead: Callable[[Array, bool, int | None], object]) -> Callable[[TransformControlsEvent], None]:
         def follow(event: TransformControlsEvent) -> None:
-            self._held = event.phase != "end"
-            lead(pose_of(event.target), self._held, event.client_id)
+            page = event.client_id
+            if event.phase == "start":
+                self._holding.add(page)
+            if page not in self._holding:  # it was stopped in the middle of it
+                return
+            if event.phase == "end":
+                self._holding.discard(page)
+            lead(pose_of(event.target), page in self._holding, page)
 
         return follow
 
     def let_go(self) -> None:
-        """Nobody drags the gizmo any more: who did is gone, in the middle of it perhaps."""
-        self._held = False
+        """Nobody drags the gizmo any more, until it is taken hold of again: who did is gone, or was stopped."""
+        self._holding.clear()
 
     def show(self, hand: Array | None, aim: Array | None) -> None:
         """Show the hand.
@@ -72,7 +79,7 @@ class HandDisplay:
         if self._gizmo is not None:
             if not self._gizmo.visible:
                 self._gizmo.visible = True
-            if not self._held:
+            if not self._holding:
                 place(self._gizmo, hand if aim is None else aim)
 
     def draw_trail(self) -> None:
