@@ -149,11 +149,11 @@ class _Problem:
     def solution(self, starts: Array | None = None) -> _Solution:
         """The best of those from several first turns (n, 3, 3): by Gauss-Newton, linear in all but the turn."""
         N, groups = len(self.B), int(self.group.max()) + 1
-        D = np.zeros((N, 3, 3 + 3 * groups))
-        D[:, :, :3] = np.eye(3)
+        blocks = np.zeros((N, 3, 3 + 3 * groups))
+        blocks[:, :, :3] = np.eye(3)
         for axis in range(3):
-            D[np.arange(N)[:, None], np.arange(3), 3 + 3 * self.group[:, None] + axis] = self.R[:, :, axis]
-        D = D.reshape(3 * N, -1)
+            blocks[np.arange(N)[:, None], np.arange(3), 3 + 3 * self.group[:, None] + axis] = self.R[:, :, axis]
+        D = blocks.reshape(3 * N, -1)
         M = np.einsum("ab,ic->iabc", np.eye(3), self.B).reshape(3 * N, 9)
         c = self.A[:, :3].ravel()
         U, scale, _ = np.linalg.svd(D, full_matrices=False)
