@@ -36,7 +36,7 @@ def measure(task: Task, bags: Path, options: argparse.Namespace) -> Iterator[dic
     recordings, bad = read_recordings(find_bags([bags]), task)
     if bad:
         raise bad[0]
-    settings = {**task.model, **({"own_end": True} if options.own_end else {})}
+    settings = {**task.model, **{key: True for key in ("own_end", "time_warping") if getattr(options, key)}}
     for left_out in tqdm(recordings, desc=task.name, disable=None, file=sys.stderr):
         others = [recording for recording in recordings if recording is not left_out]
         shown, duration = align(others)
@@ -100,6 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS), help="default: all")
     parser.add_argument("--components", type=int, nargs="+", default=[3, 5, 10], metavar="K", help="default: 3 5 10")
+    parser.add_argument("--time-warping", action="store_true", help="learn with `time_warping`")
     parser.add_argument("--own-end", action="store_true", help="learn with `own_end`, those methods that have it")
     parser.add_argument("--output", type=Path, default=Path("out/results/ends"), help="of report.json")
     options = parser.parse_args(arguments)

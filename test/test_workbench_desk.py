@@ -233,6 +233,10 @@ def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(be
     assert view.run.stage == "stopped"
     desk.undo()
     bench.until(lambda view: len(view.taught) == 2, "the undo")
+    desk.redo()
+    bench.until(lambda view: len(view.taught) == 3, "it to be back")
+    desk.undo()
+    bench.until(lambda view: len(view.taught) == 2, "the second undo")
     assert len(desk.project.demonstrations()) == 4
     desk.record()  # the arm is held by the reference: it is let go of first
     bench.until(lambda view: view.lasted > 0.0, "the recording after a movement")

@@ -20,6 +20,7 @@ def test_a_newcomer_is_led_from_teaching_to_running() -> None:
     assert may("train", replace(fresh, demonstrations=2)) == ""
     assert "train one first" in may("run", replace(fresh, demonstrations=2))
     assert may("run", READY) == may("preview", READY) == may("undo", READY) == ""
+    assert may("redo", READY) == "nothing was undone" and may("redo", replace(READY, can_redo=True)) == ""
 
 
 @pytest.mark.parametrize("activity", Activity)

@@ -9,6 +9,7 @@ from typing import Any
 
 from tpgmm_core.choice.search import LEADERS, Search
 from tpgmm_core.choice.trial import Trial
+from tpgmm_core.learning.time_warping import KEY as WARP_KEY
 from tpgmm_core.retrieval.methods import ALL_METHODS, DEFAULT, KEY, METHODS
 from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 
@@ -67,6 +68,11 @@ class Plan:
             for result in search.leaders[:LEADERS]
             if "n_components" in result.trial.settings
             for K in COMPONENTS
+        ]
+        yield [
+            warped
+            for result in search.leaders[:LEADERS]
+            if WARP_KEY in (warped := result.trial.changed(**{WARP_KEY: True})).settings
         ]
         yield self._frames(search.leaders[0].trial)
         yield [

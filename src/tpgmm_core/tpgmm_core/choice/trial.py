@@ -22,6 +22,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.frame_screen import distances
+from tpgmm_core.learning.time_warping import KEY as WARP_KEY
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.derived_frames import with_frames
 from tpgmm_core.retrieval.exact import KEY as EXACT_KEY
@@ -76,7 +77,13 @@ class Trial:
         """
         chosen = method_named(method)
         known = {item.name for item in fields(chosen.encoding)} | inspect.signature(chosen.estimator).parameters.keys()
-        allowed = {EXACT_KEY: True, PRUNE_KEY: chosen.has_segments, END_KEY: chosen.may_own_end, KEY: False}
+        allowed = {
+            EXACT_KEY: True,
+            PRUNE_KEY: chosen.has_segments,
+            END_KEY: chosen.may_own_end,
+            WARP_KEY: chosen.may_warp_time,
+            KEY: False,
+        }
         used = (known | allowed.keys()) - {name for name, is_allowed in allowed.items() if not is_allowed}
         return cls(chosen.name, tuple(frames), {name: settings[name] for name in settings if name in used})
 

@@ -97,7 +97,7 @@ def cycles_of(times: Array, seen: dict[str, Array]) -> Cycles:
     """
     n = min(max(len(times), LEAST), MOST)
     even = np.linspace(times[0], times[-1], n)
-    paths = {name: _at(times, x, even) for name, x in seen.items()}
+    paths = {name: interpolated(times, x, even) for name, x in seen.items()}
     periods = {name: _period(path) for name, path in paths.items()}
     best = min(periods, key=lambda name: periods[name][1])
     lag, depth = periods[best]
@@ -183,7 +183,7 @@ def _fitted(path: Array, begins: Array, lag: float, cycle: Array) -> Array:
         at = begin + shifts[:, None] + around * lag
         inside = (at >= 0.0) & (at <= len(path) - 1)
         off = np.sum(
-            (_at(np.arange(float(len(path))), path, at.ravel()).reshape(*at.shape, -1) - expected) ** 2, axis=2
+            (interpolated(np.arange(float(len(path))), path, at.ravel()).reshape(*at.shape, -1) - expected) ** 2, axis=2
         )
         costs = np.where(inside, off, 0.0).sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
         k = int(np.argmin(costs[1:-1])) + 1
@@ -206,7 +206,8 @@ def _mean_cycle(phases: Array, x: Array) -> Array:
     """Means (STEPS, F) of a path (T, F) over its cycles, at evenly spaced phases."""
     grid = np.arange(STEPS) * TURN / STEPS
     whole = max(int(np.floor((phases[-1] - phases[0]) / TURN + 1e-6)), 1)
-    return np.asarray(np.mean([_at(phases, x, at_phases(grid, phases[0], cycle)) for cycle in range(whole)], axis=0))
+    cycles = [interpolated(phases, x, at_phases(grid, phases[0], cycle)) for cycle in range(whole)]
+    return np.asarray(np.mean(cycles, axis=0))
 
 
 def at_phases(grid: Array, first: float, cycle: int) -> Array:
@@ -232,9 +233,9 @@ def at_phases(grid: Array, first: float, cycle: int) -> Array:
 def _turned(shape: Array, angle: float) -> Array:
     """A mean cycle (STEPS, F) with an angle added to its phase."""
     steps = np.mod(np.arange(STEPS) - angle * STEPS / TURN, STEPS)
-    return _at(np.arange(STEPS + 1.0), np.vstack([shape, shape[:1]]), steps)
+    return interpolated(np.arange(STEPS + 1.0), np.vstack([shape, shape[:1]]), steps)
 
 
-def _at(times: Array, x: Array, asked: Array) -> Array:
+def interpolated(times: Array, x: Array, asked: Array) -> Array:
     """Numbers (T, F) at times asked for (H,), linear between the samples."""
     return np.stack([np.interp(asked, times, column) for column in x.T], axis=1)

@@ -95,6 +95,11 @@ class RetrievalMethod:
         """Whether its movements end in the last component, unless their end is a Gaussian of its own (`own_end`)."""
         return self.has_segments and not issubclass(self.estimator, EndpointTPGMM)
 
+    @property
+    def may_warp_time(self) -> bool:
+        """Whether demonstrations have one course from begin to end; those of a movement that repeats have cycles."""
+        return self.encoding is not PeriodicEncoding
+
     def check(self, model: LearnedMixture) -> None:
         """Check that this method can retrieve from a model.
 

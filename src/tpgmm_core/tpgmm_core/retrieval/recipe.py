@@ -15,6 +15,8 @@ from tpgmm_core.common.text import listed
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.learned_mixture import LearnedMixture
+from tpgmm_core.learning.time_warping import KEY as WARP_KEY
+from tpgmm_core.learning.time_warping import on_common_time
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.retrieval.encodings import Encoding
@@ -49,6 +51,8 @@ class Recipe:
         relevance below which a frame is left out of a segment (`tpgmm_core.retrieval.segment_frames`); 0: none is
     own_end
         whether the end of the movement is a Gaussian of its own (`tpgmm_core.retrieval.own_end`)
+    time_warping
+        whether demonstrations get a common time first (`tpgmm_core.learning.time_warping`)
     """
 
     method: RetrievalMethod
@@ -57,15 +61,16 @@ class Recipe:
     exact: str | None = None
     prune: float = 0.0
     own_end: bool = False
+    time_warping: bool = False
 
     @classmethod
     def of(cls, settings: Mapping[str, Any], method: str | None = None) -> Self:
         """Make a recipe from settings by name.
 
-        They are `retrieval`, `exact`, `prune`, `own_end`, those of the encoding and of the estimator. Settings of
-        `TPGMM` that the method's estimator does not have are left out, `prune` where its models have no segments, and
-        `own_end` where the movement has such an end anyway. Where they name no `prior_strength` and the estimator has
-        none of its own, it is PRIOR_STRENGTH.
+        They are `retrieval`, `exact`, `prune`, `own_end`, `time_warping`, those of the encoding and of the estimator.
+        Settings of `TPGMM` that the method's estimator does not have are left out, `prune` where its models have no
+        segments, `own_end` where the movement has such an end anyway, and `time_warping` where a movement repeats.
+        Where they name no `prior_strength` and the estimator has none of its own, it is PRIOR_STRENGTH.
 
         Parameters
         ----------
@@ -89,9 +94,7 @@ class Recipe:
         least = float(rest.pop(PRUNE_KEY, 0.0))
         if not 0.0 <= least <= 1.0:
             raise ValueError(f"{PRUNE_KEY} is a relevance from 0 to 1, got {least}")
-        own_end = rest.pop(END_KEY, False)
-        if not isinstance(own_end, bool):
-            raise ValueError(f"{END_KEY} is true or false, got {own_end!r}")
+        own_end, warping = (_truth(key, rest.pop(key, False)) for key in (END_KEY, WARP_KEY))
         named = rest.pop(KEY, DEFAULT)
         chosen = method_named(named if method is None else method)
         options = {item.name for item in fields(chosen.encoding)}
@@ -112,7 +115,15 @@ class Recipe:
             rest.setdefault("prior_strength", PRIOR_STRENGTH)
         if exact is not None:
             parsed(exact)
-        return cls(chosen, encoding, rest, exact, least if chosen.has_segments else 0.0, own_end and chosen.may_own_end)
+        return cls(
+            chosen,
+            encoding,
+            rest,
+            exact,
+            least if chosen.has_segments else 0.0,
+            own_end and chosen.may_own_end,
+            warping and chosen.may_warp_time,
+        )
 
     @property
     def max_iter(self) -> int:
@@ -150,6 +161,8 @@ class Recipe:
             for demonstrations that cannot be encoded or learned from
         """
         space = manifold if isinstance(manifold, Manifold) else Manifold.parse(manifold)
+        if self.time_warping:
+            demonstrations = on_common_time(demonstrations, space)
         encoded = _Encoded([demonstrations], self.encoding, space)
         model = self._model(space)
         (shown,) = encoded
@@ -159,6 +172,8 @@ class Recipe:
             prune(model, demonstrations, shown, space, self.prune)
         if self.own_end:
             keep_end(model, demonstrations, space)
+        if self.time_warping:
+            model.metadata_[WARP_KEY] = 1.0
         return model
 
     def check_parts(self) -> None:
@@ -178,6 +193,8 @@ class Recipe:
             raise ValueError(f"{PRUNE_KEY} compares all demonstrations at once")
         if self.own_end:
             raise ValueError(f"{END_KEY} takes the ends of all demonstrations at once")
+        if self.time_warping:
+            raise ValueError(f"{WARP_KEY} compares all demonstrations at once")
         TPGMM(**self.arguments).check_parts()
 
     def learn_parts(
@@ -262,3 +279,9 @@ class _Encoded:
             return self._encoding.encode(demonstration, self.space)
         except ValueError as error:
             raise ValueError(f"demonstration {number}: {error}") from error
+
+
+def _truth(name: str, value: object) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} is true or false, got {value!r}")
+    return value

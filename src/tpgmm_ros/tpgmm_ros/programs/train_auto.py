@@ -14,6 +14,7 @@ from tpgmm_core.choice.automatic import MISFIT, Choice, choose
 from tpgmm_core.choice.trial import HeldOutError, TrialResult
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed
+from tpgmm_core.learning.time_warping import KEY as WARP_KEY
 from tpgmm_core.retrieval.methods import ALL_METHODS
 from tpgmm_core.retrieval.own_end import KEY as END_KEY
 from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
@@ -98,6 +99,7 @@ def _tried(choice: Choice) -> str:
         "prior",
         PRUNE_KEY,
         END_KEY,
+        WARP_KEY,
         "error m",
         "RMSE m",
         "deg",
@@ -142,7 +144,7 @@ def _row(result: TrialResult) -> tuple[object, ...]:
         settings.get("n_components"),
         prior,
         settings.get(PRUNE_KEY),
-        "yes" if settings.get(END_KEY) else "",
+        *("yes" if settings.get(key) else "" for key in (END_KEY, WARP_KEY)),
     )
     if not result.is_complete:
         return (*row, *"-" * 5)

@@ -12,6 +12,7 @@ from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.learning.estimation.iteration import EmProgress
 from tpgmm_core.learning.incremental.online import OnlineTPGMM
 from tpgmm_core.learning.model_header import ModelFileError
+from tpgmm_core.learning.time_warping import KEY as WARP_KEY
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.retrieval.interface import demonstrated_duration
 from tpgmm_core.retrieval.own_end import KEY as END_KEY
@@ -55,6 +56,10 @@ def online(recipe: Recipe) -> Recipe:
     if recipe.own_end:
         raise ValueError(
             f"{END_KEY} is where all demonstrations ended, which --online does not keep: leave one of them out"
+        )
+    if recipe.time_warping:
+        raise ValueError(
+            f"{WARP_KEY} compares all demonstrations at once, and --online does not keep them: leave it out"
         )
     return replace(recipe, method=replace(method, estimator=OnlineTPGMM))
 

@@ -244,6 +244,7 @@ def _model(section: Section, space: StateSpace) -> dict[str, Any]:
         "exact": a_text,
         "prune": a_number(0.0),
         "own_end": a_truth,
+        "time_warping": a_truth,
         **{item.name: a_number() for encoding in ENCODINGS.values() for item in fields(encoding)},
     }
     section.refuse_others(*filter(space.takes, readers))

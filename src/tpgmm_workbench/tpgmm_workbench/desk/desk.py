@@ -132,6 +132,7 @@ class Desk:
             has_model=self._learning.model is not None,
             is_training=self._learning.is_training,
             can_undo=self.teaching.can_undo,
+            can_redo=self.teaching.can_redo,
             is_read=self.teaching.is_read and self._learning.is_read,
             has_robot=graph.joints is not None,
             missing_frames=tuple(frame.name for frame in graph.frames if frame.pose is None),
@@ -215,6 +216,11 @@ class Desk:
         if not self._refused(Action.UNDO):
             self._coaching.words = ""
             self.teaching.undo()
+
+    def redo(self) -> None:
+        """Bring back what was undone last."""
+        if not self._refused(Action.REDO):
+            self.teaching.redo()
 
     def lay_as_suggested(self) -> None:
         """Lay a simulation's objects where the next demonstration should be."""

@@ -134,6 +134,11 @@ class Teaching:
         """Whether there is one that was not undone yet."""
         return any(not one.notes.is_undone for one in self._all)
 
+    @property
+    def can_redo(self) -> bool:
+        """Whether there is one that was undone."""
+        return any(one.notes.is_undone for one in self._all)
+
     def begin(self) -> None:
         """Record from now on."""
         try:
@@ -194,13 +199,17 @@ class Teaching:
 
     def undo(self) -> None:
         """Take the last one back."""
-        self._background.run(self._project.undo, self._undone)
+        self._background.run(self._project.undo, self._marked)
 
-    def _undone(self, job: Future[str]) -> None:
+    def redo(self) -> None:
+        """Bring back the one that was undone last."""
+        self._background.run(self._project.redo, self._marked)
+
+    def _marked(self, job: Future[str]) -> None:
         try:
-            self._say(job.result() or "there is nothing to undo")
+            self._say(job.result() or "nothing was changed")
         except (OSError, ValueError) as error:
-            self._say(f"nothing was undone: {one_line(error)}")
+            self._say(f"nothing was changed: {one_line(error)}")
         self.refresh()
         self._changed()
 

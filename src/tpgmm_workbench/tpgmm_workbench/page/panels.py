@@ -32,6 +32,7 @@ class TeachPanel:
             self._lead(server)
             self._objects(server)
         self._undo = Button(server, "Undo the last one", lambda page: ask(page, desk.undo), "U")
+        self._redo = Button(server, "Bring it back", lambda page: ask(page, desk.redo), "Y")
         Button(server, "Where next?", lambda page: ask(page, desk.teaching.suggest))
         self._next = Text(server)
         self._lay = None
@@ -85,6 +86,7 @@ class TeachPanel:
         action = Action.END_RECORDING if self._is_recording else Action.RECORD
         self._record.show(view.reasons.get(action, ""), "Finish" if self._is_recording else "Record")
         self._undo.show(view.reasons.get(Action.UNDO, ""))
+        self._redo.show(view.reasons.get(Action.REDO, ""), is_there=not view.reasons.get(Action.REDO))
         self._length.show(words.recording(view))
         self._next.show(words.suggestion(view))
         if self._lay is not None:

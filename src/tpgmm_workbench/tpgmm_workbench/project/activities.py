@@ -29,6 +29,7 @@ class Action(Enum):
     RECORD = "record"
     END_RECORDING = "end_recording"
     UNDO = "undo"
+    REDO = "redo"
     TRAIN = "train"
     CANCEL_TRAINING = "cancel_training"
     PREVIEW = "preview"
@@ -58,6 +59,8 @@ class Facts:
         whether a training runs in the background
     can_undo
         whether there is something to undo
+    can_redo
+        whether something was undone
     is_read
         whether the folder of the project has been read: what it holds is not known before
     has_robot
@@ -77,6 +80,7 @@ class Facts:
     has_model: bool = False
     is_training: bool = False
     can_undo: bool = False
+    can_redo: bool = False
     is_read: bool = True
     has_robot: bool = True
     missing_frames: tuple[str, ...] = ()
@@ -145,6 +149,7 @@ RULES: dict[Action, tuple[_Rule, ...]] = {
     Action.RECORD: (_drives, _idle, _robot, _frames, _no_fault),
     Action.END_RECORDING: (_drives, _during(Activity.TEACHING)),
     Action.UNDO: (_drives, _idle, _read, lambda f: "" if f.can_undo else "there is nothing to undo"),
+    Action.REDO: (_drives, _idle, _read, lambda f: "" if f.can_redo else "nothing was undone"),
     Action.TRAIN: (_drives, _read, _enough, _no_training),
     Action.CANCEL_TRAINING: (_drives, lambda f: "" if f.is_training else "no training is going on"),
     Action.PREVIEW: (_read, _model, _robot, _frames),
