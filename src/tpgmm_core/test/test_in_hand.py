@@ -136,7 +136,7 @@ def test_a_frame_is_followed_again_as_soon_as_it_is_seen_and_a_time_that_jumps_b
     tracker.forget()
     assert live(0.0, None).status is FrameStatus.MISSING
     live(0.1, in_hand(0.1))
-    np.testing.assert_array_equal(pose_of(live(3.0, None)), in_hand(0.1))
+    np.testing.assert_allclose(pose_of(live(3.0, None)), in_hand(0.1), atol=1e-12)
 
 
 @pytest.mark.parametrize("thing", [in_hand, noisy_in_hand, picked_up, at_rest, put_down, slipping, pushed_by_others])

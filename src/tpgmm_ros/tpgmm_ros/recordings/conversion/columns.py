@@ -31,10 +31,9 @@ _SQUARE = 1e-3
 
 
 def names_in(text: str) -> set[str]:
-    """Names that arrays may have in a text as above; what stands in brackets may be a unit, and part of the name."""
-    items = text.split(",")
-    parts = {found[1].strip() for found in map(_ITEM.fullmatch, items) if found is not None}
-    return parts | {item.strip() for item in items}
+    """Names of the arrays in a text as above; what stands in brackets and is no number is part of the name."""
+    items = [(item, _ITEM.fullmatch(item)) for item in text.split(",")]
+    return {(item if found is None else found[1]).strip() for item, found in items}
 
 
 def columns_of(table: Table, text: str) -> Array:
