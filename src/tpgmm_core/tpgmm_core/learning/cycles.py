@@ -237,5 +237,20 @@ def _turned(shape: Array, angle: float) -> Array:
 
 
 def interpolated(times: Array, x: Array, asked: Array) -> Array:
-    """Numbers (T, F) at times asked for (H,), linear between the samples."""
+    """Numbers at times asked for, linear between the samples.
+
+    Parameters
+    ----------
+    times : Array
+        (T,), s or rad, rising
+    x : Array
+        (T, F), in any units
+    asked : Array
+        (H,), in the unit of the times
+
+    Returns
+    -------
+    Array
+        (H, F), in the units of x
+    """
     return np.stack([np.interp(asked, times, column) for column in x.T], axis=1)
