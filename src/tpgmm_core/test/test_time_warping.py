@@ -81,6 +81,14 @@ def test_time_stays_on_the_average_and_one_demonstration_or_equal_ones_keep_thei
             np.testing.assert_allclose(new.times, one.times, atol=1e-9)
 
 
+def test_a_demonstration_of_one_sample_has_no_pace_and_stays_as_it_is() -> None:
+    given, _ = demonstrations(3)
+    alone = given[0].at(np.array([0]))
+    kept = on_common_time([alone, *given[1:]], SPACE)[0]
+    np.testing.assert_array_equal(kept.data, alone.data)
+    np.testing.assert_array_equal(kept.times, alone.times)
+
+
 def test_a_frame_that_was_hidden_does_not_decide_while_it_was() -> None:
     """What is held for a frame that is not seen may be anything."""
     given, _ = demonstrations(phantom=True)

@@ -8,6 +8,8 @@ import re
 from collections.abc import Callable
 from typing import Any
 
+from tpgmm_core.common.text import shown
+
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _TOPIC = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _QUATERNION_TOLERANCE = 1e-3
@@ -35,6 +37,14 @@ a_text = checked_text(lambda text: True, "a text (in quotes, if YAML could read 
 a_topic = checked_text(
     _TOPIC.fullmatch, "a relative topic such as object/pose (no leading slash, so that namespaces work)"
 )
+
+
+def expect[T](read: Callable[[Any], T], value: Any) -> T:
+    """What a reader makes of a value. Raises ValueError that says what was expected, and what was given."""
+    try:
+        return read(value)
+    except ValueError as error:
+        raise ValueError(f"expected {error}, got {shown(value)}") from None
 
 
 def some_names(value: Any) -> tuple[str, ...]:

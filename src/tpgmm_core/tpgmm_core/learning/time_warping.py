@@ -145,6 +145,8 @@ def _warp(cost: Array) -> Array:
 def _retimed(shown: Demonstration, warp: Array) -> Demonstration:
     """A demonstration whose samples get the times at which the mean is where they are."""
     lasts = shown.times[-1] - shown.times[0]
+    if lasts == 0.0:  # of one sample
+        return shown
     share = np.interp((shown.times - shown.times[0]) / lasts, warp, np.linspace(0.0, 1.0, len(warp)))
     data = shown.data.copy()
     data[:, 0] = data[0, 0] + share * (data[-1, 0] - data[0, 0])

@@ -25,10 +25,9 @@ import numpy as np
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
-from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.retrieval.interface import TimeParametrized
+from tpgmm_core.retrieval.wrapped import WrappedTimeParametrized
 
 KEY = "exact"
 """Key of the constraints in metadata and settings, a text."""
@@ -123,7 +122,7 @@ def constraints_of(model: LearnedMixture) -> tuple[Constraint, ...]:
     return found
 
 
-class Constrained(TimeParametrized):
+class Constrained(WrappedTimeParametrized):
     """A movement as a function of time that meets constraints.
 
     A constraint whose frame is not known, or is not trusted at all, has no effect.
@@ -144,7 +143,8 @@ class Constrained(TimeParametrized):
     """
 
     def __init__(self, course: TimeParametrized, constraints: Sequence[Constraint], width: float = WIDTH) -> None:
-        self._course, self._width = course, width * course.duration
+        super().__init__(course)
+        self._width = width * course.duration
         self._at, self._points = np.array([c.phase * course.duration for c in constraints]), []
         self._frames = [constraint.frame for constraint in constraints]
         D = course.manifold.dim
@@ -162,26 +162,11 @@ class Constrained(TimeParametrized):
         self._targets: Mapping[int, Array] = {}
         self._shifts: Array | None = None
 
-    @property
-    def manifold(self) -> Manifold:
-        """Manifold of the data, without time."""
-        return self._course.manifold
-
-    @property
-    def frame_names(self) -> tuple[str, ...]:
-        """The frames that the model was learned from."""
-        return self._course.frame_names
-
-    @property
-    def duration(self) -> float:
-        """Duration of the model's time, s."""
-        return self._course.duration
-
     def situate(
         self, frames: Mapping[str, Frame], state: Array | None = None, weights: Mapping[str, float] | None = None
     ) -> None:
         """Change to this situation: see `TimeParametrized.situate`."""
-        self._course.situate(frames, state, weights)
+        super().situate(frames, state, weights)
         self._targets = {
             i: frames[name].A[1:, 1:] @ point + frames[name].b[1:]
             for i, (name, point) in enumerate(zip(self._frames, self._points, strict=True))
@@ -210,7 +195,3 @@ class Constrained(TimeParametrized):
 
     def _correlated(self, one: Array, other: Array) -> Array:
         return np.asarray(np.exp(-0.5 * ((one[:, None] - other) / self._width) ** 2))
-
-    def mixture(self) -> GaussianMixture:
-        """The model in this situation, over all dimensions that it encodes, without constraints."""
-        return self._course.mixture()

@@ -20,7 +20,6 @@ from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
 from tpgmm_core.geometry.manifold import Manifold
-from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.learning.endpoints import END, endpoint_gaussians
 from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.learning.tpgmm import TPGMM
@@ -28,6 +27,7 @@ from tpgmm_core.model.adaptation import Adapter
 from tpgmm_core.model.demonstration import Demonstration
 from tpgmm_core.model.samples import Samples
 from tpgmm_core.retrieval.interface import TimeParametrized
+from tpgmm_core.retrieval.wrapped import WrappedTimeParametrized
 
 KEY = "own_end"
 """Key in metadata and settings."""
@@ -101,7 +101,7 @@ def end_of(model: LearnedMixture, data: Manifold) -> TPGMM | None:
     return end
 
 
-class OwnEnd(TimeParametrized):
+class OwnEnd(WrappedTimeParametrized):
     """A movement as a function of time that ends where the demonstrations ended.
 
     Parameters
@@ -115,30 +115,16 @@ class OwnEnd(TimeParametrized):
     """
 
     def __init__(self, course: TimeParametrized, end: TPGMM, width: float = WIDTH) -> None:
-        self._course, self._end, self._width = course, Adapter(end), width * course.duration
+        super().__init__(course)
+        self._end, self._width = Adapter(end), width * course.duration
         self._shift: Array | None = None
         self._goal: tuple[Array, Array] | None = None
-
-    @property
-    def manifold(self) -> Manifold:
-        """Manifold of the data, without time."""
-        return self._course.manifold
-
-    @property
-    def frame_names(self) -> tuple[str, ...]:
-        """The frames that the model was learned from."""
-        return self._course.frame_names
-
-    @property
-    def duration(self) -> float:
-        """Duration of the model's time, s."""
-        return self._course.duration
 
     def situate(
         self, frames: Mapping[str, Frame], state: Array | None = None, weights: Mapping[str, float] | None = None
     ) -> None:
         """Change to this situation: see `TimeParametrized.situate`."""
-        self._course.situate(frames, state, weights)
+        super().situate(frames, state, weights)
         whole = None if state is None else np.concatenate([[0.0], state])
         mixture = self._end.adapt(frames, whole, weights)
         self._goal, self._shift = (mixture.means[0, 1:], mixture.covariances[0, 1:, 1:]), None
@@ -155,7 +141,3 @@ class OwnEnd(TimeParametrized):
         k = np.exp(-0.5 * ((self.duration - np.clip(times, 0.0, self.duration)) / self._width) ** 2)[:, None]
         share = (k**2)[:, :, None]
         return self.manifold.exp(means, k * self._shift), (1.0 - share) * covariances + share * certain, activations
-
-    def mixture(self) -> GaussianMixture:
-        """The model in this situation, over all dimensions that it encodes, without its end."""
-        return self._course.mixture()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Wrapped`: the base of movements that change what another one says."""
+"""Bases of movements that change what another one says: by steps, or as a function of time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.geometry.mixture import GaussianMixture
 from tpgmm_core.model.reference import Reference
-from tpgmm_core.retrieval.interface import Retrieval
+from tpgmm_core.retrieval.interface import Retrieval, TimeParametrized
 
 
 class Wrapped(Retrieval):
@@ -71,3 +71,45 @@ class Wrapped(Retrieval):
     def mixture(self) -> GaussianMixture:
         """The model in the situation of the last step: see `Retrieval.mixture`."""
         return self._retrieval.mixture()
+
+
+class WrappedTimeParametrized(TimeParametrized):
+    """A `TimeParametrized` that is another one in all that a subclass does not change.
+
+    Parameters
+    ----------
+    course
+        the other one; its situation is changed
+    """
+
+    def __init__(self, course: TimeParametrized) -> None:
+        self._course = course
+
+    @property
+    def manifold(self) -> Manifold:
+        """Manifold of the data, without time."""
+        return self._course.manifold
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """The frames that the model was learned from."""
+        return self._course.frame_names
+
+    @property
+    def duration(self) -> float:
+        """Duration of the model's time, s."""
+        return self._course.duration
+
+    def situate(
+        self, frames: Mapping[str, Frame], state: Array | None = None, weights: Mapping[str, float] | None = None
+    ) -> None:
+        """Change to this situation: see `TimeParametrized.situate`."""
+        self._course.situate(frames, state, weights)
+
+    def at(self, times: Array) -> tuple[Array, Array, Array]:
+        """The movement at times (H,), s: see `TimeParametrized.at`."""
+        return self._course.at(times)
+
+    def mixture(self) -> GaussianMixture:
+        """The model in this situation, over all dimensions that it encodes, as the other one has it."""
+        return self._course.mixture()

@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
 from tpgmm_core.common.atomic_file import write_atomically
 from tpgmm_core.common.text import one_line, shown
+from tpgmm_core.common.yaml_values import a_number, a_truth, checked_text, expect
 from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.recipe import LearnedAs
 
@@ -211,22 +212,9 @@ def _list(value: Any) -> list[Any]:
     return value
 
 
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"expected a text, got {shown(value)}")
-    return value
-
-
-def _truth(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError(f"expected true or false, got {shown(value)}")
-    return value
-
-
-def _real(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"expected a finite number, got {shown(value)}")
-    return float(value)
+_text = partial(expect, checked_text(lambda text: True, "a text"))
+_truth = partial(expect, a_truth)
+_real = partial(expect, a_number())
 
 
 def _number(value: Any) -> int:
