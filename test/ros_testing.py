@@ -2,8 +2,8 @@
 """Tests on the level of topics: real processes on a ROS domain of their own, polled with deadlines.
 
 The fixtures of this module are there for every test of the repository. A test that asks for `ros_domain`,
-`ros_node` or `start_process` is alone on its domain, also when several test runs share the machine. Starting a process
-costs seconds: `module_domain`, `module_node` and `start_module_process` are shared by the tests of one file.
+`ros_node` or `start_process` is alone on its domain, also when several test runs share the machine. Starting a node
+takes a while: `module_domain`, `module_node` and `start_module_process` are shared by the tests of one file.
 """
 
 from __future__ import annotations
@@ -20,30 +20,41 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from forked_processes import ForkedProcess
 from tpgmm_ros.runtime.processes import end_with_parent
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-# Processes start Python twice and import much; a busy machine takes long for both
+# Processes that are started as users do start Python twice and import much; a busy machine takes long for both
 STARTUP_TIMEOUT = 60.0
 # Time from one signal to the next, stronger one [s]
 STOP_TIMEOUT = 5.0
 
 
 class RunningProcess:
-    """A process in a process group of its own, with standard output and error going to a file."""
+    """A process in a process group of its own, with standard output and error going to a file.
+
+    A command that begins with a path is started as a user starts it, one that begins with the name of an executable of
+    ours as a fork of a process that has done the imports.
+    """
 
     def __init__(self, command: list[str], output_path: Path, env: dict[str, str] | None = None) -> None:
         self.command = command
         self._output_path = output_path
+        environment = {**os.environ, "PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1", **(env or {})}
+        output_path.touch()
+        self._process: subprocess.Popen[bytes] | ForkedProcess
+        if os.sep not in command[0]:
+            self._process = ForkedProcess(command[0], command[1:], output_path, output_path, environment)
+            return
         with output_path.open("wb") as output:
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                env={**os.environ, "PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1", **(env or {})},
+                env=environment,
                 start_new_session=True,
                 preexec_fn=end_with_parent,
             )
@@ -92,8 +103,8 @@ class RunningProcess:
     def _signal_group(self, number: signal.Signals) -> None:
         try:
             os.killpg(self.pid, number)
-        except ProcessLookupError:
-            pass
+        except ProcessLookupError:  # no group: it has ended, or is a fork that has just begun
+            self._process.send_signal(number)
 
     def __str__(self) -> str:
         return shlex.join(self.command)[:200]
@@ -179,9 +190,8 @@ def process_starter(directory: Path) -> Iterator[StartProcess]:
     started: list[RunningProcess] = []
 
     def start(program: str, *arguments: str, env: dict[str, str] | None = None) -> RunningProcess:
-        path = program if os.sep in program else executable(program)
         output_path = directory / f"{len(started)}-{Path(program).name}.log"
-        started.append(RunningProcess([path, *arguments], output_path, env))
+        started.append(RunningProcess([program, *arguments], output_path, env))
         return started[-1]
 
     try:
@@ -212,8 +222,8 @@ def ros_node(ros_domain: int) -> Iterator[Node]:
 def start_process(ros_domain: int, tmp_path: Path) -> Iterator[StartProcess]:
     """Starts processes on the test's domain: `start_process("frame_tracker", "--ros-args", ..., env={...})`.
 
-    The first argument is an executable of tpgmm_ros, or a path. All processes and their children
-    are ended with the test; what they wrote is shown when the test fails.
+    The first argument is an executable of ours, or a path (of `executable`, to start it as users do). All processes and
+    their children are ended with the test; what they wrote is shown when the test fails.
     """
     with process_starter(tmp_path) as start:
         yield start

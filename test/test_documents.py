@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import os
 import re
 import shlex
@@ -11,12 +12,12 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
-from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from forked_processes import entry_points, run_all
 from ros_testing import StartProcess, executable
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -104,36 +105,14 @@ def commands(page: Path) -> Iterator[list[str]]:
 
 
 @cache
-def executables() -> dict[str, str]:
-    found: dict[str, str] = {}
-    for package in distributions():
-        if (package.metadata["Name"] or "").replace("-", "_").startswith("tpgmm_"):
-            points = package.entry_points.select(group="console_scripts")
-            found = {item.name: item.value for item in points} | found  # what is first on the path counts
-    return found
-
-
-@cache
 def help_of(name: str) -> str:
     """What an executable of ours, or a script or module of Python, says of its arguments."""
-    if name in executables():
-        module, function = executables()[name].split(":")
-        call = f"import sys; sys.argv = ['{name}', '--help']; from {module} import {function}; sys.exit({function}())"
-        command = [sys.executable, "-c", call]
-    elif name.endswith(".py"):
-        command = [sys.executable, name, "--help"]
-    else:
-        command = [sys.executable, "-m", name, "--help"]
-    places = [
-        str(ROOT),
-        str(ROOT / "src" / "tpgmm_core" / "test"),
-        str(ROOT / "test"),
-        os.environ.get("PYTHONPATH", ""),
-    ]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(places)}
-    run = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120)
-    assert run.returncode == 0, f"{name} --help: {run.stderr}"
-    return run.stdout
+    places = [ROOT, ROOT / "src" / "tpgmm_core" / "test", ROOT / "test", os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, places))}
+    with contextlib.chdir(ROOT):
+        (asked,) = run_all([[name, "--help"]], environment=environment)
+    assert asked.returncode == 0, f"{name} --help: {asked.stderr}"
+    return asked.stdout
 
 
 def program_of(words: list[str]) -> tuple[str, list[str]] | None:
@@ -169,7 +148,7 @@ def test_commands_name_targets_programs_options_and_parameters_that_exist(page: 
             continue
         name, arguments = program
         if not name.endswith(".py"):
-            assert name in executables() or "." in name or name == "faults", f"{name_of(page)}: {line}"
+            assert name in entry_points() or "." in name or name == "faults", f"{name_of(page)}: {line}"
         else:
             assert (ROOT / name).exists(), f"{name_of(page)}: {line}"
         own, _, of_ros = (" ".join(arguments) + " ").partition("--ros-args")

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from rclpy.node import Node
 
+from forked_processes import run_all
 from ros_graph import ROBOT_FILE, TASK_FILE, ros_arguments
 from ros_testing import STARTUP_TIMEOUT, StartProcess, executable, spin_until
 from tpgmm_ros import executables
@@ -102,7 +103,7 @@ def test_ctrl_c_at_any_moment_ends_an_executable_quietly(
         here = os.getcwd()
         os.chdir(folder)
         try:
-            process = start_process(name, *arguments)
+            process = start_process(executable(name), *arguments)
         finally:
             os.chdir(here)
         until = time.monotonic() + moment
@@ -154,7 +155,7 @@ def test_a_log_directory_that_cannot_be_written_is_said_once_and_keeps_no_node_f
     (tmp_path / "file").write_text("")
     directory = {"a file": tmp_path / "file", "below a file": tmp_path / "file" / "log"}.get(where, Path("/proc/log"))
     process = start_process(
-        "frame_tracker", *ros_arguments(**NODES["frame_tracker"]), env={"ROS_LOG_DIR": str(directory)}
+        executable("frame_tracker"), *ros_arguments(**NODES["frame_tracker"]), env={"ROS_LOG_DIR": str(directory)}
     )
     spin_until(ros_node, lambda: "frame_tracker" in ros_node.get_node_names(), processes=(process,))
     process.send_signal(signal.SIGINT)
@@ -169,7 +170,7 @@ def test_a_log_directory_that_cannot_be_written_is_said_once_and_keeps_no_node_f
 
 @pytest.mark.parametrize("name", EXECUTABLES)
 def test_help_says_what_an_executable_is_for(name: str) -> None:
-    ended = subprocess.run([executable(name), "--help"], capture_output=True, text=True, timeout=120)
+    (ended,) = run_all([[name, "--help"]])
     assert (ended.returncode, ended.stderr) == (0, "")
     assert ended.stdout.startswith(f"usage: {name} ")
     for parameter in NODES.get(name, {}):
@@ -178,6 +179,6 @@ def test_help_says_what_an_executable_is_for(name: str) -> None:
 
 @pytest.mark.parametrize("name", EXECUTABLES)
 def test_unknown_arguments_end_with_status_2(name: str) -> None:
-    ended = subprocess.run([executable(name), "--no-such-option"], capture_output=True, text=True, timeout=120)
+    (ended,) = run_all([[name, "--no-such-option"]])
     assert ended.returncode == 2 and ended.stdout == "" and "Traceback" not in ended.stderr
     assert "error: " in ended.stderr.splitlines()[-1]

@@ -98,11 +98,11 @@ def test_poses_become_the_task_parameters_of_their_frames(module_node: Node, inb
 
     def known() -> bool:
         stamps.append(show("seen", scaled))
-        return frame_of(inbox.last, "seen").confidence == 1.0
+        frame = frame_of(inbox.last, "seen")
+        return frame.status == TaskFrame.VISIBLE and frame.confidence == 1.0
 
-    spin_until(module_node, known, message="full confidence")
+    spin_until(module_node, known, message="full confidence of what is seen")
     frame = frame_of(inbox.last, "seen")
-    assert frame.status == TaskFrame.VISIBLE
     assert conversions.time_to_ns(frame.stamp) in stamps
     assert_is_pose(frame, GOOD)
     assert inbox.last.header.frame_id == "base"

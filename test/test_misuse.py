@@ -1,59 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every executable, given a file that is none of what it needs, ends with status 1 and one line that names the file.
-
-One process does the imports of all, once; each case is a fork of it, with its own output.
-"""
+"""Every executable, given a file that is none of what it needs, ends with status 1 and one line that names the file."""
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from forked_processes import run_all
 from ros_graph import ROBOT_FILE, ROOT, TASK_FILE, ros_arguments
 
-#: Runs executables with arguments, each in a fork; writes [status, stdout, stderr] of each to a file.
-RUN = """
-import importlib, json, os, signal, sys, tempfile, traceback
-cases = json.loads(sys.stdin.read())
-from tpgmm_ros import executables
-for name in {name for name, _ in cases}:
-    package, folder = ("tpgmm_demos", "") if name in ("demo", "figure5") else ("tpgmm_ros", "nodes.")
-    folder = "programs." if name in ("check_robot", "inspect", "teach", "train") else folder
-    importlib.import_module(f"{package}.{folder}{name}")
-answers = []
-for name, case in cases:
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        child = os.fork()
-        if not child:
-            signal.alarm(60)
-            os.dup2(out.fileno(), 1)
-            os.dup2(err.fileno(), 2)
-            sys.argv = [name, *case]
-            status = 1
-            try:
-                status = getattr(executables, name)()
-            except SystemExit as end:
-                status = end.code
-            except BaseException:
-                traceback.print_exc()
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(status)
-        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        texts = []
-        for file in (out, err):
-            file.seek(0)
-            texts.append(file.read().decode())
-        answers.append([status, *texts])
-with open(sys.argv[1], "w") as file:
-    json.dump(answers, file)
-"""
 BAGS = ROOT / "bags" / "pick_place"
 AUTOSTART: dict[str, object] = {"autostart": True}
 TASK_FILES: dict[str, object] = {"task_files": f"[{ROOT / 'config' / 'hold_cup.yaml'}]"}
@@ -161,12 +120,10 @@ def cases_in(folder: Path) -> list[Case]:
 @pytest.fixture(scope="module")
 def answers(module_domain: int, tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Case, int, str, str]]:
     folder = tmp_path_factory.mktemp("misuse")
-    cases, results = cases_in(folder), folder / "results.json"
-    asked = json.dumps([(case.name, case.arguments) for case in cases])
-    command = [sys.executable, "-c", RUN, str(results)]
-    ended = subprocess.run(command, cwd=folder, input=asked, capture_output=True, text=True, timeout=600)
-    assert ended.returncode == 0, ended.stderr
-    return [(case, *answer) for case, answer in zip(cases, json.loads(results.read_text()), strict=True)]
+    cases = cases_in(folder)
+    with contextlib.chdir(folder):
+        ended = run_all([[case.name, *case.arguments] for case in cases])
+    return [(case, one.returncode, one.stdout, one.stderr) for case, one in zip(cases, ended, strict=True)]
 
 
 @pytest.mark.parametrize("name", FILES)

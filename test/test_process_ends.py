@@ -10,7 +10,7 @@ import pytest
 from rclpy.node import Node
 
 from ros_graph import ROBOT_FILE, TASK_FILE, ros_arguments
-from ros_testing import StartProcess, spin_until
+from ros_testing import StartProcess, executable, spin_until
 
 NODES: dict[str, dict[str, object]] = {
     "frame_tracker": {"task_file": TASK_FILE},
@@ -24,7 +24,9 @@ NODES: dict[str, dict[str, object]] = {
 def test_every_node_ends_with_status_0_when_it_is_told_to(
     ros_node: Node, start_process: StartProcess, number: signal.Signals
 ) -> None:
-    processes = {name: start_process(name, *ros_arguments(**parameters)) for name, parameters in NODES.items()}
+    processes = {
+        name: start_process(executable(name), *ros_arguments(**parameters)) for name, parameters in NODES.items()
+    }
     spin_until(
         ros_node,
         lambda: (
@@ -57,8 +59,10 @@ def test_a_node_that_cannot_start_ends_with_status_1_and_says_why_in_one_line(
     processes = {}
     for name, parameter, path in cases:
         lifecycle = {"autostart": True} if "autostart" in NODES[name] else {}
-        processes[name, parameter, path] = start_process(name, *ros_arguments(**{parameter: path}, **lifecycle))
-    out_of_range = start_process("baxter_simulator", *ros_arguments(robot_file=ROBOT_FILE, rate=1.0))
+        processes[name, parameter, path] = start_process(
+            executable(name), *ros_arguments(**{parameter: path}, **lifecycle)
+        )
+    out_of_range = start_process(executable("baxter_simulator"), *ros_arguments(robot_file=ROBOT_FILE, rate=1.0))
     for case, process in processes.items():
         assert process.wait(30.0) == 1, process
         assert cases[case] in process.output

@@ -13,10 +13,11 @@ reference_texts.yaml; a topic without a text there is an error, and so is a text
 from __future__ import annotations
 
 import argparse
+import contextlib
 import inspect
+import io
 import os
 import re
-import subprocess
 import sys
 import textwrap
 from dataclasses import dataclass, field
@@ -305,13 +306,15 @@ def programs() -> dict[str, str]:
 def help_of(name: str, target: str) -> str:
     """What a program prints for --help."""
     module, _, function = target.partition(":")
-    code = f"import sys; sys.argv = [{name!r}, '--help']; from {module} import {function}; sys.exit({function}())"
-    run = subprocess.run(
-        [sys.executable, "-c", code], env={**os.environ, "COLUMNS": "110"}, capture_output=True, text=True, timeout=120
-    )
-    if run.returncode:
-        raise RuntimeError(f"{name} --help ended with status {run.returncode}: {run.stderr}")
-    return run.stdout.replace(str(ROOT) + os.sep, "").rstrip()
+    said, status, sys.argv = io.StringIO(), None, [name, "--help"]
+    with contextlib.redirect_stdout(said):
+        try:
+            status = getattr(import_module(module), function)()
+        except SystemExit as end:
+            status = end.code
+    if status:
+        raise RuntimeError(f"{name} --help ended with status {status}")
+    return said.getvalue().replace(str(ROOT) + os.sep, "").rstrip()
 
 
 def programs_page(nodes: set[str], texts: dict[str, Any]) -> str:
@@ -347,7 +350,7 @@ def main() -> int:
     from domain_coordinator import domain_id
 
     with domain_id() as domain:
-        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+        os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", COLUMNS="110")
         made = pages()
     there = {path for folder in ("nodes", "messages") for path in (REFERENCE / folder).glob("*.md")}
     stale = sorted(path for path, text in made.items() if not path.exists() or path.read_text() != text)

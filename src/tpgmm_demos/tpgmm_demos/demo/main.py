@@ -56,22 +56,22 @@ def main() -> int:
 
 
 def _train_and_run(arguments: argparse.Namespace) -> bool:
+    # What is wrong with them is said before anything is trained
+    task, robot = Task.load(arguments.task), RobotModel.from_file(arguments.robot)
     model_file = arguments.model or arguments.output / "pick_place.tpgmm"
     if arguments.model:
         print(f"1. using the model {model_file}")
-        return _run(arguments, model_file)
+        return _run(arguments, task, robot, model_file)
     print(f"1. training from {arguments.bags}")
     status = train.main(["--task", str(arguments.task), "--output", str(model_file), str(arguments.bags)])
     if status == INTERRUPTED:
         raise KeyboardInterrupt
     if status:
         raise GraphError("training failed")
-    return _run(arguments, model_file)
+    return _run(arguments, task, robot, model_file)
 
 
-def _run(arguments: argparse.Namespace, model_file: Path) -> bool:
-    task = Task.load(arguments.task)
-    robot = RobotModel.from_file(arguments.robot)
+def _run(arguments: argparse.Namespace, task: Task, robot: RobotModel, model_file: Path) -> bool:
     model = TPGMM.load(model_file)
     # The seeds of the demonstrations are drawn otherwise: no situation here was in one of them.
     random = np.random.default_rng([arguments.seed, 0xDE, 0x40])
