@@ -19,9 +19,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.metadata import distribution
-from multiprocessing.context import ForkServerContext
 from pathlib import Path
-from typing import cast
 
 from tpgmm_ros.runtime.processes import end_with_parent
 
@@ -34,7 +32,7 @@ PRELOADED = [
     *(f"tpgmm_ros.programs.{name}" for name in ("check_robot", "convert", "recognize")),
     *("tpgmm_demos.demo", "tpgmm_demos.figure5"),
 ]
-CONTEXT = cast(ForkServerContext, multiprocessing.get_context("forkserver"))
+CONTEXT = multiprocessing.get_context("forkserver")
 CONTEXT.set_forkserver_preload(PRELOADED)
 
 
