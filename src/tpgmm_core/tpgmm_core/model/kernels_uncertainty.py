@@ -76,7 +76,7 @@ def lessen(
         M = T @ (J @ contiguous @ J.T)
         for i in range(n):
             M[i, i] += 1.0
-        T = np.linalg.solve(M, T)
+        less = np.linalg.solve(M, T)
         for o in range(n):
             for i in range(n):
-                terms[o, i * K + k] = 0.5 * weight * (T[o, i] + T[i, o])
+                terms[o, i * K + k] = 0.5 * weight * (less[o, i] + less[i, o])
