@@ -46,6 +46,10 @@ class DeskView:
         what was said last, newest first
     coached
         what goes on of a correction, or came of the last one
+    coach_force
+        force on the hand from which on a correction begins by itself, N; 0: never
+    may_grab
+        whether the hand was free since the skill runs, so that taking hold of it is noticed
     shared
         what came of the last export or import
     places
@@ -74,6 +78,8 @@ class DeskView:
     reasons: dict[Action, str] = field(default_factory=dict)
     words: tuple[str, ...] = ()
     coached: str = ""
+    coach_force: float = 0.0
+    may_grab: bool = False
     shared: str = ""
     places: dict[str, Array] = field(default_factory=dict)
     hidden: frozenset[str] = frozenset()

@@ -25,6 +25,7 @@ from tpgmm_ros.messages.conversions import JointStates, MessageError
 from tpgmm_ros.messages.joint_state_bytes import JointStateDecoder
 from tpgmm_ros.messages.qos import EVENTS, LATCHED, STATES, STREAM
 from tpgmm_ros.task.task_file import Task
+from tpgmm_workbench.graph.hand_force import HandForce
 from tpgmm_workbench.graph.latest import Looker
 from tpgmm_workbench.session.refusals import Refusals
 from tpgmm_workbench.session.view import (
@@ -54,9 +55,11 @@ class Watcher:
         names the movement and the frames
     robot
         whose joints they are
+    feels
+        whether it is asked how hard somebody pushes the hand
     """
 
-    def __init__(self, node: Node, task: Task, robot: RobotModel) -> None:
+    def __init__(self, node: Node, task: Task, robot: RobotModel, feels: bool = False) -> None:
         self._node, self._task = node, task
         self._looker = Looker(node)
         topic = self._looker.topic
@@ -69,6 +72,7 @@ class Watcher:
         self._reference = topic(PoseWithCovarianceStamped, "reference_pose", STREAM)
         self._markers = topic(MarkerArray, "markers", STREAM)
         self._diagnostics = topic(DiagnosticArray, "/diagnostics", EVENTS)
+        self._force = HandForce(self._looker, robot, task.endpoint) if feels else None
         self._refusals = Refusals()
         self._limits = {
             name: (float(limit), "N" if unit == "m" else "N m")
@@ -87,8 +91,9 @@ class Watcher:
         self._take_joints()
         self._take_diagnostics()
         controller = self._newest_of_controller()
+        is_heard = self._joints.silence < WORDS_LAST
         return GraphView(
-            joints=self._q if self._joints.silence < WORDS_LAST else None,
+            joints=self._q if is_heard else None,
             hand=self._pose_of_hand(),
             frames=self._known_frames(),
             controller=None if controller is None else _words_in(controller),
@@ -96,17 +101,21 @@ class Watcher:
             components=self._known_components(),
             torques=() if controller is None else self._torques_in(controller),
             stiffness=None if controller is None else _stiffness_in(controller),
+            force=None if self._force is None else self._force.look(is_heard),
             nodes={name: view for name, (came, view) in self._nodes.items() if time.monotonic() - came < WORDS_LAST},
         )
 
     def _take_joints(self) -> None:
         for data in self._joints.take():
             try:
-                sample = self._states.take(self._decode(data))
+                message = self._decode(data)
+                sample = self._states.take(message)
             except (MessageError, RuntimeError):  # the nodes that follow them say what is wrong with them
                 continue
             if sample is not None:
                 (self._q,) = sample.values
+            if self._force is not None:
+                self._force.take(message, self._q)
 
     def _pose_of_hand(self) -> Array | None:
         message = self._hand.newest()

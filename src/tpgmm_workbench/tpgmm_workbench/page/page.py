@@ -242,18 +242,8 @@ class Page:
         """Those of the arm that the movement is of."""
         robot = self._desk.robot
         joints = set(robot.joint_groups[robot.endpoints[self._desk.project.task.endpoint].joints])
-        model = robot.pinocchio
-
-        def moves(link: str) -> bool:
-            joint = model.frames[robot.frame_id(link)].parentJoint
-            while joint:
-                if model.names[joint] in joints:
-                    return True
-                joint = model.parents[joint]
-            return False
-
-        parts = [part for part in self._shapes.parts if model.existFrame(part.link) and moves(part.link)]
-        return Shapes(tuple(parts), ())
+        known = [part for part in self._shapes.parts if robot.pinocchio.existFrame(part.link)]
+        return Shapes(tuple(part for part in known if joints.intersection(robot.joints_above(part.link))), ())
 
     def close(self) -> None:
         """Serve no more."""

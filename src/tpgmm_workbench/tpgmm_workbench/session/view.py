@@ -70,6 +70,25 @@ class TorqueView:
 
 
 @dataclass(frozen=True, slots=True)
+class ForceView:
+    """How hard somebody pushes the hand.
+
+    Parameters
+    ----------
+    newtons
+        N; None where that cannot be known
+    source
+        what measures it, in words
+    why
+        it cannot be known, in words
+    """
+
+    newtons: float | None = None
+    source: str = ""
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class StiffnessView:
     """How stiff the hand is held: (6, 6) force per deviation, of x, y, z and the rotation vector, N/m and N m/rad."""
 
@@ -164,6 +183,8 @@ class GraphView:
         sent to the joints; empty where no controller says so
     stiffness
         of the hand; None while nothing is tracked
+    force
+        on the hand; None where nobody asks for it
     nodes
         by name
     """
@@ -176,6 +197,7 @@ class GraphView:
     components: tuple[ComponentView, ...] = ()
     torques: tuple[TorqueView, ...] = ()
     stiffness: StiffnessView | None = None
+    force: ForceView | None = None
     nodes: dict[str, NodeView] = field(default_factory=dict)
 
 

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Corrections of a simulated arm: grabbed by force, led far away and let go of, and what is known of a push."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from ros_graph import ALL, ROBOT_FILE, ROOT, TASK_FILE, Inbox
+from ros_testing import spin_until
+from tpgmm_core.common.types import Array
+from tpgmm_core.robot.model import RobotModel
+from tpgmm_ros.messages import conversions
+from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.task.task_file import Task
+from tpgmm_workbench.desk.view import DeskView
+from tpgmm_workbench.graph.watching import Watcher
+from tpgmm_workbench.project.activities import Action, Activity
+from tpgmm_workbench.project.project import Project
+from tpgmm_workbench.project.training_process import TrainingOptions, train
+from workbench_bench import Bench, served
+
+pytestmark = pytest.mark.alone
+BAGS = sorted((ROOT / "bags" / "pick_place").glob("demo_*"))[:4]
+THRESHOLD, PUSH = 15.0, 30.0
+HAND = "left_gripper"
+DURATION = 16.0
+
+
+@pytest.fixture(scope="module")
+def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a project with four demonstrations and a model."""
+    project = Project.create(tmp_path_factory.mktemp("taught") / "project", TASK_FILE, ROBOT_FILE)
+    for bag in BAGS:
+        project.add_bag(bag)
+    train(project, TrainingOptions(is_automatic=False), lambda share, words: None)
+    return project.folder
+
+
+def opened(taught: Path, folder: Path) -> Project:
+    """A copy of that project, of which a test may do what it likes."""
+    return Project.open(shutil.copytree(taught, folder / "project"))
+
+
+class Hand:
+    """Somebody beside the robot who pushes its hand."""
+
+    def __init__(self, node: Node) -> None:
+        self._node, self._wrenches = node, node.create_publisher(WrenchStamped, "external_wrench", STREAM)
+
+    def push(self, *force: float) -> None:
+        message = WrenchStamped()
+        message.header.frame_id = HAND
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        force_message = message.wrench.force
+        force_message.x, force_message.y, force_message.z = force
+        self._wrenches.publish(message)
+
+
+def begin(bench: Bench) -> DeskView:
+    """Run the skill, with the objects where they were in a demonstration, until the arm is on its way."""
+    desk = bench.desk
+    bench.until(lambda view: not view.reasons[Action.RUN], "a model, the robot and all frames")
+    situation = desk.project.demonstration(1).situation
+    desk.table.lay({name: situation[name] for name in desk.table.places})
+    bench.lead("home")
+    view = bench.look_ahead(DURATION)
+    if view.preview is not None and view.preview.advised is not None:
+        view = bench.look_ahead(float(view.preview.advised))
+    assert view.preview is not None and view.preview.may_run, view.preview
+    desk.run()
+    return bench.until(lambda view: view.run.stage == "running" and view.run.phase > 0.1, "the movement")
+
+
+def test_a_push_that_lasts_begins_a_correction_by_itself_and_asks_nothing_of_the_robot(
+    ros_node: Node, taught: Path, tmp_path: Path
+) -> None:
+    forces: list[float] = []
+    with served(ros_node, opened(taught, tmp_path), tmp_path / "nodes", THRESHOLD) as bench:
+        desk, hand = bench.desk, Hand(ros_node)
+        events = Inbox(ros_node, ParameterEvent, "/parameter_events", ALL)
+
+        def is_free(view: DeskView) -> bool:
+            assert view.activity is Activity.RUNNING, (view.words, view.run)
+            assert view.graph.force is not None and view.graph.force.newtons is not None, view.graph.force
+            forces.append(view.graph.force.newtons)
+            return view.run.phase > 0.3
+
+        begin(bench)
+        asked = len(events.messages)
+        bench.until(is_free, "a third of the movement")
+        assert max(forces) < 0.5 * THRESHOLD, "nobody pushes"
+
+        def is_grabbed(view: DeskView) -> bool:
+            hand.push(0.0, 0.0, PUSH)
+            return view.activity is Activity.COACHING
+
+        view = bench.until(is_grabbed, "a correction that begins by itself")
+        assert "the hand is held with" in view.coached and any("the hand is held" in words for words in view.words)
+        since = view.run.phase
+
+        def is_led(view: DeskView) -> bool:
+            hand.push(0.0, 0.0, PUSH)
+            assert view.activity is Activity.COACHING
+            return view.run.phase > since + 0.15
+
+        bench.until(is_led, "the hand to be held for a while")
+        view = bench.until(lambda view: view.activity is not Activity.COACHING, "the hand to be let go of")
+        assert view.activity is Activity.RUNNING and "learned when the movement is over" in view.coached
+        assert len(events.messages) == asked, "nothing is set anywhere because of a push"
+        bench.until(lambda view: not view.run.goes_on, "the end of the movement")
+        view = bench.until(lambda view: view.model is not None and view.model.number == 2, "the corrected model", 60.0)
+        correction = desk.project.demonstrations()[-1].notes.correction
+        assert correction is not None and abs(correction.begin - since) < 0.1 < correction.end - correction.begin
+        print(f"\nfree: at most {max(forces):.1f} N of {THRESHOLD:.0f} N")
+
+
+class Robot:
+    """A robot that says something of its joints."""
+
+    def __init__(self, node: Node, robot: RobotModel) -> None:
+        self._node, self.robot = node, robot
+        self._states = node.create_publisher(JointState, "joint_states", STREAM)
+        self._wrenches = node.create_publisher(WrenchStamped, "external_wrench", STREAM)
+        self._steps = 0
+
+    def say(self, effort: Array | None) -> None:
+        self._steps += 1
+        robot, stamp_ns = self.robot, 1_000_000_000 + self._steps * 10_000_000
+        still = np.zeros(robot.nv)
+        names = list(robot.joint_names)
+        self._states.publish(conversions.joint_state_message(names, stamp_ns, robot.home, still, effort))
+
+    def feel(self, link: str, force: float) -> None:
+        message = WrenchStamped()
+        message.header.frame_id, message.wrench.force.x = link, force
+        self._wrenches.publish(message)
+
+
+def test_a_robot_that_does_not_measure_says_so_and_a_wrench_is_believed_at_this_arm_alone(ros_node: Node) -> None:
+    model = RobotModel.from_file(ROBOT_FILE)
+    watcher, robot = Watcher(ros_node, Task.load(TASK_FILE), model, feels=True), Robot(ros_node, model)
+    gravity = model.create_data().gravity(model.home).copy()
+    push = np.zeros(model.nv)
+    data = model.create_data()
+    data.update(model.home)
+    push[:] = data.jacobian("left").T @ [0.0, 0.0, 20.0, 0.0, 0.0, 0.0]
+
+    def until_why(word: str, effort: Array | None, link: str = "") -> None:
+        def is_said() -> bool:
+            robot.say(effort)
+            if link:
+                robot.feel(link, 20.0)
+            force = watcher.look().force
+            return force is not None and force.newtons is None and word in force.why
+
+        spin_until(ros_node, is_said, message=f"'{word}'")
+
+    def until_force(least: float, most: float, effort: Array | None, source: str, link: str = "") -> None:
+        def is_felt() -> bool:
+            robot.say(effort)
+            if link:
+                robot.feel(link, 20.0)
+            force = watcher.look().force
+            assert force is not None
+            return force.newtons is not None and least <= force.newtons <= most and force.source == source
+
+        spin_until(ros_node, is_felt, message=f"{least} to {most} N by {source}")
+
+    try:
+        until_why("effort is empty", None)
+        until_why("are 0", np.zeros(model.nv))
+        unknown = gravity.copy()
+        unknown[model.indices("left_arm")[0]] = np.nan
+        until_why("not finite", unknown)
+        until_force(0.0, 0.5, gravity, "joint torques")
+        until_force(15.0, 21.0, gravity - push, "joint torques")
+        until_force(0.0, 0.5, gravity, "joint torques")
+        until_force(20.0, 20.0, gravity, "external_wrench", HAND)
+        until_force(0.0, 0.5, gravity, "joint torques", "right_gripper")
+        until_why("this arm does not move", None, "right_gripper")
+        until_why("the robot file does not know", None, "no_link")
+        until_force(20.0, 20.0, None, "external_wrench", "left_wrist")
+    finally:
+        watcher.close()
