@@ -95,8 +95,13 @@ def test_a_push_that_lasts_begins_a_correction_by_itself_and_asks_nothing_of_the
 
         begin(bench)
         asked = len(events.messages)
-        bench.until(is_free, "a third of the movement")
+        view = bench.until(is_free, "a third of the movement")
         assert max(forces) < 0.5 * THRESHOLD, "nobody pushes"
+        view = bench.until(lambda view: view.novelty and view.graph.horizon and view.graph.reference, "what comes next")
+        assert view.novelty is not None and view.novelty.score is not None and view.novelty.score < view.novelty.limit
+        horizon, reference = view.graph.horizon, view.graph.reference
+        assert horizon is not None and reference is not None and horizon.path.shape == (13, 3)
+        assert float(np.linalg.norm(horizon.path[0] - reference.pose[:3])) < 0.1, "the path begins at the reference"
 
         def is_grabbed(view: DeskView) -> bool:
             hand.push(0.0, 0.0, PUSH)

@@ -15,6 +15,7 @@ from rclpy.node import Node
 from tpgmm_ros.runtime.background import Background
 from tpgmm_workbench.desk.coaching import Coaching
 from tpgmm_workbench.desk.learning import Learning
+from tpgmm_workbench.desk.novelty import RunNovelty
 from tpgmm_workbench.desk.said import Said
 from tpgmm_workbench.desk.sharing import Sharing
 from tpgmm_workbench.desk.table import SimulatedTable, simulated_world
@@ -79,6 +80,7 @@ class Desk:
         self._coaching = Coaching(
             project, self._background, self.say, self.teaching.refresh, feels=simulated, threshold=coach_force
         )
+        self._novelty = RunNovelty(project, self._judge)
         self.sharing = Sharing(project, self._background, self._refused, self.say)
         data = self.robot.create_data()
         data.update(self.robot.home)
@@ -138,6 +140,7 @@ class Desk:
             self.teaching.refresh()
         self._learning.look()
         self._coaching.watch(self._movement.view, self._graph, self.table.aim is not None)
+        self._novelty.watch(self._coaching.model if self._movement.view.goes_on else None, self._graph)
         self._begin_when_free()
         self.table.watch(self._graph)
         facts = self.facts()
@@ -151,6 +154,7 @@ class Desk:
             progress=self._learning.progress,
             model=self._learning.model,
             preview=self._learning.shown,
+            novelty=self._novelty.view,
             reasons={action: may(action, facts) for action in Action},
             words=self._said.recent,
             coached=self._coaching.words,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from tpgmm_core.common.types import Array
 from tpgmm_workbench.desk.learning import ModelView
+from tpgmm_workbench.desk.novelty import NoveltyView
 from tpgmm_workbench.desk.teaching import TaughtView
 from tpgmm_workbench.graph.movement import RunView
 from tpgmm_workbench.project.activities import Action, Activity
@@ -40,6 +41,8 @@ class DeskView:
         the present one
     preview
         of the present model, where one was made
+    novelty
+        of the situation while a model runs; None before it is judged
     reasons
         action -> why it may not be done now, or nothing
     words
@@ -75,6 +78,7 @@ class DeskView:
     progress: Progress | None = None
     model: ModelView | None = None
     preview: Preview | None = None
+    novelty: NoveltyView | None = None
     reasons: dict[Action, str] = field(default_factory=dict)
     words: tuple[str, ...] = ()
     coached: str = ""

@@ -200,7 +200,7 @@ class Page:
                 self._robot.show(graph.joints)
             self._frames.show(graph.frames, view.places)
             self._hand.show(graph.hand, view.aim)
-            self._model.show(graph.reference, graph.components)
+            self._model.show(graph.reference, graph.components, graph.horizon if view.run.goes_on else None)
             self._suggested.show({} if view.suggested is None else view.suggested.frames)
             self._stiffness.show(graph.hand, graph.stiffness)
             self._show_preview(view, now)
@@ -224,9 +224,9 @@ class Page:
         if view.preview is not self._shown:
             self._shown, self._shown_since = view.preview, now
             if view.preview is None:
-                self._model.show_tube(None, None)
+                self._model.preview.show(None, None)
             else:
-                self._model.show_tube(view.preview.path[:, :3], view.preview.covariances[:, :3, :3])
+                self._model.preview.show(view.preview.path[:, :3], view.preview.covariances[:, :3, :3])
         moves = self._shown is not None and not view.run.goes_on
         if self._ghost is None and moves:
             self._ghost = RobotDisplay(

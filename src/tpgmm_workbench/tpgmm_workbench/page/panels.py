@@ -153,7 +153,7 @@ class RunPanel:
             (-1.0, 2.0), 0.1, 1.0, hint="1: as taught; below 0: back",
         )  # fmt: skip
         self._bar: Any = server.gui.add_progress_bar(0.0)
-        self._state = Text(server)
+        self._state, self._novelty = Text(server), Text(server)
         self._is_coaching = False
         self._coach = Button(
             server,
@@ -185,6 +185,7 @@ class RunPanel:
         self._duration.show(view.duration)
         self._speed.show(view.speed)
         self._state.show(words.run(view))
+        self._novelty.show(words.novelty(view))
         share = round(100.0 * min(1.0, max(0.0, view.run.phase)))
         if self._bar.value != share:
             self._bar.value = share

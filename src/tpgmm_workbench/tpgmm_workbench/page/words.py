@@ -204,6 +204,17 @@ def run(view: DeskView) -> str:
     return block([f"{chip(stage, colors.get(view.run.stage, GREY))}{share} {escape(view.run.words)}"])
 
 
+def novelty(view: DeskView) -> str:
+    """How new the situation is while the skill runs, beside its limit."""
+    if view.novelty is None:
+        return ""
+    found = view.novelty
+    if found.score is None:
+        return block([f"<b>Novelty</b> now: {escape(found.words)}"])
+    over = chip("too new", RED) + " " if found.score > found.limit else ""
+    return block([f"<b>Novelty</b> now: {found.score:.1f}, at most {found.limit:.0f} {over}({escape(found.words)})"])
+
+
 def pages(count: int, driver: int | None, page: int, is_open: bool = False) -> str:
     """What one page is told of the others: which one drives, and whether other machines may open more.
 

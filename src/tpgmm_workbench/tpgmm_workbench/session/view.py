@@ -113,6 +113,14 @@ class ReferenceView:
     covariance: Array
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class HorizonView:
+    """Where the hand is to be from now on: positions (N, 3), m, and their covariances (N, 3, 3), m^2."""
+
+    path: Array
+    covariances: Array
+
+
 @dataclass(frozen=True, slots=True)
 class ComponentView:
     """A Gaussian of the model where things are now.
@@ -177,6 +185,8 @@ class GraphView:
         None as long as no controller says anything
     reference
         None where none came for a while
+    horizon
+        of the reference; None where none came for a while
     components
         of the model that is reproduced
     torques
@@ -194,6 +204,7 @@ class GraphView:
     frames: tuple[FrameView, ...] = ()
     controller: ControllerView | None = None
     reference: ReferenceView | None = None
+    horizon: HorizonView | None = None
     components: tuple[ComponentView, ...] = ()
     torques: tuple[TorqueView, ...] = ()
     stiffness: StiffnessView | None = None
