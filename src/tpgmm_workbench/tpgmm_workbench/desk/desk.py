@@ -16,6 +16,7 @@ from tpgmm_ros.runtime.background import Background
 from tpgmm_workbench.desk.coaching import Coaching
 from tpgmm_workbench.desk.learning import Learning
 from tpgmm_workbench.desk.novelty import RunNovelty
+from tpgmm_workbench.desk.pictures import Pictures
 from tpgmm_workbench.desk.said import Said
 from tpgmm_workbench.desk.sharing import Sharing
 from tpgmm_workbench.desk.table import SimulatedTable, simulated_world
@@ -57,8 +58,8 @@ class Desk:
         (7,) the hand's pose at the robot's home
     table
         what only a simulation lets a user do
-    sharing
-        exports, imports
+    sharing, pictures
+        exports, imports; pictures of the scene
     say
         tells the user something, and the log
     teaching
@@ -71,17 +72,16 @@ class Desk:
         self.project, self.simulated = project, simulated
         self.robot, self._said = project.robot(), Said(node)
         self.say = self._said.say
-        self._background, self._judge = Background(node), Background(node)
+        self._background, self._judge, self._waiting = (Background(node) for _ in range(3))
         self._watcher = Watcher(node, project.task, self.robot, feels=coach_force > 0.0)
         self._movement = MovementClient(node, self.say)
         self._learning = Learning(project, self._background, self.say)
         # a correction is a demonstration with a model of its own: both come, and are taken back, at once
         self.teaching = Teaching(node, project, self._judge, self.say, self._learning.refresh)
-        self._coaching = Coaching(
-            project, self._background, self.say, self.teaching.refresh, feels=simulated, threshold=coach_force
-        )
+        self._coaching = Coaching(project, self._background, self.say, self.teaching.refresh, simulated, coach_force)
         self._novelty = RunNovelty(project, self._judge)
         self.sharing = Sharing(project, self._background, self._refused, self.say)
+        self.pictures = Pictures(project, self._waiting, self.say)
         data = self.robot.create_data()
         data.update(self.robot.home)
         self.home = data.pose(project.task.endpoint).copy()
@@ -97,8 +97,8 @@ class Desk:
         self._movement.stop()
         self.teaching.close()
         self._learning.close()
-        self._background.close()
-        self._judge.close()
+        for background in (self._background, self._judge, self._waiting):
+            background.close()
         self._watcher.close()
 
     # -- what is known ------------------------------------------------------------------------------------------------
@@ -161,6 +161,7 @@ class Desk:
             coach_force=self._coaching.touch.threshold,
             may_grab=self._coaching.touch.is_ready,
             shared=self.sharing.words,
+            pictured=self.pictures.words,
             places=self.table.places,
             hidden=self.table.hidden,
             aim=self.table.aim,

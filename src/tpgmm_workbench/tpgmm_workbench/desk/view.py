@@ -55,6 +55,8 @@ class DeskView:
         whether the hand was free since the skill runs, so that taking hold of it is noticed
     shared
         what came of the last export or import
+    pictured
+        what came of the last picture
     places
         where a simulation's objects are, (7,) by name
     hidden
@@ -85,6 +87,7 @@ class DeskView:
     coach_force: float = 0.0
     may_grab: bool = False
     shared: str = ""
+    pictured: str = ""
     places: dict[str, Array] = field(default_factory=dict)
     hidden: frozenset[str] = frozenset()
     aim: Array | None = None

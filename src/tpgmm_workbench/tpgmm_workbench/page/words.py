@@ -140,6 +140,11 @@ def sharing(view: DeskView) -> str:
     )
 
 
+def picture(view: DeskView) -> str:
+    """What came of the last picture."""
+    return block([escape(view.pictured)]) if view.pictured else ""
+
+
 def model(view: DeskView) -> str:
     """How well the present model does."""
     if view.model is None:
