@@ -129,4 +129,7 @@ def test_a_tube_is_sent_only_where_it_has_changed() -> None:
     assert float(np.ptp(corners[:, 1])) == pytest.approx(0.04, rel=1e-3)  # two standard deviations to each side
     assert display.show(None, None) and not display.show(None, None) and not scene.meshes[0].visible
     assert display.show(path + 0.02, covariances) and scene.meshes[0].visible and len(scene.meshes) == 1
+    display.visible = False
+    assert not display.visible and not scene.meshes[0].visible
+    display.visible = True
     assert display.show(path[:5], covariances[:5]) and scene.meshes[0].is_removed and len(scene.meshes) == 2

@@ -227,6 +227,8 @@ class Page:
                 self._model.preview.show(None, None)
             else:
                 self._model.preview.show(view.preview.path[:, :3], view.preview.covariances[:, :3, :3])
+        # where the movement is shown as it is now, as it was foreseen would only hide that
+        self._model.preview.visible = self._shown is not None and not self._model.has_horizon
         moves = self._shown is not None and not view.run.goes_on
         if self._ghost is None and moves:
             self._ghost = RobotDisplay(

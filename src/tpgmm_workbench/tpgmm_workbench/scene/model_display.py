@@ -46,6 +46,11 @@ class ModelDisplay:
         self._ahead = TubeDisplay(scene, "/ahead", REFERENCE, opacity=0.5)
         self._horizon: HorizonView | None = None
 
+    @property
+    def has_horizon(self) -> bool:
+        """Whether it is shown what the reference is from now on."""
+        return self._horizon is not None
+
     def show(
         self, reference: ReferenceView | None, components: Sequence[ComponentView], horizon: HorizonView | None = None
     ) -> None:

@@ -31,6 +31,16 @@ class TubeDisplay:
         self._scene, self._name, self._color, self._opacity = scene, name, color, opacity
         self._mesh: MeshHandle | None = None
 
+    @property
+    def visible(self) -> bool:
+        """Whether it is to be seen, where there is one."""
+        return self._mesh is not None and self._mesh.visible
+
+    @visible.setter
+    def visible(self, visible: bool) -> None:
+        if self._mesh is not None and self._mesh.visible != visible:
+            self._mesh.visible = visible
+
     def show(self, path: Array | None, covariances: Array | None) -> bool:
         """Show where a movement would go.
 
@@ -47,10 +57,8 @@ class TubeDisplay:
             whether something was sent to the pages
         """
         if path is None or covariances is None or len(path) < 2:
-            is_hidden = self._mesh is not None and self._mesh.visible
-            if self._mesh is not None and is_hidden:
-                self._mesh.visible = False
-            return is_hidden
+            was_visible, self.visible = self.visible, False
+            return was_visible
         vertices, faces = tube(path, covariances)
         corners = vertices.astype(np.float32)
         if self._mesh is not None and self._mesh.vertices.shape == corners.shape:
