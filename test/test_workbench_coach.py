@@ -127,6 +127,77 @@ def test_a_push_that_lasts_begins_a_correction_by_itself_and_asks_nothing_of_the
         print(f"\nfree: at most {max(forces):.1f} N of {THRESHOLD:.0f} N")
 
 
+def test_an_arm_that_was_led_far_away_for_long_comes_back_and_ends_where_the_model_ends(
+    ros_node: Node, taught: Path, tmp_path: Path
+) -> None:
+    shares: list[float] = []
+    phases: list[float] = []
+    with served(ros_node, opened(taught, tmp_path), tmp_path / "nodes") as bench:
+        desk = bench.desk
+
+        def watched(view: DeskView) -> DeskView:
+            shares.extend(one.share for one in view.graph.torques)
+            return view
+
+        view = begin(bench)
+        assert view.graph.hand is not None
+        far = view.graph.hand + np.array([0.0, 0.1, 0.25, 0.0, 0.0, 0.0, 0.0])
+        desk.coach()
+        desk.table.lead_hand(far, is_held=True)
+        bench.until(lambda view: watched(view).run.phase > 0.7, "the arm to be held while time goes on")
+        desk.end_coaching()
+
+        def is_back(view: DeskView) -> bool:
+            if "waits until the hand is back" in watched(view).waits:
+                phases.append(view.run.phase)
+            return bool(phases) and not view.waits
+
+        view = bench.until(is_back, "the arm to come back while time stands still")
+        assert np.ptp(phases[1:]) < 0.03 and view.run.goes_on, phases
+        view = bench.until(lambda view: not watched(view).run.goes_on, "the end of the movement")
+        assert view.run.stage == "done" or "from the model's end" in view.run.words, view.run
+        reference, hand = view.graph.reference, view.graph.hand
+        assert reference is not None and hand is not None
+        assert float(np.linalg.norm(hand[:3] - reference.pose[:3])) < 0.02, view.run
+        assert view.graph.controller is not None and view.graph.controller.state == "ACTIVE", view.graph.controller
+        assert 0.1 < max(shares) <= 1.0
+        bench.until(lambda view: view.model is not None and view.model.number == 2, "the corrected model", 60.0)
+
+
+def test_an_arm_that_is_held_to_the_end_ends_with_the_true_reason_and_comes_back_slowly(
+    ros_node: Node, taught: Path, tmp_path: Path
+) -> None:
+    with served(ros_node, opened(taught, tmp_path), tmp_path / "nodes") as bench:
+        desk = bench.desk
+        view = begin(bench)
+        assert view.graph.hand is not None
+        far = view.graph.hand + np.array([0.0, 0.1, 0.25, 0.0, 0.0, 0.0, 0.0])
+        desk.coach()
+        desk.table.lead_hand(far, is_held=True)
+        view = bench.until(lambda view: not view.run.goes_on, "the end of the movement")
+        assert view.run.stage == "failed" and "the robot has stopped there: blocked" in view.run.words, view.run
+        assert "'HOLD: not following" in view.run.words, view.run
+        assert view.activity is Activity.IDLE and view.aim is not None
+        desk.table.let_go()
+        hands: list[tuple[float, Array]] = []
+
+        def is_back(view: DeskView) -> bool:
+            reference, hand = view.graph.reference, view.graph.hand
+            assert reference is not None and hand is not None
+            assert all(one.share <= 1.0 for one in view.graph.torques), view.graph.torques
+            hands.append((1e-9 * ros_node.get_clock().now().nanoseconds, hand[:3]))
+            return float(np.linalg.norm(hand[:3] - reference.pose[:3])) < 0.02
+
+        bench.until(is_back, "the arm at the end of the movement")
+        begun = next(i for i, (when, _) in enumerate(hands) if when > hands[0][0] + 1.0)  # what was bent springs back
+        speeds = [
+            float(np.linalg.norm(now - then)) / (at - before)
+            for (before, then), (at, now) in zip(hands[begun:-10], hands[begun + 10 :], strict=True)
+            if at > before
+        ]
+        assert speeds and max(speeds) < 0.25, "an arm that could not follow comes back at a quarter of its speed"
+
+
 class Robot:
     """A robot that says something of its joints."""
 

@@ -16,6 +16,7 @@ from tpgmm_ros.runtime.background import Background
 from tpgmm_workbench.desk.coaching import Coaching
 from tpgmm_workbench.desk.learning import Learning
 from tpgmm_workbench.desk.novelty import RunNovelty
+from tpgmm_workbench.desk.pace import Pace
 from tpgmm_workbench.desk.pictures import Pictures
 from tpgmm_workbench.desk.said import Said
 from tpgmm_workbench.desk.sharing import Sharing
@@ -87,10 +88,9 @@ class Desk:
         self.home = data.pose(project.task.endpoint).copy()
         world = simulated_world(node, project, self.robot, self.home, seed) if simulated else None
         self.table = SimulatedTable(world, self.home, self._movement, self._refused, self.say)
-        self._graph = GraphView()
-        self._speed, self._is_paused, self._duration, self._stops = 1.0, False, 0.0, 0
+        self._graph, self._is_read = GraphView(), False
+        self._pace, self._duration, self._stops = Pace(self._movement), 0.0, 0
         self._release_until: float | None = None
-        self._is_read = False
 
     def close(self) -> None:
         """End what goes on, in order; what was recorded is kept."""
@@ -111,7 +111,7 @@ class Desk:
         if self._movement.view.goes_on:
             if self._coaching.is_on:
                 return Activity.COACHING
-            return Activity.PAUSED if self._is_paused else Activity.RUNNING
+            return Activity.PAUSED if self._pace.is_paused else Activity.RUNNING
         return Activity.IDLE
 
     def facts(self, drives: bool = True) -> Facts:
@@ -140,6 +140,7 @@ class Desk:
             self.teaching.refresh()
         self._learning.look()
         self._coaching.watch(self._movement.view, self._graph, self.table.aim is not None)
+        self._pace.watch(self._movement.view, self._graph, self._coaching.is_on)
         self._novelty.watch(self._coaching.model if self._movement.view.goes_on else None, self._graph)
         self._begin_when_free()
         self.table.watch(self._graph)
@@ -166,7 +167,8 @@ class Desk:
             hidden=self.table.hidden,
             aim=self.table.aim,
             to_go=self.table.to_go,
-            speed=self._speed,
+            waits=self._pace.words,
+            speed=self._pace.speed,
             duration=self._duration,
         )
 
@@ -251,7 +253,7 @@ class Desk:
         if self._refused(Action.RUN):
             return
         if self.activity is Activity.PAUSED:
-            self.set_speed(self._speed)
+            self._pace.set(self._pace.speed)
             return
         self.table.let_go()
         self._look_ahead(partial(self._run_if_good, self._stops))
@@ -261,15 +263,14 @@ class Desk:
             self.say(f"not run: {shown.words if stops == self._stops else 'stopped before it began'}")
             return
         if self._learning.model is not None and not self._refused(Action.RUN):
-            self.set_speed(self._speed)
+            self._pace.begin()
             self._coaching.model = self._learning.model.number
             self._movement.start(self._learning.model.path, self._duration)
 
     def pause(self) -> None:
         """Stand still; `run` goes on."""
         if not self._refused(Action.PAUSE):
-            self._is_paused = True
-            self._movement.set_speed(0.0)
+            self._pace.pause()
 
     def coach(self) -> None:
         """Take what the hand is led to while the skill runs as a correction; nothing moves by itself."""
@@ -284,8 +285,7 @@ class Desk:
 
     def set_speed(self, speed: float) -> None:
         """Run at this speed; 1: as learned, below 0: back."""
-        self._speed, self._is_paused = speed, False
-        self._movement.set_speed(speed)
+        self._pace.set(speed)
 
     def set_duration(self, duration: float) -> None:
         """Let the next movement take so long, s; 0: as taught."""
@@ -297,4 +297,4 @@ class Desk:
         self._stops += 1
         self._movement.stop()
         self.table.let_go()
-        self._is_paused = False
+        self._pace.is_paused = False

@@ -49,6 +49,8 @@ class DeskView:
         what was said last, newest first
     coached
         what goes on of a correction, or came of the last one
+    waits
+        that the movement waits for an arm that was let go of, or did
     coach_force
         force on the hand from which on a correction begins by itself, N; 0: never
     may_grab
@@ -84,6 +86,7 @@ class DeskView:
     reasons: dict[Action, str] = field(default_factory=dict)
     words: tuple[str, ...] = ()
     coached: str = ""
+    waits: str = ""
     coach_force: float = 0.0
     may_grab: bool = False
     shared: str = ""

@@ -206,7 +206,8 @@ def run(view: DeskView) -> str:
         return block([escape(view.reasons.get(Action.RUN, ""))]) if view.reasons.get(Action.RUN) else ""
     stage = "paused" if view.activity is Activity.PAUSED else view.run.stage
     share = f" {100.0 * view.run.phase:.0f} %" if view.run.goes_on else ""
-    return block([f"{chip(stage, colors.get(view.run.stage, GREY))}{share} {escape(view.run.words)}"])
+    lines = [f"{chip(stage, colors.get(view.run.stage, GREY))}{share} {escape(view.run.words)}", escape(view.waits)]
+    return block([line for line in lines if line])
 
 
 def novelty(view: DeskView) -> str:
