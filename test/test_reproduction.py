@@ -290,7 +290,8 @@ def test_those_who_listen_are_told_the_course_ahead_as_it_comes_then(player: Pla
         player.tick()
     came = {conversions.time_to_ns(one.header.stamp): one.gaussian for one in player.references}
     for number, gaussian in enumerate(ahead.horizon[:6], start=1):
-        then = came[min(came, key=lambda stamp, at=begin_ns + number * step_ns: abs(stamp - at))]
+        stamps = np.array(list(came))
+        then = came[int(stamps[np.argmin(np.abs(stamps - begin_ns - number * step_ns))])]
         np.testing.assert_allclose(gaussian.mean, then.mean, atol=2e-3)
         np.testing.assert_allclose(gaussian.covariance, then.covariance, rtol=0.2, atol=1e-6)
     moved = np.linalg.norm(np.array(ahead.horizon[5].mean[:3]) - ahead.gaussian.mean[:3])

@@ -48,6 +48,8 @@ class ExternalTorques:
         self._robot, self._endpoint = robot, endpoint
         self._arm = robot.indices(robot.endpoints[endpoint].joints)
         self._data = robot.create_data()
+        self._first_ns, self._last_ns, self._count = -1, -1, 0
+        self._sum = np.zeros(robot.nv)
         self.forget()
 
     def forget(self) -> None:
