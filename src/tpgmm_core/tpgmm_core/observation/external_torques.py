@@ -98,10 +98,15 @@ class ExternalTorques:
         self._begin(self._last_ns, q, v)
 
     def hand_force(self) -> float:
-        """How hard the hand is pushed or turned, N: least squares over the joints of its arm, beyond friction.
+        """How hard the hand is pushed or turned: least squares over the joints of its arm, beyond friction.
 
         Friction is not measured, and its sign depends on which side of the gear torques are measured: what the
         friction of the robot file could explain is not counted.
+
+        Returns
+        -------
+        float
+            N, as in `size_of`
         """
         robot, arm = self._robot, self._arm
         friction = robot.coulomb_friction + robot.viscous_friction * np.abs(self._v)
