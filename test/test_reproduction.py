@@ -26,7 +26,7 @@ from ros_graph import (
 from ros_testing import STARTUP_TIMEOUT, spin_until
 from tpgmm_core import TPGMM, Frame
 from tpgmm_core.geometry import quaternion
-from tpgmm_msgs.msg import ControllerState
+from tpgmm_msgs.msg import ControllerState, Reference
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import LATCHED
 
@@ -269,6 +269,34 @@ def test_viewers_are_shown_what_is_there_and_forget_it_when_the_node_is_deactiva
     player.node.destroy_subscription(subscription)
     player.show(PLACES)
     assert change_state(player.node, NODE, ACTIVATE)
+
+
+def test_those_who_listen_are_told_the_course_ahead_as_it_comes_then(player: Player) -> None:
+    told: list[Reference] = []
+    subscription = player.node.create_subscription(Reference, "reference_ahead", told.append, ALL)
+    player.start(duration=6.0)
+
+    def is_told() -> bool:
+        player.tick()
+        return len(told) > 1
+
+    spin_until(player.node, is_told, message="the course ahead", processes=(player.process,))
+    ahead = told[1]  # the first one may be from before the frames were there
+    step_ns = round(1e9 * ahead.horizon_time_step)
+    begin_ns = conversions.time_to_ns(ahead.header.stamp)
+    assert len(ahead.horizon) == 12 and step_ns == 200_000_000
+    player.references.clear()
+    while player.stamp_ns < begin_ns + 7 * step_ns:
+        player.tick()
+    came = {conversions.time_to_ns(one.header.stamp): one.gaussian for one in player.references}
+    for number, gaussian in enumerate(ahead.horizon[:6], start=1):
+        stamps = np.array(list(came))
+        then = came[int(stamps[np.argmin(np.abs(stamps - begin_ns - number * step_ns))])]
+        np.testing.assert_allclose(gaussian.mean, then.mean, atol=2e-3)
+        np.testing.assert_allclose(gaussian.covariance, then.covariance, rtol=0.2, atol=1e-6)
+    moved = np.linalg.norm(np.array(ahead.horizon[5].mean[:3]) - ahead.gaussian.mean[:3])
+    assert moved > 0.01
+    player.node.destroy_subscription(subscription)
 
 
 def state_at(stamp_ns: int, names: tuple[str, ...] = ()) -> JointState:

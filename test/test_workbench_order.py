@@ -48,7 +48,7 @@ def heard() -> Heard:
 @pytest.fixture
 def address(ros_node: Node, tmp_path: Path, heard: Heard) -> Iterator[str]:
     desk = Desk(ros_node, Project.create(tmp_path / "project", TASK_FILE, ROBOT_FILE), simulated=True, seed=3)
-    page = Page(desk, heard.ask, read_shapes(desk.robot_urdf, meshes=False), 18380, Access())
+    page = Page(desk, heard.ask, read_shapes(desk.robot.urdf, meshes=False), 18380, Access())
     try:
         yield page.address
     finally:

@@ -26,6 +26,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.pose import compose, inverse, pose_error
 from tpgmm_workbench.page.camera import camera_for
 from tpgmm_workbench.project.project import Project
+from workbench_run import DURATION, SPEED, pause_and_go_back, set_slider, take_picture
 from workbench_user import OUTPUT, PATIENCE, Places, User
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.alone]
@@ -33,8 +34,6 @@ pytestmark = [pytest.mark.timeout(600), pytest.mark.alone]
 RUNS = "Move an object, or hide it"
 #: What it says while the hand is not led.
 NOBODY = "Nobody leads the hand"
-#: Sliders of the panel Run, from above.
-DURATION, SPEED = 0, 1
 #: Demonstrations that are taught.
 COUNT = 3
 #: Where the tutorial's pictures are to be drawn; URDF of a second robot.
@@ -81,6 +80,7 @@ def test_an_empty_folder_becomes_a_skill_that_runs_by_clicks_keys_and_drags_and_
     user.click("Run [G]")
     user.sees(RUNS)
     print(f"\nfrom the start to a skill that runs: {time.monotonic() - began:.0f} s, load {os.getloadavg()[0]:.0f}")
+    pause_and_go_back(user, places, home)
 
     # the object is dragged while the hand is on its way, and the hand goes to where it is by then
     was = places.of("object")
@@ -88,7 +88,7 @@ def test_an_empty_folder_becomes_a_skill_that_runs_by_clicks_keys_and_drags_and_
     user.until(lambda: pose_error(places.of("object"), was)[0] > 0.03, "the object to be dragged")
     assert RUNS in user.text(), "the movement was over before the object was dragged"
     user.shoot("run")
-    _set(user, SPEED, 2)
+    set_slider(user, SPEED, 2)
     user.until(lambda: RUNS not in user.text(), "the end of the movement")
     # so few demonstrations make no exact skill: how exact it is, is measured elsewhere; here, that it follows
     off, off_before = (pose_error(places.of("hand"), compose(at, grasp))[0] for at in (places.of("object"), was))
@@ -155,7 +155,7 @@ def _look_ahead(user: User, places: Places, home: Array) -> None:
     user.opens("Teach")
     _lead_home(user, places, home)
     user.opens("Run")
-    _set(user, DURATION, 1)
+    set_slider(user, DURATION, 1)
     user.page.keyboard.press("p")  # in a box of numbers, too
     user.sees("does not run like this")
     advised = user.page.get_by_role("button", name=re.compile("^Use [0-9]+ s$"))
@@ -164,18 +164,12 @@ def _look_ahead(user: User, places: Places, home: Array) -> None:
     advised.click(force=True)
     user.sees("may run")
     user.until(lambda: not advised.is_visible(), "the advice to be gone")
-    _set(user, DURATION, 30)  # on a busy machine a browser takes long to drag
-
-
-def _set(user: User, slider: int, value: int) -> None:
-    """Write a number beside a slider of the panel Run."""
-    user.page.locator("input[inputmode=decimal]").nth(slider).fill(str(value))
-    user.page.keyboard.press("Enter")
+    set_slider(user, DURATION, 30)  # on a busy machine a browser takes long to drag
 
 
 def _hide_and_stop(user: User) -> None:
     """A frame that is hidden while the skill runs is missing, and the page says so; Esc stops, whatever has focus."""
-    _set(user, DURATION, 40)
+    set_slider(user, DURATION, 40)
     user.click("Run [G]")
     user.sees(RUNS)
     user.opens("Teach")
@@ -221,6 +215,7 @@ def _share(user: User, folder: Path, place: Path) -> None:
         user.click("Import a project")
     chooser.value.set_files(archive)
     user.sees("imported into")
+    take_picture(user, folder, place / "picture.png")
     user.shoot("share")
     assert len(Project.open(folder.parent / "project_2").demonstrations()) == COUNT
 
@@ -246,7 +241,7 @@ def test_a_robot_of_which_there_is_a_urdf_alone_is_taught_and_runs(
     user.opens("Teach")
     _lead_home(user, places, home)
     user.opens("Run")
-    _set(user, DURATION, 30)
+    set_slider(user, DURATION, 30)
     user.page.keyboard.press("p")
     user.sees("may run")
     user.shoot("workbench_ur5_preview", pictures)

@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import re
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import numpy as np
 import pytest
 import viser
 
 from tpgmm_workbench.page.access import Access, guarded
 from tpgmm_workbench.page.added import completed
+from tpgmm_workbench.page.picture import draw_of
 from tpgmm_workbench.scene.colors import Color, contrast
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.alone]
@@ -82,3 +85,28 @@ def test_buttons_and_tabs_can_be_read_in_light_and_dark(browser: Any, is_dark: b
 def _rgb(text: str) -> Color:
     red, green, blue = (int(part) for part in re.findall("[0-9]+", text)[:3])
     return red, green, blue
+
+
+def test_a_browser_draws_the_scene_when_it_is_asked_and_one_that_is_gone_is_told_of(browser: Any) -> None:
+    server = viser.ViserServer("127.0.0.1", 18282, verbose=False)
+    try:
+        server.scene.add_icosphere("/ball", 0.5, (213, 94, 0))
+        page = browser.new_page(viewport={"width": 320, "height": 240})
+        page.goto(f"http://127.0.0.1:{server.get_port()}")
+        while not server.get_clients():
+            page.wait_for_timeout(50)
+        (client,) = server.get_clients().values()
+        with ThreadPoolExecutor() as pool:
+            drawn = pool.submit(draw_of(client))
+            while not drawn.done():
+                page.wait_for_timeout(50)
+            picture = drawn.result()
+            assert picture.shape == (240, 320, 3) and picture.dtype == np.uint8
+            red, green, blue = picture[120, 160].astype(int)
+            assert red > green > blue, "the ball is in the middle"
+            draw = draw_of(client)
+            page.close()
+            with pytest.raises(RuntimeError, match="its page was closed"):
+                pool.submit(draw).result()
+    finally:
+        server.stop()

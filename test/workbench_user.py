@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -98,12 +99,25 @@ class User:
 
     def drag(self, pose: Array, axis: int, way: float, camera: Camera) -> None:
         """Take hold of an arrow of the gizmo of an object at `pose` (7,), and pull it `way` m along its axis."""
+        with self.holding(pose, axis, way, camera, GIZMO):
+            pass
+
+    @contextmanager
+    def holding(self, pose: Array, axis: int, way: float, camera: Camera, length: float) -> Iterator[None]:
+        """The same with a gizmo of that length, m, held at the end of the way as long as the block lasts."""
         arrow = rotation_matrix(pose[3:])[:, axis]
-        begin, end = (pixel(camera, pose[:3] + (HOLD * GIZMO + more) * arrow) for more in (0.0, way))
+        begin, end = (pixel(camera, pose[:3] + (HOLD * length + more) * arrow) for more in (0.0, way))
         self.page.mouse.move(*begin)
         self.page.mouse.down()
         self.page.mouse.move(*end, steps=3)
-        self.page.mouse.up()
+        try:
+            yield
+        finally:
+            self.page.mouse.up()
+
+    def rest(self, seconds: float) -> None:
+        """Do nothing for a while, as people do between two looks."""
+        self.page.evaluate(f"new Promise((done) => setTimeout(done, {1e3 * seconds}))")
 
     def stop_box(self) -> dict[str, float]:
         """Where STOP is on the page, in pixels."""

@@ -17,7 +17,7 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     python_requires=">=3.12",
-    install_requires=["tpgmm_ros", "tpgmm_demos", "viser", "trimesh", "websockets", "pycollada"],
+    install_requires=["tpgmm_ros", "tpgmm_demos", "matplotlib", "viser", "trimesh", "websockets", "pycollada"],
     extras_require={"test": ["pytest"]},  # `colcon test` asks for pytest here
     entry_points={
         "console_scripts": [

@@ -49,6 +49,15 @@ def test_who_is_far_and_comes_no_nearer_does_not_follow_until_it_is_near(panda: 
     assert not waited(watch, panda, asked(panda, Lag(0.03, 0.1)), ticks=1)
 
 
+def test_who_was_held_and_comes_back_slowly_is_not_said_to_be_held(panda: RobotModel) -> None:
+    watch = ProgressWatch(panda)
+    assert "something holds it" in waited(watch, panda, asked(panda, Lag(0.3, 0.0)))
+    for distance in np.linspace(0.3, 0.2, 4100):
+        watch.step(panda.home, np.zeros(panda.nv), asked(panda, Lag(float(distance), 0.0)), 0.001)
+    assert watch.reason.startswith("not following yet, 2") and "it comes nearer, slowly" in watch.reason
+    assert "something holds it" in waited(watch, panda, asked(panda, Lag(0.2, 0.0)), ticks=4100)
+
+
 @pytest.mark.parametrize("lag", [Lag(0.04, 0.0), Lag(0.0, 0.2)])
 def test_who_is_near_follows_however_long(panda: RobotModel, lag: Lag) -> None:
     assert not waited(ProgressWatch(panda), panda, asked(panda, lag), ticks=5000)

@@ -14,9 +14,10 @@ from tpgmm_workbench.desk.learning import ModelView
 from tpgmm_workbench.desk.teaching import TaughtView
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.graph.movement import RunView
-from tpgmm_workbench.page import words
+from tpgmm_workbench.page import robot_words, words
 from tpgmm_workbench.page.added import MARK
 from tpgmm_workbench.page.driver import Driver
+from tpgmm_workbench.page.html import chip
 from tpgmm_workbench.page.names import names_alone
 from tpgmm_workbench.project.activities import Action, Activity, Facts, may
 from tpgmm_workbench.project.preview import Check, Preview
@@ -81,7 +82,7 @@ def test_what_others_wrote_is_text_and_never_a_part_of_the_page() -> None:
     )
     panels = (words.status, words.demonstrations, words.model, words.training, words.verdict, words.run)
     later = (words.suggestion, words.relevance, words.coaching, words.sharing)
-    for say in (*panels, *later, words.torques, words.nodes):
+    for say in (*panels, *later, robot_words.torques, robot_words.nodes):
         assert "<img" not in say(view), say.__name__
 
 
@@ -122,20 +123,20 @@ def test_torques_are_told_against_their_limits_and_what_is_near_one_says_so() ->
         ),
         stiffness=StiffnessView(np.diag([500.0, 100.0, 300.0, 20.0, 5.0, 10.0])),
     )
-    rows = words.torques(DeskView(graph=graph)).split("</div></div>")
+    rows = robot_words.torques(DeskView(graph=graph)).split("</div></div>")
     assert "s0: 10.0 of 50 N m" in rows[0] and "width:20%" in rows[0] and "near" not in rows[0]
     assert "s1: -40.0 of 50 N m" in rows[1] and "width:80%" in rows[1] and "near" in rows[1]
     assert "lift: 60.0 of 60 N " in rows[2] and "width:100%" in rows[2] and "at its limit" in rows[2]
     assert "w2: 0.0 of 15 N m" in rows[3]
-    assert "100 to 500 N/m, turning 5.0 to 20.0 N m/rad" in words.stiffness(DeskView(graph=graph))
-    assert "No torques" in words.torques(DeskView()) and "nothing is tracked" in words.stiffness(DeskView())
+    assert "100 to 500 N/m, turning 5.0 to 20.0 N m/rad" in robot_words.stiffness(DeskView(graph=graph))
+    assert "No torques" in robot_words.torques(DeskView()) and "nothing is tracked" in robot_words.stiffness(DeskView())
 
 
 def test_each_word_on_a_coloured_ground_can_be_read() -> None:
     for ground in (*SEVERAL, *FRAME.values(), GREEN, GREY, RED, SKY, YELLOW):
         text = readable_on(ground)
         assert contrast(text, ground) >= 4.5
-        assert f"background:{css(ground)};color:{css(text)}" in words.chip("word", ground)
+        assert f"background:{css(ground)};color:{css(text)}" in chip("word", ground)
     assert contrast((0, 0, 0), (255, 255, 255)) == pytest.approx(21.0)
 
 

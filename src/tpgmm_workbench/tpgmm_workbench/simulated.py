@@ -32,6 +32,8 @@ PHYSICS_RATE = 1000.0
 FEW_CORES, FEW_CORES_RATE, RATE = 4, 250.0, 1000.0
 #: Task parameters per second, besides those that tell of changes, Hz.
 TRACKER_RATE = 20.0
+#: From this force on a correction begins by itself, N: the simulator's torques are exact.
+COACH_FORCE = 15.0
 #: How often it is looked whether the nodes still run, s.
 CHECK_PERIOD = 1.0
 
@@ -61,6 +63,7 @@ def main() -> int:
             "meshes": not arguments.no_meshes,
             "seed": arguments.seed,
             "frame_rate": arguments.frame_rate,
+            "coach_force": arguments.coach_force,
         }
         words = ["workbench", "--ros-args"]
         for name, value in given.items():
@@ -181,6 +184,12 @@ def _parser() -> argparse.ArgumentParser:
         "--no-meshes", action="store_true", help="draw simple shapes instead of meshes, which is faster"
     )
     parser.add_argument("--frame-rate", type=float, default=30.0, help=f"update rate of the page, Hz {shown}")
+    parser.add_argument(
+        "--coach-force",
+        type=float,
+        default=COACH_FORCE,
+        help=f"force on the hand from which on a correction begins by itself while the skill runs, N; 0: never {shown}",
+    )
     parser.add_argument("--domain", type=int, help="ROS domain, to watch with RViz (default: a free one)")
     parser.add_argument("--log", type=Path, default=Path("out/workbench/log"), help=f"logs of the nodes {shown}")
     return parser

@@ -56,6 +56,15 @@ PARAMETERS = [
         2**31 - 1,
         fixed=True,
     ),
+    Declared(
+        "coach_force",
+        0.0,
+        "Force on the hand at which a correction begins by itself while the skill runs, N; for robots that measure "
+        "joint torques or external_wrench; 0: only by the button",
+        0.0,
+        500.0,
+        fixed=True,
+    ),
     Declared("frame_rate", 30.0, "Largest rate at which the page is updated, Hz", 1.0, 30.0, fixed=True),
 ]
 
@@ -70,8 +79,8 @@ class WorkbenchNode(Node):
         self._period = 1.0 / parameters["frame_rate"]
         project = self._project(parameters)
         seed = None if parameters["seed"] < 0 else int(parameters["seed"])
-        self.desk = Desk(self, project, parameters["simulated"], seed)
-        shapes = read_shapes(self.desk.robot_urdf, meshes=parameters["meshes"])
+        self.desk = Desk(self, project, parameters["simulated"], seed, parameters["coach_force"])
+        shapes = read_shapes(self.desk.robot.urdf, meshes=parameters["meshes"])
         for note in shapes.notes:
             self.get_logger().warning(note)
         access = Access(parameters["host"])

@@ -46,7 +46,7 @@ class ProgressWatch:
         """Start with a new movement: nothing is known of it."""
         self.reason = ""
         self._nearest = np.inf
-        self._waited = self._told = 0.0
+        self._waited = self._told = self._told_far = 0.0
 
     def step(self, q: Array, tau: Array, asked: LawTorques, dt: float) -> None:
         """Judge the progress of a step.
@@ -72,7 +72,10 @@ class ProgressWatch:
         if self.reason:
             self._told += dt
             if self._told >= NEW_WORDS:
-                self._told, self.reason = 0.0, self._words(q, tau, asked)
+                comes = far < self._told_far - NEARER  # one that was held and let go of comes back, slowly
+                words = f"not following yet, {asked.lag}: it comes nearer, slowly" if comes else ""
+                self.reason = words or self._words(q, tau, asked)
+                self._told, self._told_far = 0.0, far
             return
         keeps_up = asked.asked > MOVES and asked.moves >= KEEPS_UP * asked.asked
         if keeps_up or asked.blend < 1.0 or far < self._nearest - min(NEARER * self._nearest, STEP):
@@ -80,7 +83,7 @@ class ProgressWatch:
             return
         self._waited += dt
         if self._waited >= PATIENCE:
-            self.reason = self._words(q, tau, asked)
+            self.reason, self._told_far = self._words(q, tau, asked), far
 
     def _words(self, q: Array, tau: Array, asked: LawTorques) -> str:
         causes = "; ".join(hindrances(self._robot, q, tau, asked))

@@ -209,6 +209,11 @@ class RobotModel:
         link = self.pinocchio.existFrame(frame, pin.FrameType.BODY)
         return int(self.pinocchio.getFrameId(frame, *((pin.FrameType.BODY,) if link else ())))
 
+    def joints_above(self, frame: str) -> tuple[str, ...]:
+        """Names of the joints that move a frame of the URDF, from the base on. Raises ValueError for an unknown one."""
+        model = self.pinocchio
+        return tuple(model.names[i] for i in model.supports[model.frames[self.frame_id(frame)].parentJoint] if i)
+
     def ordered(self, names: Sequence[str], values: ArrayLike) -> Array:
         """Values (nv,) in model order from names and values in any order, as in a JointState.
 

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from visualization_msgs.msg import MarkerArray
@@ -11,6 +13,7 @@ from tpgmm_core.common.text import listed
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.retrieval.skill_sequence import SkillSequence
+from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.broadcasting import TransformBroadcaster
 from tpgmm_ros.messages.markers import Scene
@@ -22,6 +25,8 @@ from tpgmm_ros.task.task_file import Task
 TRACKER_TIMEOUT = 1.0  # s
 POSE_PERIOD_NS = 33_000_000
 MARKER_PERIOD_NS = 100_000_000
+#: The course ahead is shown this often, ns: so many Gaussians, so far apart, s.
+AHEAD_PERIOD_NS, AHEAD_STEPS, AHEAD_TIME_STEP = 200_000_000, 12, 0.2
 
 
 class Seldom:
@@ -61,9 +66,11 @@ class ReferenceViews:
         self._task = task
         self._poses = node.create_lifecycle_publisher(PoseWithCovarianceStamped, "reference_pose", STREAM)
         self._markers = node.create_lifecycle_publisher(MarkerArray, "markers", STREAM)
+        self._ahead = node.create_lifecycle_publisher(ReferenceMessage, "reference_ahead", STREAM)
         self._transforms = TransformBroadcaster(node) if with_transforms else None
         self._scene = Scene()
         self._pose_due, self._markers_due = Seldom(POSE_PERIOD_NS), Seldom(MARKER_PERIOD_NS)
+        self._ahead_due = Seldom(AHEAD_PERIOD_NS)
 
     def show(self, stamp_ns: int, sequence: SkillSequence, reference: Reference) -> None:
         """The reference of a sequence at a time, ns, where it is one of poses."""
@@ -79,6 +86,11 @@ class ReferenceViews:
             mixture = sequence.execution.retrieval.mixture()
             shown = self._scene.show(mixture, reference.activations, sequence.frames, stamp_ns, frame_id)
             self._markers.publish(shown)
+        if self._ahead_due.is_due(stamp_ns) and self._ahead.get_subscription_count():
+            horizon = tuple(sequence.execution.retrieval.horizon(AHEAD_STEPS, AHEAD_TIME_STEP))
+            ahead = replace(reference, horizon_time_step=AHEAD_TIME_STEP, horizon=horizon)
+            dimensions = self._task.space.state_dimensions()
+            self._ahead.publish(conversions.reference_message(ahead, dimensions, stamp_ns, frame_id))
 
     def hide(self, stamp_ns: int) -> None:
         """Nothing is reproduced any more, at a time, ns: viewers forget what they were shown."""

@@ -13,7 +13,8 @@ from tpgmm_workbench.graph.movement import RunView
 from tpgmm_workbench.project.coach import correct
 from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.project import Project, TrainedModel
-from tpgmm_workbench.session.view import GraphView
+from tpgmm_workbench.session.touch import Touch
+from tpgmm_workbench.session.view import ForceView, GraphView
 from tpgmm_workbench.session.watched_run import WatchedRun
 
 
@@ -32,6 +33,8 @@ class Coaching:
         called when there is a correction more, and a model that follows it
     feels
         whether it is known when the arm is led; else that is found from where the hand left its reference
+    threshold
+        force on the hand from which on a correction begins by itself, N; 0: only where it is asked for
 
     Attributes
     ----------
@@ -41,6 +44,8 @@ class Coaching:
         what goes on, or is waited for
     model
         number of the one that runs
+    touch
+        whether somebody holds the hand, where the robot measures that
     """
 
     def __init__(
@@ -50,8 +55,11 @@ class Coaching:
         say: Callable[[str], object],
         changed: Callable[[], object],
         feels: bool,
+        threshold: float = 0.0,
     ) -> None:
         self.is_on, self.words, self.model = False, "", 0
+        self.touch = Touch(threshold)
+        self._is_of_touch = self._was_touched = False
         self._project, self._background, self._say, self._changed = project, background, say, changed
         self._feels = feels
         self._is_wanted = False
@@ -61,6 +69,7 @@ class Coaching:
     def begin(self) -> None:
         """Take what the hand does from now on as a correction."""
         self.is_on = self._is_wanted = True
+        self._is_of_touch = False
         self.words = "lead the hand to where it should be, as long as it matters; then let go"
 
     def end(self) -> None:
@@ -83,11 +92,32 @@ class Coaching:
         if run.goes_on and not self._goes_on:
             self._watched = WatchedRun()
             self.is_on, self._is_wanted, self.words = False, False, ""
+            self._was_touched = False
+        is_led |= self._feel(run, graph.force, is_led)
         if run.stage in ("asked", "running") or (run.stage == "done" and self._goes_on):
             self._watched.take(time.monotonic(), run.phase, graph, self.is_on and is_led)
         if self._goes_on and not run.goes_on:
             self._over(run)
         self._goes_on = run.goes_on
+
+    def _feel(self, run: RunView, force: ForceView | None, is_led: bool) -> bool:
+        """Begin a correction where the hand is taken hold of, and end it where it is let go of; whether it is held."""
+        before = self.touch.is_held
+        newtons = None if force is None or run.stage != "running" else force.newtons
+        self.touch.take(time.monotonic(), newtons)
+        is_held = self.touch.is_held
+        if is_held and not before and not self.is_on:
+            self.begin()
+            self._is_of_touch = self._was_touched = True
+            self.words = (
+                f"the hand is held with {newtons:.0f} N, more than {self.touch.threshold:.0f} N: lead it to where it "
+                "should be, as long as it matters; then let go"
+            )
+            self._say(self.words)
+        elif self.is_on and self._is_of_touch and run.goes_on and not (is_held or is_led):
+            self.end()
+            self._say(f"the hand was let go of: {self.words}")
+        return is_held and self.touch.is_felt
 
     def _over(self, run: RunView) -> None:
         wanted, self._is_wanted, self.is_on = self._is_wanted, False, False
@@ -97,7 +127,7 @@ class Coaching:
             self.words = "nothing is corrected: the movement was stopped before its end"
             self._say(self.words)
             return
-        seen, ran = self._watched.run(self._feels), self.model
+        seen, ran = self._watched.run(self._feels or self._was_touched), self.model
 
         def work() -> TrainedModel:
             present = self._project.model

@@ -9,30 +9,28 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 from rclpy.node import Node
 
-from tpgmm_core.robot.description import RobotDescription
 from tpgmm_ros.runtime.background import Background
 from tpgmm_workbench.desk.coaching import Coaching
 from tpgmm_workbench.desk.learning import Learning
+from tpgmm_workbench.desk.novelty import RunNovelty
+from tpgmm_workbench.desk.pace import Pace
+from tpgmm_workbench.desk.pictures import Pictures
+from tpgmm_workbench.desk.said import Said
 from tpgmm_workbench.desk.sharing import Sharing
-from tpgmm_workbench.desk.table import SimulatedTable
+from tpgmm_workbench.desk.table import SimulatedTable, simulated_world
 from tpgmm_workbench.desk.teaching import Teaching
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.graph.movement import MovementClient
-from tpgmm_workbench.graph.simulated_world import SimulatedWorld
 from tpgmm_workbench.graph.watching import Watcher
 from tpgmm_workbench.project.activities import Action, Activity, Facts, may
 from tpgmm_workbench.project.preview import Preview
 from tpgmm_workbench.project.project import Project
 from tpgmm_workbench.project.training import TrainingOptions
-from tpgmm_workbench.session.arrangement import Arrangement, regions_of
 from tpgmm_workbench.session.view import GraphView
 
-#: What was said is shown for so long, s; and how much of it at once.
-WORDS_STAY, MOST_WORDS = 12.0, 3
 #: An arm that is held is given so long to become free before a recording begins anyway, s.
 RELEASE = 4.0
 
@@ -50,6 +48,8 @@ class Desk:
         whether the robot is a simulation, whose hand may be dragged and whose objects may be moved
     seed
         of the places of a simulation's objects; None: others each time
+    coach_force
+        on the hand, from which on a correction begins by itself while the skill runs, N; 0: never
 
     Attributes
     ----------
@@ -59,56 +59,47 @@ class Desk:
         (7,) the hand's pose at the robot's home
     table
         what only a simulation lets a user do
-    sharing
-        exports, imports
+    sharing, pictures
+        exports, imports; pictures of the scene
+    say
+        tells the user something, and the log
     teaching
         the demonstrations, what is noted about them, and where to show the next one
     """
 
-    def __init__(self, node: Node, project: Project, simulated: bool, seed: int | None = None) -> None:
-        self._node, self.project, self.simulated = node, project, simulated
-        self.robot = project.robot()
-        self._background, self._judge = Background(node), Background(node)
-        self._watcher = Watcher(node, project.task, self.robot)
+    def __init__(
+        self, node: Node, project: Project, simulated: bool, seed: int | None = None, coach_force: float = 0.0
+    ) -> None:
+        self.project, self.simulated = project, simulated
+        self.robot, self._said = project.robot(), Said(node)
+        self.say = self._said.say
+        self._background, self._judge, self._waiting = (Background(node) for _ in range(3))
+        self._watcher = Watcher(node, project.task, self.robot, feels=coach_force > 0.0)
         self._movement = MovementClient(node, self.say)
         self._learning = Learning(project, self._background, self.say)
         # a correction is a demonstration with a model of its own: both come, and are taken back, at once
         self.teaching = Teaching(node, project, self._judge, self.say, self._learning.refresh)
-        self._coaching = Coaching(project, self._background, self.say, self.teaching.refresh, feels=simulated)
+        self._coaching = Coaching(project, self._background, self.say, self.teaching.refresh, simulated, coach_force)
+        self._novelty = RunNovelty(project, self._judge)
         self.sharing = Sharing(project, self._background, self._refused, self.say)
+        self.pictures = Pictures(project, self._waiting, self.say)
         data = self.robot.create_data()
         data.update(self.robot.home)
         self.home = data.pose(project.task.endpoint).copy()
-        world: SimulatedWorld | None = None
-        if simulated:
-            regions = regions_of(project.task.name, project.task.topics, self.home)
-            hand = self.robot.endpoints[project.task.endpoint].frame
-            world = SimulatedWorld(node, project.task, Arrangement(regions, seed), hand)
+        world = simulated_world(node, project, self.robot, self.home, seed) if simulated else None
         self.table = SimulatedTable(world, self.home, self._movement, self._refused, self.say)
-        self._said: list[tuple[float, str]] = []
-        self._graph = GraphView()
-        self._speed, self._is_paused, self._duration, self._stops = 1.0, False, 0.0, 0
+        self._graph, self._is_read = GraphView(), False
+        self._pace, self._duration, self._stops = Pace(self._movement), 0.0, 0
         self._release_until: float | None = None
-        self._is_read = False
 
     def close(self) -> None:
         """End what goes on, in order; what was recorded is kept."""
         self._movement.stop()
         self.teaching.close()
         self._learning.close()
-        self._background.close()
-        self._judge.close()
+        for background in (self._background, self._judge, self._waiting):
+            background.close()
         self._watcher.close()
-
-    def say(self, words: str) -> None:
-        """Tell the user something, and the log."""
-        self._node.get_logger().info(words)
-        self._said.append((time.monotonic(), words))
-
-    @property
-    def robot_urdf(self) -> Path:
-        """The URDF of the robot. Raises RobotFileError."""
-        return RobotDescription.from_file(self.project.robot_file).urdf
 
     # -- what is known ------------------------------------------------------------------------------------------------
 
@@ -120,7 +111,7 @@ class Desk:
         if self._movement.view.goes_on:
             if self._coaching.is_on:
                 return Activity.COACHING
-            return Activity.PAUSED if self._is_paused else Activity.RUNNING
+            return Activity.PAUSED if self._pace.is_paused else Activity.RUNNING
         return Activity.IDLE
 
     def facts(self, drives: bool = True) -> Facts:
@@ -149,10 +140,10 @@ class Desk:
             self.teaching.refresh()
         self._learning.look()
         self._coaching.watch(self._movement.view, self._graph, self.table.aim is not None)
+        self._pace.watch(self._movement.view, self._graph, self._coaching.is_on)
+        self._novelty.watch(self._coaching.model if self._movement.view.goes_on else None, self._graph)
         self._begin_when_free()
         self.table.watch(self._graph)
-        now = time.monotonic()
-        self._said = [(when, words) for when, words in self._said[-MOST_WORDS:] if now - when < WORDS_STAY]
         facts = self.facts()
         return DeskView(
             graph=self._graph,
@@ -164,15 +155,20 @@ class Desk:
             progress=self._learning.progress,
             model=self._learning.model,
             preview=self._learning.shown,
+            novelty=self._novelty.view,
             reasons={action: may(action, facts) for action in Action},
-            words=tuple(words for _, words in reversed(self._said)),
+            words=self._said.recent,
             coached=self._coaching.words,
+            coach_force=self._coaching.touch.threshold,
+            may_grab=self._coaching.touch.is_ready,
             shared=self.sharing.words,
+            pictured=self.pictures.words,
             places=self.table.places,
             hidden=self.table.hidden,
             aim=self.table.aim,
             to_go=self.table.to_go,
-            speed=self._speed,
+            waits=self._pace.words,
+            speed=self._pace.speed,
             duration=self._duration,
         )
 
@@ -257,7 +253,7 @@ class Desk:
         if self._refused(Action.RUN):
             return
         if self.activity is Activity.PAUSED:
-            self.set_speed(self._speed)
+            self._pace.set(self._pace.speed)
             return
         self.table.let_go()
         self._look_ahead(partial(self._run_if_good, self._stops))
@@ -267,15 +263,14 @@ class Desk:
             self.say(f"not run: {shown.words if stops == self._stops else 'stopped before it began'}")
             return
         if self._learning.model is not None and not self._refused(Action.RUN):
-            self.set_speed(self._speed)
+            self._pace.begin()
             self._coaching.model = self._learning.model.number
             self._movement.start(self._learning.model.path, self._duration)
 
     def pause(self) -> None:
         """Stand still; `run` goes on."""
         if not self._refused(Action.PAUSE):
-            self._is_paused = True
-            self._movement.set_speed(0.0)
+            self._pace.pause()
 
     def coach(self) -> None:
         """Take what the hand is led to while the skill runs as a correction; nothing moves by itself."""
@@ -290,8 +285,7 @@ class Desk:
 
     def set_speed(self, speed: float) -> None:
         """Run at this speed; 1: as learned, below 0: back."""
-        self._speed, self._is_paused = speed, False
-        self._movement.set_speed(speed)
+        self._pace.set(speed)
 
     def set_duration(self, duration: float) -> None:
         """Let the next movement take so long, s; 0: as taught."""
@@ -303,4 +297,4 @@ class Desk:
         self._stops += 1
         self._movement.stop()
         self.table.let_go()
-        self._is_paused = False
+        self._pace.is_paused = False

@@ -6,14 +6,41 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from rclpy.node import Node
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.pose import pose_error
+from tpgmm_core.robot.model import RobotModel
 from tpgmm_workbench.graph.movement import MovementClient
 from tpgmm_workbench.graph.simulated_world import SimulatedWorld
 from tpgmm_workbench.project.activities import Action
-from tpgmm_workbench.session.arrangement import hand_over
+from tpgmm_workbench.project.project import Project
+from tpgmm_workbench.session.arrangement import Arrangement, hand_over, regions_of
 from tpgmm_workbench.session.view import GraphView
+
+
+def simulated_world(node: Node, project: Project, robot: RobotModel, home: Array, seed: int | None) -> SimulatedWorld:
+    """A hand that is led, and objects to be moved.
+
+    Parameters
+    ----------
+    node
+        publishes
+    project, robot
+        of the task
+    home
+        (7,) the hand's pose at the robot's home
+    seed
+        of the objects' places; None: others each time
+
+    Returns
+    -------
+    SimulatedWorld
+        of the task
+    """
+    task = project.task
+    regions = regions_of(task.name, task.topics, home)
+    return SimulatedWorld(node, task, Arrangement(regions, seed), robot.endpoints[task.endpoint].frame)
 
 
 class SimulatedTable:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from tpgmm_core.common.types import Array
 from tpgmm_workbench.desk.learning import ModelView
+from tpgmm_workbench.desk.novelty import NoveltyView
 from tpgmm_workbench.desk.teaching import TaughtView
 from tpgmm_workbench.graph.movement import RunView
 from tpgmm_workbench.project.activities import Action, Activity
@@ -40,14 +41,24 @@ class DeskView:
         the present one
     preview
         of the present model, where one was made
+    novelty
+        of the situation while a model runs; None before it is judged
     reasons
         action -> why it may not be done now, or nothing
     words
         what was said last, newest first
     coached
         what goes on of a correction, or came of the last one
+    waits
+        that the movement waits for an arm that was let go of, or did
+    coach_force
+        force on the hand from which on a correction begins by itself, N; 0: never
+    may_grab
+        whether the hand was free since the skill runs, so that taking hold of it is noticed
     shared
         what came of the last export or import
+    pictured
+        what came of the last picture
     places
         where a simulation's objects are, (7,) by name
     hidden
@@ -71,10 +82,15 @@ class DeskView:
     progress: Progress | None = None
     model: ModelView | None = None
     preview: Preview | None = None
+    novelty: NoveltyView | None = None
     reasons: dict[Action, str] = field(default_factory=dict)
     words: tuple[str, ...] = ()
     coached: str = ""
+    waits: str = ""
+    coach_force: float = 0.0
+    may_grab: bool = False
     shared: str = ""
+    pictured: str = ""
     places: dict[str, Array] = field(default_factory=dict)
     hidden: frozenset[str] = frozenset()
     aim: Array | None = None

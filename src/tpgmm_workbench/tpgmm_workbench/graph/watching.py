@@ -16,15 +16,18 @@ from tpgmm_core.common.text import one_line
 from tpgmm_core.common.types import Array
 from tpgmm_core.control.supervision import ControllerMode
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.observation.joint_states import MAX_SPREAD
 from tpgmm_core.observation.poses import check_pose
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_msgs.msg import ControllerState, TaskFrame, TaskParameters
+from tpgmm_msgs.msg import Reference as ReferenceMessage
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointStates, MessageError
 from tpgmm_ros.messages.joint_state_bytes import JointStateDecoder
 from tpgmm_ros.messages.qos import EVENTS, LATCHED, STATES, STREAM
 from tpgmm_ros.task.task_file import Task
+from tpgmm_workbench.graph.hand_force import HandForce
 from tpgmm_workbench.graph.latest import Looker
 from tpgmm_workbench.session.refusals import Refusals
 from tpgmm_workbench.session.view import (
@@ -32,6 +35,7 @@ from tpgmm_workbench.session.view import (
     ControllerView,
     FrameView,
     GraphView,
+    HorizonView,
     NodeView,
     ReferenceView,
     StiffnessView,
@@ -54,9 +58,11 @@ class Watcher:
         names the movement and the frames
     robot
         whose joints they are
+    feels
+        whether it is asked how hard somebody pushes the hand
     """
 
-    def __init__(self, node: Node, task: Task, robot: RobotModel) -> None:
+    def __init__(self, node: Node, task: Task, robot: RobotModel, feels: bool = False) -> None:
         self._node, self._task = node, task
         self._looker = Looker(node)
         topic = self._looker.topic
@@ -67,8 +73,11 @@ class Watcher:
         self._frames = topic(TaskParameters, "task_parameters", LATCHED)
         self._controller = topic(ControllerState, "controller_state", LATCHED)
         self._reference = topic(PoseWithCovarianceStamped, "reference_pose", STREAM)
+        self._ahead = topic(ReferenceMessage, "reference_ahead", STREAM)
+        self._horizon: HorizonView | None = None
         self._markers = topic(MarkerArray, "markers", STREAM)
         self._diagnostics = topic(DiagnosticArray, "/diagnostics", EVENTS)
+        self._force = HandForce(self._looker, robot, task.endpoint) if feels else None
         self._refusals = Refusals()
         self._limits = {
             name: (float(limit), "N" if unit == "m" else "N m")
@@ -87,26 +96,32 @@ class Watcher:
         self._take_joints()
         self._take_diagnostics()
         controller = self._newest_of_controller()
+        is_heard = self._joints.silence < WORDS_LAST
         return GraphView(
-            joints=self._q if self._joints.silence < WORDS_LAST else None,
+            joints=self._q if is_heard else None,
             hand=self._pose_of_hand(),
             frames=self._known_frames(),
             controller=None if controller is None else _words_in(controller),
             reference=self._known_reference(),
+            horizon=self._known_horizon(),
             components=self._known_components(),
             torques=() if controller is None else self._torques_in(controller),
             stiffness=None if controller is None else _stiffness_in(controller),
+            force=None if self._force is None else self._force.look(is_heard),
             nodes={name: view for name, (came, view) in self._nodes.items() if time.monotonic() - came < WORDS_LAST},
         )
 
     def _take_joints(self) -> None:
         for data in self._joints.take():
             try:
-                sample = self._states.take(self._decode(data))
+                message = self._decode(data)
+                sample = self._states.take(message)
             except (MessageError, RuntimeError):  # the nodes that follow them say what is wrong with them
                 continue
             if sample is not None:
                 (self._q,) = sample.values
+            if self._force is not None:
+                self._force.take(message, self._q)
 
     def _pose_of_hand(self) -> Array | None:
         message = self._hand.newest()
@@ -155,6 +170,13 @@ class Watcher:
         covariance = np.array(message.pose.covariance).reshape(6, 6)
         return ReferenceView(conversions.pose_to_array(message.pose.pose), covariance)
 
+    def _known_horizon(self) -> HorizonView | None:
+        for message in self._ahead.take():
+            self._horizon = _horizon_in(message)
+        if self._ahead.silence > WORDS_LAST:
+            self._horizon = None
+        return self._horizon
+
     def _known_components(self) -> tuple[ComponentView, ...]:
         for array in self._markers.take():
             for marker in array.markers:
@@ -184,6 +206,18 @@ class Watcher:
 def _words_in(message: ControllerState) -> ControllerView:
     modes = {int(mode): mode.name for mode in ControllerMode}
     return ControllerView(modes.get(message.state, str(message.state)), one_line(message.reason, 300))
+
+
+def _horizon_in(message: ReferenceMessage) -> HorizonView | None:
+    """The path ahead; None where it is not one of poses."""
+    try:
+        reference = conversions.reference(message)
+    except MessageError:  # as of any publisher on this topic
+        return None
+    gaussians = [reference.gaussian, *reference.horizon]
+    if len(gaussians) < 2 or any(one.manifold != POSE for one in gaussians):
+        return None
+    return HorizonView(np.array([g.mean[:3] for g in gaussians]), np.array([g.covariance[:3, :3] for g in gaussians]))
 
 
 def _stiffness_in(message: ControllerState) -> StiffnessView | None:

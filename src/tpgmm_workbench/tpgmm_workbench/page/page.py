@@ -200,7 +200,7 @@ class Page:
                 self._robot.show(graph.joints)
             self._frames.show(graph.frames, view.places)
             self._hand.show(graph.hand, view.aim)
-            self._model.show(graph.reference, graph.components)
+            self._model.show(graph.reference, graph.components, graph.horizon if view.run.goes_on else None)
             self._suggested.show({} if view.suggested is None else view.suggested.frames)
             self._stiffness.show(graph.hand, graph.stiffness)
             self._show_preview(view, now)
@@ -224,9 +224,11 @@ class Page:
         if view.preview is not self._shown:
             self._shown, self._shown_since = view.preview, now
             if view.preview is None:
-                self._model.show_tube(None, None)
+                self._model.preview.show(None, None)
             else:
-                self._model.show_tube(view.preview.path[:, :3], view.preview.covariances[:, :3, :3])
+                self._model.preview.show(view.preview.path[:, :3], view.preview.covariances[:, :3, :3])
+        # where the movement is shown as it is now, as it was foreseen would only hide that
+        self._model.preview.visible = self._shown is not None and not self._model.has_horizon
         moves = self._shown is not None and not view.run.goes_on
         if self._ghost is None and moves:
             self._ghost = RobotDisplay(
@@ -242,18 +244,8 @@ class Page:
         """Those of the arm that the movement is of."""
         robot = self._desk.robot
         joints = set(robot.joint_groups[robot.endpoints[self._desk.project.task.endpoint].joints])
-        model = robot.pinocchio
-
-        def moves(link: str) -> bool:
-            joint = model.frames[robot.frame_id(link)].parentJoint
-            while joint:
-                if model.names[joint] in joints:
-                    return True
-                joint = model.parents[joint]
-            return False
-
-        parts = [part for part in self._shapes.parts if model.existFrame(part.link) and moves(part.link)]
-        return Shapes(tuple(parts), ())
+        known = [part for part in self._shapes.parts if robot.pinocchio.existFrame(part.link)]
+        return Shapes(tuple(part for part in known if joints.intersection(robot.joints_above(part.link))), ())
 
     def close(self) -> None:
         """Serve no more."""

@@ -10,7 +10,7 @@ from viser import GuiEvent, ViserServer
 
 from tpgmm_workbench.desk.desk import Desk
 from tpgmm_workbench.desk.view import DeskView
-from tpgmm_workbench.page import words
+from tpgmm_workbench.page import robot_words, words
 from tpgmm_workbench.page.controls import Ask, Button, Slider, Text
 from tpgmm_workbench.page.notes_panel import NotesPanel
 from tpgmm_workbench.project.activities import Action, Activity
@@ -153,7 +153,7 @@ class RunPanel:
             (-1.0, 2.0), 0.1, 1.0, hint="1: as taught; below 0: back",
         )  # fmt: skip
         self._bar: Any = server.gui.add_progress_bar(0.0)
-        self._state = Text(server)
+        self._state, self._novelty = Text(server), Text(server)
         self._is_coaching = False
         self._coach = Button(
             server,
@@ -162,7 +162,7 @@ class RunPanel:
             "C",
             color="orange",
         )
-        self._coached = Text(server)
+        self._coached, self._force = Text(server), Text(server)
 
     def _take_advised(self, page: int | None) -> None:
         self._ask(page, self._desk.set_duration, float(self._advised))
@@ -174,6 +174,7 @@ class RunPanel:
         action = Action.END_COACHING if self._is_coaching else Action.COACH
         self._coach.show(view.reasons.get(action, ""), "Let go" if self._is_coaching else "Coach")
         self._coached.show(words.coaching(view))
+        self._force.show(robot_words.force(view))
         self._preview.show(view.reasons.get(Action.PREVIEW, ""))
         is_paused = view.activity is Activity.PAUSED
         self._run.show(view.reasons.get(Action.RUN, ""), "Go on" if is_paused else "Run")
@@ -184,6 +185,7 @@ class RunPanel:
         self._duration.show(view.duration)
         self._speed.show(view.speed)
         self._state.show(words.run(view))
+        self._novelty.show(words.novelty(view))
         share = round(100.0 * min(1.0, max(0.0, view.run.phase)))
         if self._bar.value != share:
             self._bar.value = share
@@ -197,8 +199,8 @@ class RobotPanel:
 
     def show(self, view: DeskView) -> None:
         """Show what is known."""
-        self._stiffness.show(words.stiffness(view))
-        self._torques.show(words.torques(view))
+        self._stiffness.show(robot_words.stiffness(view))
+        self._torques.show(robot_words.torques(view))
 
 
 class NodesPanel:
@@ -209,4 +211,4 @@ class NodesPanel:
 
     def show(self, view: DeskView) -> None:
         """Show what is known."""
-        self._text.show(words.nodes(view))
+        self._text.show(robot_words.nodes(view))

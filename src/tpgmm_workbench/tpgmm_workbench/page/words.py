@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from html import escape
 from itertools import cycle
 
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page.added import MARK
+from tpgmm_workbench.page.html import block, chip
 from tpgmm_workbench.project.activities import LEAST, Action, Activity
-from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SEVERAL, SKY, YELLOW, Color, css, readable_on
+from tpgmm_workbench.scene.colors import FRAME, GREEN, GREY, RED, SEVERAL, SKY, YELLOW, Color, css
 
 #: So many demonstrations before training is suggested: with fewer, hardly anything is known of how exact a skill is.
 SUGGESTED = 4
@@ -19,27 +19,12 @@ THERE = 0.012
 _CONTROLLER = {"WAITING": GREY, "ACTIVE": GREEN, "HOLD": YELLOW, "DAMPING": SKY, "FAULT": RED}
 #: Of the words below STOP; more of them are scrolled.
 STATUS_HEIGHT = "11em"
-#: Shares of a torque limit from which on a joint is near it, and at it.
-NEAR_LIMIT, AT_LIMIT = 0.7, 0.98
 _LEVELS: dict[str, tuple[Color, str]] = {
     "good": (GREEN, "good"),
     "look": (YELLOW, "look"),
     "bad": (RED, "bad"),
     "": (GREY, "…"),
 }
-
-
-def chip(text: str, color: Color) -> str:
-    """A word on a coloured ground that can be read."""
-    return (
-        f'<span style="background:{css(color)};color:{css(readable_on(color))};border-radius:0.6em;'
-        f'padding:0 0.5em;white-space:nowrap">{escape(text)}</span>'
-    )
-
-
-def _block(lines: Iterable[str], style: str = "") -> str:
-    rows = "".join(f'<div style="margin:0.15em 0">{line}</div>' for line in lines)
-    return f'<div style="font-size:0.85em;line-height:1.35;padding:0 0.6em;{style}">{rows}</div>'
 
 
 def next_step(view: DeskView) -> str:
@@ -50,7 +35,8 @@ def next_step(view: DeskView) -> str:
             return "The arm is being released: the recording begins in a moment."
         return "Show the movement: lead the hand. Then press Finish."
     if view.activity is Activity.COACHING:
-        return "Drag the hand's gizmo to where the hand should be. Then press Let go."
+        led = "Drag the hand's gizmo" if view.places else "Lead the hand"
+        return f"{led} to where the hand should be. Then press Let go."
     if view.activity in (Activity.RUNNING, Activity.PAUSED):
         return "Move an object, or hide it, and see how the movement adapts."
     if view.progress is not None and not view.progress.is_over:
@@ -87,24 +73,24 @@ def status(view: DeskView) -> str:
     )
     lines = [first, robot, frames, f"<b>{escape(next_step(view))}</b>"]
     lines += [f"<i>{escape(words)}</i>" for words in view.words]
-    return _block([line for line in lines if line], f"height:{STATUS_HEIGHT};overflow-y:auto")
+    return block([line for line in lines if line], f"height:{STATUS_HEIGHT};overflow-y:auto")
 
 
 def led(view: DeskView) -> str:
     """How far the hand still is from where it is led."""
     if view.aim is None:
         reason = view.reasons.get(Action.DRAG_HAND, "")
-        return _block(["Nobody leads the hand.", escape(reason)] if reason else ["Nobody leads the hand."])
+        return block(["Nobody leads the hand.", escape(reason)] if reason else ["Nobody leads the hand."])
     if view.to_go is None:
-        return _block(["The hand is led; no pose of it arrives."])
-    return _block(["The hand is there." if view.to_go < THERE else f"{100.0 * view.to_go:.0f} cm to go."])
+        return block(["The hand is led; no pose of it arrives."])
+    return block(["The hand is there." if view.to_go < THERE else f"{100.0 * view.to_go:.0f} cm to go."])
 
 
 def recording(view: DeskView) -> str:
     """How long the present recording is."""
     if view.activity is not Activity.TEACHING:
         return ""
-    return _block([chip("recording", RED) + f" {view.lasted:.0f} s"])
+    return block([chip("recording", RED) + f" {view.lasted:.0f} s"])
 
 
 def suggestion(view: DeskView) -> str:
@@ -115,13 +101,13 @@ def suggestion(view: DeskView) -> str:
         f"{escape(name)} at " + ", ".join(f"{value:.2f}" for value in pose[:3]) + " m"
         for name, pose in view.suggested.frames.items()
     )
-    return _block([f"{chip('next', GREEN)} {places}", escape(view.suggested.words)])
+    return block([f"{chip('next', GREEN)} {places}", escape(view.suggested.words)])
 
 
 def demonstrations(view: DeskView) -> str:
     """The demonstrations, newest first, each with its verdict."""
     if not view.taught:
-        return _block(["No demonstration yet."])
+        return block(["No demonstration yet."])
     lines = []
     for one in reversed(view.taught):
         color, word = _LEVELS.get(one.level, (GREY, one.level))
@@ -131,7 +117,7 @@ def demonstrations(view: DeskView) -> str:
         kind = f" corrects model {one.corrects};" if one.corrects else ""
         comment = f" <i>{escape(one.comment)}</i>;" if one.comment else ""
         lines.append(f"<b>{one.number}</b>{used} {chip(word, color)}{kind}{comment} {escape(words)}")
-    return _block(lines)
+    return block(lines)
 
 
 def coaching(view: DeskView) -> str:
@@ -139,14 +125,14 @@ def coaching(view: DeskView) -> str:
     if not view.coached:
         return ""
     mark = chip("coaching", RED) + " " if view.activity is Activity.COACHING else ""
-    return _block([mark + escape(view.coached)])
+    return block([mark + escape(view.coached)])
 
 
 def sharing(view: DeskView) -> str:
     """What came of the last export or import; before, what they are."""
     if view.shared:
-        return _block([escape(view.shared)])
-    return _block(
+        return block([escape(view.shared)])
+    return block(
         [
             "One file with bags, task file, robot file, models and a report.",
             "An imported project is checked, and gets a folder of its own.",
@@ -154,11 +140,16 @@ def sharing(view: DeskView) -> str:
     )
 
 
+def picture(view: DeskView) -> str:
+    """What came of the last picture."""
+    return block([escape(view.pictured)]) if view.pictured else ""
+
+
 def model(view: DeskView) -> str:
     """How well the present model does."""
     if view.model is None:
-        return _block(["No model yet."])
-    return _block([f"<b>Model {view.model.number}</b>", *(escape(words) for words in view.model.words)])
+        return block(["No model yet."])
+    return block([f"<b>Model {view.model.number}</b>", *(escape(words) for words in view.model.words)])
 
 
 def relevance(view: DeskView) -> str:
@@ -187,80 +178,47 @@ def relevance(view: DeskView) -> str:
         where = [number for number, first in enumerate(most) if first == name]
         text = f"counts most in {len(where) / len(most):.0%} of it" if where else "never counts most"
         lines.append(f"{chip(name, colors[name])} {text}")
-    return _block(lines)
+    return block(lines)
 
 
 def training(view: DeskView) -> str:
     """How far a training is, or why there is none."""
     if view.progress is not None and not view.progress.is_over:
-        return _block([escape(view.progress.words)])
+        return block([escape(view.progress.words)])
     reason = view.reasons.get(Action.TRAIN, "")
-    return _block([escape(reason)]) if reason else ""
+    return block([escape(reason)]) if reason else ""
 
 
 def verdict(view: DeskView) -> str:
     """What the preview says before anything moves."""
     if view.preview is None:
-        return _block([escape(view.reasons.get(Action.PREVIEW, "")) or "Not previewed yet."])
+        return block([escape(view.reasons.get(Action.PREVIEW, "")) or "Not previewed yet."])
     words = {True: chip("yes", GREEN), False: chip("no", RED), None: chip("not known", GREY)}
     first = chip("may run", GREEN) if view.preview.may_run else chip("does not run like this", RED)
     lines = [f"{words[check.is_good]} {escape(check.name)}: {escape(check.words)}" for check in view.preview.checks]
-    return _block([first, *lines])
+    return block([first, *lines])
 
 
 def run(view: DeskView) -> str:
     """How far the movement is, and how it ended."""
     colors = {"running": SKY, "asked": GREY, "done": GREEN, "failed": RED, "stopped": YELLOW}
     if view.run.stage == "idle":
-        return _block([escape(view.reasons.get(Action.RUN, ""))]) if view.reasons.get(Action.RUN) else ""
+        return block([escape(view.reasons.get(Action.RUN, ""))]) if view.reasons.get(Action.RUN) else ""
     stage = "paused" if view.activity is Activity.PAUSED else view.run.stage
     share = f" {100.0 * view.run.phase:.0f} %" if view.run.goes_on else ""
-    return _block([f"{chip(stage, colors.get(view.run.stage, GREY))}{share} {escape(view.run.words)}"])
+    lines = [f"{chip(stage, colors.get(view.run.stage, GREY))}{share} {escape(view.run.words)}", escape(view.waits)]
+    return block([line for line in lines if line])
 
 
-def torques(view: DeskView) -> str:
-    """The torque of each joint against its limit: a bar, a word, and numbers."""
-    if not view.graph.torques:
-        return _block(["No torques are sent now."])
-    lines = ["<b>Torques</b>, and their limits"]
-    for one in view.graph.torques:
-        color, word = GREEN, ""
-        if one.share >= NEAR_LIMIT:
-            color, where = (RED, "at its limit") if one.share >= AT_LIMIT else (YELLOW, "near its limit")
-            word = chip(where, color)
-        lines.append(
-            f"{escape(one.joint)}: {one.torque:z.1f} of {one.limit:.0f} {escape(one.unit)} {word}"
-            f'<div style="background:rgba(130,130,130,0.3);height:0.4em;border-radius:0.2em">'
-            f'<div style="background:{css(color)};height:100%;border-radius:0.2em;'
-            f'width:{100.0 * min(1.0, one.share):.0f}%"></div></div>'
-        )
-    return _block(lines)
-
-
-def stiffness(view: DeskView) -> str:
-    """How stiff the hand is held, from its softest direction to its stiffest one."""
-    known = view.graph.stiffness
-    if known is None:
-        return _block(["<b>Stiffness</b> of the hand: none, nothing is tracked now"])
-    along, about = known.along[0], known.about[0]
-    return _block(
-        [
-            f"<b>Stiffness</b> of the hand: {along[0]:.0f} to {along[2]:.0f} N/m, "
-            f"turning {about[0]:.1f} to {about[2]:.1f} N m/rad",
-            "The ellipsoid at the hand is long where it is stiff.",
-        ]
-    )
-
-
-def nodes(view: DeskView) -> str:
-    """What each node says, its rate and its times of steps; when each frame was seen."""
-    lines = [
-        f"{chip('well' if node.well else 'look', GREEN if node.well else YELLOW)} <b>{escape(name)}</b> "
-        f"{escape(node.figures)}<br>{escape(node.words)}"
-        for name, node in sorted(view.graph.nodes.items())
-    ]
-    lines += [f"frame <b>{escape(frame.name)}</b>: {escape(frame.words)}" for frame in view.graph.frames]
-    return _block(lines or ["No diagnostics received."])
+def novelty(view: DeskView) -> str:
+    """How new the situation is while the skill runs, beside its limit."""
+    if view.novelty is None:
+        return ""
+    found = view.novelty
+    if found.score is None:
+        return block([f"<b>Novelty</b> now: {escape(found.words)}"])
+    over = chip("too new", RED) + " " if found.score > found.limit else ""
+    return block([f"<b>Novelty</b> now: {found.score:.1f}, at most {found.limit:.0f} {over}({escape(found.words)})"])
 
 
 def pages(count: int, driver: int | None, page: int, is_open: bool = False) -> str:
@@ -290,4 +248,4 @@ def pages(count: int, driver: int | None, page: int, is_open: bool = False) -> s
     if count > 1:
         drives = {None: "the first page that requests something takes control", page: "this one drives"}
         lines.append(f"{count} pages show this; {drives.get(driver, 'another one drives')}.")
-    return f'<span id="{MARK}"></span>' + (_block(lines) if lines else "")
+    return f'<span id="{MARK}"></span>' + (block(lines) if lines else "")

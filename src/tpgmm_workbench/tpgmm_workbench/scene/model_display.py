@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The skill in the scene: where the hand is to be now, the model's Gaussians, and the tube of a whole movement."""
+"""The skill in the scene: where the hand is to be, now and from now on, the Gaussians, the tube of a whole movement."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from viser import MeshHandle, SceneApi
+from viser import SceneApi
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
-from tpgmm_workbench.scene.colors import COMPONENT, PREVIEW, REFERENCE, Color
+from tpgmm_workbench.scene.colors import COMPONENT, PREVIEW, REFERENCE
 from tpgmm_workbench.scene.placing import place, resize
-from tpgmm_workbench.scene.tube import tube
-from tpgmm_workbench.session.view import ComponentView, ReferenceView
+from tpgmm_workbench.scene.tube_display import TubeDisplay
+from tpgmm_workbench.session.view import ComponentView, HorizonView, ReferenceView
 
 #: Ellipsoids are drawn not smaller nor larger than this, m: what is beside them is to be seen.
 SMALLEST, LARGEST = 0.003, 0.3
@@ -23,7 +23,18 @@ OPACITY_SEEN = 0.04
 
 
 class ModelDisplay:
-    """What the model says, in viser's scene."""
+    """What the model says, in viser's scene.
+
+    Parameters
+    ----------
+    scene
+        where it is shown
+
+    Attributes
+    ----------
+    preview
+        the tube of a whole movement
+    """
 
     def __init__(self, scene: SceneApi) -> None:
         self._scene = scene
@@ -31,10 +42,19 @@ class ModelDisplay:
             "/reference", 0.5, REFERENCE, subdivisions=2, opacity=0.55, cast_shadow=False, visible=False
         )
         self._components: list[Any] = []
-        self._tube: MeshHandle | None = None
+        self.preview = TubeDisplay(scene, "/tube", PREVIEW)
+        self._ahead = TubeDisplay(scene, "/ahead", REFERENCE, opacity=0.5)
+        self._horizon: HorizonView | None = None
 
-    def show(self, reference: ReferenceView | None, components: Sequence[ComponentView]) -> None:
-        """Show the reference of now, and the model's Gaussians."""
+    @property
+    def has_horizon(self) -> bool:
+        """Whether it is shown what the reference is from now on."""
+        return self._horizon is not None
+
+    def show(
+        self, reference: ReferenceView | None, components: Sequence[ComponentView], horizon: HorizonView | None = None
+    ) -> None:
+        """Show the reference of now, the model's Gaussians, and what the reference is from now on."""
         if self._reference.visible != (reference is not None):
             self._reference.visible = reference is not None
         if reference is not None:
@@ -42,6 +62,9 @@ class ModelDisplay:
             place(self._reference, pose)
             resize(self._reference, size)
         self._show_components(components)
+        if horizon is not self._horizon:  # it comes less often than it is looked at
+            self._horizon = horizon
+            self._ahead.show(*((None, None) if horizon is None else (horizon.path, horizon.covariances)))
 
     def _show_components(self, components: Sequence[ComponentView]) -> None:
         while len(self._components) < len(components):
@@ -60,35 +83,6 @@ class ModelDisplay:
             resize(node, np.clip(component.size, SMALLEST, LARGEST))
             if abs(node.opacity - component.opacity) > OPACITY_SEEN:
                 node.opacity = component.opacity
-
-    def show_tube(self, path: Array | None, covariances: Array | None, color: Color = PREVIEW) -> None:
-        """Show where a whole movement would go.
-
-        Parameters
-        ----------
-        path
-            (N, 3) m; None: nothing
-        covariances
-            (N, 3, 3) m^2
-        color
-            of the tube
-        """
-        if self._tube is not None:
-            self._tube.remove()
-            self._tube = None
-        if path is None or covariances is None or len(path) < 2:
-            return
-        vertices, faces = tube(path, covariances)
-        self._tube = self._scene.add_mesh_simple(
-            "/tube",
-            vertices.astype(np.float32),
-            faces.astype(np.uint32),
-            color=color,
-            opacity=0.4,
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
-        )
 
 
 def ellipsoid(mean: Array, covariance: Array) -> tuple[Array, Array]:

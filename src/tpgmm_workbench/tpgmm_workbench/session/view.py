@@ -70,6 +70,25 @@ class TorqueView:
 
 
 @dataclass(frozen=True, slots=True)
+class ForceView:
+    """How hard somebody pushes the hand.
+
+    Parameters
+    ----------
+    newtons
+        N; None where that cannot be known
+    source
+        what measures it, in words
+    why
+        it cannot be known, in words
+    """
+
+    newtons: float | None = None
+    source: str = ""
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class StiffnessView:
     """How stiff the hand is held: (6, 6) force per deviation, of x, y, z and the rotation vector, N/m and N m/rad."""
 
@@ -92,6 +111,14 @@ class ReferenceView:
 
     pose: Array
     covariance: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HorizonView:
+    """Where the hand is to be from now on: positions (N, 3), m, and their covariances (N, 3, 3), m^2."""
+
+    path: Array
+    covariances: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,12 +185,16 @@ class GraphView:
         None as long as no controller says anything
     reference
         None where none came for a while
+    horizon
+        of the reference; None where none came for a while
     components
         of the model that is reproduced
     torques
         sent to the joints; empty where no controller says so
     stiffness
         of the hand; None while nothing is tracked
+    force
+        on the hand; None where nobody asks for it
     nodes
         by name
     """
@@ -173,9 +204,11 @@ class GraphView:
     frames: tuple[FrameView, ...] = ()
     controller: ControllerView | None = None
     reference: ReferenceView | None = None
+    horizon: HorizonView | None = None
     components: tuple[ComponentView, ...] = ()
     torques: tuple[TorqueView, ...] = ()
     stiffness: StiffnessView | None = None
+    force: ForceView | None = None
     nodes: dict[str, NodeView] = field(default_factory=dict)
 
 
