@@ -40,7 +40,25 @@ a_topic = checked_text(
 
 
 def expect[T](read: Callable[[Any], T], value: Any) -> T:
-    """What a reader makes of a value. Raises ValueError that says what was expected, and what was given."""
+    """What a reader makes of a value.
+
+    Parameters
+    ----------
+    read
+        makes something of a value, or raises ValueError with what was expected
+    value
+        of a file
+
+    Returns
+    -------
+    T
+        what `read` made
+
+    Raises
+    ------
+    ValueError
+        where `read` does, with what was expected and what was given
+    """
     try:
         return read(value)
     except ValueError as error:
