@@ -21,6 +21,7 @@ from tpgmm_ros.messages.affine import affine_observation
 from tpgmm_ros.messages.frame_messages import task_parameters, task_parameters_message
 from tpgmm_ros.messages.sources import TaskParametersSource
 from tpgmm_ros.messages.values import StampedFrames
+from tpgmm_ros.programs import convert
 from tpgmm_ros.recordings.bags import BagError, read_recording
 from tpgmm_ros.recordings.one_by_one import OneByOne
 from tpgmm_ros.recordings.recording import Recording
@@ -164,6 +165,16 @@ def test_maps_that_are_not_finite_are_left_out_of_a_bag_with_their_poses(tmp_pat
     expected = stretches[[0, 1, 2, 2, *range(4, 41)]]
     np.testing.assert_allclose(recording.stretches["tray"], expected, atol=1e-9)
     assert any("1 of 41 poses left out" in note and "not finite" in note for note in recording.notes)
+
+
+def test_a_dataset_of_poses_refuses_maps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'pyarrow>=21'")
+    (tmp_path / "tray.yaml").write_text(TASK)
+    frames = maps("tray", P, Q, np.tile(S, (41, 1, 1)))
+    write_map_bag(tmp_path / "bags" / "demo", {"/hand/pose": HAND}, {"/tray/maps": frames}, TIMES)
+    options = ["--to", str(tmp_path / "set"), "--lerobot", "--task", str(tmp_path / "tray.yaml"), "--rate", "20"]
+    assert convert.main([*options, str(tmp_path / "bags")]) == 1
+    assert "poses of frames, and tray are maps: leave them out" in capsys.readouterr().err
 
 
 def test_the_entry_names_the_frame_of_the_messages() -> None:

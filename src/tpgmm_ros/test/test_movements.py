@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tpgmm_core.model.derived_frames import HAND, FrameSource
 from tpgmm_ros.messages.sources import PoseStampedSource
@@ -104,3 +106,24 @@ def test_what_is_wrong_with_several_movements_is_said(text: str, complaint: str)
 def test_hands_alone_may_see_each_other() -> None:
     text = two(frames=None, movements={"left": {"topic": "l"}, "right": {"topic": "r"}})
     assert list(Task.from_text(text, movement="right").frames) == ["left"]
+
+
+_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.text(max_size=8) | st.sampled_from(["left", "right", "table"]),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(st.sampled_from(["left", "right", "topic", "frames", "frame", "a b"]), inner, max_size=4)
+    ),
+    max_leaves=8,
+)
+
+
+@settings(deadline=None)  # how long it takes says how busy the machine is
+@given(st.sampled_from(["movements", "frames", "recordings"]), _VALUES, st.sampled_from(["left", "right", "", None]))
+def test_any_movements_are_taken_or_refused(key: str, value: object, movement: str | None) -> None:
+    try:
+        task = Task.from_text(yaml.safe_dump({**TWO, key: value}), movement=movement)
+    except TaskError as error:
+        assert str(error).startswith("task: ")
+    else:
+        assert isinstance(task, Task) and movement in ("left", "right")
