@@ -70,7 +70,7 @@ def test_what_a_recorder_receives_is_read(ros_node: Node) -> None:
     (raw, *_), kind = received, "tpgmm_msgs/msg/TaskParameters"
     read = types_for(kind).deserialize_cdr(raw, kind)
     found = TaskParametersSource("tray/maps", "tray").read(read)
-    assert found is not None and found.stamp_ns == 7
+    assert found is not None and found.stamp_ns == 7 and found.stretch is not None
     np.testing.assert_allclose(found.pose, [1.0, 1.0, 1.0, *Q])
     np.testing.assert_allclose(found.stretch, S, atol=1e-12)
 

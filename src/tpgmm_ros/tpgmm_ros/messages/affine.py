@@ -46,8 +46,8 @@ def affine_observation(stamp_ns: int, frame_id: str, item: Any) -> Observation:
         return Observation(stamp_ns, frame_id, np.full(7, np.nan), stretch=np.full((3, 3), np.nan))
     if rows == 7:
         q = A[3:, 6]  # L(q) e_w
-        rest = [A[:3, 3:], A[3:, :3], A[3:, 3:] - quaternion.left_matrix(q), b[3:], np.linalg.norm(q) - 1.0]
-        if max(float(np.abs(part).max()) for part in rest) > ROUNDING:
+        rest = A[:3, 3:], A[3:, :3], A[3:, 3:] - quaternion.left_matrix(q), b[3:], q @ q - 1.0
+        if np.abs(np.concatenate([np.ravel(part) for part in rest])).max() > ROUNDING:
             what = "its last four rows and columns are no left multiplication L(q) by a unit quaternion, beside zeros"
             return _no_map(stamp_ns, frame_id, what)
     stretch = quaternion.rotation_matrix(q).T @ A[:3, :3]
