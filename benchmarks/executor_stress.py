@@ -147,6 +147,8 @@ def stress(log: Path, seconds: float, rate: float) -> dict[str, Any]:
             for peer in peers:
                 peer.kill()
                 peer.wait()
+    if not error and not torques:
+        error = "no torques came, although all nodes told that they go on"
     rows = [(name, str(ticks.get(name, 0)), f"{silences[name]:.1f} s") for name in NODES]
     return {
         "passed": not error,

@@ -33,7 +33,7 @@ from tpgmm_ros.recordings.bags import Recording, align, find_bags, read_recordin
 from tpgmm_ros.task.state_space import MANIFOLD  # noqa: E402
 from tpgmm_ros.task.task_file import Task  # noqa: E402
 
-STRUCTURES_ON_POSES = [name for name in STRUCTURES if name != "deep_mfa"]  # whose layers are Euclidean
+STRUCTURES_ON_POSES = [name for name in STRUCTURES if name != "deep_mfa"]  # divides components further
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -15,8 +15,8 @@ from tpgmm_core.kinematics.hand_tasks import HandTask
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_demos.figure5.graph import open_session, start_controller, start_joint_reference
 from tpgmm_demos.figure5.lessons import HANDS, LESSON_TIME, LESSONS, START, Poses
-from tpgmm_demos.figure5.measures import energy, measure
-from tpgmm_demos.figure5.report import judged_frames
+from tpgmm_demos.figure5.measures import measure
+from tpgmm_demos.figure5.report import EnergyAfter, energy_after, judged_frames
 from tpgmm_demos.figure5.sequences import AFTER, CUP, HELD, MOVE, SEQUENCES, SUGAR, Push, random_pushes, run_sequence
 from tpgmm_ros.nodes.joint_reference import hand_task
 from tpgmm_ros.runtime.processes import GraphError
@@ -77,6 +77,19 @@ def test_random_pushes_are_the_same_for_the_same_seed_and_within_what_was_said()
     assert len(ways) == 20 and 0.1 < min(ways) and max(ways) < 0.3
 
 
+@pytest.mark.parametrize(
+    ("kind", "rise", "left", "kinetic", "falls"),
+    [
+        *(("hand", 0.0, 0.11, 0.1, True), ("elbow", 0.0, 0.51, 0.1, True), ("hand", 0.0, 0.51, 0.1, False)),
+        *(("hand", 0.05, 0.1, 0.1, False), ("elbow", 0.0, 0.95, 0.1, False), ("hand", 0.0, 0.09, 0.35, False)),
+    ],
+)
+def test_energy_that_rises_stays_or_swings_does_not_pass(
+    kind: str, rise: float, left: float, kinetic: float, falls: bool
+) -> None:
+    assert EnergyAfter(rise, left, kinetic).falls(kind) == falls
+
+
 @pytest.mark.timeout(300)
 def test_a_pushed_left_hand_keeps_the_cup_level_and_the_right_one_follows(
     ros_domain: int, tmp_path: Path, models: dict[str, TPGMM]
@@ -104,6 +117,5 @@ def test_a_pushed_left_hand_keeps_the_cup_level_and_the_right_one_follows(
     assert measured.offset.max() < 0.04 and measured.offset[-20:].mean() < 0.02
     assert 0.0 < segment.torque_share <= 1.0
     hands: dict[str, HandTask] = {name: hand_task(task, models[name], list(HANDS)) for name, task in TASKS.items()}
-    stored = energy(robot, hands, segment, result.rest)
-    let_go = int(np.searchsorted(segment.time, MOVE + HELD)) + 2
-    assert stored[-1] < 0.1 * stored[let_go] and np.diff(stored[let_go:]).max() < 0.02 * stored[let_go]
+    fallen = energy_after(robot, hands, pushed, result.rest)
+    assert fallen.falls("hand"), fallen

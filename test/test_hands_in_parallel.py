@@ -130,7 +130,7 @@ class Robot:
 
 
 def reproduction(start_process: StartProcess, hand: str, task_file: Path, model_file: Path) -> RunningProcess:
-    """As docs/how-to/skills-in-parallel.md says."""
+    """As docs/how-to/two-hands.md says."""
     own = [f"{topic}:=/{topic}" for topic in ("joint_states", f"endpoint/{hand}/pose", "controller_state")]
     remaps = [word for topic in (f"__ns:=/{hand}", *own) for word in ("-r", topic)]
     arguments = ros_arguments(task_file=task_file, model_file=model_file, autostart=True, settle_time=0.1)

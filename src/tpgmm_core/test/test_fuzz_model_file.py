@@ -55,9 +55,6 @@ def sound(kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
         model = recipe.learn(shown_for(kind, demonstrations), MANIFOLD, DIMENSIONS)
     elif kind == "online":
         model = OnlineTPGMM(2, manifold=MANIFOLD, reg_covar=1e-4, max_iter=5).fit(demonstrations)
-    elif kind == "deep_mfa":  # on Euclidean data only
-        X = np.random.default_rng(0).normal(size=(2, 100, 4))
-        model = TPGMM(2, max_iter=5, covariance=kind).fit_projected({"start": X[0], "object": X[1]})
     else:
         model = TPGMM(2, manifold=MANIFOLD, reg_covar=1e-4, max_iter=5, covariance=kind).fit(demonstrations)
     model.metadata_ = {"duration_s": 1.0, **model.metadata_}
@@ -166,9 +163,6 @@ def test_bytes_that_were_changed_give_a_clear_error_or_a_model(data: st.DataObje
 @pytest.mark.parametrize("kind", [*ALL_METHODS, *STRUCTURES, "online"])
 def test_a_model_that_nobody_changed_is_read_and_reproduced(kind: str, tmp_path: Path) -> None:
     model = load_model(write_parts(tmp_path / "sound.tpgmm", *sound(kind)))
-    if kind == "deep_mfa":
-        assert model.means_["object"].shape == (4, 4)
-        return
     retrieval = make_retrieval(model)
     retrieval.start(0, START)
     assert np.isfinite(retrieval.step(500_000_000, SITUATION, START).gaussian.mean).all()

@@ -69,6 +69,32 @@ def test_a_task_over_joints_is_refused_in_words(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        (
+            "{topic: target/pose}",
+            "{topic: m, type: tpgmm_msgs/TaskParameters, name: t}",
+            "has the maps target; the work",
+        ),
+        (
+            "movement: endpoint/left/pose\nendpoint: left",
+            "movements: {left: {topic: l}, right: {topic: r}}",
+            "is meant",
+        ),
+    ],
+)
+def test_a_task_with_maps_or_several_movements_is_refused_in_words(
+    old: str, new: str, complaint: str, tmp_path: Path
+) -> None:
+    text = TASK.read_text()
+    assert old in text
+    (tmp_path / "task.yaml").write_text(text.replace(old, new))
+    with pytest.raises(ProjectError, match=complaint):
+        Project.create(tmp_path / "project", tmp_path / "task.yaml", ROBOT)
+    assert not (tmp_path / "project").exists()
+
+
 def test_a_folder_that_holds_something_else_is_neither_made_nor_opened(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(ProjectError, match="not empty"):

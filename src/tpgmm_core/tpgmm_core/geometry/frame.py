@@ -108,10 +108,16 @@ class Frame:
         return frame
 
     @classmethod
-    def from_pose(cls, position: ArrayLike, orientation: ArrayLike, pose_covariance: ArrayLike | None = None) -> Frame:
+    def from_pose(
+        cls,
+        position: ArrayLike,
+        orientation: ArrayLike,
+        pose_covariance: ArrayLike | None = None,
+        stretch: ArrayLike | None = None,
+    ) -> Frame:
         """Frame of an object, for poses [x, y, z, qx, qy, qz, qw].
 
-        A = blkdiag(R, L(q)) and b = [position, 0]; the quaternion is normalised.
+        A = blkdiag(R S, L(q)) and b = [position, 0]; the quaternion is normalised.
 
         Parameters
         ----------
@@ -121,6 +127,8 @@ class Frame:
             of the object, quaternion x, y, z, w, (4,) or (T, 4)
         pose_covariance
             (6, 6), how well they are known, see `Frame`; None: exactly
+        stretch
+            S, (3, 3) or (T, 3, 3), what the object's axes do to positions, such as a scaling by its size; None: nothing
 
         Returns
         -------
@@ -139,7 +147,8 @@ class Frame:
             )
         steps = np.broadcast_shapes(position.shape[:-1], orientation.shape[:-1])
         A = np.zeros((*steps, 7, 7))
-        A[..., :3, :3] = quaternion.rotation_matrix(orientation)
+        R = quaternion.rotation_matrix(orientation)
+        A[..., :3, :3] = R if stretch is None else R @ np.asarray(stretch, dtype=float)
         A[..., 3:, 3:] = quaternion.left_matrix(orientation)
         b = np.zeros((*steps, 7))
         b[..., :3] = position

@@ -49,12 +49,18 @@ class Observation(NamedTuple):
         ``[x, y, z, qx, qy, qz, qw]`` as it came, not checked
     covariance
         (6, 6) of position and turn about the fixed axes, m² and rad², as it came; None where none was given
+    stretch
+        (3, 3), what the thing's axes do to positions, where it says more than a pose; see `Frame.from_pose`
+    fault
+        why it says nothing: kind, ":", details; empty where it does
     """
 
     stamp_ns: int
     frame_id: str
     pose: Sequence[float] | Array
     covariance: Array | None = None
+    stretch: Array | None = None
+    fault: str = ""
 
 
 class CheckedPoses(NamedTuple):

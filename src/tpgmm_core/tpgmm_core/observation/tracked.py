@@ -81,6 +81,8 @@ class TrackedFrame:
     covariance
         (6, 6) of the pose, m² and rad²: as the source says of that observation, and what the time out of sight adds
         where that is asked for; None where nothing says that it is not known exactly
+    stretch
+        (3, 3), what its axes do to positions, such as a scaling by its size; None: nothing
     """
 
     name: str
@@ -89,3 +91,4 @@ class TrackedFrame:
     stamp_ns: int
     pose: NDArray[np.float64] | None
     covariance: NDArray[np.float64] | None = None
+    stretch: NDArray[np.float64] | None = None

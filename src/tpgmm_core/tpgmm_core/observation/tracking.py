@@ -44,6 +44,7 @@ class _Track:
     seen_ns: int = 0  # steady
     confidence: float = 0.0
     covariance: NDArray[np.float64] | None = None
+    stretch: NDArray[np.float64] | None = None
     record: FrameRecord = field(default_factory=FrameRecord)
     motion: SeenMotion = field(default_factory=SeenMotion)
     unknown_after: float | None = None
@@ -147,6 +148,7 @@ class FrameTracker:
         now_ns: int,
         steady_ns: int,
         covariance: NDArray[np.float64] | None = None,
+        stretch: NDArray[np.float64] | None = None,
     ) -> str | None:
         """Add one observation.
 
@@ -164,6 +166,8 @@ class FrameTracker:
             steady time at arrival
         covariance
             (6, 6) of the pose, where its source says one; it is kept, and handed on with the frame
+        stretch
+            (3, 3), what the frame's axes do to positions, where its source says it; the same
 
         Returns
         -------
@@ -185,7 +189,7 @@ class FrameTracker:
         if leap := track.gate.judge(checked, stamp_ns):
             return self.refuse(name, self._words(name, leap, checked))
         track.pose, track.stamp_ns, track.seen_ns = track.filter.observe(checked, stamp_ns), stamp_ns, steady_ns
-        track.covariance = covariance
+        track.covariance, track.stretch = covariance, stretch
         track.motion.take(track.pose, stamp_ns, track.filter.noise)
         if name in self._hand:
             self._hand.see(name, checked, stamp_ns)
@@ -296,7 +300,7 @@ class FrameTracker:
         for track in self._tracks.values():
             if not track.fixed:
                 track.pose, track.stamp_ns, track.seen_ns, track.confidence = None, 0, 0, 0.0
-                track.covariance = None
+                track.covariance, track.stretch = None, None
                 for part in (track.filter, track.gate, track.clock, track.record, track.motion):
                     part.forget()
         self._hand.forget()
@@ -338,7 +342,7 @@ class FrameTracker:
             pose, covariance = place, carried_covariance(covariance, pose, place)
         elif status is FrameStatus.HELD and track.unknown_after is not None:
             covariance = track.motion.covariance(covariance, unseen)
-        return TrackedFrame(name, status, track.confidence, track.stamp_ns, pose, covariance)
+        return TrackedFrame(name, status, track.confidence, track.stamp_ns, pose, covariance, track.stretch)
 
 
 def _are_near(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:

@@ -111,7 +111,7 @@ def energy(robot: RobotModel, tasks: Mapping[str, HandTask], segment: Trace, res
     Returns
     -------
     Array
-        shape (T,), J
+        shape (T, 2), kinetic energy and that of the springs, J
     """
     product, law = HandTasks(robot, tasks, ARMS), JointImpedanceLaw(robot, ARMS, LAW)
     data, joints = robot.create_data(), product.joints
@@ -122,5 +122,5 @@ def energy(robot: RobotModel, tasks: Mapping[str, HandTask], segment: Trace, res
         law.reset()
         answer = law.step(moment, law.target(reference, False), AT_ONCE)
         kinetic = v[joints] @ moment.inertia[np.ix_(joints, joints)] @ v[joints]
-        result.append(0.5 * (kinetic + answer.error @ answer.stiffness @ answer.error))
+        result.append([0.5 * kinetic, 0.5 * answer.error @ answer.stiffness @ answer.error])
     return np.array(result)

@@ -50,21 +50,29 @@ LARGEST_VARIANCE = 1e9
 
 
 def covariance_array(pose: Any) -> Array | None:
-    """(6, 6) of a PoseWithCovariance; None where it is all zero, or no covariance: the publisher knows none.
+    """(6, 6) of a PoseWithCovariance: see `covariance_of`."""
+    return covariance_of(pose.covariance)
+
+
+def covariance_of(numbers: Any) -> Array | None:
+    """(6, 6) of the numbers of a message; None where they are all zero, or no covariance: the publisher knows none.
 
     What is larger than `LARGEST_VARIANCE` is scaled down to it.
 
     Parameters
     ----------
-    pose
-        a geometry_msgs/PoseWithCovariance
+    numbers
+        36, as in geometry_msgs/PoseWithCovariance; or none
 
     Returns
     -------
     Array or None
         m² and rad², symmetric and with no negative eigenvalue
     """
-    covariance = np.array(pose.covariance, dtype=np.float64).reshape(6, 6)
+    covariance = np.array(numbers, dtype=np.float64)
+    if len(covariance) != 36:
+        return None
+    covariance = covariance.reshape(6, 6)
     if not np.isfinite(covariance).all() or not (np.diag(covariance) > 0.0).all():
         return None
     covariance /= max(1.0, float(np.abs(covariance).max()) / LARGEST_VARIANCE)

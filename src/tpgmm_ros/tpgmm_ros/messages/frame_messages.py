@@ -11,7 +11,6 @@ import numpy as np
 
 from tpgmm_core import Frame
 from tpgmm_core.common.text import shown
-from tpgmm_core.common.types import Array
 from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import TaskFrame, TaskParameters
 from tpgmm_ros.messages.basic_messages import MessageError, floats, header_at, time_from_ns
@@ -32,15 +31,16 @@ class TaskFrameState:
     status: FrameStatus
 
 
-def frame_of(pose: Array) -> Frame:
-    """The frame at a pose (7,), kept for the next time: most poses are published often before they change."""
-    return _frame_of(pose.tobytes())
+def frame_of(tracked: TrackedFrame) -> Frame:
+    """The frame where one is, kept for the next time: most poses are published often before they change."""
+    assert tracked.pose is not None
+    return _frame_of(tracked.pose.tobytes(), b"" if tracked.stretch is None else tracked.stretch.tobytes())
 
 
 @functools.lru_cache(maxsize=MAX_ITEMS)
-def _frame_of(pose: bytes) -> Frame:
-    values = np.frombuffer(pose)
-    return Frame.from_pose(values[:3], values[3:])
+def _frame_of(pose: bytes, stretch: bytes) -> Frame:
+    values, axes = np.frombuffer(pose), np.frombuffer(stretch).reshape(3, 3) if stretch else None
+    return Frame.from_pose(values[:3], values[3:], stretch=axes)
 
 
 def task_parameters_message(frames: Iterable[TrackedFrame], nanoseconds: int, frame_id: str) -> TaskParameters:
@@ -69,7 +69,7 @@ def task_parameters_message(frames: Iterable[TrackedFrame], nanoseconds: int, fr
             stamp=time_from_ns(tracked.stamp_ns),
         )
         if tracked.pose is not None:
-            frame = frame_of(tracked.pose)
+            frame = frame_of(tracked)
             item.rows, item.cols = frame.A.shape
             item.a = floats(frame.A)
             item.b = floats(frame.b)

@@ -15,6 +15,8 @@ from typing import Any, ClassVar, Protocol
 
 from tpgmm_core.common.text import shown
 from tpgmm_core.observation.poses import Observation
+from tpgmm_core.observation.tracked import FrameStatus
+from tpgmm_ros.messages.affine import affine_observation
 from tpgmm_ros.messages.fields import covariance_array, pose_numbers, time_to_ns, transform_numbers
 
 
@@ -164,6 +166,35 @@ class DetectionSource:
 
 
 @dataclass(frozen=True, slots=True)
+class TaskParametersSource:
+    """tpgmm_msgs/TaskParameters: one frame of somebody else's, which may be any affine map of positions.
+
+    Attributes
+    ----------
+    name
+        of the frame in the messages
+    """
+
+    topic: str
+    name: str
+    message_type: ClassVar[str] = "tpgmm_msgs/msg/TaskParameters"
+
+    @property
+    def selection(self) -> str:
+        """See `TopicSource`."""
+        return f"a visible frame {shown(self.name)}"
+
+    def read(self, message: Any) -> Observation | None:
+        """See `TopicSource`. Without a stamp of its own, a frame has that of the message; a held one says nothing."""
+        for item in message.frames:
+            if item.name == self.name and item.status == FrameStatus.VISIBLE:
+                header = message.header
+                stamp_ns = time_to_ns(item.stamp) or time_to_ns(header.stamp)
+                return affine_observation(stamp_ns, header.frame_id, item)
+        return None
+
+
+@dataclass(frozen=True, slots=True)
 class TransformSource:
     """Transforms on /tf and /tf_static, composed.
 
@@ -208,6 +239,7 @@ SOURCES: Mapping[str, type] = {
     "geometry_msgs/TransformStamped": TransformStampedSource,
     "nav_msgs/Odometry": OdometrySource,
     "vision_msgs/Detection3DArray": DetectionSource,
+    "tpgmm_msgs/TaskParameters": TaskParametersSource,
 }
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 TF, TF_STATIC = "tf", "tf_static"

@@ -109,7 +109,7 @@ class StampedFrames:
             if item.pose is None or item.status is FrameStatus.MISSING or item.confidence == 0.0:
                 states[item.name] = TaskFrameState(None, 0.0, item.status)
             else:
-                frame = frame_of(item.pose)
+                frame = frame_of(item)
                 if item.covariance is not None:
                     frame = replace(frame, pose_covariance=item.covariance)
                 states[item.name] = TaskFrameState(frame, item.confidence, item.status)

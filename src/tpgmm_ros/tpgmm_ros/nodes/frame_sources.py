@@ -108,7 +108,9 @@ class FrameSources:
         observation = read(message)
         if observation is None:
             return
-        if observation.frame_id == self._base_frame or not wrong_frame(observation.frame_id, self._base_frame):
+        if observation.fault:
+            self._refuse(name, observation.fault)
+        elif observation.frame_id == self._base_frame or not wrong_frame(observation.frame_id, self._base_frame):
             self._observe(name, observation)
         else:
             waiting = self._waiting[name]
@@ -140,7 +142,8 @@ class FrameSources:
         covariance = observation.covariance
         if covariance is not None:
             covariance = turned_covariance(covariance, place[3:])
-        self._observe(name, Observation(observation.stamp_ns, self._base_frame, compose(place, pose), covariance))
+        moved = observation._replace(frame_id=self._base_frame, pose=compose(place, pose), covariance=covariance)
+        self._observe(name, moved)
         return True
 
     def _try_to_listen(self) -> bool:

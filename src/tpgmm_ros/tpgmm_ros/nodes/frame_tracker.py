@@ -160,13 +160,13 @@ class FrameTrackerNode(Node):
 
     def _take(self, name: str, observation: Observation, now_ns: int, steady_ns: int) -> bool:
         """Whether a frame's observation was taken."""
-        stamp_ns, _, pose, covariance = observation
+        stamp_ns, pose = observation.stamp_ns, observation.pose
         if name == _HAND:
             if reason := self.tracker.observe_hand(pose, stamp_ns, steady_ns):
                 self._refuse(name, reason)
             return False
-        covariance = covariance if self._uses_covariances else None
-        refusal = self.tracker.observe(name, pose, stamp_ns, now_ns, steady_ns, covariance)
+        covariance = observation.covariance if self._uses_covariances else None
+        refusal = self.tracker.observe(name, pose, stamp_ns, now_ns, steady_ns, covariance, observation.stretch)
         if refusal:
             self._warn(refusal)
         return refusal is None

@@ -79,7 +79,7 @@ class FrameWatch:
 
     def _observe(self, name: str, observation: Observation) -> None:
         now_ns = self._node.get_clock().now().nanoseconds
-        stamp_ns, _, pose, covariance = observation
+        stamp_ns, pose, covariance = observation.stamp_ns, observation.pose, observation.covariance
         refusal = self._tracker.observe(name, pose, stamp_ns, now_ns, time.monotonic_ns(), covariance)
         if refusal is None:
             self._counts[name] += 1

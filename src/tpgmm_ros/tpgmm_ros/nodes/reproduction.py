@@ -155,7 +155,7 @@ class ReproductionNode(ManagedNode):
         received = [
             (
                 *(frame.name, frame.status, frame.confidence, None if frame.pose is None else frame.pose.tolist()),
-                None if frame.covariance is None else frame.covariance.tolist(),
+                *(None if part is None else part.tolist() for part in (frame.covariance, frame.stretch)),
             )
             for frame in item.frames
         ]

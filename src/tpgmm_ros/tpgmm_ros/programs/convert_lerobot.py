@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tpgmm_core.common.text import listed
 from tpgmm_ros.programs.reading import TrainingError, progress_bar
 from tpgmm_ros.recordings.bags import find_bags, join_parts, read_recordings
 from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
@@ -51,6 +52,9 @@ def to_lerobot(options: argparse.Namespace, report: dict[str, Any]) -> None:
     report["doubts"] = [asdict(doubt) for doubt in doubts]
     if any(doubt.refuses for doubt in doubts):
         raise TrainingError("the doubts show that these bags do not belong together, nothing was written: see doubts")
+    if recordings[0].stretches:
+        maps = listed(recordings[0].stretches)
+        raise ConversionError(f"a dataset has poses of frames, and {maps} are maps: leave them out of the task file")
     fps = _rate(options.rate, rate_of(recordings))
     found = [sampled(one, fps) for one in recordings]
     with progress_bar(total=len(found), desc="writing episodes", unit="episode") as bar:

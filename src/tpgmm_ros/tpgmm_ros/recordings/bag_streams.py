@@ -23,6 +23,7 @@ from tpgmm_core.observation.unseen import START_TOLERANCE_S, last_seen
 from tpgmm_ros.recordings.bag_messages import BagError
 from tpgmm_ros.recordings.leaps import without_leaps
 from tpgmm_ros.recordings.numeric_fields import read_numbers
+from tpgmm_ros.recordings.pose_streams import divided
 from tpgmm_ros.recordings.recording import Recording
 from tpgmm_ros.task.task_file import Task
 
@@ -58,7 +59,7 @@ class BagStreams:
     times
         of the movement, of the joints and of each frame that moves, (S,) ns, increasing; those of joints may repeat
     values
-        poses (S, 7), or positions of joints (S, n), by the same names
+        poses (S, 7), poses with a stretch (S, 16), or positions of joints (S, n), by the same names
     topics
         by the same names
     fixed
@@ -145,6 +146,7 @@ class BagStreams:
             series[name] = ns, values
         at, movement = series[MOVEMENT]
         frames: dict[str, Array] = {}
+        stretches: dict[str, Array] = {}
         visible: dict[str, NDArray[np.bool_]] = {}
         for name in self.task.frames:
             if name in self.fixed:
@@ -158,10 +160,18 @@ class BagStreams:
                 )
             unknown_after = self.task.frames[name].unknown_after
             which, visible[name] = last_seen(series[name][0], at, unknown_after)
-            frames[name] = series[name][1][which]
+            frames[name], axes = divided(series[name][1][which])
+            if axes is not None:
+                stretches[name] = axes
             if self.task.frames[name].with_hand:
                 frames[name], moved = carried_poses(
-                    at, movement, *series[name], frames[name], tracking.visible_timeout, self._gripper(name)
+                    at,
+                    movement,
+                    series[name][0],
+                    divided(series[name][1])[0],
+                    frames[name],
+                    tracking.visible_timeout,
+                    self._gripper(name),
                 )
                 if moved.any():
                     notes.append(f"{name}: not seen, but moving with the hand, in {moved.sum()} of {len(at)} samples")
@@ -183,6 +193,7 @@ class BagStreams:
             self._configurations(at),
             self.task.derived,
             tuple(doubts),
+            stretches=stretches,
         )
 
     def _gripper(self, name: str) -> tuple[Nanoseconds, NDArray[np.bool_]] | None:

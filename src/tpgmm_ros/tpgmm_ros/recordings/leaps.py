@@ -27,7 +27,7 @@ def without_leaps(
     times
         (T,), ns, increasing
     poses
-        (T, 7)
+        (T, 7), or with more columns, which stay beside them
     limits
         how fast it can move
 
@@ -41,7 +41,7 @@ def without_leaps(
     BagError
         hardly any piece of them follows from another one.
     """
-    found = plausible_poses(poses, times, limits)
+    found = plausible_poses(poses[:, :7], times, limits)
     left, notes = len(poses) - int(np.count_nonzero(found.kept)), []
     if left:
         first = (times[int(np.argmin(found.kept))] - times[0]) * 1e-9
@@ -59,7 +59,7 @@ def without_leaps(
                     "positions are not in m (but in inches, centimetres or millimetres), or its times are not in s. "
                     "Publish m, or allow more by max_speed in the part tracking of the task file",
                 )
-            rate = _steady([quaternion.angle_between(poses[:-k, 3:], poses[k:, 3:]) for k in (1, 2)], seconds)
+            rate = _steady([quaternion.angle_between(poses[:-k, 3:7], poses[k:, 3:7]) for k in (1, 2)], seconds)
             if rate > limits.turn_rate:
                 raise BagError(
                     path,

@@ -68,8 +68,9 @@ class OneByOne:
         beside: dict[str, Any] = (
             {} if recording.configurations is None else {"configurations": recording.configurations}
         )
-        frames, visible = (list(found.values()) for found in (recording.frames, recording.visible))
-        np.savez(file, times=recording.times, movement=recording.movement, frames=frames, visible=visible, **beside)
+        for key in ("frames", "visible", "stretches"):
+            beside[key] = list(getattr(recording, key).values())
+        np.savez(file, times=recording.times, movement=recording.movement, **beside)
         self._doubts[recording.place] = judged_alone(shown_in(recording, self._task))
         T = len(recording.times)
         outline = recording.at(np.unique(np.linspace(0, T - 1, min(T, OUTLINE)).round().astype(np.intp)))
@@ -88,6 +89,7 @@ class OneByOne:
                 movement=found["movement"],
                 frames=dict(zip(outline.frames, found["frames"], strict=True)),
                 visible=dict(zip(outline.visible, found["visible"], strict=True)),
+                stretches=dict(zip(outline.stretches, found["stretches"], strict=True)),
                 configurations=found.get("configurations"),
                 outline_of=0,
             )

@@ -55,7 +55,8 @@ def read_pose_streams(path: Path, sources: Mapping[str, Source], base_frame: str
     Returns
     -------
     PoseStreams
-        poses (T, 7) by name: x, y, z in m, qx, qy, qz, qw, unit quaternions of continuous sign
+        poses (T, 7) by name: x, y, z in m, qx, qy, qz, qw, unit quaternions of continuous sign; where a source says
+        more than a pose, with the nine numbers of its stretch beside them (see `divided`)
 
     Raises
     ------
@@ -98,16 +99,21 @@ class _Seen:
     def __init__(self, source: TopicSource) -> None:
         self.source, self.messages = source, 0
         self.stamps, self.recorded, self.numbers = array("q"), array("q"), array("d")
+        self.stretches = array("d")
         self.frame_ids: list[str] = []
+        self.fault = ""
 
     def take(self, at: int, message: Any) -> None:
         """A message, with the time of the recorder, ns."""
         self.messages += 1
         if type(message) is tuple:  # a StampedPose
             stamp_ns, frame_id, pose = message
-        elif (observation := self.source.read(message)) is not None:
+        elif (observation := self.source.read(message)) is not None and not observation.fault:
             stamp_ns, frame_id, pose = observation.stamp_ns, intern(observation.frame_id), observation.pose
+            if observation.stretch is not None:
+                self.stretches.extend(observation.stretch.ravel())
         else:
+            self.fault = self.fault or ("" if observation is None else observation.fault)
             return
         self.stamps.append(stamp_ns)
         self.recorded.append(at)
@@ -116,6 +122,8 @@ class _Seen:
 
     def stream(self, path: Path, topic: str, base_frame: str, transforms: RecordedTransforms) -> Stream:
         """The poses of it, on a topic of a bag, in the base frame."""
+        if self.fault:
+            raise BagError(path, f"{topic}: {self.fault}. Correct what publishes it, and record again")
         if not self.stamps:
             raise BagError(
                 path,
@@ -125,7 +133,14 @@ class _Seen:
         stamps, recorded = np.array(self.stamps, np.int64), np.array(self.recorded, np.int64)
         seen = Observed(stamps, self.frame_ids, np.array(self.numbers).reshape(-1, 7))
         poses, good, notes = usable_poses(path, topic, seen, base_frame, transforms)
+        if self.stretches:
+            poses = np.hstack([poses, np.array(self.stretches).reshape(-1, 9)[good]])
         return Stream(topic, stamps[good], recorded[good], poses, notes, doubts_of_ends(topic, recorded, good))
+
+
+def divided(values: Array) -> tuple[Array, Array | None]:
+    """Poses (T, 7) of a stream, and its stretches (T, 3, 3), where it has some; see `Frame.from_pose`."""
+    return values[:, :7], values[:, 7:].reshape(-1, 3, 3) if values.shape[1] > 7 else None
 
 
 class Observed(NamedTuple):

@@ -32,6 +32,8 @@ class Recording:
         poses (T, 7) of every frame of the task: the latest observation at or before each sample
     visible
         masks (T,), False where a frame had not been seen yet
+    stretches
+        of some of the frames also what their axes do to positions (T, 3, 3); see `Frame.from_pose`
     notes
         what was put right or left out while reading, in words
     configurations
@@ -57,6 +59,7 @@ class Recording:
     doubts: tuple[Doubt, ...] = ()
     take: int = 0
     outline_of: int = 0
+    stretches: dict[str, Array] = field(default_factory=dict)
 
     @property
     def n_samples(self) -> int:
@@ -98,6 +101,7 @@ class Recording:
             movement=self.movement[samples],
             frames={name: poses[samples] for name, poses in self.frames.items()},
             visible={name: seen[samples] for name, seen in self.visible.items()},
+            stretches={name: stretches[samples] for name, stretches in self.stretches.items()},
             configurations=None if self.configurations is None else self.configurations[samples],
         )
 
@@ -120,16 +124,20 @@ class Recording:
         demonstration = Demonstration(
             times=times,
             data=np.column_stack([times, self.movement, joints]),
-            frames={name: _frame(poses, same).with_time() for name, poses in self.frames.items()},
+            frames={
+                name: _frame(poses, self.stretches.get(name), same).with_time() for name, poses in self.frames.items()
+            },
             visible=self.visible,
         )
         return self.derived.extended(demonstration)
 
 
-def _frame(poses: Array, beside: list[Frame]) -> Frame:
-    """Frame of poses (T, 7), and of what lies beside them; one constant map where the pose never changes."""
-    several = poses[0] if (poses == poses[0]).all() else poses
-    frame = Frame.from_pose(several[..., :3], several[..., 3:])
+def _frame(poses: Array, stretches: Array | None, beside: list[Frame]) -> Frame:
+    """Frame of poses (T, 7), and of what lies beside them; one constant map where nothing ever changes."""
+    is_constant = all(part is None or (part == part[0]).all() for part in (poses, stretches))
+    several = poses[0] if is_constant else poses
+    axes = None if stretches is None else stretches[0] if is_constant else stretches
+    frame = Frame.from_pose(several[..., :3], several[..., 3:], stretch=axes)
     return Frame.stacked([frame, *beside]) if beside else frame
 
 

@@ -5,6 +5,7 @@
 {topic: cup/transform, type: geometry_msgs/TransformStamped, child: cup}
 {topic: odom, type: nav_msgs/Odometry}
 {topic: detections, type: vision_msgs/Detection3DArray, class: cup, min_score: 0.5}
+{topic: maps, type: tpgmm_msgs/TaskParameters, name: cup}               # any affine map, of that name in the messages
 {tf: cup}                                                               # /tf and /tf_static
 {tf: {frame: cup, parent: world}}                                       # where these call the base frame otherwise
 """
@@ -17,19 +18,20 @@ from typing import Any
 
 from tpgmm_core.common.text import shown
 from tpgmm_core.common.yaml_sections import Section
-from tpgmm_core.common.yaml_values import a_number, a_text, a_topic, checked_text
+from tpgmm_core.common.yaml_values import a_name, a_number, a_text, a_topic, checked_text
 from tpgmm_ros.messages.sources import (
     SOURCES,
     DetectionSource,
     JointStateSource,
     PoseStampedSource,
     Source,
+    TaskParametersSource,
     TransformSource,
     TransformStampedSource,
     short_type,
 )
 
-KEYS = ("topic", "type", "tf", "child", "class", "id", "min_score")
+KEYS = ("topic", "type", "tf", "child", "class", "id", "min_score", "name")
 """Keys of an entry that names a source."""
 
 a_frame_id = checked_text(
@@ -73,6 +75,8 @@ def read_source(entry: Section, base_frame: str) -> Source:
     values = {name: entry.required(key, read) for key, (name, read) in options.items() if key in entry.values}
     if kind is DetectionSource and not {"class_id", "tracking_id"} & values.keys():
         raise entry.error("accepts any detection: give the 'class' or the tracking 'id' of the object")
+    if kind is TaskParametersSource and not values:
+        raise entry.error("lacks the key 'name': which frame of the messages is meant")
     source: Source = kind(topic, **values)
     return source
 
@@ -128,4 +132,5 @@ _OPTIONS: Mapping[type, Mapping[str, tuple[str, Callable[[Any], Any]]]] = {
         "id": ("tracking_id", a_text),
         "min_score": ("min_score", a_number(0.0)),
     },
+    TaskParametersSource: {"name": ("name", a_name)},
 }

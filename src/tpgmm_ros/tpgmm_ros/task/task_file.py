@@ -12,6 +12,7 @@
     tracking: {visible_timeout: 0.25}        # optional, s
     model: {n_components: 10, init: time}    # optional: the retrieval method, arguments of its estimator
     kinematic: {...}                         # optional: frames that move with the robot, see `kinematic_section`
+    movements: {...}                         # for `movement` and `endpoint`: several hands, see `movements_section`
 
 Reading a task file executes nothing and needs no ROS.
 """
@@ -42,6 +43,7 @@ from tpgmm_core.retrieval.methods import ALL_METHODS
 from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
 from tpgmm_ros.task.frames_section import TaskFrameSpec, read_frames
 from tpgmm_ros.task.kinematic_section import KinematicSpec
+from tpgmm_ros.task.movements_section import divided_path, movement_of
 from tpgmm_ros.task.recordings_section import PoseArraySpec, read_recordings
 from tpgmm_ros.task.signals import TypedSignal
 from tpgmm_ros.task.source_entries import a_frame_id
@@ -105,7 +107,7 @@ class Task:
         Parameters
         ----------
         path
-            of the file
+            of the file; where it has several movements, with the one that is meant: carry.yaml#left
 
         Returns
         -------
@@ -118,12 +120,13 @@ class Task:
             the file is missing, is no YAML, or does not describe a task.
         """
         try:
-            return cls._of(Section.load(Path(path), "a task file"))
+            file, movement = divided_path(path)
+            return cls._of(movement_of(Section.load(file, "a task file"), movement))
         except YamlError as error:
             raise TaskError(str(error)) from None
 
     @classmethod
-    def from_text(cls, text: str, source: str = "task") -> "Task":
+    def from_text(cls, text: str, source: str = "task", movement: str | None = None) -> "Task":
         """Read a task from YAML text.
 
         Parameters
@@ -132,6 +135,8 @@ class Task:
             the YAML
         source
             what errors call it
+        movement
+            which one is meant where it has several
 
         Returns
         -------
@@ -144,15 +149,14 @@ class Task:
             the text is no YAML, or does not describe a task.
         """
         try:
-            return cls._of(Section.from_text(text, source))
+            return cls._of(movement_of(Section.from_text(text, source), movement))
         except YamlError as error:
             raise TaskError(str(error)) from None
 
     @classmethod
     def _of(cls, top: Section) -> "Task":
-        top.refuse_others(
-            "name", "base_frame", "movement", "endpoint", "frames", "kinematic", "recordings", "tracking", "model"
-        )
+        keys = ("name", "base_frame", "movement", "endpoint", "movements", "frames", "kinematic")
+        top.refuse_others(*keys, "recordings", "tracking", "model")
         base_frame, movement = top.required("base_frame", a_frame_id), top.required("movement", a_topic)
         frames, derived = read_frames(top.section("frames"), movement, base_frame)
         space: StateSpace = PoseSpace((*frames, *derived.sources))

@@ -20,9 +20,10 @@ from pathlib import Path
 import numpy as np
 
 from tpgmm_core import LearnedMixture
-from tpgmm_core.common.text import one_line
+from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.common.types import Array
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_ros.messages.sources import TaskParametersSource
 from tpgmm_ros.models.task_model import load_task_model
 from tpgmm_ros.task.state_space import PoseSpace
 from tpgmm_ros.task.task_file import Task, TaskError
@@ -258,6 +259,8 @@ def _task(path: Path) -> Task:
         raise ProjectError(str(error)) from error
     if not isinstance(task.space, PoseSpace):
         raise ProjectError(f"{one_line(path)} is a task over joints; the workbench teaches movements of poses")
+    if maps := [name for name, source in task.sources.items() if isinstance(source, TaskParametersSource)]:
+        raise ProjectError(f"{one_line(path)} has the maps {listed(maps)}; the workbench knows frames of poses only")
     return task
 
 

@@ -5,7 +5,7 @@ The prior N(0, I) of the factors of each first-level component c is replaced by 
 its own: x = mu_c + Lambda_c z + noise, z ~ sum_s pi_s N(nu_s, L_s). A component of the deep model is a pair (c, s),
 with mean mu_c + Lambda_c nu_s and covariance Lambda_c L_s Lambda_c^T + Psi_c. L_s may have the same form again.
 
-Library only, for vectors: the factors of orientations are no vectors, so models of poses refuse it.
+Of poses, factors are coordinates in the tangent space at a component's mean: see `fit_deep_mixture`.
 """
 
 from __future__ import annotations

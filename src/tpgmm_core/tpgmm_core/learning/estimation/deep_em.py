@@ -33,8 +33,12 @@ def fit_deep_mixture(
     """The first layer, started from "mfa" emissions, then the `layers` of the structure.
 
     Each layer is learned by EM on the data's likelihood, in which only the topmost factors' Gaussians and priors move;
-    the objective never falls within a layer. K is multiplied by the layers' numbers of components; log-likelihoods and
-    objectives are those of the last layer.
+    on Euclidean data, the objective never falls within a layer. K is multiplied by the layers' numbers of components;
+    log-likelihoods and objectives are those of the last layer.
+
+    On S³ the factors of a component are coordinates in its tangent space, and each of its parts has a mean of its own
+    where the manifold's exponential map leads. The parts keep the loadings of their parent as they are about the fixed
+    axes: seen from a part's own mean they would be turned by half of the angle between the two, which is neglected.
 
     Parameters
     ----------
@@ -61,19 +65,17 @@ def fit_deep_mixture(
     Raises
     ------
     ValueError
-        for S³, where factors would lie in different tangent spaces, and for frames of so few dimensions that a layer
-        has no factors
+        for frames of so few dimensions that a layer has no factors
     """
     for name, manifold in samples.manifolds.items():
-        if not manifold.is_euclidean:
-            raise ValueError(f'"deep_mfa" needs Euclidean frames, {name!r} lies on {manifold}: take "mfa"')
-        d = manifold.dim
+        d = manifold.tangent_dim
         for n_factors in (structure.n_factors, *(n_factors for _, n_factors in structure.layers[:-1])):
             d = min(n_factors, d - 1)
             if d < 1:
+                n = manifold.tangent_dim
                 raise ValueError(
-                    f'frame {name!r} has too few dimensions ({manifold.dim}) for the layers of "deep_mfa": each layer '
-                    "needs fewer factors than the one before it; use fewer layers"
+                    f'frame {name!r} has too few dimensions ({n}) for the layers of "deep_mfa": each layer needs fewer '
+                    "factors than the one before it; use fewer layers"
                 )
     estimate = fit_mixture(samples, priors, emissions, tol=tol, max_iter=max_iter, progress=progress)
     rng = np.random.default_rng(random_state)
@@ -123,7 +125,8 @@ def _with_layer(
                 scatters[k] = uncertain[name][k // n_parts] + np.cov(chosen, rowvar=False, bias=True).reshape(d, d)
         top = FactorAnalyzers.start(latent_structure, counts, scatters)
         T = np.repeat(frames[name].top_loadings, n_parts, axis=0)
-        means[name] = np.repeat(estimate.emissions.means[name], n_parts, axis=0) + np.einsum("knd,kd->kn", T, nu)
+        parents_means = np.repeat(estimate.emissions.means[name], n_parts, axis=0)
+        means[name] = samples.manifolds[name].exp(parents_means, np.einsum("knd,kd->kn", T, nu))
         deeper[name] = divided(frames[name], structure, n_parts, top)
     within = np.maximum(counts, 1.0).reshape(K, n_parts)
     priors = (estimate.priors[:, None] * within / within.sum(axis=1, keepdims=True)).ravel()
@@ -148,7 +151,7 @@ def _expected_factors(
     B = frame.regressions_of(frame.top_loadings)
     z = np.zeros((samples.n_samples, B.shape[1]))
     for k, mean in enumerate(emissions.means[name]):
-        z[parents == k] = (samples.X[name][parents == k] - mean) @ B[k].T
+        z[parents == k] = samples.manifolds[name].log(mean, samples.X[name][parents == k]) @ B[k].T
     return z
 
 
