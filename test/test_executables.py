@@ -182,3 +182,11 @@ def test_unknown_arguments_end_with_status_2(name: str) -> None:
     (ended,) = run_all([[name, "--no-such-option"]])
     assert ended.returncode == 2 and ended.stdout == "" and "Traceback" not in ended.stderr
     assert "error: " in ended.stderr.splitlines()[-1]
+
+
+@pytest.mark.parametrize(("to", "status"), [(">/dev/full", 1), (">&-", 0)])
+def test_output_that_cannot_be_written_is_said_in_one_line(to: str, status: int) -> None:
+    command = ["sh", "-c", f'exec "$0" "$@" {to}', executable("check_robot"), str(ROBOT_FILE)]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert ended.returncode == status
+    assert ended.stderr.count("\n") == status and ended.stderr.startswith("error: the disk is full" * status)

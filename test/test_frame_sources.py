@@ -13,6 +13,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from ros_graph import ALL_LATCHED, SECOND, Diagnostics, Inbox, ros_arguments
@@ -402,3 +403,47 @@ def test_a_clock_that_is_ahead_and_lengths_that_are_odd_are_taken_and_said(
 
     spin_until(ros_node, said, message="the notes", processes=(process,))
     ros_node.destroy_timer(timer)
+
+
+def test_a_frame_that_is_missing_says_why_and_one_among_many_on_a_topic_is_seen(
+    ros_node: Node, start_process: StartProcess, tmp_path: Path
+) -> None:
+    kind = "type: vision_msgs/Detection3DArray"
+    frames = (
+        f"{{silent: {{topic: silent}}, other: {{topic: other}}, mug: {{topic: seen, {kind}, class: mug}}, "
+        "last: {topic: all, type: geometry_msgs/TransformStamped, child: t0}, foreign: {topic: foreign}}"
+    )
+    (tmp_path / "task.yaml").write_text(f"{TASK.split('frames:')[0]}frames: {frames}\n")
+    process = start_process("frame_tracker", *ros_arguments(task_file=tmp_path / "task.yaml"))
+    diagnostics = Diagnostics(ros_node)
+    kinds: dict[str, type] = {
+        "other": Odometry,
+        "seen": vision_msgs.Detection3DArray,
+        "all": TransformStamped,
+        "foreign": PoseStamped,
+    }
+    to = {topic: ros_node.create_publisher(kind, topic, QoSProfile(depth=50)) for topic, kind in kinds.items()}
+
+    def publish() -> None:
+        stamp = ros_node.get_clock().now().nanoseconds
+        to["other"].publish(Odometry())
+        to["seen"].publish(vision_msgs.Detection3DArray(detections=[vision_msgs.Detection3D(id="1")]))
+        for i in range(20):
+            to["all"].publish(transform(GOOD, stamp, "base", f"t{i}"))
+        to["foreign"].publish(conversions.pose_stamped(GOOD, stamp, "lens"))
+
+    timer = ros_node.create_timer(1 / 30, publish)
+    expected = (
+        "frame 'silent': nobody publishes /silent",
+        "/test is not heard on /other: it publishes nav_msgs/msg/Odometry, expected geometry_msgs/msg/PoseStamped",
+        "messages on /seen holds class 'mug'",
+        "frame 'foreign': wrong frame_id: 'lens', expected 'base'",
+    )
+
+    def said() -> bool:
+        message, values = diagnostics.messages.get("frame_tracker", ""), diagnostics.values.get("frame_tracker", {})
+        return values.get("status_last") == "VISIBLE" and all(words in message for words in expected)
+
+    spin_until(ros_node, said, message="the reasons", processes=(process,))
+    ros_node.destroy_timer(timer)
+    assert all(words in process.output for words in ("is not heard on /other", "wrong frame_id: 'lens'"))

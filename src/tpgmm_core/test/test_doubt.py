@@ -192,6 +192,16 @@ def test_one_that_goes_elsewhere_is_named_with_when() -> None:
     assert 0.4 < begin / several[5].duration < 0.7
 
 
+def test_a_recording_whose_axes_are_left_handed_is_named_unless_the_start_is_a_frame() -> None:
+    several = group()
+    mirror = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
+    frames = {name: poses * mirror for name, poses in several[2].frames.items()}
+    several[2] = replace(several[2], movement=several[2].movement * mirror, frames=frames)
+    (doubt,) = judged(several)
+    assert doubt.kind == "misfit" and doubt.about == ("demo_2",) and "from 0.00 to" in doubt.text
+    assert not judged([replace(one, from_start=True) for one in several])
+
+
 def test_a_pause_with_a_slow_movement_in_it_is_no_leap() -> None:
     several = group()
     kept = np.r_[0:30, 41:80]

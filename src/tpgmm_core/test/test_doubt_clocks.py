@@ -177,3 +177,33 @@ def test_pauses_are_found_where_they_are() -> None:
     ((begin, length),) = gaps(times, 0.5, 10.0)
     assert begin == pytest.approx(29 * 0.05) and length == pytest.approx(1.55)
     assert not gaps(ns(T), 0.5, 10.0) and not gaps(ns(T[:3] * 10), 0.5, 10.0)
+
+
+def test_a_bag_that_was_written_at_once_is_judged_by_its_stamps() -> None:
+    at_once = np.full(81, 1.0)
+    clock = common_clock(topic("hand", at_once, T), [topic("object", at_once[::3], T[::3])])
+    assert not clock.by_recorder and not clock.doubts
+    np.testing.assert_allclose(seconds(clock, "object"), T[::3] - T[0], atol=1e-6)
+
+
+def test_where_no_clock_went_at_all_that_is_said() -> None:
+    still = topic("hand", np.zeros(81), np.zeros(81))
+    with pytest.raises(ClockError, match="stamps that never change, and .* the same in all 81 messages: nothing tells"):
+        common_clock(still, [topic("object", np.zeros(9), np.zeros(9))])
+
+
+def test_stamps_before_1970_are_called_so() -> None:
+    past = TopicTimes("hand", "hand", ns(T - 1000.0), ns(T + START))
+    clock = common_clock(past, [])
+    assert clock.by_recorder and clock.notes == ("hand has stamps before 1970: the recorder's times are used instead",)
+
+
+def test_a_pause_that_stamps_and_recorder_agree_on_may_be_one() -> None:
+    paused = T + 40.0 * (np.arange(81) >= 40)
+    with pytest.raises(
+        ClockError, match=r"steps by \+40.05 s .*, or the recording was paused, as its stamps say the same"
+    ):
+        common_clock(topic("hand", paused), [])
+    with pytest.raises(ClockError) as raised:
+        common_clock(topic("hand", T - 40.0 * (np.arange(81) >= 40)), [])
+    assert "paused" not in str(raised.value)

@@ -43,6 +43,7 @@ def panda(folder: Path, *replace: tuple[str, str]) -> RobotModel:
         ((("coulomb: 0.2", "coulomb: 0.0"),), "no friction is given for panda_joint1, panda_joint2"),
         ((("panda_joint4: -2.356", "panda_joint4: -0.5"), ("panda_joint6: 1.571", "panda_joint6: 0.0"),), "hand: at home"),  # noqa: E501
         ((("base_frame: panda_link0", "base_frame: panda_link0\ngravity: [0, 0, 9.81]"),), "gravity is 0.00, 0.00, 9.81"),  # noqa: E501
+        ((("base_frame: panda_link0", "base_frame: panda_link0\ngravity: [0, 0, -9810]"),), "gravity is 9810 m.* another unit"),  # noqa: E501
         ((("panda_joint6, panda_joint7]", "panda_joint6]"),), "hand: it is also moved by panda_joint7"),
         ((("panda_joint6, panda_joint7]", "panda_joint6]"),), "panda_joint7: in no joint group"),
         ((("frame: panda_hand_tcp", "frame: panda_link5"),), "joints that do not move it: panda_joint6, panda_joint7"),

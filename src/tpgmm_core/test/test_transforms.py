@@ -129,3 +129,20 @@ def test_two_parents_by_turns_are_refused_and_a_thing_that_is_grasped_is_not() -
         tree.add("base", "hand", a_pose(), k * MS)
         tree.add("hand", "cup", cup, k * MS)
     tree.pose("cup", "base", 3100 * MS)
+
+
+def test_static_transforms_that_contradict_one_another_are_named_and_repeated_ones_are_not() -> None:
+    tree, camera = TransformTree(), np.array([1.0, 0.2, 1.5, 0.0, 0.0, 0.0, 1.0])
+    tree.add("base", "camera", camera, 0, is_static=True)
+    tree.add("base", "camera", camera + 1e-5, 0, is_static=True)
+    tree.add("base", "camera", -camera * [-1, -1, -1, 1, 1, 1, 1], 0, is_static=True)
+    assert not tree.unsteady
+    tree.add("base", "camera", camera + [0.3, 0.4, 0, 0, 0, 0, 0], 0, is_static=True)
+    assert "'camera' has a static transform and another one" in tree.unsteady["camera"]
+    assert "0.500 m and 0.0 deg apart" in tree.unsteady["camera"]
+    tree.add("base", "table", camera, 0, is_static=True)
+    tree.add("world", "table", camera, 0, is_static=True)
+    assert "in 'base' and in 'world'" in tree.unsteady["table"]
+    tree.add("base", "tool", camera, 0, is_static=True)
+    tree.add("base", "tool", camera + [0.1, 0, 0, 0, 0, 0, 0], MS)
+    assert "0.100 m" in tree.unsteady["tool"]

@@ -380,3 +380,30 @@ def test_numbers_in_names_count_by_their_values() -> None:
     names = ["demo_10.mcap", "demo_9.mcap", "demo_9_2.mcap", "a1.mcap"]
     found = sorted(map(Path, names), key=natural_order)
     assert [path.name for path in found] == ["a1.mcap", "demo_9.mcap", "demo_9_2.mcap", "demo_10.mcap"]
+
+
+def test_a_topic_of_two_types_has_the_messages_of_the_wanted_one(tmp_path: Path) -> None:
+    topics, other = reach(0), "geometry_msgs/msg/PoseWithCovarianceStamped"
+    definition, _ = STORE.generate_msgdef(other, ros_version=2)
+    path = tmp_path / "demo.mcap"
+    path.write_bytes(whole(poses(topics) + channel(7, "/object/pose", "cdr", other, "ros2msg", definition.encode())))
+    recording = read_recording(path, TASK)
+    np.testing.assert_array_equal(recording.frames["object"], topics["/object/pose"].poses)
+
+
+@pytest.mark.parametrize("folder", ["C:\\\\bags\\\\", "/home/somebody/bags/", "demo/"])
+def test_metadata_may_name_files_where_they_were_recorded(folder: str, tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "demo", reach(0))
+    metadata = path / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("demo.mcap", f'"{folder}demo.mcap"'))
+    assert len(read_recording(path, TASK).times) == 100
+
+
+def test_metadata_without_a_file_are_called_so_and_given_themselves_mean_their_folder(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "demo", reach(0))
+    assert find_bags([path / "metadata.yaml", path / "demo.mcap", path]) == [path]
+    metadata = path / "metadata.yaml"
+    metadata.write_text(
+        re.sub(r"relative_file_paths:\n\s*- demo.mcap", "relative_file_paths: []", metadata.read_text())
+    )
+    refused(path, "its metadata.yaml names no file, as where the recorder was killed. Remove that file")

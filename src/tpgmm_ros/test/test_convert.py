@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.io
+import scipy.sparse
 
 from synthetic_bags import reach
 from tpgmm_core.common.types import Array
@@ -18,6 +19,7 @@ from tpgmm_core.geometry import quaternion
 from tpgmm_ros.programs import convert, train
 from tpgmm_ros.recordings.bags import find_bags, read_recording
 from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
+from tpgmm_ros.recordings.conversion.csv_file import read_csv
 from tpgmm_ros.recordings.conversion.demonstrations import Columns, demonstrations_of
 from tpgmm_ros.recordings.conversion.tables import read_tables
 from tpgmm_ros.recordings.numeric_fields import read_numbers
@@ -98,6 +100,27 @@ def test_csv_of_any_country_is_read_alike(
     (tmp_path / "shown.csv").write_bytes(change(csv_of(*shown(0))).encode(encoding))
     assert run(capsys, "--to", tmp_path / "bags", *COLUMNS, tmp_path / "shown.csv")["passed"]
     holds(tmp_path / "bags", 0, *shown(0))
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        pytest.param(lambda rows: "sep=;\n" + rows.replace(",", ";").replace(".", ","), id="separator of Excel"),
+        pytest.param(lambda rows: rows.replace("\n", ",\n"), id="separators at the end of all lines"),
+        pytest.param(lambda rows: rows.replace("\n", ",,\n").replace(",,\n", "\n", 1), id="and not of the names"),
+        pytest.param(lambda rows: rows.replace("\n", ",\n", 1), id="and of the names alone"),
+        pytest.param(lambda rows: "% by a recorder\n// of ours\n" + rows, id="comments of other programs"),
+        pytest.param(lambda rows: rows.replace("\n", ",9,9\n").replace("9,9", "n,n", 1), id="other names given twice"),
+    ],
+)
+def test_what_programs_add_around_a_table_changes_nothing(write: Any, tmp_path: Path) -> None:
+    rows = "t,x,y\n" + "".join(f"{0.1 * i:.1f},{0.5 * i:.2f},-1.5\n" for i in range(12))
+    (tmp_path / "plain.csv").write_text(rows)
+    (tmp_path / "other.csv").write_text(write(rows))
+    plain, other = (read_csv(tmp_path / name) for name in ("plain.csv", "other.csv"))
+    assert {"t", "x", "y"} <= other.keys()
+    for name in ("t", "x", "y"):
+        np.testing.assert_array_equal(other[name], plain[name])
 
 
 def test_units_in_brackets_are_part_of_a_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -280,7 +303,9 @@ def several_arrays(path: Path) -> None:
         ("a.csv", "\0\1\2", "x", "is no text: it begins with"),
         ("a.csv", "1,2\n" * 12, "x,y", "has no column or array 'x'.* by its number"),
         ("a.csv", "", "x", "is empty"),
-        ("a.csv", "x,x\n1,2\n", "x", "the same name twice"),
+        ("a.csv", "x,x\n" + "1,2\n" * 12, "x", r"no column or array 'x'; there are .*'x\(1\) .*'x\(2\)"),
+        ("a.csv", "x,y\nm,m\n1,2\n", "x,y", "line 2 holds no number below the names; if it holds units"),
+        ("a.csv", "made by a recorder\nx,y\n1,2\n", "x,y", "put # before what is above"),
         ("a.csv", "x,y\n" + "1,2\n" * 12, "x,z", "has no column or array 'z'; there are"),
         ("a.csv", "x,y\n" + "1,2\n" * 12, "x", "has 1 columns for a pose"),
         ("a.csv", "x,y\n" + "1,2\n" * 3, "x,y", "has 3 samples from row 0 on, expected at least 10"),
@@ -304,6 +329,84 @@ def test_what_cannot_be_converted_is_said(
     with pytest.raises(ValueError, match=words):
         raise ValueError(found["error"])
     assert name in found["error"] and not (tmp_path / "bags").exists()
+
+
+def test_rows_that_fill_an_array_up_are_left_out_and_an_end_at_the_origin_is_not(tmp_path: Path) -> None:
+    hand = shown(0)[0]
+    table = {"": np.vstack([np.column_stack([TIMES, hand]), np.zeros((5, 8))])}
+    for columns in (Columns("[1:8]", "[0]"), Columns("[1:4]", rate=10.0)):
+        (found,) = demonstrations_of(table, columns)
+        np.testing.assert_array_equal(found.movement[:, :3], hand[:, :3])
+        assert found.notes[-1 if columns.time else 0] == (
+            "the last 5 of 46 rows of the movement are 0, as where shorter ones are filled up"
+        )
+    home = {"": np.vstack([np.linspace([0.5, 0.2, 0.1], [0.0, 0.0, 0.0], 30), np.zeros((5, 3))])}
+    (found,) = demonstrations_of(home, Columns("", rate=10.0))
+    assert len(found.movement) == 35 and not any("filled up" in note for note in found.notes)
+
+
+def test_what_stands_beside_the_wanted_arrays_does_no_harm(tmp_path: Path) -> None:
+    hand = shown(0)[0]
+    np.savez(tmp_path / "a.npz", hand=hand, notes=np.array([{"by": "us"}], object))
+    (table,) = read_tables(tmp_path / "a.npz", {"hand"})
+    np.testing.assert_array_equal(table["hand"], hand)
+    with pytest.raises(ConversionError, match="notes holds Python objects .pickle., which are never loaded"):
+        read_tables(tmp_path / "a.npz", {"notes"})
+    stamps = np.datetime64("2026-01-01") + np.round(1e9 * TIMES).astype("timedelta64[ns]")
+    np.savez(tmp_path / "b.npz", hand=hand, stamps=stamps, words=np.array(["a", "b"]))
+    (table,) = read_tables(tmp_path / "b.npz", {"hand", "stamps"})
+    np.testing.assert_allclose(table["stamps"], TIMES, atol=1e-9)
+    with pytest.raises(ConversionError, match=r"words holds no real numbers .* but <U1 of the shape \(2,\)"):
+        read_tables(tmp_path / "b.npz", {"words"})
+    scipy.io.savemat(tmp_path / "c.mat", {"hand": scipy.sparse.csc_matrix(hand)})
+    (table,) = read_tables(tmp_path / "c.mat", {"hand"})
+    np.testing.assert_array_equal(table["hand"], hand)
+    places = np.tile(np.eye(4), (3, 12, 1, 1))
+    np.save(tmp_path / "d.npy", places)
+    assert [table[""].shape for table in read_tables(tmp_path / "d.npy", {""})] == [(12, 4, 4)] * 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--movement", "x,y", "--name", "my task: x"], "--name 'my task: x' is no name"),
+        (["--movement", "x,y", "--frame", "begin=x,y"], "--frame begin: this is where the hand is at the beginning"),
+        (["--movement", "x,y", "--number", "hand/pose=x"], "--number hand/pose: this is the topic of poses"),
+        (["--movement", "x,y", "--number", "cup/pose=x", "--frame", "cup=x,y"], "--number cup/pose: this is the topic"),
+        (["--movement", "x,y,"], "a comma too many in 'x,y,'"),
+        (["--movement", "x,y", "--to", "FILE/bags"], "FILE is a file, so that nothing can be written in it"),
+    ],
+)
+def test_names_that_are_taken_and_places_that_are_none_are_refused_before_anything_is_written(
+    arguments: list[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("FILE").write_text("")
+    Path("a.csv").write_text("x,y\n" + "".join(f"{i},{i}\n" for i in range(20)))
+    assert convert.main(["--to", "bags", "--rate", "10", *arguments, "a.csv"]) == 1
+    assert words in capsys.readouterr().err and not Path("bags").exists()
+
+
+def test_numbers_with_thousands_and_names_in_the_middle_are_called_so(tmp_path: Path) -> None:
+    for cell, words in (
+        ("1.234,5", "'1.234,5' is no number; write numbers without"),
+        ("x", "'x' .* were files joined"),
+    ):
+        (tmp_path / "a.csv").write_text(f"x;y\n1;2\n{cell};2\n")
+        with pytest.raises(ConversionError, match=f"line 3, column 0 .x.: {words}"):
+            read_csv(tmp_path / "a.csv")
+
+
+def test_what_train_would_refuse_is_no_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for i in range(4):
+        np.save(tmp_path / f"{i}.npy", shown(i)[0] * ([1e3] * 3 + [1.0] * 4 if i == 2 else 1.0))
+    files = sorted(map(str, tmp_path.glob("*.npy")))
+    assert convert.main(["--to", str(tmp_path / "bags"), "--rate", "10", "--movement", "", *files]) == 1
+    assert "refused: " in capsys.readouterr().out
 
 
 def test_doubts_of_what_was_converted_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

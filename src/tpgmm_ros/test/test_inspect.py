@@ -9,7 +9,7 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from synthetic_bags import REACH_TASK, reach, write_bag, write_pose_arrays
+from synthetic_bags import REACH_TASK, Topic, reach, write_bag, write_pose_arrays
 from tpgmm_ros.programs import train
 from tpgmm_ros.programs.inspect import main
 from tpgmm_ros.programs.reporting import json_text
@@ -164,3 +164,26 @@ def test_without_a_bag_there_is_an_error_and_no_json(tmp_path: Path, capsys: pyt
 def test_numbers_that_are_not_finite_are_null_in_json() -> None:
     values = {"a": [float("nan"), 1.5, True, None], "b": (float("inf"), Path("x"))}
     assert json.loads(json_text(values)) == {"a": [None, 1.5, True, None], "b": [None, "x"]}
+
+
+def test_a_topic_that_no_task_file_can_name_is_said_and_the_others_are_suggested(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    topics = reach(0)
+    strange = Topic(topics["/endpoint/pose"].poses, topics["/endpoint/pose"].recorded, frame_id="a\nb\x1b[2J")
+    write_bag(tmp_path / "demo", {"/esc\x1b[31m": strange, "/a b: c": strange, f"/x{'y' * 3000}": strange, **topics})
+    found = inspected(capsys, tmp_path)
+    assert found["passed"] and "movement: endpoint/pose" in found["suggested_task"]
+    assert any("this is no name of ROS" in hint and "/a b: c" in hint for hint in found["hints"])
+
+
+def test_orientations_that_were_never_recorded_and_far_places_of_the_task_are_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    topics = reach(0)
+    topics["/endpoint/pose"].poses[:, 3:] = [0.0, 0.0, 0.0, 1.0]
+    write_bag(tmp_path / "demo", topics)
+    (tmp_path / "task.yaml").write_text(REACH_TASK.replace("robot: {pose: [0,", "robot: {pose: [500,"))
+    notes = " ".join(inspected(capsys, "--task", tmp_path / "task.yaml", tmp_path / "demo")["notes"])
+    assert "every orientation is 0 0 0 1: none was recorded" in notes
+    assert "the pose of robot in the task file lies 500 m from the origin" in notes

@@ -13,12 +13,14 @@ import yaml
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
+from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from synthetic_bags import REACH_TASK, START_S, reach, write_bag
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.pose import compose, inverse
+from tpgmm_core.observation.tracking import FrameTracker
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.messages.sources import (
     DetectionSource,
@@ -365,10 +367,18 @@ def test_the_surest_detection_of_a_class_is_taken_or_that_with_an_id() -> None:
 def test_a_covariance_that_is_none_is_not_handed_on() -> None:
     pose = SimpleNamespace(pose=pose_of(np.eye(7)[6]), covariance=np.zeros(36))
     source = PoseWithCovarianceStampedSource("a")
-    for bad in (np.zeros(36), np.full(36, np.nan)):
-        pose.covariance = bad
+    unknown = np.zeros(36)
+    unknown[0] = -1.0
+    negative = np.diag([-1e-4, *[1e-4] * 5]).ravel()
+    for given, is_none in ((np.zeros(36), True), (unknown, True), (np.full(36, np.nan), False), (negative, False)):
+        pose.covariance = given
         found = source.read(SimpleNamespace(header=header(0.0), pose=pose))
-        assert found is not None and found.covariance is None
+        assert found is not None
+        tracker = FrameTracker(["cup"])
+        assert tracker.observe("cup", found.pose, 10**9, 10**9, 10**9, found.covariance) is None
+        (frame,) = tracker.update(10**9)
+        assert frame.covariance is None and (found.covariance is None) is is_none
+        assert ("1 covariances are none" in " ".join(tracker.health(10**9)["cup"].notes)) is not is_none
 
 
 # entries of task files
@@ -416,3 +426,77 @@ def test_frames_may_share_a_topic_that_tells_them_apart() -> None:
 def test_recorded_movements_that_name_no_source_are_refused(entry: dict[str, Any], complaint: str) -> None:
     with pytest.raises(TaskError, match=complaint):
         task_with(movement=entry)
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_place_that_is_told_twice_otherwise_is_said(moves: bool, tmp_path: Path) -> None:
+    topics, tf = reach(0), TYPES["tf2_msgs/msg/TFMessage"]
+    hand, thing = topics["/endpoint/pose"], topics["/object/pose"]
+    messages = of_type("geometry_msgs/PoseStamped", "/endpoint/pose", hand.poses, hand.recorded, "hand")
+    if moves:
+        seen = compose(inverse(CAMERA), thing.poses)
+        for t, pose in zip(thing.recorded, seen, strict=True):
+            messages.append((t, "/object/pose", "geometry_msgs/msg/PoseStamped", pose_stamped(pose, t, "camera")))
+    for at, shift in ((0.0, 0.0), (2.0, 0.3)):
+        place = CAMERA + [shift, 0, 0, 0, 0, 0, 0]
+        messages.append((at, "/tf_static", "tf2_msgs/msg/TFMessage", tf(transforms=[transform(place, at, "camera")])))
+    task = task_with() if moves else task_with(object={"tf": "camera"})
+    notes = read_recording(write(tmp_path / "demo", messages), task).notes
+    said = [note for note in notes if "/tf_static: 'camera' has a static transform and another one" in note]
+    assert len(said) == 1 and "0.300 m and 0.0 deg apart: the last one counts" in said[0]
+
+
+@pytest.mark.parametrize("names", [1, 0])
+def test_joint_states_that_name_their_joints_once_or_never_are_called_so(names: int, tmp_path: Path) -> None:
+    robot, kind = RobotModel.from_file(CONFIG / "panda.yaml"), "sensor_msgs/msg/JointState"
+    thing, none = reach(0)["/object/pose"], np.zeros(0)
+    messages: list[Message] = [
+        (t, "/object/pose", "geometry_msgs/msg/PoseStamped", pose_stamped(pose, t, robot.base_frame))
+        for t, pose in zip(thing.recorded, thing.poses, strict=True)
+    ]
+    for i, t in enumerate(np.linspace(0.0, 5.0, 100)):
+        state = TYPES[kind](header(t, ""), list(robot.joint_names) if i < names else [], robot.home, none, none)
+        messages.append((t, "/joint_states", kind, state))
+    entry = {"joint_states": "joint_states", "robot": str(CONFIG / "panda.yaml"), "link": "hand"}
+    text = yaml.safe_dump(yaml.safe_load(REACH_TASK) | {"base_frame": "panda_link0", "recordings": {"movement": entry}})
+    with pytest.raises(BagError, match=f"has {100 - names} of 100 messages.* it has 7 positions and names no joints"):
+        read_recording(write(tmp_path / "demo", messages), Task.from_text(text))
+
+
+def test_transforms_of_a_ros_1_before_tf2_are_read(tmp_path: Path) -> None:
+    topics, store, kind = reach(0), get_typestore(Stores.ROS1_NOETIC), "tf/msg/tfMessage"
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
+    hand, thing = topics["/endpoint/pose"], topics["/object/pose"]
+    with Ros1Writer(tmp_path / "demo.bag") as writer:
+        connection = writer.add_connection("/tf", kind, typestore=store)
+        for i, t in enumerate(hand.recorded):
+            items = [transform(hand.poses[i], t, "hand"), transform(thing.poses[i], t, "cup")]
+            for item in items:
+                item.header = store.types["std_msgs/msg/Header"](seq=i, stamp=item.header.stamp, frame_id="/base")
+            raw = store.serialize_ros1(store.types[kind](transforms=items), kind)
+            writer.write(connection, int(START_S) * 10**9 + round(t * 1e9), raw)
+    recording = read_recording(tmp_path / "demo.bag", task_with(object={"tf": "cup"}, movement={"tf": "hand"}))
+    np.testing.assert_allclose(recording.movement, hand.poses, atol=1e-12)
+    np.testing.assert_allclose(recording.frames["object"], thing.poses, atol=1e-12)
+
+
+def test_transforms_of_several_robots_are_told_apart_by_nobody(tmp_path: Path) -> None:
+    topics, tf = reach(0), TYPES["tf2_msgs/msg/TFMessage"]
+    hand, thing = topics["/endpoint/pose"], topics["/object/pose"]
+    messages = of_type("geometry_msgs/PoseStamped", "/endpoint/pose", hand.poses, hand.recorded, "hand")
+    for t, pose in zip(thing.recorded, thing.poses, strict=True):
+        for robot in ("/left/tf", "/right/tf"):
+            messages.append((t, robot, "tf2_msgs/msg/TFMessage", tf(transforms=[transform(pose, t, "cup")])))
+    with pytest.raises(BagError, match="transforms of several robots, on /left/tf, /right/tf, and a task file cannot"):
+        read_recording(write(tmp_path / "demo", messages), task_with(object={"tf": "cup"}))
+
+
+def test_a_transform_that_came_once_on_tf_belongs_on_tf_static(tmp_path: Path) -> None:
+    topics, tf = reach(0), TYPES["tf2_msgs/msg/TFMessage"]
+    hand, thing = topics["/endpoint/pose"], topics["/object/pose"]
+    messages = of_type("geometry_msgs/PoseStamped", "/endpoint/pose", hand.poses, hand.recorded, "hand")
+    messages.append((0.0, "/tf", "tf2_msgs/msg/TFMessage", tf(transforms=[transform(CAMERA, 0.0, "camera")])))
+    for t, pose in zip(thing.recorded, thing.poses, strict=True):
+        messages.append((t, "/object/pose", "geometry_msgs/msg/PoseStamped", pose_stamped(pose, t, "camera")))
+    with pytest.raises(BagError, match="after its last sample. Publish that transform all the time, or on /tf_static"):
+        read_recording(write(tmp_path / "demo", messages), task_with())

@@ -103,7 +103,7 @@ def test_edits_name_takes_and_leave_some_out(tmp_path: Path) -> None:
         ("takes: [[3, 2]]", "a list of takes, each"),
         ("takes: [[1, 3], [2, 4]]", "one after the other"),
         ("takes: []", "a list of takes"),
-        ("takes: {still: 0}", "above 0"),
+        ("takes: {still: 0}", "a pause of at least 0.05 s, such as 1.0"),
         ("takes: {stil: 1}", "needs exactly one of 'still'"),
         ("takes: [[1, 3], [99, 100]]", "take from 99 s on, and its movement ends after 4.00 s"),
         ("leave_out: [1]", "its edits leave out some of its takes, and it has none"),
@@ -111,6 +111,8 @@ def test_edits_name_takes_and_leave_some_out(tmp_path: Path) -> None:
         ("takes: [[0, 1]]\nleave_out: [1]", "all of its takes are left out"),
         ("takes: {topic: button}", "lacks the topic button; its topics are /endpoint/pose, /object/pose"),
         ('takes: {topic: object/pose, field: "pose.position"}', "is made of other fields"),
+        ("takes: {topic: object/pose, field: header.frame_id}", "it is a text"),
+        ("takes: {still: 1.0e-9}", "a pause of at least 0.05 s"),
         ("takes: {topic: object/pose, field: pose.weight}", "no field 'weight'; its fields are position, orientation"),
         (
             "takes: {topic: object/pose, field: pose.position.x, above: 9}",

@@ -174,6 +174,7 @@ def test_a_missing_key_is_named(key: str) -> None:
         ("on: 1", "in quotes"),
         ("name: a\nname: b", "is given twice"),
         ("a: &x 1\nb: *x", "aliases"),
+        ("a: 010", "'010' begins with 0, so that YAML reads it as octal"),
         ("a: [", "is not a YAML file"),
         ("!!python/object/apply:os.getcwd []", "is not a YAML file"),
         ("!!bool maybe", "is not a YAML file"),

@@ -310,12 +310,34 @@ def test_an_output_that_is_a_directory_is_refused_before_training(
     assert "is a directory; give the name of a model file" in capsys.readouterr().err
 
 
+def test_files_of_other_kinds_are_not_overwritten(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "demo.mcap"
+    other.write_bytes(b"\x89MCAP0\r\n")
+    assert train(bags, "--output", other, bags) == 1
+    assert "exists and is no model file, so that it is not overwritten" in capsys.readouterr().err
+    assert train(bags, "--output", other / "model.tpgmm", bags) == 1
+    assert f"{other} is a file, so that nothing can be written in it" in capsys.readouterr().err
+    page = tmp_path / "thesis.html"
+    page.write_text("<html>")
+    with pytest.raises(SystemExit) as raised:
+        train(bags, "--output", tmp_path / "m.tpgmm", "--report", page, bags)
+    assert raised.value.code == 2 and "is no report of a training" in capsys.readouterr().err
+    for one, words in ((other, "is a file; name a folder"), (tmp_path / "m.html", "one would overwrite the other")):
+        with pytest.raises(SystemExit):
+            train(bags, "--output", tmp_path / "m.html", "--report", one, bags)
+        assert words in capsys.readouterr().err
+    assert other.read_bytes() == b"\x89MCAP0\r\n" and page.read_text() == "<html>"
+    assert not (tmp_path / "m.tpgmm").exists()
+
+
 def test_one_demonstration_cannot_be_left_out(bags: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert train(bags, "--leave-one-out", bags / "demo_0") == 1
     assert "at least two demonstrations" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("arguments", [[], ["--components", "0"], ["--every", "-1"], ["--output"]])
+@pytest.mark.parametrize("arguments", [[], ["--components", "0"], ["--every", "-1"], ["--seed", "-1"], ["--output"]])
 def test_wrong_arguments_are_told_from_failed_trainings(arguments: list[str], bags: Path) -> None:
     with pytest.raises(SystemExit) as raised:
         train(bags, bags, *arguments)

@@ -18,6 +18,7 @@ from pathlib import Path
 from domain_coordinator import domain_id
 
 from tpgmm_core.common.text import one_line
+from tpgmm_ros.runtime.entry import a_path
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.processes import GraphError, NodeProcesses, Value
 from tpgmm_ros.runtime.resources import config_file
@@ -155,12 +156,12 @@ def _parser() -> argparse.ArgumentParser:
     shown = "(default: %(default)s)"
     parser.add_argument(
         "--project",
-        type=Path,
+        type=a_path,
         default=Path("out/workbench/project"),
         help=f"folder of the project; it is created if it does not exist {shown}",
     )
-    parser.add_argument("--task", type=Path, help="task file of a new project (default: config/pick_place.yaml)")
-    parser.add_argument("--robot", type=Path, help="robot file of a new project (default: config/baxter.yaml)")
+    parser.add_argument("--task", type=a_path, help="task file of a new project (default: config/pick_place.yaml)")
+    parser.add_argument("--robot", type=a_path, help="robot file of a new project (default: config/baxter.yaml)")
     parser.add_argument(
         "--urdf",
         help="URDF of a robot without a robot file, package://NAME/PATH or a path: robot file and task are proposed",
@@ -191,7 +192,7 @@ def _parser() -> argparse.ArgumentParser:
         help=f"force on the hand from which on a correction begins by itself while the skill runs, N; 0: never {shown}",
     )
     parser.add_argument("--domain", type=int, help="ROS domain, to watch with RViz (default: a free one)")
-    parser.add_argument("--log", type=Path, default=Path("out/workbench/log"), help=f"logs of the nodes {shown}")
+    parser.add_argument("--log", type=a_path, default=Path("out/workbench/log"), help=f"logs of the nodes {shown}")
     return parser
 
 

@@ -120,6 +120,18 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+def _integer(loader: _Loader, node: yaml.ScalarNode) -> int:
+    """A whole number; YAML 1.1 reads 010 as 8, and people as 10."""
+    text = str(node.value)
+    if re.fullmatch(r"[-+]?0[0-9_]+", text):
+        problem = f"{shown(text)} begins with 0, so that YAML reads it as octal: write it without the 0"
+        raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+    return int(loader.construct_yaml_int(node))
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _integer)
+
+
 # YAML 1.1 reads 1e-6 as text, since it has no point; YAML 1.2 and people read a number.
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")

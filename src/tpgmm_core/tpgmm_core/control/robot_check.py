@@ -19,6 +19,8 @@ NEAR_LIMIT = 0.03
 MUCH_EFFORT = 0.7
 #: Smallest singular value of an end point's Jacobian with which it moves freely, m; turns count by a length.
 HARDLY = 0.03
+#: Gravity differs by less from place to place, m/s^2.
+ON_EARTH = 0.05
 #: Largest error that friction alone may cause, rad or m.
 STUCK = 0.1
 #: No joint of an arm is more than two turns from its zero, rad.
@@ -157,8 +159,16 @@ def _of_endpoints(robot: RobotModel) -> Iterator[str]:
 
 def _of_base(robot: RobotModel) -> Iterator[str]:
     gravity = robot.world_to_base.rotation @ robot.pinocchio.gravity.linear
-    if not np.allclose(gravity, [0.0, 0.0, -9.81], atol=0.05):
-        x, y, z = gravity
+    if np.allclose(gravity, [0.0, 0.0, -9.81], atol=ON_EARTH):
+        return
+    x, y, z = gravity
+    size = float(np.linalg.norm(gravity))
+    if abs(size - 9.81) > ON_EARTH:
+        yield (
+            f"gravity is {size:.4g} m/s^2, and 9.81 on Earth: the torques that hold the robot will be wrong by that; "
+            "is it in another unit?"
+        )
+    if np.hypot(x, y) > ON_EARTH or z > 0.0:
         yield (
             f"gravity is {x:.2f}, {y:.2f}, {z:.2f} m/s^2 in the base frame, not along -z; check that the robot is "
             "mounted like this"

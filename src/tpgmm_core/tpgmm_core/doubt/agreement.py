@@ -117,6 +117,8 @@ def doubts_of_misfits(shown: Sequence[RawDemonstration]) -> list[Doubt]:
 def distances_from_others(shown: Sequence[RawDemonstration]) -> tuple[Array, Array]:
     """How far each demonstration is from the others, in the frame that sees it nearest to them.
 
+    Where the movement begins is a frame for positions only if the task has it, and one for orientations in any case.
+
     Parameters
     ----------
     shown
@@ -128,7 +130,9 @@ def distances_from_others(shown: Sequence[RawDemonstration]) -> tuple[Array, Arr
         distances (M, SHARES), m, and angles (M, SHARES), rad, at even shares of the time
     """
     views = _views(shown)
-    return _distances(views, _way), _distances(views, _turn)
+    # a hand that begins turned otherwise turns on the way; one that begins elsewhere comes another way
+    known = [view for k, view in enumerate(views) if k != FROM_START or any(one.from_start for one in shown)]
+    return _distances(known, _way), _distances(views, _turn)
 
 
 def pairwise_distances(shown: Sequence[RawDemonstration]) -> tuple[Array, Array]:

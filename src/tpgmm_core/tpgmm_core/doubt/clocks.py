@@ -25,6 +25,7 @@ from tpgmm_core.doubt.stamps import (
     has_lag,
     is_sane,
     problem_of_stamps,
+    tell_nothing,
 )
 
 WHOLE = 0.9
@@ -98,6 +99,11 @@ def common_clock(movement: TopicTimes, others: Sequence[TopicTimes]) -> CommonCl
             kept[stream.key] = _within(stream, begin, end)
     streams = [stream.taken(kept[stream.key]) for stream in streams]
     problem = problem_of_stamps(streams)
+    if len(streams[0].recorded) > 1 and problem and not np.ptp(streams[0].recorded):
+        raise ClockError(
+            f"{problem}, and the recorder's times are the same in all {len(streams[0].recorded)} messages: nothing "
+            "tells when they were; did all wait for a clock (use_sim_time without /clock)? Record it again"
+        )
     if problem:
         times = {stream.key: stream.recorded for stream in streams}
         notes = [f"{problem}: the recorder's times are used instead"]
@@ -132,11 +138,13 @@ def _whole_part(stream: TopicTimes, moves: bool) -> NDArray[np.intp]:
     longest = max(parts, key=len)
     if len(longest) < WHOLE * len(everything):
         k = int(at[0])
+        step, begun = (1e-9 * float(stream.recorded[k] - stream.recorded[i]) for i in (k - 1, 0))
+        alike = step > 0.0 and abs(1e-9 * float(stream.stamps[k] - stream.stamps[k - 1]) - step) < LATENCY_S
+        paused = ", or the recording was paused, as its stamps say the same, and" if alike else ", and"
         raise ClockError(
-            f"the clock steps by {1e-9 * (stream.recorded[k] - stream.recorded[k - 1]):+.2f} s before message {k} of "
-            f"{stream.name}, {1e-9 * (stream.recorded[k - 1] - stream.recorded[0]):.2f} s after the first, and the "
-            "time between the parts is unknown; keep clocks synchronised and record it again, or select the part "
-            "before or after the step in the edits of the bag (from, to, takes)"
+            f"the clock steps by {step:+.2f} s before message {k} of {stream.name}, {begun - step:.2f} s after the "
+            f"first{paused} the time between the parts is unknown; keep clocks synchronised and record it again, or "
+            "select the part before or after the step in the edits of the bag (from, to, takes)"
         )
     return longest
 
@@ -169,7 +177,7 @@ def _within(stream: TopicTimes, begin: int, end: int) -> NDArray[np.intp]:
 
 def _lag(movement: TopicTimes, stream: TopicTimes) -> NDArray[np.float64] | None:
     """How much later a topic's messages are than their stamps say, compared with the movement's, (T,) s."""
-    if not has_lag(stream):
+    if not has_lag(stream) or tell_nothing(movement) or tell_nothing(stream):
         return None
     order = np.argsort(movement.recorded, kind="stable")
     known = movement.recorded[order]

@@ -78,7 +78,7 @@ def problem_of_stamps(streams: Sequence[TopicTimes]) -> str | None:
         return f"{movement.name} has stamps that never change"
     for stream in streams:
         if (stream.stamps <= 0).any():
-            return f"{stream.name} has stamps of zero"
+            return f"{stream.name} has stamps {'before 1970' if (stream.stamps < 0).any() else 'of zero'}"
         if (np.diff(stream.stamps) < 0).any():
             return f"{stream.name} has stamps that run backwards"
         if unit := _unit_of_fractions(stream):
@@ -110,6 +110,11 @@ def _unit_of_fractions(stream: TopicTimes) -> str:
     if whole < 2 or not comes_at_any_time or len(np.unique(fractions)) < ENOUGH:
         return ""
     return next((unit for unit, count in FRACTIONS.items() if fractions.max() < count), "")
+
+
+def tell_nothing(stream: TopicTimes) -> bool:
+    """Whether the recorder's times are those of a conversion, at which all was written at once, not of the messages."""
+    return bool(np.ptp(stream.recorded) * PACE < np.ptp(stream.stamps))
 
 
 def has_lag(stream: TopicTimes) -> bool:

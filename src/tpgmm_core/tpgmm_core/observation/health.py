@@ -33,6 +33,8 @@ class FrameHealth:
         what was put right, in words
     doubts
         what should be looked after, in words
+    trouble
+        why the last observation was refused; empty where it was used
     """
 
     age: float | None
@@ -41,6 +43,7 @@ class FrameHealth:
     refused: dict[str, int]
     notes: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    trouble: str = ""
 
 
 class FrameRecord:
@@ -48,7 +51,8 @@ class FrameRecord:
 
     def __init__(self) -> None:
         self.refused: dict[str, int] = {}
-        self.odd_lengths = 0
+        self.odd_lengths = self.odd_covariances = 0
+        self.trouble = ""
         self.forget()
 
     def forget(self) -> None:
@@ -61,6 +65,7 @@ class FrameRecord:
         """Count a refused observation by its reason: kind, ":", details."""
         kind = reason.split(":", 1)[0]
         self.refused[kind] = self.refused.get(kind, 0) + 1
+        self.trouble = reason
 
     def take(self, given: Sequence[float] | Array, pose: Array, stamp_ns: int, filtered: PoseFilter) -> None:
         """Count an observation that is used.
@@ -77,6 +82,7 @@ class FrameRecord:
             what has seen it too, and knows its noise
         """
         self.odd_lengths += odd_length(given)
+        self.trouble = ""
         seen = pose.tolist()
         if seen != self._seen:
             self._seen, self._since_ns = seen, stamp_ns
@@ -90,6 +96,10 @@ class FrameRecord:
             notes.append(f"its clock is {lead_ns / SECOND:.3f} s ahead of ROS time: stamps are corrected")
         if self.odd_lengths:
             notes.append(f"{self.odd_lengths} quaternions were not of length 1 and were normalised")
+        if self.odd_covariances:
+            notes.append(
+                f"{self.odd_covariances} covariances are none (a variance that is not above 0, or not finite): not used"
+            )
         if reason := doubtful_units(self._seen[:3]):
             notes.append(reason)
         return tuple(notes)

@@ -165,7 +165,8 @@ class FrameTracker:
         steady_ns
             steady time at arrival
         covariance
-            (6, 6) of the pose, where its source says one; it is kept, and handed on with the frame
+            (6, 6) of the pose, where its source says one; it is kept, and handed on with the frame. NaN: one that is
+            none, which is counted
         stretch
             (3, 3), what the frame's axes do to positions, where its source says it; the same
 
@@ -189,11 +190,13 @@ class FrameTracker:
         if leap := track.gate.judge(checked, stamp_ns):
             return self.refuse(name, self._words(name, leap, checked))
         track.pose, track.stamp_ns, track.seen_ns = track.filter.observe(checked, stamp_ns), stamp_ns, steady_ns
-        track.covariance, track.stretch = covariance, stretch
+        track.covariance = None if covariance is None or np.isnan(covariance).any() else covariance
+        track.stretch = stretch
         track.motion.take(track.pose, stamp_ns, track.filter.noise)
         if name in self._hand:
             self._hand.see(name, checked, stamp_ns)
         track.record.take(pose, checked, stamp_ns, track.filter)
+        track.record.odd_covariances += track.covariance is None and covariance is not None
         return None
 
     def observe_hand(self, pose: ArrayLike, stamp_ns: int, steady_ns: int) -> str:
@@ -281,6 +284,7 @@ class FrameTracker:
                     refused=dict(record.refused),
                     notes=(*record.notes(track.clock.lead_ns), *self._whereabouts(name, track, steady_ns)),
                     doubts=record.doubts(),
+                    trouble=record.trouble,
                 )
         return found
 

@@ -23,10 +23,16 @@ from tpgmm_core.observation.streams import SECOND
 
 #: How the text of a `TransformError` begins where no transforms lead from one frame to the other.
 NO_TRANSFORM = "no transform: "
+#: And where some lead there at other times.
+NO_TRANSFORM_YET = "no transform at this time"
 
 
 BY_TURNS_S = 1.0
 """A frame that comes back to a parent so soon after it left it has two publishers; a thing that is grasped does not."""
+
+
+SAME_M, SAME_RAD = 1e-3, 1e-2
+"""Transforms that differ by less are the same, written with fewer digits."""
 
 
 class TransformError(ValueError):
@@ -75,6 +81,8 @@ class TransformTree:
     def __init__(self, memory: float | None = 10.0) -> None:
         self._memory_ns = None if memory is None else round(memory * SECOND)
         self._links: dict[str, _Link] = {}
+        #: By frame: why it cannot be at rest, though a static transform leads to it, in words.
+        self.unsteady: dict[str, str] = {}
 
     def forget(self) -> None:
         """Forget what moves: time jumped backwards. Static transforms hold at all times."""
@@ -112,6 +120,11 @@ class TransformTree:
         if not parent or not child or parent == child:
             return f"wrong frame_id: a transform from {shown(parent)} to {shown(child)}"
         link = self._links.get(child)
+        if link is not None and (is_static or link.is_static) and (how := _difference(link, parent, checked)):
+            self.unsteady[child] = (
+                f"{shown(child)} has a static transform and another one that contradicts it, {how}: the last one "
+                "counts; end one of the two that publish them"
+            )
         if link is None or is_static or (link.parent, link.is_static) != (parent, False):
             # a child has one parent; what it had before does not count
             self._links[child] = _Link(parent, is_static, [stamp_ns], [checked])
@@ -189,7 +202,7 @@ class TransformTree:
             early = stamp_ns < stamps[0]
             by = (stamps[0] - stamp_ns if early else stamp_ns - stamps[-1]) / SECOND
             raise TransformError(
-                f"no transform at this time: the one from {shown(link.parent)} to {shown(child)} was requested "
+                f"{NO_TRANSFORM_YET}: the one from {shown(link.parent)} to {shown(child)} was requested "
                 f"{by:.3f} s {'before its first' if early else 'after its last'} sample",
                 may_come=not early,
             )
@@ -228,6 +241,15 @@ class TransformTree:
                 raise TransformError(f"{NO_TRANSFORM}those above {shown(frame)} form a loop")
             names.append(link.parent)
         return names
+
+
+def _difference(link: _Link, parent: str, pose: Array) -> str:
+    """How a transform differs from the last one of a link, in words; nothing where by rounding alone."""
+    if link.parent != parent:
+        return f"in {shown(link.parent)} and in {shown(parent)}"
+    apart = float(np.linalg.norm(link.poses[-1][:3] - pose[:3]))
+    turned = float(quaternion.angle_between(link.poses[-1][3:], pose[3:]))
+    return f"{apart:.3f} m and {np.degrees(turned):.1f} deg apart" if apart > SAME_M or turned > SAME_RAD else ""
 
 
 class TransformWatch:

@@ -29,7 +29,7 @@ from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.programs import train
 from tpgmm_ros.programs.reporting import run_with_report, write_report
-from tpgmm_ros.runtime.entry import INTERRUPTED
+from tpgmm_ros.runtime.entry import INTERRUPTED, a_path
 from tpgmm_ros.runtime.graph import Graph, open_graph, own_domain
 from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, GraphError, GraphTimeoutError, Value
 from tpgmm_ros.runtime.resources import config_file
@@ -182,17 +182,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--seed", type=int, default=1, help="number of the situation (default: %(default)s)")
     parser.add_argument(
-        "--bags", type=Path, default=Path("bags/pick_place"), help="the demonstrations (default: %(default)s)"
+        "--bags", type=a_path, default=Path("bags/pick_place"), help="the demonstrations (default: %(default)s)"
     )
-    parser.add_argument("--model", type=Path, help="use this model file of the task, instead of training one")
+    parser.add_argument("--model", type=a_path, help="use this model file of the task, instead of training one")
     parser.add_argument(
-        "--output", type=Path, default=Path("out/demo"), help="report, pictures, model, logs (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--task", type=Path, default=config_file("pick_place.yaml"), help="task file (default: %(default)s)"
+        "--output", type=a_path, default=Path("out/demo"), help="report, pictures, model, logs (default: %(default)s)"
     )
     parser.add_argument(
-        "--robot", type=Path, default=config_file("baxter.yaml"), help="robot file (default: %(default)s)"
+        "--task", type=a_path, default=config_file("pick_place.yaml"), help="task file (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--robot", type=a_path, default=config_file("baxter.yaml"), help="robot file (default: %(default)s)"
     )
     parser.add_argument(
         "--perception",

@@ -19,6 +19,7 @@ from tpgmm_demos.figure5.report import evaluate, table
 from tpgmm_demos.figure5.sequences import CUP, SEQUENCES, SUGAR, SequenceResult, random_pushes, run_sequence
 from tpgmm_demos.figure5.teaching import learn, record_lesson
 from tpgmm_ros.programs.reporting import run_with_report, write_report
+from tpgmm_ros.runtime.entry import a_path
 from tpgmm_ros.runtime.processes import GraphError
 from tpgmm_ros.runtime.resources import config_file
 from tpgmm_ros.task.task_file import Task
@@ -87,10 +88,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=1, help=f"random seed of demonstrations and pushes {shown}")
     parser.add_argument("--pushes", type=int, default=20, help=f"random pushes of each kind {shown}")
     parser.add_argument(
-        "--bags", type=Path, help="directory of recorded demonstrations; without it they are recorded again"
+        "--bags", type=a_path, help="directory of recorded demonstrations; without it they are recorded again"
     )
-    parser.add_argument("--output", type=Path, default=Path("out/figure5"), help=f"report, pictures, models {shown}")
-    parser.add_argument("--robot", type=Path, default=config_file("baxter.yaml"), help=f"robot file {shown}")
+    parser.add_argument("--output", type=a_path, default=Path("out/figure5"), help=f"report, pictures, models {shown}")
+    parser.add_argument("--robot", type=a_path, default=config_file("baxter.yaml"), help=f"robot file {shown}")
     parser.add_argument(
         "--real-time", action="store_true", help="run the sequences at 1 kHz in real time, not in lockstep"
     )

@@ -28,6 +28,7 @@ from tpgmm_demos.teaching.bar_lesson import BarLesson
 from tpgmm_demos.teaching.pick_place_lesson import ScriptedLesson
 from tpgmm_ros.recordings.bag_recorder import BagRecorder
 from tpgmm_ros.recordings.recorded_topics import JOINT_STATE, needed_topics
+from tpgmm_ros.runtime.entry import a_path
 from tpgmm_ros.runtime.executor import StopFlag
 from tpgmm_ros.runtime.graph import open_graph, own_domain
 from tpgmm_ros.runtime.processes import GraphError
@@ -188,8 +189,8 @@ def main() -> int:
     shown = "(default: %(default)s)"
     parser.add_argument("--scripted", action="store_true", help=argparse.SUPPRESS)  # how `teach` hands over
     parser.add_argument("--lesson", choices=LESSONS, default="pick_place", help=f"what is demonstrated {shown}")
-    parser.add_argument("--task", type=Path, help="task file (default: that of the lesson in config/)")
-    parser.add_argument("--output", type=Path, required=True, help="the directory of the bags")
+    parser.add_argument("--task", type=a_path, help="task file (default: that of the lesson in config/)")
+    parser.add_argument("--output", type=a_path, required=True, help="the directory of the bags")
     parser.add_argument("--count", type=int, default=16, help=f"demonstrations to record {shown}")
     parser.add_argument("--seed", type=int, default=0, help=f"random seed of the scripted teacher's variation {shown}")
     parser.add_argument(
@@ -198,7 +199,7 @@ def main() -> int:
         default="camera",
         help=f"how the objects are observed: camera (30 Hz, late and with noise), or exact {shown}",
     )
-    parser.add_argument("--robot", type=Path, default=config_file("baxter.yaml"), help=f"robot file {shown}")
+    parser.add_argument("--robot", type=a_path, default=config_file("baxter.yaml"), help=f"robot file {shown}")
     arguments = parser.parse_args()
     count, seed, lesson = arguments.count, arguments.seed, arguments.lesson
     if count < 1:

@@ -33,3 +33,9 @@ def message_class(message_type: str) -> Any:
             f"{message_type} is not installed: run 'make setup', or on a full installation 'apt install "
             f"ros-jazzy-{package.replace('_', '-')}'"
         ) from None
+
+
+def type_name(kind: Any) -> str:
+    """Full name of a class of messages, as `message_class` takes it."""
+    package, group, *_ = kind.__module__.split(".")
+    return f"{package}/{group}/{kind.__name__}"

@@ -55,9 +55,10 @@ def covariance_array(pose: Any) -> Array | None:
 
 
 def covariance_of(numbers: Any) -> Array | None:
-    """(6, 6) of the numbers of a message; None where they are all zero, or no covariance: the publisher knows none.
+    """(6, 6) of the numbers of a message; None where the publisher knows none: all zero, or -1 first, or not 36.
 
-    What is larger than `LARGEST_VARIANCE` is scaled down to it.
+    One that is no covariance is all NaN, so that this can be said. What is larger than `LARGEST_VARIANCE` is scaled
+    down to it.
 
     Parameters
     ----------
@@ -67,16 +68,19 @@ def covariance_of(numbers: Any) -> Array | None:
     Returns
     -------
     Array or None
-        m² and rad², symmetric and with no negative eigenvalue
+        m² and rad², symmetric and with no negative eigenvalue, or NaN
     """
     covariance = np.array(numbers, dtype=np.float64)
     if len(covariance) != 36:
         return None
     covariance = covariance.reshape(6, 6)
-    if not np.isfinite(covariance).all() or not (np.diag(covariance) > 0.0).all():
+    if covariance[0, 0] == -1.0 or not covariance.any():  # -1: as sensor_msgs/Imu says that nothing is known
         return None
-    covariance /= max(1.0, float(np.abs(covariance).max()) / LARGEST_VARIANCE)
-    return covariance if is_pose_covariance(covariance) else None
+    if np.isfinite(covariance).all() and (np.diag(covariance) > 0.0).all():
+        covariance /= max(1.0, float(np.abs(covariance).max()) / LARGEST_VARIANCE)
+        if is_pose_covariance(covariance):
+            return covariance
+    return np.full((6, 6), np.nan)
 
 
 def field_parts(field: str) -> list[tuple[str, str | None]]:
@@ -121,12 +125,14 @@ def number_of(message: Any, parts: list[tuple[str, str | None]]) -> float | None
             return None
         value = value[at]
     if not isinstance(value, bool | int | float | np.number | np.bool_):
-        what = "a list: name one of its elements, such as [0]" if hasattr(value, "__len__") else "made of other fields"
+        is_list = hasattr(value, "__len__")
+        what = "a list: name one of its elements, such as [0]" if is_list else "made of other fields"
+        what = "a text" if isinstance(value, str) else what
         raise TypeError(f"it is {what}")
     return float(value)
 
 
 def _field_names(value: Any) -> list[str]:
     if is_dataclass(value):
-        return [item.name for item in fields(value)]
+        return [item.name for item in fields(value) if not item.name.startswith("__")]
     return list(value.get_fields_and_field_types()) if hasattr(value, "get_fields_and_field_types") else []

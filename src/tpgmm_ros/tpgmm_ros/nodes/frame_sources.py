@@ -14,7 +14,7 @@ from itertools import chain
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
 from tpgmm_core.geometry.pose import compose, turned_covariance
@@ -23,13 +23,17 @@ from tpgmm_core.observation.transforms import NO_TRANSFORM, TransformError, Tran
 from tpgmm_ros.messages.classes import message_class
 from tpgmm_ros.messages.fields import time_to_ns, transform_numbers
 from tpgmm_ros.messages.qos import STREAM, TRANSFORMS, TRANSFORMS_STATIC
-from tpgmm_ros.messages.sources import TF, TF_MESSAGE, TF_STATIC, Source, TransformSource
+from tpgmm_ros.messages.sources import TF, TF_MESSAGE, TF_STATIC, Source, TopicSource, TransformSource
 from tpgmm_ros.runtime.batches import Batches
 
 #: So many poses of one frame wait for transforms: half a second of a fast camera.
 MOST_WAITING = 32
 #: So many poses of one topic are looked at in one turn: of more that have come meanwhile, the newest.
 MOST_TOGETHER = 4
+_ONCE = (
+    ": it is published once, for those who come later (transient local); publish it again and again, or a transform on "
+    "/tf_static"
+)
 
 
 class FrameSources:
@@ -70,14 +74,21 @@ class FrameSources:
         self._tree = TransformTree()
         self._watches: dict[str, TransformWatch] = {}
         self._waiting: dict[str, deque[Observation]] = {name: deque() for name in sources}
+        self._topics: dict[str, str] = {}
+        self._heard = set[str]()
+        # of frames, how many messages have come since one was about it, and what it should have held
+        self._without: dict[str, tuple[int, str]] = {}
         self._listens = False
         self._missing = ""
         for name, source in sources.items():
             if isinstance(source, TransformSource):
                 self._watches[name] = TransformWatch(self._tree, source.frame, source.base)
             else:
-                take = functools.partial(self._take_all, name, source.read)
-                self._subscribe(source.message_type, source.topic, take, STREAM, MOST_TOGETHER)
+                take = functools.partial(self._take_all, name, source)
+                self._topics[name] = node.resolve_topic_name(source.topic)
+                # where several things take turns on one topic, its newest message may be about another one
+                qos, most = (TRANSFORMS, TRANSFORMS.depth) if source.selection else (STREAM, MOST_TOGETHER)
+                self._subscribe(source.message_type, source.topic, take, qos, most)
         if self._watches:
             self._listen()
 
@@ -90,8 +101,23 @@ class FrameSources:
             watch.forget()
 
     def unknown(self) -> dict[str, str]:
-        """Frames that no transforms lead to, and why."""
-        return {name: watch.reason for name, watch in self._watches.items() if watch.reason}
+        """Frames that no transforms lead to, or that no message of their topic is about, and why."""
+        others = {
+            name: f"none of the last {count} messages on {self._topics[name]} holds {what}"
+            for name, (count, what) in self._without.items()
+        }
+        return others | {name: watch.reason for name, watch in self._watches.items() if watch.reason}
+
+    def unpublished(self) -> dict[str, str]:
+        """Frames on whose topic nothing came, or that has no publisher at present, in words."""
+        found = {}
+        for name, topic in self._topics.items():
+            if not (publishers := self._node.get_publishers_info_by_topic(topic)):
+                found[name] = f"nobody publishes {topic}"
+            elif name not in self._heard:
+                latched = all(one.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in publishers)
+                found[name] = f"nothing came on {topic}" + (_ONCE if latched else "")
+        return found
 
     def _subscribe(
         self, kind: str, topic: str, take: Callable[[Sequence[Any]], object], qos: QoSProfile, most: int
@@ -100,14 +126,18 @@ class FrameSources:
         read = functools.partial(deserialize_message, message_type=message_class(kind))
         Batches(self._node, message_class(kind), topic, take, qos, read, most)
 
-    def _take_all(self, name: str, read: Callable[[Any], Observation | None], messages: Sequence[Any]) -> None:
+    def _take_all(self, name: str, source: TopicSource, messages: Sequence[Any]) -> None:
         for message in messages:
-            self._take(name, read, message)
+            self._take(name, source, message)
 
-    def _take(self, name: str, read: Callable[[Any], Observation | None], message: Any) -> None:
-        observation = read(message)
+    def _take(self, name: str, source: TopicSource, message: Any) -> None:
+        self._heard.add(name)
+        observation = source.read(message)
         if observation is None:
+            count, _ = self._without.get(name, (0, ""))
+            self._without[name] = count + 1, source.selection
             return
+        self._without.pop(name, None)
         if observation.fault:
             self._refuse(name, observation.fault)
         elif observation.frame_id == self._base_frame or not wrong_frame(observation.frame_id, self._base_frame):
@@ -166,6 +196,8 @@ class FrameSources:
             reason = self._tree.add(item.header.frame_id, item.child_frame_id, numbers, stamp_ns, is_static)
             if reason:
                 self._node.get_logger().warning(f"transform refused: {reason}", throttle_duration_sec=2.0)
+        for reason in self._tree.unsteady.values():
+            self._node.get_logger().warning(reason, throttle_duration_sec=10.0)
         for name, watch in self._watches.items():
             news = watch.news()
             if news is None:

@@ -208,9 +208,12 @@ class FrameTrackerNode(Node):
         lost = [frame.name for frame in self._known if frame.status is FrameStatus.MISSING]
         values = {f"status_{frame.name}": frame.status.name for frame in self._known}
         said = [f"missing: {', '.join(lost)}"] if lost else []
-        unknown = self._sources.unknown() if self._sources is not None else {}
-        said += [f"frame '{name}': {reason}" for name, reason in unknown.items() if name in lost]
-        for name, health in self.tracker.health(self._loop_clock.now().nanoseconds).items():
+        frames = self.tracker.health(self._loop_clock.now().nanoseconds)
+        reasons = {name: health.trouble for name, health in frames.items() if health.trouble}
+        if self._sources is not None:
+            reasons = self._sources.unpublished() | reasons | self._sources.unknown()
+        said += [f"frame '{name}': {reason}" for name, reason in reasons.items() if name in lost]
+        for name, health in frames.items():
             values |= _values(name, health)
             said += [f"frame '{name}': {doubt}" for doubt in health.doubts]
         if said:

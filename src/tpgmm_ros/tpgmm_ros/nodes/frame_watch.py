@@ -61,8 +61,9 @@ class FrameWatch:
         self._node = node
         self._tracker = FrameTracker(task.sources, fixed={}, config=TrackingConfig(**task.tracking))
         self._counts = dict.fromkeys(task.sources, 0)
-        self._refused: dict[str, str] = {}
-        self._sources = FrameSources(node, task.sources, task.base_frame, self._observe, self._refuse, self._fix)
+        self._sources = FrameSources(
+            node, task.sources, task.base_frame, self._observe, self._tracker.refuse, self._fix
+        )
 
     def frames(self) -> list[Seen]:
         """All observed frames as they are seen now."""
@@ -73,23 +74,16 @@ class FrameWatch:
         for name, count in self._counts.items():
             missing = status[name] is FrameStatus.MISSING
             rate = health[name].rate if name in health and status[name] is FrameStatus.VISIBLE else None
-            trouble = (self._refused.get(name) or unknown.get(name, "")) if missing else ""
+            refused = health[name].trouble if name in health else ""
+            trouble = (refused or unknown.get(name, "")) if missing else ""
             found.append(Seen(name, missing, rate, count, trouble))
         return found
 
     def _observe(self, name: str, observation: Observation) -> None:
         now_ns = self._node.get_clock().now().nanoseconds
         stamp_ns, pose, covariance = observation.stamp_ns, observation.pose, observation.covariance
-        refusal = self._tracker.observe(name, pose, stamp_ns, now_ns, time.monotonic_ns(), covariance)
-        if refusal is None:
+        if self._tracker.observe(name, pose, stamp_ns, now_ns, time.monotonic_ns(), covariance) is None:
             self._counts[name] += 1
-            self._refused.pop(name, None)
-        else:
-            self._refused[name] = refusal.partition(": ")[2]
-
-    def _refuse(self, name: str, reason: str) -> None:
-        self._tracker.refuse(name, reason)
-        self._refused[name] = reason
 
     def _fix(self, name: str, pose: Array) -> None:
         if self._tracker.fix(name, pose) is None:

@@ -106,7 +106,7 @@ class JointReferenceNode(Node):
         self.parameters = Parameters(self, PARAMETERS, check=self._check, changed=self._choose)
         self.robot = RobotModel.from_file(self.parameters.file("robot_file"))
         # ROS has no empty arrays on the command line
-        files = [[file for file in self.parameters[name] if file] for name in ("task_files", "model_files")]
+        files = [self.parameters.files(name) for name in ("task_files", "model_files")]
         if len(files[0]) != len(files[1]):
             raise ValueError(f"expected one model file for each task file, got {shown(files[0])} and {shown(files[1])}")
         tasks = [(Task.load(task), TPGMM.load(model)) for task, model in zip(*files, strict=True)]

@@ -86,8 +86,8 @@ class ReproductionNode(ManagedNode):
         super().on_configure(state)
         try:
             self.task = Task.load(self.parameters.file("task_file"))
-            model_file = self.parameters["model_file"]
-            models = load_task_models(model_file, self.task) if model_file else ()
+            model_files = self.parameters.files("model_file")
+            models = load_task_models(model_files[0], self.task) if model_files else ()
             joints, self._dimensions = self.task.space.joints(), self.task.space.state_dimensions()
         except (ValueError, OSError) as error:
             return self.refuse(error)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from tpgmm_core.control.robot_check import suspicions, workspace
 from tpgmm_core.geometry.quaternion import roll_pitch_yaw
 from tpgmm_core.robot.description import RobotFileError
 from tpgmm_core.robot.model import RobotModel
+from tpgmm_ros.runtime.entry import a_path
 
 JOINT_HEADER = ("joint", "groups", "lower", "upper", "home", "velocity", "effort", "carries", "viscous", "coulomb")
 UNITS = """\
@@ -33,7 +33,7 @@ POSE_HEADER = ("at home", "x y z (m)", "qx qy qz qw", "roll pitch yaw (deg)")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Check a robot file; returns the exit status, 0 where the nodes can use it."""
     parser = argparse.ArgumentParser(prog="check_robot", description=__doc__)
-    parser.add_argument("robot", type=Path, help="robot file (YAML)")
+    parser.add_argument("robot", type=a_path, help="robot file (YAML)")
     options = parser.parse_args(arguments)
     try:
         robot = RobotModel.from_file(options.robot)

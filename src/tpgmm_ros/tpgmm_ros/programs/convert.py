@@ -20,7 +20,7 @@ from tpgmm_core.common.yaml_values import is_name
 from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_ros.programs.convert_lerobot import to_lerobot
 from tpgmm_ros.programs.reading import TrainingError, progress_bar
-from tpgmm_ros.programs.reporting import json_text
+from tpgmm_ros.programs.reporting import json_text, refuse_foreign
 from tpgmm_ros.recordings.bags import read_recordings
 from tpgmm_ros.recordings.conversion.columns import ORIENTATIONS, TIME_UNITS, UNITS
 from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
@@ -30,6 +30,7 @@ from tpgmm_ros.recordings.conversion.lerobot_reading import TIME, read_dataset
 from tpgmm_ros.recordings.conversion.tables import Table, read_tables
 from tpgmm_ros.recordings.conversion.written import MOVEMENT, audit, topic_of, topics_of, write_bag
 from tpgmm_ros.recordings.judging import doubts_about
+from tpgmm_ros.runtime.entry import a_path
 from tpgmm_ros.task.task_file import Task
 
 EXAMPLES = """\
@@ -51,6 +52,8 @@ exit status: 0 everything was written, read back bit by bit, and fits the task f
 printed; 2 wrong arguments
 """
 TASK_FILE = "task.yaml"
+BEGIN = "begin"
+"""Frame of where the hand is at the beginning."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -74,7 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             to_lerobot(options, report)
         else:
             _convert(options, report)
-        report["passed"] = not report["bad_bags"]
+        refused = any(doubt["refuses"] for doubt in report.get("doubts", []))
+        report["passed"] = not report["bad_bags"] and not refused
     except (OSError, ValueError, TrainingError) as error:
         report["error"] = one_line(error)
         print(f"error: {report['error']}", file=sys.stderr)
@@ -84,6 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _convert(options: argparse.Namespace, report: dict[str, Any]) -> None:
     frames, numbers = _named(options.frame, is_name), _named(options.number, lambda name: name.strip("/") == name)
+    _check_names(options, frames, numbers)
     columns = Columns(
         options.movement,
         options.time,
@@ -105,7 +110,10 @@ def _convert(options: argparse.Namespace, report: dict[str, Any]) -> None:
         )
     with progress_bar(total=len(shown), desc="writing bags", unit="bag") as bar:
         for name, one in shown.items():
-            bag = write_bag(options.to / name, one.ns, topics_of(one), options.base_frame, one.numbers)
+            try:
+                bag = write_bag(options.to / name, one.ns, topics_of(one), options.base_frame, one.numbers)
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(options.to / name)) from error
             counts = audit(bag, one, options.base_frame)
             period = float(np.median(np.diff(one.ns))) * 1e-9
             report["bags"].append(
@@ -126,6 +134,17 @@ def _convert(options: argparse.Namespace, report: dict[str, Any]) -> None:
     report["notes"] = [f"{one.place}: {note}" for one in recordings for note in one.notes]
     report["bad_bags"] = [{"bag": str(error.path), "error": str(error)} for error in bad]
     report["doubts"] = [asdict(doubt) for doubt in doubts_about(recordings, task)] if recordings else []
+
+
+def _check_names(options: argparse.Namespace, frames: dict[str, str], numbers: dict[str, str]) -> None:
+    """Refuse what cannot be written into a task file, or would be there twice."""
+    if not is_name(options.name):
+        raise ConversionError(f"--name {options.name!r} is no name of letters, digits and underscores")
+    if BEGIN in frames:
+        raise ConversionError(f"--frame {BEGIN}: this is where the hand is at the beginning; take another name")
+    if twice := sorted({MOVEMENT, *map(topic_of, frames)} & numbers.keys()):
+        raise ConversionError(f"--number {twice[0]}: this is the topic of poses; give the number another topic")
+    refuse_foreign(options.to / TASK_FILE, b"", "task file")
 
 
 def _read(files: Sequence[Path], columns: Columns) -> dict[str, Shown]:
@@ -167,7 +186,7 @@ def _task_text(options: argparse.Namespace, frames: dict[str, str]) -> str:
         "endpoint: hand  # the end point of your robot that follows the movement",
         "frames:",
         *(f"  {name}: {{topic: {topic_of(name)}}}" for name in frames),
-        "  begin: {hand: start, turned: false}  # where the hand is when the movement begins",
+        f"  {BEGIN}: {{hand: start, turned: false}}  # where the hand is when the movement begins",
     ]
     if not frames:
         lines.insert(-1, "  robot: {pose: [0, 0, 0, 0, 0, 0, 1]}  # no frames were given; what does it depend on?")
@@ -195,7 +214,7 @@ def _text(report: dict[str, Any]) -> str:
     parts = [format_table(("bag", "samples", "s", "Hz", "extent m"), rows)] if rows else []
     parts += dict.fromkeys(one_line(note) for bag in report["bags"] for note in bag["notes"])
     parts += [one_line(note) for note in report.get("notes", [])]
-    parts += [f"doubt: {Doubt(**doubt)}" for doubt in report.get("doubts", [])]
+    parts += [f"{'refused' if one['refuses'] else 'doubt'}: {Doubt(**one)}" for one in report.get("doubts", [])]
     parts += [f"bad bag: {one_line(bag['error'])}" for bag in report.get("bad_bags", [])]
     if report["passed"]:
         where = f"the dataset {report['dataset']} holds" if "dataset" in report else f"all {len(rows)} bags hold"
@@ -216,17 +235,17 @@ def _parser() -> argparse.ArgumentParser:
         "files",
         metavar="FILE",
         nargs="+",
-        type=Path,
+        type=a_path,
         help=".csv, .tsv, .txt, .npy, .npz, .mat, or the folder of a LeRobot dataset; with --lerobot bags, or folders "
         "of them",
     )
     parser.add_argument(
-        "--to", required=True, type=Path, metavar="FOLDER", help="folder of the bags and task.yaml, or of the dataset"
+        "--to", required=True, type=a_path, metavar="FOLDER", help="folder of the bags and task.yaml, or of the dataset"
     )
     parser.add_argument("--lerobot", action="store_true", help="write one LeRobot dataset (v3.0) from bags")
     parser.add_argument(
         "--task",
-        type=Path,
+        type=a_path,
         metavar="TASK_FILE",
         help="task file of the bags, with --lerobot; its name becomes that of the task",
     )

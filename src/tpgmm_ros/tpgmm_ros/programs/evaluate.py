@@ -7,7 +7,6 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +25,7 @@ from tpgmm_ros.programs.reading import TrainingError, progress_bar, read_bags
 from tpgmm_ros.programs.reporting import json_text
 from tpgmm_ros.programs.train_options import add_jobs, add_reading_options
 from tpgmm_ros.recordings.bags import Recording, align
+from tpgmm_ros.runtime.entry import a_path
 from tpgmm_ros.task.task_file import Task
 
 EXAMPLES = """\
@@ -137,10 +137,10 @@ def _parser() -> argparse.ArgumentParser:
         help=f"retrieval methods, of {', '.join(ALL_METHODS)} (default: all, but periodic where the task file says so)",
     )
     parser.add_argument(
-        "--held-out", nargs="+", type=Path, metavar="BAG", help="learn from the other bags, evaluate on these"
+        "--held-out", nargs="+", type=a_path, metavar="BAG", help="learn from the other bags, evaluate on these"
     )
     parser.add_argument(
-        "--model", action="append", type=Path, metavar="FILE", help="evaluate this model on the bags; may be repeated"
+        "--model", action="append", type=a_path, metavar="FILE", help="evaluate this model on the bags; may be repeated"
     )
     parser.add_argument("--json", action="store_true", help="print everything as JSON, with each demonstration")
     add_jobs(parser)

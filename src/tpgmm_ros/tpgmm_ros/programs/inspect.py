@@ -7,7 +7,6 @@ import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from tpgmm_core.common.atomic_file import write_atomically
@@ -17,8 +16,10 @@ from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_ros.programs.reporting import json_text
 from tpgmm_ros.recordings.bags import BagError, Recording, find_bags, join_parts, read_recordings
 from tpgmm_ros.recordings.judging import doubts_about
-from tpgmm_ros.recordings.overview import BagOverview, overview_of, suggested_task
+from tpgmm_ros.recordings.overview import BagOverview, overview_of
 from tpgmm_ros.recordings.proposed_takes import several_movements
+from tpgmm_ros.recordings.suggestion import suggested_task
+from tpgmm_ros.runtime.entry import a_path
 from tpgmm_ros.task.task_file import Task
 
 EXAMPLES = """\
@@ -131,9 +132,9 @@ def _text(found: dict[str, Any]) -> str:
             for topic in bag["topics"]
         ]
         head = ("topic", "type", "messages", "Hz", "gap s", "frame", "moves m")
-        parts.append(f"{bag['bag']}: {bag['duration_s']:.2f} s\n{format_table(head, rows)}")
+        parts.append(f"{one_line(bag['bag'])}: {bag['duration_s']:.2f} s\n{format_table(head, rows)}")
     if len(found["demonstrations"]) > len(found["bags"]):
-        takes = [(one["name"], f"{one['duration_s']:.2f}", one["samples"]) for one in found["demonstrations"]]
+        takes = [(one_line(one["name"]), f"{one['duration_s']:.2f}", one["samples"]) for one in found["demonstrations"]]
         parts.append(format_table(("demonstration", "s", "samples"), takes))
     parts += [one_line(note) for note in found["notes"]]
     parts += [f"{'refused' if doubt['refuses'] else 'doubt'}: {Doubt(**doubt)}" for doubt in found["doubts"]]
@@ -160,14 +161,14 @@ def _parser() -> argparse.ArgumentParser:
         "bags",
         metavar="BAG",
         nargs="+",
-        type=Path,
+        type=a_path,
         help="bag, one of its files, or a directory with several of them",
     )
     parser.add_argument(
-        "--task", type=Path, help="task file by which the bags are checked (default: the suggested one)"
+        "--task", type=a_path, help="task file by which the bags are checked (default: the suggested one)"
     )
     parser.add_argument(
-        "--write", type=Path, metavar="FILE", help="write the suggested task file; existing files are not overwritten"
+        "--write", type=a_path, metavar="FILE", help="write the suggested task file; existing files are not overwritten"
     )
     parser.add_argument(
         "--separate",

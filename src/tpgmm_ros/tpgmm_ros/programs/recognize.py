@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from tpgmm_core.recognition.segmentation import segment
 from tpgmm_ros.models.known_skills import load_skills
 from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.recordings.bags import Recording, find_bags, read_recordings
+from tpgmm_ros.runtime.entry import a_path
 from tpgmm_ros.task.task_file import Task
 
 SHARES = (0.1, 0.25, 0.5, 0.75, 1.0)
@@ -139,8 +139,8 @@ def _parser() -> argparse.ArgumentParser:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("bags", metavar="BAG", nargs="+", type=Path, help="bag, or a directory with several bags")
-    parser.add_argument("--task", required=True, type=Path, help="task file: topics and frames of all skills")
+    parser.add_argument("bags", metavar="BAG", nargs="+", type=a_path, help="bag, or a directory with several bags")
+    parser.add_argument("--task", required=True, type=a_path, help="task file: topics and frames of all skills")
     parser.add_argument(
         "--skill",
         required=True,
@@ -162,7 +162,7 @@ def _parser() -> argparse.ArgumentParser:
         help="probability of a movement that is none of the skills (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument("--every", type=int, default=1, metavar="N", help="use every N-th sample (default: all)")
-    parser.add_argument("--report", type=Path, metavar="DIR", help="directory of report.json")
+    parser.add_argument("--report", type=a_path, metavar="DIR", help="directory of report.json")
     return parser
 
 

@@ -34,6 +34,7 @@ from tpgmm_ros.recordings.bag_recorder import BagRecorder
 from tpgmm_ros.recordings.recorded_topics import topics_of
 from tpgmm_ros.recordings.recovery import recover
 from tpgmm_ros.recordings.storage.bag_writer import next_name
+from tpgmm_ros.runtime.entry import a_path
 from tpgmm_ros.runtime.executor import StopFlag, init
 from tpgmm_ros.runtime.keys import LINE_START, Keys, keys_of_terminal
 from tpgmm_ros.runtime.rclpy_events import NodeExecutor
@@ -204,9 +205,9 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument("task", metavar="TASK", nargs="?", type=Path, help="task file: what is recorded")
+    parser.add_argument("task", metavar="TASK", nargs="?", type=a_path, help="task file: what is recorded")
     parser.add_argument(
-        "--to", metavar="FOLDER", type=Path, required=True, help="folder of the bags, which are demo_01, demo_02, ..."
+        "--to", metavar="FOLDER", type=a_path, required=True, help="folder of the bags, which are demo_01, demo_02, ..."
     )
     parser.add_argument(
         "--topic",
@@ -219,7 +220,7 @@ def _parser() -> argparse.ArgumentParser:
         "--recover",
         metavar="CUT",
         nargs="+",
-        type=Path,
+        type=a_path,
         help="make bags of recordings that were cut off",
     )
     parser.add_argument("--json", action="store_true", help="at the end, print what was recorded as JSON")

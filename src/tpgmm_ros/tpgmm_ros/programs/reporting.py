@@ -55,6 +55,39 @@ def write_report(directory: str | Path, values: dict[str, Any] | list[dict[str, 
     return path
 
 
+MODEL, PAGE, JSON = b"PK", b"<!doctype html>", b"{"
+"""How files begin that programs write: a model, a page, numbers."""
+
+
+def refuse_foreign(path: Path | None, begins: bytes, what: str) -> None:
+    """Refuse to write where something else is: a slip in an argument must cost neither a bag nor a task file.
+
+    Parameters
+    ----------
+    path
+        where a file is to be written; None: nowhere
+    begins
+        how such files begin
+    what
+        they are, in words
+
+    Raises
+    ------
+    ValueError
+        there is another file.
+    OSError
+        it cannot be read.
+    """
+    if path is None:
+        return
+    if above := next((folder for folder in path.parents if folder.exists() and not folder.is_dir()), None):
+        raise ValueError(f"{path}: {above} is a file, so that nothing can be written in it; name a folder")
+    if path.is_file() and path.stat().st_size:
+        with path.open("rb") as file:
+            if not file.read(len(begins)).startswith(begins):
+                raise ValueError(f"{path} exists and is no {what}, so that it is not overwritten: give another name")
+
+
 def run_with_report(
     directory: Path,
     run: Callable[[], bool],

@@ -30,7 +30,8 @@ from tpgmm_core.retrieval.segment_frames import KEY as PRUNE_KEY
 from tpgmm_core.retrieval.sub_objectives import quadratic_costs
 from tpgmm_ros.models.training_record import bases_from, expected_errors, learned_from
 from tpgmm_ros.programs.components import MOST_COMPONENTS, components_of, segments_of, segments_table, timeline
-from tpgmm_ros.programs.reporting import json_text
+from tpgmm_ros.programs.reporting import JSON, json_text, refuse_foreign
+from tpgmm_ros.runtime.entry import a_path
 
 EXAMPLES = """\
 examples:
@@ -54,6 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         model = load_model(options.model)
         found = described(model, options.model)
         if options.costs is not None:
+            refuse_foreign(options.costs, JSON, "file of costs")
             text = json.dumps(costs_of(model, found["retrieval"]), allow_nan=False)
             write_atomically(options.costs, lambda file: file.write_text(text))
             print(f"costs: {options.costs}", file=sys.stderr)
@@ -289,12 +291,12 @@ def _parser() -> argparse.ArgumentParser:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("model", metavar="MODEL", type=Path, help="model file, such as task.tpgmm")
+    parser.add_argument("model", metavar="MODEL", type=a_path, help="model file, such as task.tpgmm")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
     parser.add_argument(
         "--costs",
         metavar="FILE",
-        type=Path,
+        type=a_path,
         help="write the frames' quadratic costs over time as JSON, for another solver",
     )
     return parser

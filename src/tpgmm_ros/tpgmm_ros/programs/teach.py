@@ -19,7 +19,7 @@ from rclpy.node import Node
 from tpgmm_core.common.text import one_line
 from tpgmm_ros.recordings.bag_recorder import BagRecorder
 from tpgmm_ros.recordings.recorded_topics import needed_topics, topics_of
-from tpgmm_ros.runtime.entry import missing
+from tpgmm_ros.runtime.entry import a_path, missing
 from tpgmm_ros.runtime.executor import StopFlag, init
 from tpgmm_ros.runtime.rclpy_events import NodeExecutor
 from tpgmm_ros.runtime.resources import config_file
@@ -76,8 +76,8 @@ def main() -> int:
         allow_abbrev=False,
     )
     default = config_file("pick_place.yaml")
-    parser.add_argument("--task", type=Path, default=default, help="task file (default: %(default)s)")
-    parser.add_argument("--output", type=Path, required=True, help="the new bag")
+    parser.add_argument("--task", type=a_path, default=default, help="task file (default: %(default)s)")
+    parser.add_argument("--output", type=a_path, required=True, help="the new bag")
     parser.add_argument("--scripted", action="store_true", help="a scripted teacher on a simulated Baxter")
     arguments = parser.parse_args()
     try:

@@ -28,10 +28,10 @@ from tpgmm_ros.models.training_record import keep_bases, keep_errors, keep_recor
 from tpgmm_ros.models.validation import Fold
 from tpgmm_ros.programs.leave_one_out import validate
 from tpgmm_ros.programs.reading import TrainingError, progress_bar, read_bags
-from tpgmm_ros.programs.reporting import write_report
+from tpgmm_ros.programs.reporting import MODEL, refuse_foreign, write_report
 from tpgmm_ros.programs.train_auto import choose_for, words
 from tpgmm_ros.programs.train_bases import with_bases
-from tpgmm_ros.programs.train_options import parser_of_train
+from tpgmm_ros.programs.train_options import page_of, parser_of_train
 from tpgmm_ros.programs.train_update import load_online, online, said_twice, update
 from tpgmm_ros.programs.training_page import write_page
 from tpgmm_ros.recordings.bags import Recording, align
@@ -64,6 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     learned: list[TrainingResult] = []
     folds: list[Fold] = []
     status = 1
+    page = page_of(parser, options)
     try:
         _run(options, report, learned, folds)
         report["passed"], status = True, 0
@@ -76,10 +77,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.report is not None:
         # Written after a failure too: a report of an earlier success must not stand beside it.
         try:
-            if options.report.suffix == ".html":
+            if page is not None:
                 command = sys.argv[1:] if arguments is None else arguments
                 model, recordings = (learned[0].model, learned[0].recordings) if learned else (None, [])
-                write_page(options.report, command, report, model, recordings, folds)
+                write_page(page, command, report, model, recordings, folds)
                 print(f"report: {options.report}")
             else:
                 print(f"report: {write_report(options.report, report)}")
@@ -92,6 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace, report: dict[str, Any], learned: list[TrainingResult], folds: list[Fold]) -> None:
     if options.output is not None and options.output.is_dir():
         raise TrainingError(f"{options.output} is a directory; give the name of a model file, such as model.tpgmm")
+    refuse_foreign(options.output, MODEL, "model file")
     task = Task.load(options.task)
     recipe = _recipe(task, options)
     if options.one_by_one:

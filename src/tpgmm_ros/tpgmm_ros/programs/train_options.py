@@ -8,7 +8,10 @@ import re
 from pathlib import Path
 
 from tpgmm_core.common.old_names import current_name
+from tpgmm_core.common.text import one_line
 from tpgmm_core.retrieval.methods import ALL_METHODS
+from tpgmm_ros.programs.reporting import PAGE, refuse_foreign
+from tpgmm_ros.runtime.entry import a_path
 
 EXAMPLES = """\
 examples:
@@ -37,7 +40,7 @@ def parser_of_train() -> argparse.ArgumentParser:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--output", type=Path, metavar="FILE", help="where the model is saved, such as task.tpgmm")
+    parser.add_argument("--output", type=a_path, metavar="FILE", help="where the model is saved, such as task.tpgmm")
     parser.add_argument(
         "--components",
         type=_positive,
@@ -51,7 +54,9 @@ def parser_of_train() -> argparse.ArgumentParser:
         metavar="METHOD",
         help=f"retrieval method of the model, instead of retrieval of the task file: {', '.join(ALL_METHODS)}",
     )
-    parser.add_argument("--seed", type=int, help="seed of random choices, instead of random_state of the task file")
+    parser.add_argument(
+        "--seed", type=_natural, help="seed of random choices, instead of random_state of the task file"
+    )
     parser.add_argument(
         "--leave-one-out",
         action="store_true",
@@ -87,20 +92,20 @@ def parser_of_train() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--update",
-        type=Path,
+        type=a_path,
         metavar="MODEL",
         help="continue to learn with this model, which was learned with --online, from the BAGs",
     )
     parser.add_argument(
         "--bases",
-        type=Path,
+        type=a_path,
         metavar="MODEL",
         help="take the bases (synergies) of this model, of the same frames and with semi_tied covariances, as they "
         "are, and learn only the variances along them: for few demonstrations of a related task",
     )
     parser.add_argument(
         "--report",
-        type=Path,
+        type=a_path,
         metavar="WHERE",
         help="write a report: FILE.html is a page with pictures, anything else the directory of report.json",
     )
@@ -125,10 +130,12 @@ def add_reading_options(parser: argparse.ArgumentParser) -> None:
         "bags",
         metavar="BAG",
         nargs="+",
-        type=Path,
+        type=a_path,
         help="rosbag2 (MCAP, sqlite3) or ROS 1 bag, or one of its files, or a directory with several of them",
     )
-    parser.add_argument("--task", required=True, type=Path, help="task file: topics, frames and settings of the model")
+    parser.add_argument(
+        "--task", required=True, type=a_path, help="task file: topics, frames and settings of the model"
+    )
     parser.add_argument(
         "--every",
         type=_positive,
@@ -148,11 +155,47 @@ def add_reading_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-v", "--verbose", action="store_true", help="print the content of each bag")
 
 
+def page_of(parser: argparse.ArgumentParser, options: argparse.Namespace) -> Path | None:
+    """Where the page of a training is to be written, None without one; what would be lost by that is refused.
+
+    Parameters
+    ----------
+    parser
+        ends the program where an argument is wrong
+    options
+        report, output
+
+    Returns
+    -------
+    Path or None
+        a file that ends with .html
+    """
+    report: Path | None = options.report
+    if report is None or report.suffix != ".html":
+        if report is not None and report.is_file():
+            parser.error(f"--report {report} is a file; name a folder, or a file that ends with .html")
+        return None
+    if options.output is not None and report.resolve() == options.output.resolve():
+        parser.error(f"--report and --output are both {report}: one would overwrite the other")
+    try:
+        refuse_foreign(report, PAGE, "report of a training")
+    except (OSError, ValueError) as error:
+        parser.error(one_line(error))
+    return report
+
+
 def _seconds(text: str) -> float:
     found = re.fullmatch(r"(\d+(?:\.\d*)?)(s|min|)", text.strip())
     if found is None or float(found[1]) == 0.0:
         raise argparse.ArgumentTypeError(f"{text} is not a time such as 60s or 5min")
     return float(found[1]) * (60.0 if found[2] == "min" else 1.0)
+
+
+def _natural(text: str) -> int:
+    number = int(text)
+    if not 0 <= number < 2**32:
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number from 0 to {2**32 - 1}")
+    return number
 
 
 def _positive(text: str) -> int:

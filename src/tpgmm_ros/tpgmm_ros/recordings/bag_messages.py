@@ -216,14 +216,16 @@ def topics_named(
     prefix = "" if "" in complete else complete[0]
     chosen: dict[str, BagTopic] = {}
     for name in topics:
-        for topic in by_name[prefix + name]:
-            if message_type not in (None, topic.type):
-                raise BagError(
-                    path,
-                    f"{one_line(topic.name, 60)} is of type {one_line(topic.type, 60)}, expected "
-                    f"{message_type}; {others}. Correct the topic in the task file, or name the type there",
-                )
-            chosen[name] = topic
+        called_so = by_name[prefix + name]
+        right = [topic for topic in called_so if message_type in (None, topic.type)]
+        if not right:
+            kinds = one_line(listed(dict.fromkeys(topic.type for topic in called_so)), 120)
+            raise BagError(
+                path,
+                f"{one_line(called_so[0].name, 60)} is of type {kinds}, expected {message_type}; {others}. "
+                "Correct the topic in the task file, or name the type there",
+            )
+        chosen[name] = max(right, key=lambda topic: topic.count)
         if not chosen[name].count:
             raise BagError(path, f"{name} is there, but without a message; nothing published it while recording")
     return chosen

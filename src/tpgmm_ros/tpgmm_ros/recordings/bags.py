@@ -11,7 +11,7 @@ from tpgmm_core import Demonstration
 from tpgmm_core.common.text import listed
 from tpgmm_ros.recordings.bag_messages import BagError
 from tpgmm_ros.recordings.cutting import cuts_of
-from tpgmm_ros.recordings.edits import Edits
+from tpgmm_ros.recordings.edits import SUFFIX, Edits, edits_files
 from tpgmm_ros.recordings.finding import find_bags, join_parts
 from tpgmm_ros.recordings.recorded_bag import RecordedBag
 from tpgmm_ros.recordings.recording import Recording, align
@@ -103,6 +103,13 @@ def read_takes(path: str | Path, task: Task, every: int = 1) -> tuple[list[Recor
         raise BagError(path, "all of its takes are left out by its edits: keep one at least, or leave out the bag")
     notes = list(bag.notes)
     others = parts_of(path)[1:]
+    if edited := [part.name for part in others if edits_files(part)]:
+        raise BagError(
+            path,
+            f"goes on in {listed(edited)}, which has edits of its own: of a recording in parts, those of its first "
+            f"part count, with times from its first sample. Put all into {path.name}{SUFFIX}, or take the parts for "
+            "recordings of their own (--separate)",
+        )
     if others:
         notes.insert(0, f"goes on in {listed([part.name for part in others])}: parts of one recording, read as one")
     good: list[Recording] = []

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import assert_never
 
@@ -14,6 +15,9 @@ from tpgmm_ros.recordings.bag_streams import MOVEMENT, BagStreams
 from tpgmm_ros.recordings.edits import SUFFIX, Edits
 from tpgmm_ros.recordings.numeric_fields import read_numbers
 from tpgmm_ros.task.takes_section import UNTIL_NEXT, StillTakes, TakesRule, TopicTakes
+
+LATE_S = 1.0
+"""Edits that end later after the movement may be in another unit, or of another bag."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +76,8 @@ def cuts_of(streams: BagStreams, rule: TakesRule | None, edits: Edits) -> list[C
     if edits.takes is None and rule is None:
         if edits.without:
             raise BagError(streams.path, f"its edits leave out some of its takes, and it has none: correct {name}")
-        whole = bool(inside.all())
-        said = "" if whole else f"cut to {begin:.2f} to {end:.2f} s of {duration:.2f} s, as its edits say"
-        return [Cut(begin, end, note=said)]
+        said = "" if inside.all() else f"cut to {begin:.2f} to {end:.2f} s of {duration:.2f} s, as its edits say"
+        return [Cut(begin, end, note="; ".join(filter(None, (said, _beyond(edits.end_s, duration)))))]
     if isinstance(edits.takes, tuple):
         takes, how = list(edits.takes), "as its edits say"
         if takes[-1][0] > duration:
@@ -83,7 +86,14 @@ def cuts_of(streams: BagStreams, rule: TakesRule | None, edits: Edits) -> list[C
                 f"its edits have a take from {takes[-1][0]:g} s on, and its movement ends after {duration:.2f} s: "
                 f"correct {name}",
             )
-        takes = [(max(first, begin), min(last, end)) for first, last in takes if last > begin and first < end]
+        if outside := [take for take in takes if take[1] <= begin or take[0] >= end]:
+            raise BagError(
+                streams.path,
+                f"its edits have a take from {outside[0][0]:g} to {outside[0][1]:g} s, outside of what they keep by "
+                f"from and to, {begin:g} to {end:.2f} s: correct {name}",
+            )
+        how = "; ".join(filter(None, (how, _beyond(takes[-1][1], duration))))
+        takes = [(max(first, begin), min(last, end)) for first, last in takes]
     else:
         found = edits.takes or rule
         assert found is not None
@@ -99,6 +109,13 @@ def cuts_of(streams: BagStreams, rule: TakesRule | None, edits: Edits) -> list[C
     ]
 
 
+def _beyond(end_s: float, duration_s: float) -> str:
+    """What is said of edits that go on after the end of the movement, in words; nothing where they do not."""
+    if not duration_s + LATE_S < end_s < math.inf:
+        return ""
+    return f"they name {end_s:g} s as an end, and the movement ends after {duration_s:.2f} s: are these seconds?"
+
+
 def _found(streams: BagStreams, rule: TakesRule, span: Take) -> tuple[list[Take], str]:
     """Takes by a rule within a span of the time, and how they were found, in words."""
     times = streams.seconds
@@ -106,6 +123,8 @@ def _found(streams: BagStreams, rule: TakesRule, span: Take) -> tuple[list[Take]
         kept = (times >= span[0]) & (times <= span[1])
         takes = takes_between_rests(times[kept], streams.values[MOVEMENT][kept], rule.rest, rule.shortest)
         how = f"between pauses of {rule.rest.pause:g} s"
+        if takes == [(float(times[kept][0]), float(times[kept][-1]))]:
+            how = f"all of it, as there is no pause of {rule.rest.pause:g} s"
         if not takes:
             raise BagError(
                 streams.path,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Edits of a bag, in a small file beside it: what of it counts as demonstrations. The bag itself is left as it is.
 
-# demo_03.edits.yaml, beside the bag demo_03
+# demo_03.edits.yaml, beside the bag demo_03 or demo_03.mcap
 from: 0.8          # s from the first sample of the movement; what is before is left out
 to: 7.5            # s; what is after is left out
 leave_out: true    # the whole bag is not read where its folder is; [2, 5]: takes that are not read
@@ -14,19 +14,25 @@ takes: {still: 1}  # or how it is cut, as in the task file (see `takes_section`)
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import os
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
 from tpgmm_core.common.safe_yaml import YamlError
+from tpgmm_core.common.text import listed
 from tpgmm_core.common.yaml_sections import Section
 from tpgmm_core.common.yaml_values import a_number, an_integer, numbers
 from tpgmm_core.observation.takes import Take
 from tpgmm_ros.recordings.storage.bag_error import BagError
+from tpgmm_ros.recordings.storage.bag_reader import itself
+from tpgmm_ros.recordings.storage.formats import without_suffix
 from tpgmm_ros.task.takes_section import TakesRule, read_takes
 
 SUFFIX = ".edits.yaml"
+_LIKE_EDITS = re.compile(r"edits?\.ya?ml$", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +74,14 @@ class Edits:
         Raises
         ------
         BagError
-            the file says something else.
+            the file says something else, or there are several.
         """
-        file = bag.with_name(f"{bag.name}{SUFFIX}")
-        if not file.exists():
+        files = edits_files(bag)
+        if not files:
             return cls()
+        if len(files) > 1:
+            raise BagError(bag, f"has edits in {len(files)} files, {listed(map(str, files))}: keep one of them")
+        file = files[0]
         try:
             section = Section.load(file, "the edits of a bag")
             section.refuse_others("from", "to", "leave_out", "takes")
@@ -90,6 +99,41 @@ class Edits:
             raise BagError(bag, f"its edits go from {begin:g} s to {end:g} s: name an end after the beginning")
         without = () if isinstance(left_out, bool) else left_out
         return cls(begin, end, left_out is True, without, takes)
+
+
+def edits_files(bag: Path) -> list[Path]:
+    """Files beside a bag that say what of it counts, by whatever path it is given: one, or none."""
+    return list({file.resolve(): file for file in _places(bag) if file.exists()}.values())
+
+
+def edits_of_none(folder: Path, bags: Iterable[Path]) -> list[str]:
+    """Files in a folder of bags that are called as edits are, and are those of none of its bags.
+
+    Parameters
+    ----------
+    folder
+        with bags inside
+    bags
+        all that are in it
+
+    Returns
+    -------
+    list[str]
+        their paths from the folder
+    """
+    bags = list(bags)
+    known = {place.name for bag in bags for place in _places(bag)}
+    folders = (folder, *(bag for bag in bags if bag.is_dir()))
+    files = [file for each in folders for file in each.iterdir() if _LIKE_EDITS.search(file.name)]
+    lost = (file for file in files if file.parent != folder or file.name not in known)
+    return sorted(str(file.relative_to(folder)) for file in lost if not file.name.startswith("."))
+
+
+def _places(bag: Path) -> list[Path]:
+    given, real = Path(os.path.abspath(bag)), itself(bag)
+    bags = dict.fromkeys((real if real.is_dir() and not given.is_dir() else given, real))
+    names = [(one, name) for one in bags for name in dict.fromkeys((one.name, without_suffix(one.name)))]
+    return [one.with_name(f"{name}{SUFFIX}") for one, name in names]
 
 
 def _left_out(value: Any) -> bool | tuple[int, ...]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -13,10 +14,10 @@ import numpy as np
 
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
-from tpgmm_ros.recordings.edits import SUFFIX, Edits
+from tpgmm_ros.recordings.edits import SUFFIX, Edits, edits_of_none
 from tpgmm_ros.recordings.storage import metadata
 from tpgmm_ros.recordings.storage.bag_error import BagError
-from tpgmm_ros.recordings.storage.bag_reader import BagPath, BagReader, BagTopic
+from tpgmm_ros.recordings.storage.bag_reader import BagPath, BagReader, BagTopic, itself
 from tpgmm_ros.recordings.storage.formats import has_known_format, is_storage_file
 
 FOLLOWS = 3.0
@@ -47,12 +48,19 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
         a path does not exist, or is neither.
     """
     bags: dict[Path, Path] = {}
-    for path in map(Path, paths):
+    for path in map(_named, paths):
         if not path.exists():
             raise BagError(path, "does not exist; expected a bag, or a directory of bags")
         if path.is_dir() and not (path / metadata.NAME).exists():
             there = [bag for child in _inside(path) for bag in _bags_of(child)]
-            found = [bag for bag in there if not Edits.of(bag).leave_out]
+            if lost := edits_of_none(path, there):
+                raise BagError(
+                    path,
+                    f"holds {listed(lost)}, which looks like edits and belongs to none of its bags, so that nothing "
+                    f"would be cut or left out: edits of the bag demo_03 are demo_03{SUFFIX}, beside it. Rename it, or "
+                    "remove it",
+                )
+            found = [bag for bag in there if not _is_left_out(bag)]
             if there and not found:
                 raise BagError(path, f"all of its bags are left out by their edits (NAME{SUFFIX}): keep one at least")
         else:
@@ -60,21 +68,28 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
         if not found:
             raise BagError(path, _why_none(path))
         for bag in found:
-            bags.setdefault(_itself(bag), bag)
+            bags.setdefault(itself(bag), bag)
     return list(bags.values())
+
+
+def _is_left_out(bag: Path) -> bool:
+    """Whether its edits leave all of a bag out; edits that cannot be read make a bag bad, which its reader says."""
+    try:
+        return Edits.of(bag).leave_out
+    except BagError:
+        return False
+
+
+def _named(path: str | Path) -> Path:
+    """A path that ends with a name: the working folder is a bag as others are, and metadata stand for their folder."""
+    path = Path(path)
+    path = path.parent if path.name == metadata.NAME and path.is_file() else path
+    return path if path.name not in ("", "..") else Path(os.path.abspath(path))
 
 
 def _inside(folder: Path) -> list[Path]:
     """What is in a folder, in order of name, without what is hidden: trash, and what macOS puts beside files."""
     return sorted(child for child in folder.iterdir() if not child.name.startswith("."))
-
-
-def _itself(bag: Path) -> Path:
-    """Where a bag lies, whatever links lead there; the only file of a folder is the same bag as the folder."""
-    place = bag.resolve()
-    if place.is_file() and (place.parent / metadata.NAME).exists():
-        return place.parent if len([one for one in place.parent.iterdir() if is_storage_file(one)]) == 1 else place
-    return place
 
 
 def _why_none(path: Path) -> str:

@@ -42,7 +42,7 @@ def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> Stream:
     ------
     BagError
         the bag is damaged or incomplete, the topic is absent, empty or of another type, some joint never
-        came, or most messages cannot be used: they name a joint twice, or have a position that is not finite.
+        came, or most messages cannot be used: they name a joint twice, or none, or have a position that is not finite.
     """
     assembler, watch = JointStateAssembler(joints, ["position"]), StreamWatch()
     stamps, at, positions = array("q"), array("q"), array("d")
@@ -52,6 +52,8 @@ def read_joint_stream(path: Path, topic: str, joints: Sequence[str]) -> Stream:
         nonlocal count, bad, first
         stamp_ns = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         try:
+            if not message.name and len(message.position):
+                raise JointStateError(f"it has {len(message.position)} positions and names no joints")
             sample = assembler.take(list(message.name), [message.position], stamp_ns)
         except JointStateError as error:
             sample, bad, first = None, bad + 1, first or f"number {count}: {error}"

@@ -43,7 +43,7 @@ def _together(doubts: Sequence[Doubt]) -> list[Doubt]:
     found: dict[tuple[str, str, bool], list[str]] = {}
     for doubt in doubts:
         found.setdefault((doubt.kind, doubt.text, doubt.refuses), []).extend(doubt.about)
-    merged = [Doubt(kind, tuple(about), text, refuses) for (kind, text, refuses), about in found.items()]
+    merged = [Doubt(kind, tuple(dict.fromkeys(about)), text, refuses) for (kind, text, refuses), about in found.items()]
     return sorted(merged, key=lambda doubt: not doubt.refuses)
 
 

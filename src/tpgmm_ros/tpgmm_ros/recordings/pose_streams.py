@@ -14,7 +14,7 @@ from tpgmm_core.common.types import Array, Nanoseconds
 from tpgmm_core.doubt.ends import doubts_of_ends
 from tpgmm_core.geometry.pose import compose
 from tpgmm_core.observation.poses import ROUNDING, check_poses, doubtful_units, never_filled, wrong_frame
-from tpgmm_core.observation.transforms import NO_TRANSFORM, TransformError
+from tpgmm_core.observation.transforms import NO_TRANSFORM, NO_TRANSFORM_YET, TransformError
 from tpgmm_ros.messages.sources import Source, TopicSource, TransformSource
 from tpgmm_ros.recordings.bag_messages import MOST_BAD, BagError, Stream, take_messages
 from tpgmm_ros.recordings.storage.message_types import quick_decoder
@@ -30,10 +30,13 @@ class PoseStreams(NamedTuple):
         poses by name
     fixed
         poses (7,) of those that only static transforms lead to
+    notes
+        what is odd in the transforms that lead to these, in words
     """
 
     moving: dict[str, Stream]
     fixed: dict[str, Array]
+    notes: tuple[str, ...] = ()
 
 
 def read_pose_streams(path: Path, sources: Mapping[str, Source], base_frame: str) -> PoseStreams:
@@ -90,7 +93,7 @@ def read_pose_streams(path: Path, sources: Mapping[str, Source], base_frame: str
                 fixed[name] = found
         else:
             moving[name] = seen[name].stream(path, names[source.topic], base_frame, transforms)
-    return PoseStreams(moving, fixed)
+    return PoseStreams(moving, fixed, transforms.notes if fixed else ())
 
 
 class _Seen:
@@ -193,7 +196,7 @@ def usable_poses(
     """
     numbers, frame_ids = observed.numbers, np.array(observed.frame_ids, dtype=object)
     poses, good, reasons = check_poses(numbers)
-    notes = []
+    notes: list[str] = []
     if (empty := good & never_filled(numbers)).any():
         good = good & ~empty
         first = f"number {int(np.argmax(empty))}: never filled in: at 0 0 0 as in an empty message, unlike the others"
@@ -216,7 +219,8 @@ def usable_poses(
                 continue
             poses[k] = compose(place, poses[k])
             moved += 1
-        if moved:
+        if moved and transforms is not None:
+            notes += transforms.notes
             notes.append(f"{topic}: {moved} poses in {shown(frame_id)} transformed to {shown(base_frame)} by /tf")
     bad = len(good) - int(np.count_nonzero(good))
     if bad > MOST_BAD * len(good):
@@ -243,4 +247,6 @@ def _mostly_bad(
             "them before recording, record /tf and /tf_static with them, or correct base_frame in the task file"
         )
     bad = f"{topic} has {count} of {total} poses that cannot be used, the first is {first}"
+    if kind == NO_TRANSFORM_YET:
+        return f"{bad}. Publish that transform all the time, or on /tf_static if it never changes, and record it again"
     return f"{bad}. Correct what publishes it, and record again"

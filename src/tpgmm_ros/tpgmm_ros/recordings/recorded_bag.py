@@ -14,6 +14,7 @@ from tpgmm_core.doubt.clocks import ClockError, CommonClock, common_clock
 from tpgmm_core.doubt.rough_clock import RoughClock
 from tpgmm_core.doubt.stamps import TopicTimes
 from tpgmm_core.geometry import quaternion
+from tpgmm_core.observation.poses import doubtful_units
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource, Source
 from tpgmm_ros.recordings.bag_messages import BagError, Stream
@@ -155,22 +156,35 @@ def _taken(stream: Stream, which: np.ndarray) -> Stream:
 
 def _read(path: Path, task: Task) -> tuple[dict[str, Stream], dict[str, Array]]:
     """All topics as they were recorded, and poses of frames that do not move."""
-    streams, fixed = read_pose_streams(path, _sources(task), task.base_frame)
+    streams, fixed, notes = read_pose_streams(path, _sources(task), task.base_frame)
     # a frame that is lost at an end stays where it was, or is not seen yet
     streams = {name: s if name == MOVEMENT else replace(s, doubts=()) for name, s in streams.items()}
     if isinstance(task.recorded_movement, JointStateSource):
         streams[MOVEMENT] = read_link_stream(path, task.recorded_movement, task.base_frame)
     if names := task.space.joints():
         streams[JOINTS] = read_joint_stream(path, task.space.joint_states, names)
+    movement = streams[MOVEMENT]
+    streams[MOVEMENT] = replace(movement, notes=(*movement.notes, *_unturned(movement), *notes, *_far(task)))
     return streams, {**fixed, **_given(task)}
+
+
+def _unturned(stream: Stream) -> list[str]:
+    """What is said of a movement that has no orientation."""
+    if len(stream.values) < 2 or not (stream.values[:, 3:] == quaternion.IDENTITY).all():
+        return []
+    return ["every orientation is 0 0 0 1: none was recorded; what a model says of it means nothing"]
+
+
+def _far(task: Task) -> list[str]:
+    """What is said of frames whose poses in the task file look like millimetres."""
+    said = {name: doubtful_units(pose[:3]) for name, pose in _given(task).items()}
+    return [f"the pose of {name} in the task file {doubt}" for name, doubt in said.items() if doubt]
 
 
 def _of_array(path: Path, task: Task, spec: PoseArraySpec) -> BagStreams:
     """Times are the numbers of the poses times `period`; frames stand still."""
     stream, places = read_pose_array(path, spec, list(task.sources), task.base_frame)
-    notes = list(stream.notes)
-    if len(stream.values) > 1 and (stream.values[:, 3:] == quaternion.IDENTITY).all():
-        notes.append("every orientation is 0 0 0 1: none was recorded; what a model says of it means nothing")
+    notes = [*stream.notes, *_unturned(stream)]
     values, topics = {MOVEMENT: stream.values}, {MOVEMENT: stream.topic}
     return BagStreams(
         path, task, {MOVEMENT: stream.stamps}, values, topics, {**places, **_given(task)}, notes=tuple(notes)

@@ -14,6 +14,9 @@ from tpgmm_ros.messages.fields import time_to_ns, transform_numbers
 from tpgmm_ros.messages.sources import TF, TF_MESSAGE, TF_STATIC, TransformSource
 from tpgmm_ros.recordings.bag_messages import BagError, Messages, Stream, read_messages, topics_of_type
 
+OLD_TF_MESSAGE = "tf/msg/tfMessage"
+"""What tf2_msgs/TFMessage was called in ROS 1 before tf2; its fields are the same."""
+
 
 class RecordedTransforms:
     """All transforms of a bag, read when they are asked for.
@@ -36,11 +39,19 @@ class RecordedTransforms:
         """All of them; raises BagError for a bag that cannot be read."""
         if self._tree is None:
             self._tree, self._moving = TransformTree(memory=None), []
-            there = topics_of_type(self._path, TF_MESSAGE)
+            kinds = {kind: topics_of_type(self._path, kind) for kind in (TF_MESSAGE, OLD_TF_MESSAGE)}
+            there = {name: kind for kind, names in kinds.items() for name in names}
             for topic in (TF_STATIC, TF):
-                if not any(f"/{name}".endswith(f"/{topic}") for name in there):
+                several = sorted(f"/{name}" for name in there if f"/{name}".endswith(f"/{topic}"))
+                if not several:
                     continue
-                found = read_messages(self._path, [topic], TF_MESSAGE)[topic]
+                if len(several) > 1 and topic not in there:
+                    raise BagError(
+                        self._path,
+                        f"has transforms of several robots, on {listed(several)}, and a task file cannot say which are "
+                        "meant: record those of one robot, or its poses as PoseStamped",
+                    )
+                found = read_messages(self._path, [topic], there[several[0].strip("/")])[topic]
                 if topic == TF:
                     self._by_recorder = _never_stamped(found)
                 for recorded, message in zip(found.recorded.tolist(), found.messages, strict=True):
@@ -49,6 +60,14 @@ class RecordedTransforms:
                     if topic == TF:
                         self._moving.append((recorded, message))
         return self._tree
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is odd in them, in words."""
+        said = [f"/tf: {count} transforms left out ({kind})" for kind, count in self._refused.items()]
+        if self._by_recorder:
+            said.append("/tf has stamps that never change: times of the recorder used")
+        return (*said, *(f"/tf_static: {reason}" for reason in self.tree.unsteady.values()))
 
     def _add(self, tree: TransformTree, message: Any, recorded: int, is_static: bool) -> Iterator[str]:
         """Kinds of reasons why transforms are not used."""
@@ -86,15 +105,12 @@ class RecordedTransforms:
             )
         if whole[0] is None:
             return whole[1]
-        notes = [f"/tf: {count} transforms left out ({kind})" for kind, count in self._refused.items()]
-        if self._by_recorder:
-            notes.append("/tf has stamps that never change: times of the recorder used")
         seen = list(self._seen(source))
         if not seen:
             raise BagError(self._path, f"/tf never has all transforms to {source.frame} at one time; {watch.reason}")
         stamps, recorded, poses = zip(*seen, strict=True)
         topic = f"/tf ({listed([source.frame])})"
-        return Stream(topic, np.array(stamps, np.int64), np.array(recorded, np.int64), np.array(poses), tuple(notes))
+        return Stream(topic, np.array(stamps, np.int64), np.array(recorded, np.int64), np.array(poses), self.notes)
 
     def _seen(self, source: TransformSource) -> Iterator[tuple[int, int, Array]]:
         """Stamp, time of the recorder and pose, as they became known: as a running program sees them."""

@@ -8,12 +8,14 @@ with 0 as nodes do that are told to stop. This module imports nothing that takes
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from types import FrameType
 
 INTERRUPTED = 130
@@ -30,17 +32,29 @@ def program(module: str) -> Callable[[], int]:
         try:
             signal.signal(signal.SIGINT, signal.default_int_handler)
             status = main()
-            sys.stdout.flush()
+            if sys.stdout is not None:  # closed by who started this
+                sys.stdout.flush()
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
         except BrokenPipeError:  # who read what this prints has gone: `| head`
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            _say_no_more()
+            status = 1
+        except OSError as error:
+            if error.errno != errno.ENOSPC or error.filename is not None:
+                raise
+            _say_no_more()
+            print("error: the disk is full, so that the output could not be written: make room", file=sys.stderr)
             status = 1
         finally:  # what is left is Python's own end, which has nothing to say to a user
             _end_with(status, signal.SIGINT)
         return status
 
     return start
+
+
+def _say_no_more() -> None:
+    """What is still to be printed goes nowhere, instead of ending Python with a traceback."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def node(module: str) -> Callable[[], int]:
@@ -71,3 +85,8 @@ def missing(package: str, what: str) -> str:
         f"{what} is part of the package {package}, which is not installed: `make setup` installs it, on a full ROS "
         f"installation `colcon build --packages-up-to {package}` in the workspace"
     )
+
+
+def a_path(text: str) -> Path:
+    """A path among the arguments of a program; shells leave ~ as it is behind the = of an option."""
+    return Path(os.path.expanduser(text))

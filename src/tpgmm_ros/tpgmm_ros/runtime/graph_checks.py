@@ -10,6 +10,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tpgmm_core.common.text import one_line
+from tpgmm_ros.messages.classes import type_name
 
 #: Topics that every node writes to, or anyone may; joints may have several drivers.
 SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/external_wrench", "/joint_states")
@@ -42,9 +43,13 @@ def graph_problems(node: Node) -> list[str]:
             for info in node.get_subscriptions_info_by_topic(topic):
                 if misfits := _misfits(own, info.qos_profile):
                     found.append(f"{_name(info)} cannot hear {topic}: {_advice(misfits, own)}")
-        for own in (item.qos_profile for item in node.subscriptions if item.topic_name == topic):
+        for item in (item for item in node.subscriptions if item.topic_name == topic):
+            own, kind = item.qos_profile, type_name(item.msg_type)
             for info in writers:
-                if misfits := _misfits(info.qos_profile, own):
+                if info.topic_type != kind:
+                    what = one_line(info.topic_type, 120)
+                    found.append(f"{_name(info)} is not heard on {topic}: it publishes {what}, expected {kind}")
+                elif misfits := _misfits(info.qos_profile, own):
                     found.append(f"{_name(info)} is not heard on {topic}: {_advice(misfits, own)}")
     return found
 

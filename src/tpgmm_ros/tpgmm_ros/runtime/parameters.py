@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -155,10 +156,16 @@ class Parameters:
         ValueError
             where it is not set
         """
-        value = str(self[name])
-        if not value:
+        files = self.files(name)
+        if not files:
             raise ValueError(f"the parameter {name} is not set: give it the path of a file (-p {name}:=PATH)")
-        return value
+        return files[0]
+
+    def files(self, name: str) -> list[str]:
+        """Paths that a parameter names, one or a list of them; shells leave ~ as it is behind := ."""
+        value = self[name]
+        files = value if isinstance(value, list | tuple) else [value]
+        return [os.path.expanduser(str(file)) for file in files if file]
 
     def __getitem__(self, name: str) -> Any:
         return self._values[name]

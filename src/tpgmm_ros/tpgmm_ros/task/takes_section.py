@@ -19,6 +19,8 @@ from tpgmm_core.observation.takes import Rest
 from tpgmm_ros.task.signals import SIGNAL_KEYS, TopicSignal, read_signal
 
 WHILE, UNTIL_NEXT = "while", "until_next"
+SHORTEST_PAUSE_S = 0.05
+"""In less, no hand comes to rest, and a recording would be looked at in endlessly many parts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +97,12 @@ def read_takes(section: Section) -> TakesRule:
     }
     if "still" in section.values:
         section.refuse_others("still", "way", "turn", "shortest", "every")
-        names = {"still": "pause", "way": "way", "turn": "turn"}
         return StillTakes(
-            Rest(**{n: section.required(k, _above_0) for k, n in names.items() if k in section.values}), **common
+            Rest(
+                section.required("still", _a_pause),
+                **{key: section.required(key, _above_0) for key in ("way", "turn") if key in section.values},
+            ),
+            **common,
         )
     section.refuse_others(*SIGNAL_KEYS, "lasts", "pause", "shortest", "every")
     values = {
@@ -113,3 +118,10 @@ def _above_0(value: Any) -> float:
     if number == 0.0:
         raise ValueError("a finite number above 0")
     return number
+
+
+def _a_pause(value: Any) -> float:
+    try:
+        return a_number(SHORTEST_PAUSE_S)(value)
+    except ValueError:
+        raise ValueError(f"a pause of at least {SHORTEST_PAUSE_S:g} s, such as 1.0") from None

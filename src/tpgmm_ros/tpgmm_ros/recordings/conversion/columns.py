@@ -57,6 +57,8 @@ def columns_of(table: Table, text: str) -> Array:
         there is no such column, or they have different lengths.
     """
     parts = []
+    if "" in (items := [item.strip() for item in text.split(",")]) and len(items) > 1:
+        raise ConversionError(f"has no column without a name: there is a comma too many in {shown(text)}")
     for item in text.split(","):
         if item.strip() in table:
             parts.append(_upright(table[item.strip()]))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tpgmm_core.common.text import listed, shown
+from tpgmm_core.common.text import shown
 from tpgmm_core.common.types import Array
 from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
 
@@ -19,6 +19,9 @@ MISSING = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "#n/a"})
 """What stands, in any case of letters, where nothing was measured."""
 _MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}|\d{1,2}[./]\d{1,2}[./]\d{4}|\d{1,2}:\d{2}:\d{2}")
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}([.,' \u00a0\u202f]\d{3})+([.,]\d*)?")
+_COMMENTS = ("#", "%", "//")
+_SEPARATOR = re.compile(r'"?sep=(.)"?')
 _COMMAS = "; are these decimal commas? Then separate the columns by ; or by tabs"
 
 
@@ -30,9 +33,11 @@ class _Line(NamedTuple):
 def read_csv(path: Path) -> dict[str, Array]:
     """Read a table.
 
-    Columns are separated by ``;``, by tabs, by commas or by blanks, the first of these that the first line has. Where
-    it is not the comma, numbers may have decimal commas. Blank lines are passed over, and lines that begin with # but
-    for names above the columns. An empty cell, nan, n/a and the like is a number that is not finite.
+    Columns are separated by ``;``, tabs, ``|``, commas or blanks, the first of these that the first line has. Where it
+    is not the comma, numbers may have decimal commas. Excel's first line ``sep=;`` is understood. Passed over are blank
+    lines, lines that begin with #, % or // but for names above the columns, and separators at the end of each line. An
+    empty cell, nan, n/a and the like is a number that is not finite. A name that is given twice becomes name(1) and
+    name(2).
 
     Parameters
     ----------
@@ -47,29 +52,48 @@ def read_csv(path: Path) -> dict[str, Array]:
     Raises
     ------
     ConversionError
-        the file is no text, or has no numbers, names twice, lines of different lengths, or cells that are no numbers.
+        the file is no text, or has no numbers, lines of different lengths, or cells that are no numbers.
     """
     everything = [_Line(i, text) for i, text in enumerate(_text_of(path).splitlines(), 1) if text.strip()]
-    lines = [line for line in everything if not line.text.lstrip().startswith("#")]
+    said = _SEPARATOR.fullmatch(everything[0].text.strip()) if everything else None
+    everything = everything[1:] if said else everything
+    lines = [line for line in everything if not line.text.lstrip().startswith(_COMMENTS)]
     if not everything:
         raise ConversionError(f"{path}: is empty")
     above = everything[: everything.index(lines[0])] if lines else everything
-    delimiter = next((mark for mark in (";", "\t", ",") if mark in (lines or above)[0].text), None)
+    first = (lines or above)[0].text
+    delimiter = said[1] if said else next((mark for mark in (";", "\t", "|", ",") if mark in first), None)
     names: list[str] = []
     if lines and not all(map(_is_number, _words(lines[0].text, delimiter))):
         names, lines = [word.strip() for word in _words(lines[0].text, delimiter)], lines[1:]
     if not lines:
         raise ConversionError(f"{path}: holds names and no numbers")
+    while delimiter is not None and all(line.text.rstrip(" ").endswith(delimiter) for line in lines):
+        if len(_words(lines[0].text, delimiter)) == len(names):
+            break  # the last column is empty, but it has a name
+        lines = [_Line(number, text.rstrip(" ").removesuffix(delimiter)) for number, text in lines]
+    below = [word for word in _words(lines[0].text, delimiter) if word.strip()]
+    if below and not any(map(_is_number, below)):
+        raise ConversionError(
+            f"{path}: line {lines[0].number} holds no number below the names; if it holds units or more names, delete "
+            "it, and give units by --unit and --time-unit; if the names stand further down, put # before what is above"
+        )
     values = _values(path, lines, delimiter, names)
     if not names and above:
-        words = [word.strip() for word in _words(above[-1].text.lstrip("# "), delimiter)]
+        words = [word.strip() for word in _words(above[-1].text.lstrip("#%/ "), delimiter)]
         names = words if len(words) == values.shape[1] and not all(map(_is_number, words)) else []
+    while len(names) > values.shape[1] and not names[-1]:
+        names.pop()
     if names and len(names) != values.shape[1]:
         hint = _COMMAS if delimiter == "," and values.shape[1] > len(names) else ""
         raise ConversionError(f"{path}: has {len(names)} names in its first line and {values.shape[1]} columns{hint}")
-    if len(set(names)) != len(names):
-        raise ConversionError(f"{path}: has the same name twice in its first line: {listed(names)}")
-    return {"": values} | {name: values[:, k] for k, name in enumerate(names)}
+    return {"": values} | {name: values[:, k] for k, name in enumerate(_told_apart(names)) if name}
+
+
+def _told_apart(names: Sequence[str]) -> list[str]:
+    """Names that are given several times get numbers, as MATLAB counts."""
+    twice = {name for name in names if name and names.count(name) > 1}
+    return [f"{name}({names[:k].count(name) + 1})" if name in twice else name for k, name in enumerate(names)]
 
 
 def _text_of(path: Path) -> str:
@@ -92,8 +116,8 @@ def _values(path: Path, lines: Sequence[_Line], delimiter: str | None, names: Se
     except ValueError:
         pass
     rows: list[list[float]] = []
-    for line, text in zip(lines, texts, strict=True):
-        words = _words(text, delimiter)
+    for line in lines:
+        words = _words(line.text, delimiter)
         if rows and len(words) != len(rows[0]):
             hint = _COMMAS if delimiter == "," and len(words) != len(names) else ""
             if line is lines[-1] and len(words) < len(rows[0]):
@@ -101,19 +125,23 @@ def _values(path: Path, lines: Sequence[_Line], delimiter: str | None, names: Se
             raise ConversionError(
                 f"{path}: line {line.number} has {len(words)} values, the lines before have {len(rows[0])}{hint}"
             )
-        rows.append([_number(path, line.number, k, word, names) for k, word in enumerate(words)])
+        rows.append([_number(path, line.number, k, word, names, delimiter) for k, word in enumerate(words)])
     return np.array(rows)
 
 
-def _number(path: Path, line: int, column: int, word: str, names: Sequence[str]) -> float:
+def _number(path: Path, line: int, column: int, word: str, names: Sequence[str], delimiter: str | None) -> float:
     word = word.strip()
     if word.lower() in MISSING:
         return float("nan")
     try:
-        return float(word)
+        return float(word if delimiter == "," else word.replace(",", "."))
     except ValueError:
         name = f" ({names[column]})" if column < len(names) else ""
         hint = "; it looks like a date or a time of day: write seconds" if _DATE.search(word) else ""
+        if word in names:
+            hint = "; it is a name of a column: were files joined? Cut them apart"
+        elif _THOUSANDS.fullmatch(word):
+            hint = "; write numbers without signs between thousands"
         raise ConversionError(f"{path}: line {line}, column {column}{name}: {shown(word)} is no number{hint}") from None
 
 

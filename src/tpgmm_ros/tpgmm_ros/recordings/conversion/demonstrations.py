@@ -17,6 +17,8 @@ from tpgmm_ros.recordings.conversion.tables import Table
 FEWEST = 10
 LONGEST_S, SLOWEST_S = 1e7, 1.0
 """No demonstration lasts longer; samples that are further apart are said."""
+LEAP = 3.0
+"""A step that is so many times as long as the longest of a movement is none of it."""
 MOST_REPEATED = 3
 """Rows to a time: where there are more, times are rounded, and say too little."""
 
@@ -102,9 +104,14 @@ def demonstrations_of(table: Table, columns: Columns) -> list[Shown]:
     ConversionError
         columns are missing or do not fit together, or times do not increase.
     """
-    movement = poses_of(columns_of(table, columns.movement), columns.unit, columns.orientation)
+    raw = columns_of(table, columns.movement)
+    padding = padded(raw)
+    raw = np.where(padding[:, None], np.nan, raw)
+    movement = poses_of(raw, columns.unit, columns.orientation)
     T = len(movement)
     notes = []
+    if padding.any():
+        notes.append(f"the last {padding.sum()} of {T} rows of the movement are 0, as where shorter ones are filled up")
     if movement.shape and (movement[:, 3:] == [0.0, 0.0, 0.0, 1.0]).all():
         notes.append("no orientation of the hand is given: 0 0 0 1 was written; what a model says of it means nothing")
     if columns.time is not None:
@@ -129,7 +136,7 @@ def demonstrations_of(table: Table, columns: Columns) -> list[Shown]:
     found = []
     for first, last in zip(cuts, cuts[1:], strict=False):
         part = slice(first, last)
-        finite = np.isfinite(times[part]) & np.isfinite(movement[part]).all(axis=1)
+        finite = np.isfinite(times[part]) & np.isfinite(movement[part]).all(axis=1) & ~padding[part]
         at = np.arange(first, last)[finite]
         if len(at) < FEWEST:
             raise ConversionError(f"has {len(at)} samples from row {first} on, expected at least {FEWEST} finite ones")
@@ -152,9 +159,9 @@ def demonstrations_of(table: Table, columns: Columns) -> list[Shown]:
                 )
             raise ConversionError(
                 f"has times that do not increase: {times[at[k]]:g} s in row {at[k]}, {times[at[k + 1]]:g} s in the "
-                "next one; name another column, or --split where several demonstrations lie one after the other"
+                "next one; sort the rows, name another column, or --split where demonstrations lie one after the other"
             )
-        left_out = int((~finite).sum())
+        left_out = int((~finite & ~padding[part]).sum())
         said = [f"{left_out} of {last - first} rows are not finite: left out"] if left_out else []
         said += [f"{repeated} of {last - first} rows repeat the time of the one before: left out"] if repeated else []
         if (period := 1e-9 * float(np.median(np.diff(ns)))) > SLOWEST_S:
@@ -172,6 +179,15 @@ def demonstrations_of(table: Table, columns: Columns) -> list[Shown]:
             )
         )
     return found
+
+
+def padded(values: Array) -> NDArray[np.bool_]:
+    """(T,) which rows of columns (T, k) are zeros at the end, to which they leap: they fill an array up."""
+    filled = np.flatnonzero((values != 0.0).any(axis=1))
+    last = int(filled[-1]) if len(filled) else len(values) - 1
+    ways = np.linalg.norm(np.diff(values[: last + 1], axis=0), axis=1)
+    leap = float(np.linalg.norm(values[last])) > LEAP * np.nanmax(ways, initial=0.0)
+    return np.asarray((np.arange(len(values)) > last) & leap)
 
 
 def _latest(values: Array, at: NDArray[np.intp], first: int) -> Array:

@@ -10,11 +10,16 @@ from typing import Any
 
 import numpy as np
 import scipy.io
+import scipy.sparse
 
 from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.common.types import Array
 from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
 from tpgmm_ros.recordings.conversion.csv_file import read_csv
+
+_PICKLED = np.array("Python objects (pickle), which are never loaded")
+MOST_OF_SPARSE = 50_000_000
+"""Numbers of a sparse matrix, with all its zeros."""
 
 type Table = Mapping[str, Array]
 """Arrays (T, k) by name; a single array without a name is called ""."""
@@ -82,7 +87,17 @@ def _npy(path: Path) -> dict[str, Any]:
 
 def _npz(path: Path) -> dict[str, Any]:
     with np.load(path, allow_pickle=False) as file:
-        return {key: value for name in file.files for key, value in _fields(f"{name}.", file[name]).items()}
+        return {key: value for name in file.files for key, value in _fields(f"{name}.", _member(file, name)).items()}
+
+
+def _member(file: Any, name: str) -> Any:
+    """An array of a file, or what shows that it holds Python objects, which may stand there as long as nobody asks."""
+    try:
+        return file[name]
+    except ValueError as error:
+        if "allow_pickle" not in str(error):
+            raise
+        return _PICKLED
 
 
 def _fields(prefix: str, value: Any) -> dict[str, Any]:
@@ -102,15 +117,23 @@ def _mat(path: Path) -> dict[str, Any]:
 def _tables(path: Path, values: Mapping[str, Any], wanted: Collection[str], is_matlab: bool) -> list[Table]:
     shared: dict[str, Array] = {}
     several: dict[str, list[Array]] = {}
-    for name, value in _numbers(values.items()):
+    found = _numbers(values.items())
+    if odd := sorted(
+        (values.keys() & set(wanted)) - {name.partition(".")[0] for name, _ in found} - dict(found).keys()
+    ):
+        raise ConversionError(f"{path}: {odd[0] or 'its array'} holds {_words(values[odd[0]])}; save arrays of numbers")
+    for name, value in found:
         if isinstance(value, list):
             several[name] = value
+        elif value.ndim == 4:
+            several[name] = list(np.moveaxis(value, (3, 2), (0, 1)) if is_matlab else value)
         elif value.ndim == 3 and value.shape[-2:] != (4, 4) and not (is_matlab and value.shape[:2] == (4, 4)):
             several[name] = list(np.moveaxis(value, -1, 0) if is_matlab else value)
         else:
             shared[name] = np.moveaxis(value, -1, 0) if is_matlab and value.ndim == 3 else value
     if not shared and not several:
-        raise ConversionError(f"{path}: holds no arrays of numbers")
+        what = f"; it holds {_words(values[''])}" if set(values) == {""} else ""
+        raise ConversionError(f"{path}: holds no arrays of numbers{what}")
     counts = {name: len(value) for name, value in several.items() if name in wanted}
     if len(set(counts.values())) > 1:
         there = listed([f"{name} has {count}" for name, count in counts.items()])
@@ -124,16 +147,36 @@ def _numbers(items: Iterable[tuple[str, Any]]) -> list[tuple[str, Any]]:
     """Arrays of numbers by name; of arrays of structs or cells, lists of arrays."""
     found: list[tuple[str, Any]] = []
     for name, value in items:
+        if scipy.sparse.issparse(value):
+            if np.prod(value.shape, dtype=float) > MOST_OF_SPARSE:
+                continue
+            value = value.toarray()
         value = np.asarray(value)
+        if value.dtype.kind in "mM":  # times and durations: seconds from the first on
+            value = (value - value.ravel()[:1]) / np.timedelta64(1, "s") if value.size else value.astype(float)
         if value.dtype.names:  # structs
             elements = value.ravel()
             for field in value.dtype.names:
                 found += _joined(f"{name}.{field}", [element[field] for element in elements])
-        elif value.dtype == object:  # cells
+        elif value.dtype == object and value.ndim:  # cells
             found += _joined(name, list(value.ravel()))
-        elif value.dtype.kind in "fiub" and value.size and value.ndim in (1, 2, 3):
+        elif value.dtype.kind in "fiub" and value.size and _has_axes(value):
             found.append((name, value.astype(float)))
     return found
+
+
+def _has_axes(value: Any) -> bool:
+    return value.ndim in (1, 2, 3) or (value.ndim == 4 and 4 in (value.shape[-1], value.shape[0]))
+
+
+def _words(value: Any) -> str:
+    """What an array is that is not of numbers, in words."""
+    if value is _PICKLED:
+        return str(value)
+    if scipy.sparse.issparse(value):
+        return f"a sparse matrix of {value.shape}, which is too large"
+    value = np.asarray(value)
+    return f"no real numbers along one to three axes, but {value.dtype} of the shape {value.shape}"
 
 
 def _joined(name: str, elements: list[Any]) -> list[tuple[str, Any]]:

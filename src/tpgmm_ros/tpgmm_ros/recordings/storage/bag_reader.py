@@ -127,6 +127,14 @@ def files_of(path: Path) -> tuple[list[Path], dict[str, int]]:
     return files, {}
 
 
+def itself(bag: Path) -> Path:
+    """Where a bag lies, whatever links lead there; the only file of a folder is the same bag as the folder."""
+    place = bag.resolve()
+    if place.is_file() and (place.parent / metadata.NAME).exists():
+        return place.parent if len([one for one in place.parent.iterdir() if is_storage_file(one)]) == 1 else place
+    return place
+
+
 def natural_order(path: Path) -> list[tuple[int, str]]:
     """By name, and numbers in names by their values: demo_9 comes before demo_10."""
     parts = re.findall(r"[0-9]+|[^0-9]+", path.name)

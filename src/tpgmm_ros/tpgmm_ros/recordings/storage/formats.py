@@ -40,6 +40,11 @@ def is_storage_file(path: Path) -> bool:
     return path.name.endswith(SUFFIXES) and path.is_file()
 
 
+def without_suffix(name: str) -> str:
+    """The name of a file of a bag without its ending."""
+    return next((name.removesuffix(end) for end in SUFFIXES if name.endswith(end)), name)
+
+
 def has_known_format(path: Path) -> bool:
     """Whether a file begins as files of bags do, whatever it is called."""
     try:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import Path, PurePath, PureWindowsPath
 from typing import Any
 
 import yaml
@@ -62,9 +62,15 @@ class Metadata:
                 f"cannot be read: its {NAME} is damaged ({type(error).__name__}: {one_line(error, 100)}). Run 'ros2 "
                 "bag reindex' on the folder; or remove that file, then the others are read as they are",
             ) from None
+        if not names:
+            raise BagError(
+                folder,
+                f"cannot be read: its {NAME} names no file, as where the recorder was killed. Remove that file, then "
+                "the others are read as they are; or run 'ros2 bag reindex' on the folder",
+            )
         files = [_there(folder, name) for name in names]
         missing = [name for name, file in zip(names, files, strict=True) if file is None]
-        if missing or not files:
+        if missing:
             raise BagError(
                 folder,
                 f"cannot be read: {listed(missing, 5)} is missing, which {NAME} names as a part of it; copy "
@@ -74,8 +80,12 @@ class Metadata:
 
 
 def _there(folder: Path, name: str) -> Path | None:
-    """The file, packed or not: metadata do not always say."""
-    names = (name, f"{name}.zstd", f"{name}.zst", name.removesuffix(".zstd"), name.removesuffix(".zst"))
+    """The file, packed or not: metadata do not always say; also where a path of Windows stands for it."""
+    names = [
+        other
+        for one in dict.fromkeys((name, PureWindowsPath(name).name))
+        for other in (one, f"{one}.zstd", f"{one}.zst", one.removesuffix(".zstd"), one.removesuffix(".zst"))
+    ]
     return next((folder / other for other in names if other and (folder / other).is_file()), None)
 
 
