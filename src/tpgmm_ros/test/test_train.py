@@ -248,10 +248,10 @@ def test_a_bad_bag_stops_the_training_and_nothing_is_written(
 ) -> None:
     other = write_bag(tmp_path / "other", {"/other/pose": reach(0)["/object/pose"]})
     output = tmp_path / "model.tpgmm"
-    output.write_bytes(b"the model of yesterday")
+    output.write_bytes(b"PK: the model of yesterday")
     bad = damaged(bags, tmp_path)
     assert train(bags, "--output", output, "--report", tmp_path / "report", bags, bad, other) == 1
-    assert output.read_bytes() == b"the model of yesterday"
+    assert output.read_bytes() == b"PK: the model of yesterday"
     error = capsys.readouterr().err
     assert f"bad bag: {bad}: " in error and f"bad bag: {other}: " in error
     assert f"2 of {COUNT + 2} bags are bad" in error and "--skip-bad" in error
@@ -288,10 +288,10 @@ def test_a_failed_training_keeps_the_old_model(
     arguments: list[str], complaint: str, bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "model.tpgmm"
-    output.write_bytes(b"the model of yesterday")
+    output.write_bytes(b"PK: the model of yesterday")
     assert train(bags, "--output", output, bags, *arguments) == 1
     assert complaint in capsys.readouterr().err
-    assert output.read_bytes() == b"the model of yesterday" and len(list(tmp_path.iterdir())) == 1
+    assert output.read_bytes() == b"PK: the model of yesterday" and len(list(tmp_path.iterdir())) == 1
 
 
 def test_an_unknown_frame_in_the_task_file_is_said(
