@@ -147,3 +147,23 @@ def test_a_run_in_which_nobody_led_the_arm_is_no_correction(untouched: Callable[
     correction = project.demonstrations()[-1].notes.correction
     assert correction is not None and found.corrects == 1
     assert correction.begin == pytest.approx(0.6, abs=0.03) and correction.end == pytest.approx(0.8, abs=0.03)
+
+
+def test_a_movement_that_slowed_down_to_wait_is_corrected_as_one_that_did_not(
+    untouched: Callable[[], tuple[Project, Run]],
+) -> None:
+    project, run = untouched()
+    hand = run.hand.copy()
+    hand[60:80, 2] += 0.05
+    T, waits = len(hand), 40
+    at = np.concatenate([np.arange(45), np.full(waits, 45), np.arange(45, T)])
+    phases = np.linspace(0.013, 0.991, T)[at]
+    for i in range(46, 46 + waits):  # by rounding errors alone
+        phases[i] = np.nextafter(phases[i - 1], 1.0)
+    times = run.times[0] + np.arange(len(at)) * 0.05
+    hand = hand[at]
+    hand[45 : 45 + waits, 0] += np.linspace(0.0, 0.001, waits)  # the hand comes nearer meanwhile
+    found = correct(project, Run(times, hand, {n: x[at] for n, x in run.frames.items()}, phases))
+    correction = project.demonstrations()[-1].notes.correction
+    assert correction is not None and found.notes.corrects == 1
+    assert correction.begin == pytest.approx(0.6, abs=0.03) and correction.end == pytest.approx(0.8, abs=0.03)

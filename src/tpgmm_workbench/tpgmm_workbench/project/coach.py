@@ -31,6 +31,8 @@ LAG = 0.02
 SHORTEST = 0.03
 """Share of the movement that a correction lasts at least."""
 SAMPLES = 200
+LEAST = 1e-4
+"""Share of the movement between two samples at least: a movement that slows down to wait goes on by rounding errors."""
 STARTS, ENDS = 0.1, 0.9
 """Shares of the movement between which a run has to be known."""
 TAKEN_OVER = ("novelty", "covariance_scale.")
@@ -139,7 +141,7 @@ def _recording(project: Project, present: TrainedModel, run: Run) -> tuple[Recor
     if missing := [name for name in project.task.sources if name not in run.frames]:
         raise ProjectError(f"the run does not say where {', '.join(missing)} was")
     phases = (times - times[0]) / (times[-1] - times[0]) if run.phases is None else np.asarray(run.phases, float)
-    goes_on = np.flatnonzero(phases > np.maximum.accumulate(np.concatenate([[-1.0], phases[:-1]])))
+    goes_on = _going_on(phases)
     if len(goes_on) < 10 or phases[goes_on[0]] > STARTS or phases[goes_on[-1]] < ENDS:
         first, last = (phases[goes_on[0]], phases[goes_on[-1]]) if len(goes_on) else (0.0, 0.0)
         raise ProjectError(
@@ -161,6 +163,16 @@ def _recording(project: Project, present: TrainedModel, run: Run) -> tuple[Recor
         derived=project.task.derived,
     )
     return recording, None if run.is_led is None else np.asarray(run.is_led, bool)[at]
+
+
+def _going_on(phases: Array) -> NDArray[np.intp]:
+    """The samples (at most T) at which a movement is farther than ever before, by `LEAST`: it may wait, or go back."""
+    kept, farthest = [], -np.inf
+    for i, phase in enumerate(phases):
+        if phase >= farthest + LEAST:
+            kept.append(i)
+            farthest = phase
+    return np.array(kept, dtype=np.intp)
 
 
 def _led_part(model: LearnedMixture, recording: Recording, told: NDArray[np.bool_] | None) -> tuple[float, float]:
