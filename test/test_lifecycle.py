@@ -35,16 +35,23 @@ def test_clean_up_undoes_configuration_and_a_second_one_makes_each_topic_once(
 
     stream = ros_node.create_timer(0.002, publish)
 
-    def each_exists(times: int) -> bool:
-        counts = [ros_node.count_publishers(topic) for topic in published]
-        return counts + [ros_node.count_subscribers(topic) for topic in subscribed] == [times] * (
-            len(published) + len(subscribed)
-        )
+    def counts() -> dict[str, int]:
+        found = {topic: ros_node.count_publishers(topic) for topic in published}
+        return found | {topic: ros_node.count_subscribers(topic) for topic in subscribed}
+
+    def wait_until_each_exists(times: int) -> None:
+        def all_do() -> bool:
+            return set(counts().values()) == {times}
+
+        try:
+            spin_until(ros_node, all_do, processes=(process,))
+        except AssertionError as error:
+            raise AssertionError(f"expected each topic {times} times, found {counts()}") from error
 
     for _ in range(2):
         assert change_state(ros_node, name, CONFIGURE, ACTIVATE)
-        spin_until(ros_node, lambda: each_exists(1), message="each topic once", processes=(process,))
+        wait_until_each_exists(1)
         assert change_state(ros_node, name, DEACTIVATE, CLEANUP)
-        spin_until(ros_node, lambda: each_exists(0), message="no topic left", processes=(process,))
+        wait_until_each_exists(0)
     ros_node.destroy_timer(stream)
     assert "Traceback" not in process.output

@@ -102,9 +102,10 @@ class JointStateStream:
     def _take_all(self, messages: Sequence[JointStateValues]) -> None:
         heard = [item for item in map(self.take, messages) if item is not None]
         if heard:
-            newest = heard[-1]
-            restarted = any(item.kind is Stamp.RESTARTED for item in heard)
-            self._answer(replace(newest, kind=Stamp.RESTARTED) if restarted else newest)
+            # a copy that came with its original does not make the state an old one
+            kinds = {item.kind for item in heard}
+            kind = next(kind for kind in (Stamp.RESTARTED, Stamp.NEW, Stamp.REPEATED) if kind in kinds)
+            self._answer(replace(heard[-1], kind=kind))
 
     def take(self, message: JointStateValues) -> Heard | None:
         """What a message has brought; None where that is nothing to answer."""
