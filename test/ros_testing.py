@@ -9,7 +9,9 @@ takes a while: `module_domain`, `module_node` and `start_module_process` are sha
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
+import random
 import shlex
 import signal
 import subprocess
@@ -146,12 +148,16 @@ def spin_until(
         executor.spin_once(timeout_sec=0.02)
 
 
+#: Each domain rests for a while: what a process of the last test on it has left is not met by the next one.
+DOMAINS = itertools.cycle(random.Random(os.getpid()).sample(range(1, 101), 100))
+
+
 @contextlib.contextmanager
 def own_domain(log_directory: Path) -> Iterator[int]:
     """A ROS domain that nobody else on this machine uses, in the environment of this process and its children."""
     from domain_coordinator import domain_id
 
-    with domain_id() as domain, pytest.MonkeyPatch.context() as environment:
+    with domain_id(DOMAINS.__next__) as domain, pytest.MonkeyPatch.context() as environment:
         environment.setenv("ROS_DOMAIN_ID", str(domain))
         environment.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         environment.setenv("ROS_LOG_DIR", str(log_directory))
@@ -162,6 +168,7 @@ def own_domain(log_directory: Path) -> Iterator[int]:
 def node_on(domain: int) -> Iterator[Node]:
     """A node on a domain, whose callbacks `spin_until` serves."""
     import rclpy
+    from rclpy.action import ActionClient
     from rclpy.context import Context
     from rclpy.node import Node
 
@@ -180,6 +187,9 @@ def node_on(domain: int) -> Iterator[Node]:
         # this domain would meet the node of that test
         executor.remove_node(node)
         executor.shutdown()
+        # They keep the node alive, and a node does not destroy them (rclpy 7.1)
+        for client in [item for item in node.waitables if isinstance(item, ActionClient)]:
+            client.destroy()
         node.destroy_node()
         rclpy.shutdown(context=context)
 
