@@ -43,6 +43,8 @@ class SimulatedHand:
         self.simulator = RobotSimulator(ROBOT)
         self.stamp_ns = SECOND
         self.torques: list[np.ndarray] = []
+        #: What pushes its links, (6,) N and N m by their names.
+        self.wrenches: dict[str, np.ndarray] = {}
         self._data = ROBOT.create_data()
         self._reader = JointReader(NAMES)
         self._answers: dict[int, np.ndarray] = {}
@@ -83,7 +85,7 @@ class SimulatedHand:
 
         spin_until(self.node, answered, message="torques", processes=(self.process,))
         tau = self._answers[self.stamp_ns]
-        self.simulator.step(tau)
+        self.simulator.step(tau, self.wrenches)
         self.torques.append(tau)
         return tau
 

@@ -73,7 +73,7 @@ class Bench:
 def served(node: Node, project: Project, logs: Path, coach_force: float = 0.0) -> Iterator[Bench]:
     """Start the nodes of a project, 250 joint states per second, and a desk."""
     with NodeProcesses(logs) as processes:
-        start_nodes(processes, project, 250.0)
+        start_nodes(processes, project, 250.0, coach_force)
         node.set_parameters([Parameter("use_sim_time", value=True)])
         desk = Desk(node, project, simulated=True, seed=3, coach_force=coach_force)
         try:

@@ -14,15 +14,19 @@ from tpgmm_core.control.laws import LawSettings, LawTarget, ReferenceLaw
 from tpgmm_core.control.supervised_controller import SupervisedController
 from tpgmm_core.control.supervision import Timeouts
 from tpgmm_core.control.torque_pipeline import TorqueLimits
+from tpgmm_core.control.yielding import YieldConfig
 from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.reference import Reference
+from tpgmm_core.observation.external_torques import ExternalTorques
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_core.robot.simulation import RobotSimulator
 
 Array = NDArray[np.float64]
 
 MS = 1_000_000
+#: A force is judged every so many ms.
+FEELS = 20
 #: Nobody is silent here, however late a message is, and however few there are.
 PATIENT = {"joint_state_timeout": 1.0, "silence_after": 1.0}
 
@@ -56,6 +60,8 @@ class DelayedLoop:
         whether the controller is to know how old states are: else it takes the stamps for those of another clock
     motors
         what lies between torques and motors, s, of which nobody knows
+    yield_force
+        force on the hand that it yields to, by measured torques, N
     """
 
     def __init__(
@@ -71,6 +77,7 @@ class DelayedLoop:
         tells: bool = True,
         motors: float = 0.0,
         limits: TorqueLimits | None = None,
+        yield_force: float = 0.0,
     ) -> None:
         self.robot, self.endpoint, self._delay = robot, endpoint, delay
         self.simulator = RobotSimulator(robot, q0=q0)
@@ -78,8 +85,9 @@ class DelayedLoop:
         limits = limits or TorqueLimits(max_time_step=max(0.005, period))
         timeouts = Timeouts(**PATIENT, max_age=1.0 if tells else 0.0)
         self.controller: SupervisedController[LawTarget] = SupervisedController(
-            robot, of_law, limits, timeouts, period=period
+            robot, of_law, limits, timeouts, YieldConfig(yield_force=yield_force), period=period
         )
+        self._external = ExternalTorques(robot, endpoint) if yield_force else None
         self.now_ns = 1_000_000 * MS
         self._period_ns, self._began_ns = round(period * 1e9), self.now_ns
         self._sent: deque[tuple[int, int, Array, Array]] = deque()  # arrival, stamp, q, v
@@ -94,6 +102,11 @@ class DelayedLoop:
         """Of the end point, (7,)."""
         self._data.update(self.simulator.state.q)
         return self._data.pose(self.endpoint).copy()
+
+    def twist(self) -> Array:
+        """Of the end point, (6,)."""
+        self._data.update(self.simulator.state.q, self.simulator.state.v)
+        return self._data.twist(self.endpoint).copy()
 
     def run(
         self,
@@ -116,6 +129,12 @@ class DelayedLoop:
             arrived = [item for item in self._sent if item[0] <= self.now_ns]
             self._sent = deque(item for item in self._sent if item[0] > self.now_ns)
             tau = self._torques[-1]
+            if self._external is not None:
+                self._external.take(self.now_ns, state.q, state.v, state.tau)
+                if tick % FEELS == 0:
+                    self._external.step()
+                    force = self._external.hand_force() if self._external.is_known else None
+                    guarded.take_force(force, self.now_ns)
             for _, stamp_ns, q, v in arrived[-1:]:  # only the newest is read
                 answer = guarded.take_state(q, v, stamp_ns, self.now_ns, self.now_ns)
                 if answer is not None:

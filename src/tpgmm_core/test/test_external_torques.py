@@ -75,6 +75,19 @@ def test_a_push_at_the_hand_of_a_moving_arm_is_found_and_none_where_nobody_pushe
     assert 12.0 < turned[-1] < 24.0
 
 
+def test_states_that_come_twice_tell_the_same(robot: RobotModel) -> None:
+    arms = Arm(robot), Arm(robot)
+    take = arms[1].observer.take
+
+    def twice(stamp_ns: int, q: Array, v: Array, tau: Array) -> None:
+        take(stamp_ns, q, v, tau)
+        take(stamp_ns, q, v, tau)
+
+    arms[1].observer.take = twice  # type: ignore[method-assign]
+    once, again = (arm.run(1.0, np.array([20.0, 0.0, 0.0, 0.0, 0.0, 0.0])) for arm in arms)
+    assert arms[1].observer.is_known and once == again
+
+
 def test_a_page_that_looks_seldom_finds_the_same(robot: RobotModel) -> None:
     arm = Arm(robot)
     assert max(arm.run(4.0, gap=14)) < 3.0  # half a second between two looks, of which 32 ms are seen

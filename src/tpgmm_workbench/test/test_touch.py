@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tpgmm_core.observation.external_torques import MeasuredForce
+from tpgmm_core.observation.touch import FREE_TIME, HOLD_TIME, RELEASE_TIME, Touch
 from tpgmm_workbench.desk import coaching
 from tpgmm_workbench.desk.coaching import Coaching
 from tpgmm_workbench.desk.view import DeskView
@@ -17,8 +19,7 @@ from tpgmm_workbench.graph.movement import RunView
 from tpgmm_workbench.page import robot_words
 from tpgmm_workbench.project.activities import Activity
 from tpgmm_workbench.project.coach import Run
-from tpgmm_workbench.session.touch import FREE_TIME, HOLD_TIME, RELEASE_TIME, Touch
-from tpgmm_workbench.session.view import ForceView, GraphView
+from tpgmm_workbench.session.view import GraphView
 
 THRESHOLD, PERIOD = 15.0, 0.03
 HAND = np.array([0.6, 0.2, 0.1, 0.0, 1.0, 0.0, 0.0])
@@ -101,7 +102,7 @@ class Watched:
     def go(self, seconds: float, force: float | None, stage: str = "running") -> None:
         for _ in range(round(seconds / PERIOD)):
             self.phase = min(1.0, self.phase + 0.002)
-            view = ForceView(why="no effort") if force is None else ForceView(force, "joint torques")
+            view = MeasuredForce(why="no effort") if force is None else MeasuredForce(force, "joint torques")
             self.coaching.watch(RunView(stage, self.phase), GraphView(hand=HAND, force=view), False)
 
 
@@ -113,21 +114,21 @@ def test_a_correction_begins_where_the_hand_is_grabbed_and_is_what_it_was_led_to
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     run = Watched(monkeypatch)
-    run.go(3.0, 3.0)
+    run.go(3.0, 2.0)
     assert not run.coaching.is_on and not run.said
     run.go(2.0, 22.0)
     assert run.coaching.is_on and "held with 22 N, more than 15 N" in run.coaching.words and len(run.said) == 1
     began = run.phase
-    run.go(2.0, 3.0)
+    run.go(2.0, 2.0)
     assert not run.coaching.is_on and "let go of" in run.said[-1]
-    run.go(1.0, 3.0, stage="done")
+    run.go(1.0, 2.0, stage="done")
     (found,) = run.corrected
     assert found.is_led is not None and found.phases is not None
     led = found.phases[found.is_led]
     assert len(led) > 10 and led[0] < began - 0.1 and led[-1] == pytest.approx(began, abs=0.004)
     run.phase = 0.0
-    run.go(2.0, 3.0)
-    run.go(1.0, 3.0, stage="done")
+    run.go(2.0, 2.0)
+    run.go(1.0, 2.0, stage="done")
     assert len(run.corrected) == 1, "a run in which nobody takes hold of the hand corrects nothing"
 
 
@@ -159,11 +160,11 @@ def test_nothing_begins_by_itself_where_it_is_off_or_cannot_be_known(
 
 
 def test_it_is_told_how_hard_the_hand_is_pushed_and_why_that_cannot_be_known() -> None:
-    told = ForceView(7.4, "joint torques")
+    told = MeasuredForce(7.4, "joint torques")
     view = DeskView(graph=GraphView(force=told), coach_force=THRESHOLD, activity=Activity.RUNNING)
     assert "below 8 N before" in robot_words.force(view)
     view = replace(view, may_grab=True)
     assert "7 N, by joint torques" in robot_words.force(view) and "15 N begin a correction" in robot_words.force(view)
-    unknown = replace(view, graph=GraphView(force=ForceView(why="effort is <b>empty</b>")))
+    unknown = replace(view, graph=GraphView(force=MeasuredForce(why="effort is <b>empty</b>")))
     assert "cannot be known: effort is &lt;b&gt;" in robot_words.force(unknown)
     assert robot_words.force(replace(view, coach_force=0.0)) == "" == robot_words.force(DeskView(coach_force=9.0))

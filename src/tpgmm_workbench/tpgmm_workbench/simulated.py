@@ -54,7 +54,7 @@ def main() -> int:
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
         processes = stack.enter_context(NodeProcesses(log))
         print(f"starting the nodes (logs: {log})")
-        start_nodes(processes, project, arguments.rate)
+        start_nodes(processes, project, arguments.rate, arguments.coach_force)
         given: dict[str, Value] = {
             "project": project.folder,
             "simulated": True,
@@ -113,7 +113,7 @@ def _project(arguments: argparse.Namespace) -> Project:
     return Project.create(folder, task, arguments.robot or config_file("baxter.yaml"))
 
 
-def start_nodes(processes: NodeProcesses, project: Project, rate: float) -> None:
+def start_nodes(processes: NodeProcesses, project: Project, rate: float, yield_force: float = 0.0) -> None:
     """Start all nodes but the page's.
 
     Parameters
@@ -124,6 +124,8 @@ def start_nodes(processes: NodeProcesses, project: Project, rate: float) -> None
         its task and its robot
     rate
         joint states per second of simulated time, Hz
+    yield_force
+        on the hand, from which on the arm is soft until it is let go of, N; 0: never
     """
     processes.start(
         "baxter_simulator",
@@ -142,6 +144,7 @@ def start_nodes(processes: NodeProcesses, project: Project, rate: float) -> None
             "robot_file": project.robot_file,
             "endpoint": project.task.endpoint,
             "hold_time": 0.5,
+            "yield_force": yield_force,
             **answering,
         },
     }
@@ -189,7 +192,8 @@ def _parser() -> argparse.ArgumentParser:
         "--coach-force",
         type=float,
         default=COACH_FORCE,
-        help=f"force on the hand from which on a correction begins by itself while the skill runs, N; 0: never {shown}",
+        help="force on the hand from which on the arm is soft, and a correction begins by itself while the skill runs, "
+        f"N; 0: never {shown}",
     )
     parser.add_argument("--domain", type=int, help="ROS domain, to watch with RViz (default: a free one)")
     parser.add_argument("--log", type=a_path, default=Path("out/workbench/log"), help=f"logs of the nodes {shown}")

@@ -35,11 +35,14 @@ class Loop:
         from what the joints do to the torques that answer it, s; the feedback must be stable with it
     hindered
         whether the robot does not get to its reference: it is then pulled only a little
+    softness
+        largest share of the rates of the gains that is wanted, 0 to 1, also where the delay permits more
     """
 
     age: float = 0.0
     delay: float = 0.0
     hindered: bool = False
+    softness: float = 1.0
 
 
 AT_ONCE = Loop()

@@ -48,7 +48,7 @@ class ProgressWatch:
         self._nearest = np.inf
         self._waited = self._told = self._told_far = 0.0
 
-    def step(self, q: Array, tau: Array, asked: LawTorques, dt: float) -> None:
+    def step(self, q: Array, tau: Array, asked: LawTorques, dt: float, is_held: bool = False) -> None:
         """Judge the progress of a step.
 
         Parameters
@@ -61,11 +61,16 @@ class ProgressWatch:
             what the law asked for
         dt
             since the last step, s
+        is_held
+            whether somebody holds the robot, so that it need not follow
         """
         if asked.lag is None:
             self.forget()
             return
         far = size(asked.lag)
+        if is_held:  # what counts from when it is let go of
+            self.reason, self._told, self._told_far = _comes_back(asked.lag), 0.0, far
+            return
         if far < (NEAR if self.reason else 1.0):
             self.forget()
             return
@@ -73,8 +78,7 @@ class ProgressWatch:
             self._told += dt
             if self._told >= NEW_WORDS:
                 comes = far < self._told_far - NEARER  # one that was held and let go of comes back, slowly
-                words = f"not following yet, {asked.lag}: it comes nearer, slowly" if comes else ""
-                self.reason = words or self._words(q, tau, asked)
+                self.reason = _comes_back(asked.lag) if comes else self._words(q, tau, asked)
                 self._told, self._told_far = 0.0, far
             return
         keeps_up = asked.asked > MOVES and asked.moves >= KEEPS_UP * asked.asked
@@ -88,6 +92,10 @@ class ProgressWatch:
     def _words(self, q: Array, tau: Array, asked: LawTorques) -> str:
         causes = "; ".join(hindrances(self._robot, q, tau, asked))
         return f"not following, {asked.lag}, no progress: {causes}"
+
+
+def _comes_back(lag: Lag) -> str:
+    return f"not following yet, {lag}: it comes nearer, slowly"
 
 
 def size(lag: Lag) -> float:

@@ -192,6 +192,7 @@ class ImpedanceLaw(ControlLaw[PoseTarget]):
             goal = followed.reference
             margin = min(followed.delay_margin, self._null_space_margin)
             share = borne_share(margin, moment.loop.delay)
+            softness = moment.loop.softness
             asked = float(scaled_length(self._scale, goal.twist))
             if target is not None:
                 pose_difference(pose, target.reference.pose, error)
@@ -211,7 +212,7 @@ class ImpedanceLaw(ControlLaw[PoseTarget]):
                 twist,
                 goal.pose,
                 goal.twist,
-                goal.acceleration,
+                softness**2 * goal.acceleration,
                 followed.K_V @ followed.ratio @ followed.K_V,
                 followed.K_V,
                 weight,
@@ -221,7 +222,7 @@ class ImpedanceLaw(ControlLaw[PoseTarget]):
                 config.max_angular_acceleration,
                 config.posture_stiffness,
                 config.posture_damping,
-                share,
+                min(share, softness),
                 self.robot.effort_limits,
                 feedforward,
                 given,

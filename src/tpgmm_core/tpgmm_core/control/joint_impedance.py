@@ -204,6 +204,7 @@ class JointImpedanceLaw(ControlLaw[JointTarget]):
                 push = self._gains.push.copy()
                 if self._target.accelerations is not None:
                     push += L.T @ self._target.accelerations
+                softness = moment.loop.softness
                 found = joint_torques(
                     joints,
                     L,
@@ -213,9 +214,9 @@ class JointImpedanceLaw(ControlLaw[JointTarget]):
                     moment.v,
                     self._gains.damping,
                     self._gains.ratio,
-                    push if target is not None else np.zeros(n),
+                    softness**2 * push if target is not None else np.zeros(n),
                     weight,
-                    share,
+                    min(share, softness),
                     self.robot.effort_limits,
                     given,
                     feedback,

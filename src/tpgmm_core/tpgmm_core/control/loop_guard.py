@@ -11,6 +11,8 @@ condition for following again.
   delay of a quarter of the swing's period, which is the delay that makes damping swing like this. After half a minute
   the gains are the usual ones again. After the third swing it does not try again before the next activation. Where a
   joint can hardly hold the robot's weight, that is given as the cause.
+- **Held.** HOLD: a robot that feels that somebody holds its hand is soft until it is let go of (`yielding`), and then
+  comes back as a hindered one does.
 - **Hindered.** HOLD: pulled by no more than a few centimetres, so that nothing jumps when the obstacle goes; ACTIVE
   again once the robot is near its reference.
 """
@@ -29,6 +31,7 @@ from tpgmm_core.control.following import ProgressWatch
 from tpgmm_core.control.oscillation import SwingWatch
 from tpgmm_core.control.state_age import StateAge
 from tpgmm_core.control.supervision import ControllerMode, Decision, Timeouts
+from tpgmm_core.control.yielding import YieldConfig, Yielding
 from tpgmm_core.robot.model import RobotModel
 
 #: Gains slower than this share of those for the reference cannot follow it: K_P is 1/25 of theirs.
@@ -54,6 +57,8 @@ class LoopGuard:
         that is controlled
     timeouts
         of its inputs
+    yields
+        when it yields to somebody who holds the hand
     closed_elsewhere
         see `Controller`: the delay of this loop then does not matter to the robot's own feedback
 
@@ -65,12 +70,21 @@ class LoopGuard:
         of the gains' rates that is left; 1 without reference
     tolerated
         the age of states (s) with which all gains are stable; infinite without reference
+    yielding
+        to somebody who holds the hand
     """
 
-    def __init__(self, robot: RobotModel, timeouts: Timeouts, closed_elsewhere: bool = False) -> None:
+    def __init__(
+        self,
+        robot: RobotModel,
+        timeouts: Timeouts,
+        yields: YieldConfig | None = None,
+        closed_elsewhere: bool = False,
+    ) -> None:
         self._robot, self.timeouts, self._closed_elsewhere = robot, timeouts, closed_elsewhere
         self.age = StateAge()
         self._swings, self._progress = SwingWatch(robot.velocity_limits), ProgressWatch(robot)
+        self.yielding = Yielding(yields or YieldConfig())
         self.forget()
 
     def forget(self) -> None:
@@ -78,6 +92,7 @@ class LoopGuard:
         self.age.forget()
         self._swings.forget()
         self._progress.forget()
+        self.yielding.forget()
         self.share, self.tolerated = 1.0, math.inf
         self._swung, self._alarms, self._burden = "", 0, ""
         self._late, self._longest, self._in_time = "", math.inf, 0.0
@@ -94,8 +109,9 @@ class LoopGuard:
         return bool(self._swung)
 
     def loop(self) -> Loop:
-        """The delay and the hindrance that the next torques have to take into account."""
-        return Loop(self.age.age or 0.0, self.delay, bool(self._progress.reason))
+        """What the next torques have to take into account."""
+        hindered = bool(self._progress.reason) or self.yielding.is_held
+        return Loop(self.age.age or 0.0, self.delay, hindered, self.yielding.share)
 
     def judge(self, decision: Decision) -> Decision:
         """Change a decision that was made from the inputs alone, where the loop requires it."""
@@ -110,9 +126,9 @@ class LoopGuard:
             return decision
         if self._late:
             return Decision(ControllerMode.DAMPING, self._late, decision.sends)
-        if self._progress.reason:
-            return Decision(ControllerMode.HOLD, self._progress.reason, decision.sends)
-        return Decision(decision.mode, decision.reason + self._words, decision.sends)
+        if hindrance := self.yielding.reason if self.yielding.is_held else self._progress.reason:
+            return Decision(ControllerMode.HOLD, hindrance, decision.sends)
+        return Decision(decision.mode, decision.reason + self._words + self.yielding.reason, decision.sends)
 
     def after(self, command: TorqueCommand, mode: ControllerMode, dt: float) -> None:
         """Observe torques that were sent.
@@ -126,6 +142,7 @@ class LoopGuard:
         dt
             since the last ones, s
         """
+        self.yielding.step(dt)
         asked = command.law
         follows = mode in (ControllerMode.ACTIVE, ControllerMode.HOLD)
         moves, wanted = (0.0, 0.0) if asked is None else (asked.moves, asked.asked)
@@ -135,7 +152,7 @@ class LoopGuard:
             return
         self._judge_delay(asked, follows, dt)
         if follows:
-            self._progress.step(command.q, command.tau, asked, dt)
+            self._progress.step(command.q, command.tau, asked, dt, self.yielding.is_held)
 
     def _alarm(self, follows: bool, command: TorqueCommand) -> None:
         swings, robot = self._swings, self._robot

@@ -20,6 +20,7 @@ from tpgmm_core.control.controller import Controller, TorqueCommand
 from tpgmm_core.control.loop_guard import LoopGuard
 from tpgmm_core.control.supervision import ControllerMode, Inputs, Timeouts, decide, slow_states
 from tpgmm_core.control.torque_pipeline import TorqueLimits
+from tpgmm_core.control.yielding import YieldConfig
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.observation.streams import (
     BETWEEN,
@@ -55,6 +56,8 @@ class SupervisedController[TargetT]:
         of the torques
     timeouts
         of the inputs
+    yields
+        when it yields to somebody who holds the hand
     period
         of the robot's cycle, s
     closed_elsewhere
@@ -67,6 +70,7 @@ class SupervisedController[TargetT]:
         law: ControlLaw[TargetT],
         limits: TorqueLimits | None = None,
         timeouts: Timeouts | None = None,
+        yields: YieldConfig | None = None,
         *,
         period: float = 0.001,
         closed_elsewhere: bool = False,
@@ -74,7 +78,7 @@ class SupervisedController[TargetT]:
         self.law, self.timeouts = law, timeouts or Timeouts()
         self._max_time_step = (limits or TorqueLimits()).max_time_step
         self.controller = Controller(robot, law, limits, period, closed_elsewhere=closed_elsewhere)
-        self.guard = LoopGuard(robot, self.timeouts, closed_elsewhere)
+        self.guard = LoopGuard(robot, self.timeouts, yields, closed_elsewhere)
         self.start()
 
     def start(self) -> None:
@@ -97,10 +101,11 @@ class SupervisedController[TargetT]:
         self._paused = False
         self.decision = decide(Inputs(None, "", None, ""), self.timeouts)
 
-    def configure(self, limits: TorqueLimits, timeouts: Timeouts) -> None:
+    def configure(self, limits: TorqueLimits, timeouts: Timeouts, yields: YieldConfig) -> None:
         """Use other limits and time-outs, and let the law prepare the reference again with its new parameters."""
         self.controller.pipeline.configure(limits)
         self.timeouts = self.guard.timeouts = timeouts
+        self.guard.yielding.configure(yields)
         self._max_time_step = limits.max_time_step
         if self._reference is not None:
             self._moving, self._held = self.law.target(self._reference, True), None
@@ -213,6 +218,23 @@ class SupervisedController[TargetT]:
         else:
             guard.after(command, self.decision.mode, self.controller.pipeline.time_step(dt))
         return self._send(command, stamp_ns, now_ns, to_state=not self._state_fault)
+
+    def take_force(self, newtons: float | None, now_ns: int) -> str:
+        """Yield to a force on the hand, if it is one of a person; see `Yielding.feel`.
+
+        Parameters
+        ----------
+        newtons
+            N; None where it is not known
+        now_ns
+            see the module
+
+        Returns
+        -------
+        str
+            why the arm cannot yield at present, in words; empty where it can
+        """
+        return self.guard.yielding.feel(now_ns / SECOND, newtons)
 
     def answer_again(self, now_ns: int) -> Answer | None:
         """Answer the last joint state again, where the last reference was made after it and before the next one.

@@ -12,6 +12,7 @@ pushes or not. So the robot's dynamics are what the measured torques are held ag
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,6 +27,25 @@ MAX_GAP, LEAST_TIME = 0.1, 0.008
 #: A torque at the hand counts as the force that has it at this lever, m. Singular values below `DAMPING` (m) are
 #: damped: what the arm hardly feels is underestimated rather than made up.
 LEVER, DAMPING = 0.3, 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredForce:
+    """How hard somebody pushes a hand.
+
+    Parameters
+    ----------
+    newtons
+        N, as in `size_of`; None where that cannot be known
+    source
+        what measures it, in words
+    why
+        it cannot be known, in words
+    """
+
+    newtons: float | None = None
+    source: str = ""
+    why: str = ""
 
 
 class ExternalTorques:
@@ -75,6 +95,8 @@ class ExternalTorques:
         tau
             (nv,), torques of the motors, or behind their gears, that led to this state, N m (N)
         """
+        if stamp_ns == self._last_ns:
+            return  # it came twice
         since = (stamp_ns - self._last_ns) / SECOND
         if self._last_ns < 0 or not 0.0 < since <= MAX_GAP:
             self._begin(stamp_ns, q, v)

@@ -23,6 +23,7 @@ from tpgmm_core.control.planning import at_once
 from tpgmm_core.control.supervised_controller import Answer, SupervisedController
 from tpgmm_core.control.supervision import ControllerMode, Timeouts, slow_states
 from tpgmm_core.control.torque_pipeline import TorqueLimits
+from tpgmm_core.control.yielding import YieldConfig
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.observation.joint_states import JointSample
 from tpgmm_core.robot.model import RobotModel
@@ -36,6 +37,7 @@ from tpgmm_ros.messages.qos import LATCHED, STATES, STREAM
 from tpgmm_ros.messages.torque_outputs import OUTPUTS, TorqueOutputs
 from tpgmm_ros.messages.values import StampedReference
 from tpgmm_ros.nodes.controller_status import TorqueStatus, limited, loop_values
+from tpgmm_ros.nodes.felt_force import FeltForce
 from tpgmm_ros.nodes.joint_states import JOINT_STATE_RATE, SPREAD
 from tpgmm_ros.runtime.background import Background
 from tpgmm_ros.runtime.batches import Batches
@@ -72,6 +74,7 @@ PARAMETERS = [
     *declared_of(Timeouts),
     *{item.name: item for config in CONFIGS for item in declared_of(config)}.values(),
     *declared_of(TorqueLimits),
+    *declared_of(YieldConfig),
 ]
 #: How often silence is looked for, and the safe torque sent meanwhile, s.
 WATCH_PERIOD = 0.005
@@ -108,7 +111,8 @@ class ImpedanceControllerNode(ManagedNode):
     def _reconfigure(self) -> None:
         if self.law is not None:
             self.law.configure(LawSettings.filled(self.parameters.fill))
-            self.controller.configure(self.parameters.fill(TorqueLimits), self.parameters.fill(Timeouts))
+            fill = self.parameters.fill
+            self.controller.configure(fill(TorqueLimits), fill(Timeouts), fill(YieldConfig))
 
     # -- lifecycle ----------------------------------------------------------------------------------------------------
 
@@ -137,12 +141,14 @@ class ImpedanceControllerNode(ManagedNode):
             self.law,
             limits,
             timeouts,
+            self.parameters.fill(YieldConfig),
             period=1.0 / self.parameters["joint_state_rate"],
             # between two of these messages the robot answers its own state, of now
             closed_elsewhere=self.parameters["torque_outputs"] == ["linear_feedback_controller"],
         )
         self._names = list(self.robot.joint_names)
         self._joint_states = JointStates(self._names, ("position", "velocity"), self.parameters[SPREAD.name])
+        self._force = FeltForce(self, self.robot, self.parameters["endpoint"], self.controller)
         self._loop_clock = loop_clock(self)
         self._simulated = bool(self.get_parameter("use_sim_time").value)
         states = self.create_lifecycle_publisher(ControllerState, "controller_state", LATCHED)
@@ -253,6 +259,7 @@ class ImpedanceControllerNode(ManagedNode):
             return None
         if sample is None:  # joints of others, or a part of the state
             self.controller.miss_state(self._joint_states.incomplete)
+        self._force.take(message, sample)
         return sample
 
     def _times(self, stamp_ns: int) -> tuple[int, int]:
@@ -271,6 +278,7 @@ class ImpedanceControllerNode(ManagedNode):
         self.monitor.tick(sample.stamp_ns)
         now_ns, clock_ns = self._times(sample.stamp_ns)
         q, v = sample.values
+        self._force.feel(now_ns)
         answer = self.controller.take_state(q, v, sample.stamp_ns, now_ns, clock_ns)
         self._report(answer, now_ns)
         if (age := self.controller.guard.age.age) is not None:
@@ -305,7 +313,7 @@ class ImpedanceControllerNode(ManagedNode):
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
         values = {"torques_limited": limited(self.status.actions)}
         if self._active:
-            values |= loop_values(self.controller.guard, self.status.ages)
+            values |= loop_values(self.controller.guard, self.status.ages) | self._force.values()
         if self.law is not None and self.law.plan_age is not None:
             values["plan_age_ms"] = f"{1e3 * self.law.plan_age:.1f}"
         return self.status.diagnosis(values)

@@ -8,13 +8,14 @@ from collections.abc import Callable
 from concurrent.futures import Future
 
 from tpgmm_core.common.text import one_line
+from tpgmm_core.observation.external_torques import MeasuredForce
+from tpgmm_core.observation.touch import Touch
 from tpgmm_ros.runtime.background import Background
 from tpgmm_workbench.graph.movement import RunView
 from tpgmm_workbench.project.coach import correct
 from tpgmm_workbench.project.errors import ProjectError
 from tpgmm_workbench.project.project import Project, TrainedModel
-from tpgmm_workbench.session.touch import Touch
-from tpgmm_workbench.session.view import ForceView, GraphView
+from tpgmm_workbench.session.view import GraphView
 from tpgmm_workbench.session.watched_run import WatchedRun
 
 
@@ -100,7 +101,7 @@ class Coaching:
             self._over(run)
         self._goes_on = run.goes_on
 
-    def _feel(self, run: RunView, force: ForceView | None, is_led: bool) -> bool:
+    def _feel(self, run: RunView, force: MeasuredForce | None, is_led: bool) -> bool:
         """Begin a correction where the hand is taken hold of, and end it where it is let go of; whether it is held."""
         before = self.touch.is_held
         newtons = None if force is None or run.stage != "running" else force.newtons

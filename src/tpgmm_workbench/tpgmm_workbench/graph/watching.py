@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
@@ -17,6 +17,7 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.control.supervision import ControllerMode
 from tpgmm_core.geometry import quaternion
 from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.observation.external_torques import MeasuredForce
 from tpgmm_core.observation.joint_states import MAX_SPREAD
 from tpgmm_core.observation.poses import check_pose
 from tpgmm_core.robot.model import RobotModel
@@ -26,8 +27,8 @@ from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.conversions import JointStates, MessageError
 from tpgmm_ros.messages.joint_state_bytes import JointStateDecoder
 from tpgmm_ros.messages.qos import EVENTS, LATCHED, STATES, STREAM
+from tpgmm_ros.nodes.hand_force import LASTS, WRENCH, HandForce
 from tpgmm_ros.task.task_file import Task
-from tpgmm_workbench.graph.hand_force import HandForce
 from tpgmm_workbench.graph.latest import Looker
 from tpgmm_workbench.session.refusals import Refusals
 from tpgmm_workbench.session.view import (
@@ -77,7 +78,8 @@ class Watcher:
         self._horizon: HorizonView | None = None
         self._markers = topic(MarkerArray, "markers", STREAM)
         self._diagnostics = topic(DiagnosticArray, "/diagnostics", EVENTS)
-        self._force = HandForce(self._looker, robot, task.endpoint) if feels else None
+        self._force = HandForce(robot, task.endpoint) if feels else None
+        self._wrenches = topic(WrenchStamped, WRENCH, STREAM) if feels else None
         self._refusals = Refusals()
         self._limits = {
             name: (float(limit), "N" if unit == "m" else "N m")
@@ -107,7 +109,7 @@ class Watcher:
             components=self._known_components(),
             torques=() if controller is None else self._torques_in(controller),
             stiffness=None if controller is None else _stiffness_in(controller),
-            force=None if self._force is None else self._force.look(is_heard),
+            force=self._known_force(is_heard),
             nodes={name: view for name, (came, view) in self._nodes.items() if time.monotonic() - came < WORDS_LAST},
         )
 
@@ -122,6 +124,12 @@ class Watcher:
                 (self._q,) = sample.values
             if self._force is not None:
                 self._force.take(message, self._q)
+
+    def _known_force(self, is_heard: bool) -> MeasuredForce | None:
+        if self._force is None or self._wrenches is None:
+            return None
+        wrench = self._wrenches.newest()
+        return self._force.measured(wrench if self._wrenches.silence <= LASTS else None, is_heard)
 
     def _pose_of_hand(self) -> Array | None:
         message = self._hand.newest()

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from html import escape
 
+from tpgmm_core.observation.touch import FREE
 from tpgmm_workbench.desk.view import DeskView
 from tpgmm_workbench.page.html import block, chip
 from tpgmm_workbench.project.activities import Activity
 from tpgmm_workbench.scene.colors import GREEN, RED, YELLOW, css
-from tpgmm_workbench.session.touch import LETS_GO
 
 #: Shares of a torque limit from which on a joint is near it, and at it.
 NEAR_LIMIT, AT_LIMIT = 0.7, 0.98
@@ -25,7 +25,7 @@ def force(view: DeskView) -> str:
         return block([f"{title}cannot be known: {escape(known.why)}. Use the button Coach."])
     words = f"{title}{known.newtons:.0f} N, by {escape(known.source)}"
     if view.activity in (Activity.RUNNING, Activity.PAUSED) and not view.may_grab:
-        return block([f"{words}. It has to be below {LETS_GO * view.coach_force:.0f} N before the hand is held."])
+        return block([f"{words}. It has to be below {FREE * view.coach_force:.0f} N before the hand is held."])
     return block([f"{words}. While the skill runs, {view.coach_force:.0f} N begin a correction."])
 
 

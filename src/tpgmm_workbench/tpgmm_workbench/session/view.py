@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tpgmm_core.common.types import Array
+from tpgmm_core.observation.external_torques import MeasuredForce
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,25 +68,6 @@ class TorqueView:
     def share(self) -> float:
         """How much of the limit is used, 0 to 1 and more."""
         return abs(self.torque) / self.limit if self.limit > 0.0 else 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class ForceView:
-    """How hard somebody pushes the hand.
-
-    Parameters
-    ----------
-    newtons
-        N; None where that cannot be known
-    source
-        what measures it, in words
-    why
-        it cannot be known, in words
-    """
-
-    newtons: float | None = None
-    source: str = ""
-    why: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +190,7 @@ class GraphView:
     components: tuple[ComponentView, ...] = ()
     torques: tuple[TorqueView, ...] = ()
     stiffness: StiffnessView | None = None
-    force: ForceView | None = None
+    force: MeasuredForce | None = None
     nodes: dict[str, NodeView] = field(default_factory=dict)
 
 

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-#: Below this share of the threshold nobody holds the hand.
-LETS_GO = 0.5
+#: Below this share of the threshold a hand that nobody has held yet is free, and below that one who held it lets go. An
+#: arm that yields pulls only a little, and so does the person then.
+FREE, LETS_GO = 0.5, 0.2
 #: A force above the threshold for so long is a hold, one that is gone for so long is let go of; and so long the hand
 #: has to be free before it can be taken hold of, s.
 HOLD_TIME, RELEASE_TIME, FREE_TIME = 0.15, 0.6, 0.3
@@ -33,6 +34,11 @@ class Touch:
         self.threshold = threshold
         self.forget()
 
+    @property
+    def free(self) -> float:
+        """Force below which nobody holds the hand at present, N."""
+        return (LETS_GO if self.is_held else FREE) * self.threshold
+
     def forget(self) -> None:
         """Nothing is known of the hand."""
         self.is_held = self.is_felt = self.is_ready = False
@@ -51,7 +57,7 @@ class Touch:
         if self.threshold <= 0.0 or force is None:
             self.forget()
             return
-        self.is_felt = force >= LETS_GO * self.threshold
+        self.is_felt = force >= self.free
         if self.is_held or not self.is_ready:
             changes, lasts = not self.is_felt, RELEASE_TIME if self.is_held else FREE_TIME
         else:
