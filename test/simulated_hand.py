@@ -36,10 +36,10 @@ def pose_reference(pose: np.ndarray, stamp_ns: int, deviation: float = 0.01) -> 
 
 
 class SimulatedHand:
-    """Baxter on the other side of `joint_states` and `joint_torques`; each `tick` is a millisecond of its time."""
+    """Baxter on the other side of `joint_states` and `joint_torques`; each `tick` is `ms` milliseconds of its time."""
 
-    def __init__(self, node: Node, process: RunningProcess) -> None:
-        self.node, self.process = node, process
+    def __init__(self, node: Node, process: RunningProcess, ms: int = 1) -> None:
+        self.node, self.process, self._ms = node, process, ms
         self.simulator = RobotSimulator(ROBOT)
         self.stamp_ns = SECOND
         self.torques: list[np.ndarray] = []
@@ -68,8 +68,8 @@ class SimulatedHand:
         return self.stamp_ns in self._answers
 
     def tick(self, reference: ReferenceMessage | None = None, state: JointState | None = None) -> np.ndarray:
-        """One millisecond: reference and state out, torques (nv,) in, which then move the robot."""
-        self.stamp_ns += TICK_NS
+        """Some milliseconds: reference and state out, torques (nv,) in, which then move the robot."""
+        self.stamp_ns += self._ms * TICK_NS
         message = self.state() if state is None else state
         message.header.stamp = conversions.time_from_ns(self.stamp_ns)
         due = 0.0
@@ -85,7 +85,8 @@ class SimulatedHand:
 
         spin_until(self.node, answered, message="torques", processes=(self.process,))
         tau = self._answers[self.stamp_ns]
-        self.simulator.step(tau, self.wrenches)
+        for _ in range(self._ms):
+            self.simulator.step(tau, self.wrenches)
         self.torques.append(tau)
         return tau
 

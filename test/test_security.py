@@ -64,7 +64,9 @@ def test_the_policies_name_exactly_what_the_running_nodes_have(ros_node: Node, s
     both = {"use_sim_time": True, "autostart": True}
     start_process("frame_tracker", *ros_arguments(task_file=TASK_FILE, lockstep=True, use_sim_time=True))
     start_process("reproduction", *ros_arguments(task_file=TASK_FILE, lockstep_rate=100.0, **both))
-    start_process("impedance_controller", *ros_arguments(robot_file=ROBOT_FILE, lockstep=True, **both))
+    start_process(
+        "impedance_controller", *ros_arguments(robot_file=ROBOT_FILE, lockstep=True, yield_force=15.0, **both)
+    )
     start_process("joint_motion", *ros_arguments(robot_file=ROBOT_FILE, **both))
     start_process("baxter_simulator", *ros_arguments(robot_file=ROBOT_FILE, lockstep=True))
     different: dict[str, tuple[Names, Names]] = {}

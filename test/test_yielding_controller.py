@@ -12,7 +12,18 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from ros_graph import ACTIVATE, ALL, ALL_LATCHED, CONFIGURE, DEACTIVATE, ROBOT_FILE, Inbox, change_state, ros_arguments
+from ros_graph import (
+    ACTIVATE,
+    ALL,
+    ALL_LATCHED,
+    CONFIGURE,
+    DEACTIVATE,
+    ROBOT_FILE,
+    Inbox,
+    change_state,
+    ros_arguments,
+    set_parameters,
+)
 from ros_testing import StartProcess, spin_until
 from simulated_hand import ROBOT, SimulatedHand, pose_reference
 from tpgmm_msgs.msg import ControllerState
@@ -20,8 +31,8 @@ from tpgmm_ros.messages.qos import STREAM
 
 NODE, LINK, THRESHOLD = "impedance_controller", "left_gripper", 15.0
 PUSH = np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0])
-#: No torque moves by more than this share of its limit in a millisecond.
-GENTLE = 0.02
+#: No torque moves by more than this share of its limit from one state to the next, 4 ms later.
+GENTLE = 0.08
 
 
 class Held:
@@ -62,16 +73,19 @@ class Held:
 
 @pytest.fixture
 def held(ros_node: Node, start_process: StartProcess) -> Iterator[Held]:
-    values = {"joint_state_timeout": 5.0, "max_age": 0.0, "yield_force": THRESHOLD}
+    values = {"joint_state_timeout": 5.0, "max_age": 0.0, "joint_state_rate": 250.0}
     process = start_process(NODE, *ros_arguments(robot_file=ROBOT_FILE, **values))
     assert change_state(ros_node, NODE, CONFIGURE)
-    hand = SimulatedHand(ros_node, process)
+    hand = SimulatedHand(ros_node, process, ms=4)
     spin_until(
         ros_node,
         lambda: hand.states.get_subscription_count() and hand.references.get_subscription_count(),
         message="the controller to listen",
     )
     assert change_state(ros_node, NODE, ACTIVATE)
+    assert not ros_node.count_subscribers("external_wrench"), "what is not asked for costs nothing"
+    assert set_parameters(ros_node, NODE, yield_force=THRESHOLD).successful
+    spin_until(ros_node, lambda: ros_node.count_subscribers("external_wrench"), message="the controller to listen")
     yield Held(ros_node, hand)
     assert change_state(ros_node, NODE, DEACTIVATE)
 
@@ -95,6 +109,7 @@ def test_an_arm_that_is_held_yields_says_why_and_comes_back(held: Held) -> None:
     held.go(lambda: held.states.last.state == ControllerState.ACTIVE, "the arm to follow again")
     assert held.distance() < 0.05
     change = np.abs(np.diff(hand.torques, axis=0)) / ROBOT.effort_limits
+    print(f"\nlargest change {change.max():.3f}")
     assert change.max() < GENTLE
 
 

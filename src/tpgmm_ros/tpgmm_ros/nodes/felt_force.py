@@ -8,6 +8,7 @@ from typing import Any
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 
 from tpgmm_core.control.supervised_controller import SupervisedController
 from tpgmm_core.observation.external_torques import MeasuredForce
@@ -38,14 +39,23 @@ class FeltForce:
     """
 
     def __init__(self, node: Node, robot: RobotModel, endpoint: str, controller: SupervisedController[Any]) -> None:
-        self._controller, self._endpoint = controller, endpoint
+        self._node, self._controller = node, controller
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._measured, self._trouble, self._felt_ns = MeasuredForce(), "", 0
         self._wrench: WrenchStamped | None = None
         self._came_ns = 0
         self._last: JointSample | None = None
         self._force = HandForce(robot, endpoint)
-        node.create_subscription(WrenchStamped, WRENCH, self._take_wrench, STREAM)
+        self._subscription: Subscription | None = None
+        self.listen()
+
+    def listen(self) -> None:
+        """Listen to wrenches from now on, or no more: as the controller yields, or does not."""
+        if self._is_wanted and self._subscription is None:
+            self._subscription = self._node.create_subscription(WrenchStamped, WRENCH, self._take_wrench, STREAM)
+        elif not self._is_wanted and self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = self._wrench = None
 
     def take(self, message: JointStateValues, sample: JointSample | None) -> None:
         """Take in a message of joint states; `sample`: the state (positions first) that it completes."""

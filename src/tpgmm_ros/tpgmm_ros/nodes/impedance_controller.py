@@ -113,6 +113,7 @@ class ImpedanceControllerNode(ManagedNode):
             self.law.configure(LawSettings.filled(self.parameters.fill))
             fill = self.parameters.fill
             self.controller.configure(fill(TorqueLimits), fill(Timeouts), fill(YieldConfig))
+            self._force.listen()
 
     # -- lifecycle ----------------------------------------------------------------------------------------------------
 
