@@ -146,7 +146,7 @@ def resolve_urdf(reference: str, folder: Path) -> Path:
         where there is none, and for a path that leads out of the package or the folder
     """
     is_package = reference.startswith(PACKAGE_SCHEME)
-    relative = Path(reference.removeprefix(PACKAGE_SCHEME))
+    relative = Path(os.path.expanduser(reference.removeprefix(PACKAGE_SCHEME)))
     if relative.is_absolute() or ".." in relative.parts or "\0" in reference:
         raise RobotFileError(
             f"urdf {shown(reference)} is outside the robot file's folder; expected a file in this folder or below it, "
