@@ -32,7 +32,7 @@ class Columns:
     movement
         of the hand
     time
-        None where `rate` tells
+        one column, or two of seconds and nanoseconds; None where `rate` tells
     rate
         samples per second, Hz; None where `time` tells
     frames, numbers
@@ -115,7 +115,7 @@ def demonstrations_of(table: Table, columns: Columns) -> list[Shown]:
     if movement.shape and (movement[:, 3:] == [0.0, 0.0, 0.0, 1.0]).all():
         notes.append("no orientation of the hand is given: 0 0 0 1 was written; what a model says of it means nothing")
     if columns.time is not None:
-        times = _single(columns_of(table, columns.time), columns.time) * TIME_UNITS[columns.time_unit]
+        times = _seconds(columns_of(table, columns.time), columns.time, columns.time_unit)
     else:
         assert columns.rate is not None
         times = np.arange(T) / columns.rate
@@ -199,6 +199,13 @@ def _latest(values: Array, at: NDArray[np.intp], first: int) -> Array:
     latest = np.maximum.accumulate(rows)[at]
     since = np.append(first - 1, at[:-1])
     return np.where((latest > since)[:, None], values[latest], np.nan)
+
+
+def _seconds(numbers: Array, text: str, unit: str) -> Array:
+    """Times (T,) s out of one column, or of two: seconds and nanoseconds, as stamps of ROS have them."""
+    if numbers.shape[1] == 2 and unit == "s":
+        return numbers[:, 0] - np.nanmin(numbers[:, 0], initial=np.inf) + 1e-9 * numbers[:, 1]
+    return _single(numbers, text) * TIME_UNITS[unit]
 
 
 def _single(numbers: Array, text: str) -> Array:

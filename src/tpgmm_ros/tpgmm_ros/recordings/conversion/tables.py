@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,9 +48,7 @@ def read_tables(path: Path, wanted: Collection[str]) -> list[Table]:
         the file is none of these, is damaged, or holds no numbers.
     """
     readers: dict[str, Callable[[Path], dict[str, Any]]] = {
-        ".csv": read_csv,
-        ".tsv": read_csv,
-        ".txt": read_csv,
+        **dict.fromkeys((".csv", ".tsv", ".txt"), partial(read_csv, wanted=wanted)),
         ".npy": _npy,
         ".npz": _npz,
         ".mat": _mat,

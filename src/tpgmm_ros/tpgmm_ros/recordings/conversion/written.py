@@ -119,7 +119,7 @@ def audit(bag: Path, shown: Shown, base_frame: str) -> dict[str, int]:
         _hold(bag, name, stamps, (START_NS + shown.ns)[seen])
         _hold(bag, name, found[name].recorded, stamps)
         _hold(bag, name, np.array([_numbers(message.pose) for message in found[name].messages]), values[seen])
-        if {header.frame_id for header in headers} != {base_frame}:
+        if {header.frame_id for header in headers} - {base_frame}:
             raise ConversionError(f"{bag}: {name} has another frame than {base_frame!r}")
         counts[name] = len(stamps)
     for name, column in shown.numbers.items():
