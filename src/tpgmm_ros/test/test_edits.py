@@ -37,6 +37,9 @@ def test_a_bag_is_cut_to_what_its_edits_say_and_stays_as_it_is(tmp_path: Path) -
     edit(bag, "from: 6\n")
     with pytest.raises(BagError, match="edits begin at 6 s, and its movement ends after 5.00 s"):
         read_recording(bag, TASK)
+    edit(bag, "from: 1.01\nto: 1.02\n")
+    with pytest.raises(BagError, match="its edits keep 1.01 to 1.02 s, and its movement has no sample there"):
+        read_recording(bag, TASK)
 
 
 def test_a_bag_that_is_left_out_is_not_found_in_its_folder(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
@@ -30,6 +29,7 @@ from tpgmm_ros.recordings.conversion.lerobot_reading import TIME, read_dataset
 from tpgmm_ros.recordings.conversion.tables import Table, read_tables
 from tpgmm_ros.recordings.conversion.written import MOVEMENT, audit, topic_of, topics_of, write_bag
 from tpgmm_ros.recordings.judging import doubts_about
+from tpgmm_ros.runtime.arguments import number_above_0
 from tpgmm_ros.runtime.entry import a_path
 from tpgmm_ros.task.task_file import Task
 
@@ -142,6 +142,8 @@ def _check_names(options: argparse.Namespace, frames: dict[str, str], numbers: d
         raise ConversionError(f"--name {options.name!r} is no name of letters, digits and underscores")
     if BEGIN in frames:
         raise ConversionError(f"--frame {BEGIN}: this is where the hand is at the beginning; take another name")
+    if taken := next((name for name in frames if topic_of(name) == MOVEMENT), None):
+        raise ConversionError(f"--frame {taken}: this is the movement, of which --movement tells; take another name")
     if twice := sorted({MOVEMENT, *map(topic_of, frames)} & numbers.keys()):
         raise ConversionError(f"--number {twice[0]}: this is the topic of poses; give the number another topic")
     refuse_foreign(options.to / TASK_FILE, b"", "task file")
@@ -217,7 +219,7 @@ def _text(report: dict[str, Any]) -> str:
     parts += [f"{'refused' if one['refuses'] else 'doubt'}: {Doubt(**one)}" for one in report.get("doubts", [])]
     parts += [f"bad bag: {one_line(bag['error'])}" for bag in report.get("bad_bags", [])]
     if report["passed"]:
-        where = f"the dataset {report['dataset']} holds" if "dataset" in report else f"all {len(rows)} bags hold"
+        where = f"the dataset {report['dataset']} holds" if "dataset" in report else "every bag holds"
         parts.append(f"read back: {where} the same numbers, bit by bit")
         parts += [f"task file: {report['task_file']}"] if "task_file" in report else []
     return "\n\n".join(parts)
@@ -255,10 +257,14 @@ def _parser() -> argparse.ArgumentParser:
         help="poses of the hand: names separated by commas, an array, or columns of one by number, such as poses[0:7]; "
         "2 (x, y), 3, 7 (with a quaternion), 6 (see --orientation) or 16 (4 by 4 transforms) of them",
     )
-    parser.add_argument("--time", metavar="COLUMN", help="times of the samples (a LeRobot dataset has its own)")
+    parser.add_argument(
+        "--time",
+        metavar="COLUMN",
+        help="times of the samples; two columns are seconds and nanoseconds, as in ROS (a LeRobot dataset has its own)",
+    )
     parser.add_argument(
         "--rate",
-        type=_positive,
+        type=number_above_0("a rate in Hz"),
         metavar="HZ",
         help="samples per second, if there are no times; with --lerobot a whole number (default: that of the bags)",
     )
@@ -286,13 +292,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--name", default="converted", help="name of the task (default: converted)")
     parser.add_argument("--json", action="store_true", help="print everything that was found as JSON")
     return parser
-
-
-def _positive(text: str) -> float:
-    number = float(text)
-    if not number > 0.0 or not math.isfinite(number):
-        raise argparse.ArgumentTypeError(f"{text} is not a rate above 0 in Hz")
-    return number
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.text import one_line
 from tpgmm_core.retrieval.methods import ALL_METHODS
 from tpgmm_ros.programs.reporting import PAGE, refuse_foreign
+from tpgmm_ros.runtime.arguments import SEED, whole_number
 from tpgmm_ros.runtime.entry import a_path
 
 EXAMPLES = """\
@@ -43,7 +44,7 @@ def parser_of_train() -> argparse.ArgumentParser:
     parser.add_argument("--output", type=a_path, metavar="FILE", help="where the model is saved, such as task.tpgmm")
     parser.add_argument(
         "--components",
-        type=_positive,
+        type=whole_number(1),
         metavar="K",
         help="number of Gaussians, instead of n_components of the task file",
     )
@@ -55,7 +56,7 @@ def parser_of_train() -> argparse.ArgumentParser:
         help=f"retrieval method of the model, instead of retrieval of the task file: {', '.join(ALL_METHODS)}",
     )
     parser.add_argument(
-        "--seed", type=_natural, help="seed of random choices, instead of random_state of the task file"
+        "--seed", type=whole_number(0, SEED), help="seed of random choices, instead of random_state of the task file"
     )
     parser.add_argument(
         "--leave-one-out",
@@ -81,9 +82,12 @@ def parser_of_train() -> argparse.ArgumentParser:
         metavar="TIME",
         help="for --auto: time for the search, such as 60s (the default) or 5min",
     )
-    parser.add_argument("--trials", type=_positive, metavar="N", help="for --auto: try at most N configurations")
+    parser.add_argument("--trials", type=whole_number(1), metavar="N", help="for --auto: try at most N configurations")
     parser.add_argument(
-        "--workers", type=_positive, metavar="N", help="for --auto: number of processes (default: one for each core)"
+        "--workers",
+        type=whole_number(1),
+        metavar="N",
+        help="for --auto: number of processes (default: one for each core)",
     )
     parser.add_argument(
         "--online",
@@ -117,7 +121,7 @@ def add_jobs(parser: argparse.ArgumentParser) -> None:
     """Add how many processes leave demonstrations out."""
     parser.add_argument(
         "--jobs",
-        type=_positive,
+        type=whole_number(1),
         default=1,
         metavar="N",
         help="number of processes for leave-one-out, through joblib (default: 1); the numbers stay the same",
@@ -138,7 +142,7 @@ def add_reading_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--every",
-        type=_positive,
+        type=whole_number(1),
         default=1,
         metavar="N",
         help="use every N-th sample of the movement (default: all)",
@@ -189,17 +193,3 @@ def _seconds(text: str) -> float:
     if found is None or float(found[1]) == 0.0:
         raise argparse.ArgumentTypeError(f"{text} is not a time such as 60s or 5min")
     return float(found[1]) * (60.0 if found[2] == "min" else 1.0)
-
-
-def _natural(text: str) -> int:
-    number = int(text)
-    if not 0 <= number < 2**32:
-        raise argparse.ArgumentTypeError(f"{text} is not a whole number from 0 to {2**32 - 1}")
-    return number
-
-
-def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least 1")
-    return number
