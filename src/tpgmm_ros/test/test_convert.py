@@ -127,8 +127,8 @@ def test_a_frame_that_is_never_seen_is_the_reason(tmp_path: Path, capsys: pytest
     unseen = "\n".join([lines[0], *(",".join([*row[:8], *[""] * 7, row[15]]) for row in rows)])
     (tmp_path / "shown.csv").write_text(unseen)
     found = run(capsys, "--to", tmp_path / "bags", *COLUMNS, tmp_path / "shown.csv")
-    assert not found["passed"] and "error" not in found
-    assert "object/pose" in found["bad_bags"][0]["error"] and "frame" not in found["bad_bags"][0]["error"]
+    assert "has nothing finite in --frame object=ox,oy,oz,oqx,oqy,oqz,oqw from row 0 on" in found["error"]
+    assert not (tmp_path / "bags").exists()
 
 
 def test_times_of_two_columns_are_those_of_a_stamp(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -317,6 +317,9 @@ def several_arrays(path: Path) -> None:
         ("a.mat", "no array", "x", "a.mat: cannot be read"),
         ("a.npz", "no array", "x", "a.npz: cannot be read"),
         ("a.xlsx", "", "x", "is of no known kind; expected .csv"),
+        ("a.csv.gz", "", "x", "is of no known kind; .*; unpack it first"),
+        ("a.csv", lambda path: path.mkdir(), "x", "is a folder, and none of a LeRobot dataset; name the files in it"),
+        ("a.csv", lambda path: None, "x", "a.csv: does not exist"),
     ],
 )
 def test_what_cannot_be_converted_is_said(
@@ -373,6 +376,11 @@ def test_what_stands_beside_the_wanted_arrays_does_no_harm(tmp_path: Path) -> No
         (["--movement", "x,y", "--name", "my task: x"], "--name 'my task: x' is no name"),
         (["--movement", "x,y", "--frame", "begin=x,y"], "--frame begin: this is where the hand is at the beginning"),
         (["--movement", "x,y", "--frame", "hand=x,y"], "--frame hand: this is the movement, of which --movement tells"),
+        (["--movement", "x,y", "--frame", "a=x,y", "--frame", "a=y,x"], "--frame gives 'a' twice"),
+        (
+            ["--movement", "x,y", "--number", "grip w=x"],
+            "--number 'grip w=x' is not TOPIC=COLUMN with a relative topic",
+        ),
         (["--movement", "x,y", "--number", "hand/pose=x"], "--number hand/pose: this is the topic of poses"),
         (["--movement", "x,y", "--number", "cup/pose=x", "--frame", "cup=x,y"], "--number cup/pose: this is the topic"),
         (["--movement", "x,y,"], "a comma too many in 'x,y,'"),
@@ -391,6 +399,45 @@ def test_names_that_are_taken_and_places_that_are_none_are_refused_before_anythi
     Path("a.csv").write_text("x,y\n" + "".join(f"{i},{i}\n" for i in range(20)))
     assert convert.main(["--to", "bags", "--rate", "10", *arguments, "a.csv"]) == 1
     assert words in capsys.readouterr().err and not Path("bags").exists()
+
+
+def test_names_that_yaml_reads_as_something_else_stay_what_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "shown.csv").write_text(csv_of(*shown(0)))
+    names = ["--base-frame", "1", "--name", "no", "--frame", "on=ox,oy,oz"]
+    assert run(capsys, "--to", tmp_path / "bags", *COLUMNS, *names, tmp_path / "shown.csv")["passed"]
+    task = Task.load(tmp_path / "bags" / "task.yaml")
+    assert (task.name, task.base_frame) == ("no", "1") and "on" in task.frames
+
+
+def test_texts_tell_demonstrations_apart_and_truths_are_numbers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = csv_of(*shown(0)).splitlines()
+    more = [f"{'first' if i < 20 else 'second'},{i % 20 > 10}" for i in range(41)]
+    rows = [f"{line},{words}" for line, words in zip(lines[1:], more, strict=True)]
+    (tmp_path / "all.csv").write_text("\n".join([f"{lines[0]},episode,closed", *rows]))
+    columns = [*COLUMNS, "--split", "episode", "--number", "gripper/closed=closed"]
+    found = run(capsys, "--to", tmp_path / "bags", *columns, tmp_path / "all.csv")
+    assert found["passed"] and [bag["samples"] for bag in found["bags"]] == [20, 21]
+    np.testing.assert_array_equal(
+        read_numbers(tmp_path / "bags/all_01", "gripper/closed", "data")[1][9:13], [0, 0, 1, 1]
+    )
+
+
+@pytest.mark.parametrize("shape", [(41, 3, 4), (41, 12)])
+def test_transforms_are_read_without_their_last_row(
+    shape: tuple[int, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hand = shown(0)[0]
+    matrices = np.concatenate([quaternion.rotation_matrix(hand[:, 3:]), hand[:, :3, None]], axis=2)
+    np.savez(tmp_path / "log.npz", t=TIMES, pose=matrices.reshape(shape))
+    arguments = ["--time", "t", "--movement", "pose", tmp_path / "log.npz"]
+    assert run(capsys, "--to", tmp_path / "bags", *arguments)["passed"]
+    recording = read_recording(find_bags([tmp_path / "bags"])[0], Task.load(tmp_path / "bags" / "task.yaml"))
+    np.testing.assert_allclose(recording.movement[:, :3], hand[:, :3], atol=1e-12)
+    np.testing.assert_allclose(quaternion.angle_between(recording.movement[:, 3:], hand[:, 3:]), 0.0, atol=1e-6)
 
 
 def test_what_train_would_refuse_is_no_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

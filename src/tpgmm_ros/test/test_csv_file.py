@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -36,12 +37,28 @@ def test_what_programs_add_around_a_table_changes_nothing(write: Any, tmp_path: 
 
 def test_numbers_with_thousands_and_names_in_the_middle_are_called_so(tmp_path: Path) -> None:
     for cell, words in (
-        ("1.234,5", "'1.234,5' is no number; write numbers without"),
+        ("1.234,5", "'1.234,5' is no number; write numbers with decimal points, and without"),
         ("x", "'x' .* were files joined"),
     ):
         (tmp_path / "a.csv").write_text(f"x;y\n1;2\n{cell};2\n")
         with pytest.raises(ConversionError, match=f"line 3, column 0 .x.: {words}"):
             read_csv(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        pytest.param(lambda text: text.replace("e+00", "D+00"), id="exponents of Fortran"),
+        pytest.param(lambda text: text.replace("-", "\u2212"), id="a minus sign of typesetters"),
+        pytest.param(
+            lambda text: re.sub(r"-?\d\.\d+e\+00", lambda x: f'"{x[0].replace(".", ",")}"', text), id="quotes"
+        ),
+    ],
+)
+def test_numbers_are_read_as_other_programs_write_them(write: Any, tmp_path: Path) -> None:
+    text = "t,x\n" + "".join(f"{0.5 * i:.6e},{-0.25 * i:.6e}\n" for i in range(3))
+    (tmp_path / "a.csv").write_text(write(text))
+    np.testing.assert_array_equal(read_csv(tmp_path / "a.csv")[""], [[0.0, 0.0], [0.5, -0.25], [1.0, -0.5]])
 
 
 ROWS = [f"{0.1 * i:.1f},{i},base,{i + 0.5}" for i in range(12)]
@@ -55,7 +72,7 @@ ROWS = [f"{0.1 * i:.1f},{i},base,{i + 0.5}" for i in range(12)]
             "%time,field.header.seq,field.header.frame_id,field.pose.position.x\n" + "\n".join(ROWS),
             "field.pose.position.x",
         ),
-        ("t,n,grasped,x[0]\n" + "\n".join(ROWS).replace("base", "True"), "x[0]"),
+        ("t,n,grasped,x[0]\n" + "\n".join(ROWS).replace("base", "yes"), "x[0]"),
     ],
     ids=["pandas", "rostopic echo -p", "names with numbers in brackets"],
 )
@@ -64,7 +81,7 @@ def test_texts_in_columns_that_are_not_wanted_do_no_harm(text: str, x: str, tmp_
     found = read_csv(tmp_path / "a.csv", {x.partition("[")[0]})
     np.testing.assert_array_equal(found[x], np.arange(12) + 0.5)
     name = next(name for name in found if name and np.isnan(found[name]).all())
-    with pytest.raises(ConversionError, match=rf"line 2, column 2 .{name}.: '(base|True)' is no number"):
+    with pytest.raises(ConversionError, match=rf"line 2, column 2 .{name}.: '(base|yes)' is no number"):
         read_csv(tmp_path / "a.csv", {name})
 
 

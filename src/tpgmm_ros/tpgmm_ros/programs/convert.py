@@ -15,7 +15,7 @@ import numpy as np
 from tpgmm_core.common.atomic_file import write_atomically
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
-from tpgmm_core.common.yaml_values import is_name
+from tpgmm_core.common.yaml_values import is_name, is_topic, quoted
 from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_ros.programs.convert_lerobot import to_lerobot
 from tpgmm_ros.programs.reading import TrainingError, progress_bar
@@ -87,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _convert(options: argparse.Namespace, report: dict[str, Any]) -> None:
-    frames, numbers = _named(options.frame, is_name), _named(options.number, lambda name: name.strip("/") == name)
+    frames, numbers = _named("--frame", options.frame, is_name), _named("--number", options.number, is_topic)
     _check_names(options, frames, numbers)
     columns = Columns(
         options.movement,
@@ -176,18 +176,18 @@ def _read(files: Sequence[Path], columns: Columns) -> dict[str, Shown]:
 def _tables(file: Path, columns: Columns) -> list[tuple[Table, tuple[str, ...]]]:
     if is_dataset(file):
         return [(episode.table, episode.notes) for episode in read_dataset(file, columns.arrays() - {TIME})]
-    return [(table, ()) for table in read_tables(file, columns.arrays())]
+    return [(table, ()) for table in read_tables(file, columns.arrays(), labels=columns.split)]
 
 
 def _task_text(options: argparse.Namespace, frames: dict[str, str]) -> str:
     lines = [
         "# Written by convert: look at each line, above all at `endpoint` and at the frames.",
-        f"name: {options.name}",
-        f"base_frame: {options.base_frame}",
+        f"name: {quoted(options.name)}",
+        f"base_frame: {quoted(options.base_frame)}",
         f"movement: {MOVEMENT}",
         "endpoint: hand  # the end point of your robot that follows the movement",
         "frames:",
-        *(f"  {name}: {{topic: {topic_of(name)}}}" for name in frames),
+        *(f"  {quoted(name)}: {{topic: {topic_of(name)}}}" for name in frames),
         f"  {BEGIN}: {{hand: start, turned: false}}  # where the hand is when the movement begins",
     ]
     if not frames:
@@ -195,15 +195,17 @@ def _task_text(options: argparse.Namespace, frames: dict[str, str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _named(texts: Sequence[str], is_right: Callable[[str], bool]) -> dict[str, str]:
+def _named(option: str, texts: Sequence[str], is_right: Callable[[str], bool]) -> dict[str, str]:
     found: dict[str, str] = {}
     for text in texts:
         name, equals, columns = text.partition("=")
-        if not equals or not columns or not name or not is_right(name) or name in found:
-            raise ConversionError(
-                f"{text!r} is not NAME=COLUMNS with a name of its own: letters, digits and underscores; for numbers a "
-                "relative topic"
+        if not equals or not columns or not is_right(name):
+            kind = (
+                "TOPIC=COLUMN with a relative topic such as gripper/width" if option == "--number" else "NAME=COLUMNS"
             )
+            raise ConversionError(f"{option} {text!r} is not {kind}: letters, digits and underscores")
+        if name in found:
+            raise ConversionError(f"{option} gives {name!r} twice: take another name for one of them")
         found[name] = columns
     return found
 
@@ -255,7 +257,7 @@ def _parser() -> argparse.ArgumentParser:
         "--movement",
         metavar="COLUMNS",
         help="poses of the hand: names separated by commas, an array, or columns of one by number, such as poses[0:7]; "
-        "2 (x, y), 3, 7 (with a quaternion), 6 (see --orientation) or 16 (4 by 4 transforms) of them",
+        "2 (x, y), 3, 7 (with a quaternion), 6 (see --orientation), 12 or 16 (3 by 4 or 4 by 4 transforms) of them",
     )
     parser.add_argument(
         "--time",
@@ -282,7 +284,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="TOPIC=COLUMN",
         help="another number, such as a gripper's width, as std_msgs/Float64; may be repeated",
     )
-    parser.add_argument("--split", metavar="COLUMN", help="a demonstration begins where this number changes")
+    parser.add_argument("--split", metavar="COLUMN", help="a demonstration begins where this number or text changes")
     parser.add_argument("--unit", choices=UNITS, default="m", help="unit of positions (default: m)")
     parser.add_argument("--time-unit", choices=TIME_UNITS, default="s", help="unit of times (default: s)")
     parser.add_argument(

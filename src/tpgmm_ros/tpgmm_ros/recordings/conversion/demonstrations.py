@@ -169,15 +169,17 @@ def demonstrations_of(table: Table, columns: Columns) -> list[Shown]:
                 f"its samples are {period:.4g} s apart: if its times are not in {columns.time_unit}, give their "
                 "unit by --time-unit"
             )
-        found.append(
-            Shown(
-                ns,
-                movement[at],
-                {name: _latest(poses, at, first) for name, poses in frames.items()},
-                {name: _latest(values[:, None], at, first)[:, 0] for name, values in numbers.items()},
-                (*notes, *said),
-            )
-        )
+        seen = {name: _latest(poses, at, first) for name, poses in frames.items()}
+        further = {name: _latest(values[:, None], at, first)[:, 0] for name, values in numbers.items()}
+        for option, text, values in (
+            *(("--frame", f"{name}={columns.frames[name]}", poses) for name, poses in seen.items()),
+            *(("--number", f"{name}={columns.numbers[name]}", values[:, None]) for name, values in further.items()),
+        ):
+            if not np.isfinite(values).all(axis=1).any():
+                raise ConversionError(
+                    f"has nothing finite in {option} {text} from row {first} on: name other columns, or leave it out"
+                )
+        found.append(Shown(ns, movement[at], seen, further, (*notes, *said)))
     return found
 
 
@@ -218,7 +220,9 @@ def _single(numbers: Array, text: str) -> Array:
 
 def _row(numbers: Array, T: int) -> Array:
     """A pose that is given once, as a list of numbers (k,), has its columns there."""
-    return numbers.T if numbers.shape[1] == 1 and len(numbers) in (2, 3, 6, 7, 16) and len(numbers) != T else numbers
+    return (
+        numbers.T if numbers.shape[1] == 1 and len(numbers) in (2, 3, 6, 7, 12, 16) and len(numbers) != T else numbers
+    )
 
 
 def _as_long(values: Array, T: int, name: str) -> Array:
