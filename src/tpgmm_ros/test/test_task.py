@@ -47,6 +47,11 @@ def test_paths_in_a_file_are_from_its_folder_and_the_home_folder_is_known(
         assert isinstance(source, JointStateSource) and source.robot == path
 
 
+def test_a_robot_file_is_called_so() -> None:
+    with pytest.raises(TaskError, match="panda.yaml: the file is a robot file, as it has 'urdf'; expected a task file"):
+        Task.load(CONFIG / "panda.yaml")
+
+
 def gripped(gripper: dict[str, object]) -> str:
     return changed(frames={"object": {"topic": "a", "unseen": {"with": "hand", "gripper": gripper}}})
 

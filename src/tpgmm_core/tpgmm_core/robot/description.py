@@ -102,6 +102,8 @@ class RobotDescription:
 
     @classmethod
     def _of(cls, path: Path, top: Section) -> RobotDescription:
+        if task := {"movement", "movements"} & top.values.keys():
+            raise top.error(f"is a task file, as it has {task.pop()!r}; expected a robot file: a URDF, end points")
         top.refuse_others(*REQUIRED_KEYS, *OPTIONAL_KEYS)
         groups = top.mapping("joint_groups", some_names)
         try:

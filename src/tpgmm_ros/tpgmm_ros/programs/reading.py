@@ -110,7 +110,7 @@ def _without_doubt(
             "trained; correct them, or leave out the bags that are named" + (", or use --skip-bad" if named else "")
         )
     if doubts and options.strict:
-        raise TrainingError(f"{counted(len(doubts), 'doubt')} above, and --strict refuses any; nothing was trained")
+        raise TrainingError(f"{counted(len(doubts), 'doubt')} above, and --strict refuses all; nothing was trained")
     return recordings
 
 

@@ -61,6 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"costs: {options.costs}", file=sys.stderr)
     except (OSError, ValueError) as error:
         print(f"error: {one_line(error)}", file=sys.stderr)
+        if options.json:
+            print(json_text({"passed": False, "error": one_line(error)}))
         return 1
     print(json_text(found) if options.json else _text(found))
     return 0

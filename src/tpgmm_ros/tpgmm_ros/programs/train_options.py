@@ -128,12 +128,12 @@ def add_jobs(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_reading_options(parser: argparse.ArgumentParser) -> None:
-    """Add what says which bags are read, by which task file, and how strictly: see `reading.read_bags`."""
+def add_reading_options(parser: argparse.ArgumentParser, nargs: str = "+") -> None:
+    """Add which bags are read (`nargs`: how many), by which task file, and how strictly: see `reading.read_bags`."""
     parser.add_argument(
         "bags",
         metavar="BAG",
-        nargs="+",
+        nargs=nargs,
         type=a_path,
         help="rosbag2 (MCAP, sqlite3) or ROS 1 bag, or one of its files, or a directory with several of them",
     )
