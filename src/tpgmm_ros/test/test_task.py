@@ -194,6 +194,7 @@ def test_a_missing_key_is_named(key: str) -> None:
         ("a: &x 1\nb: *x", "aliases"),
         ("a: 010", "'010' begins with 0, so that YAML reads it as octal"),
         ("a: [", "is not a YAML file"),
+        ("a: 1\na: 2", "is not a YAML file that can be read: the key 'a' is given twice in line 2, column 1"),
         ("!!python/object/apply:os.getcwd []", "is not a YAML file"),
         ("!!bool maybe", "is not a YAML file"),
         ("[" * 20_000, "nested too deeply|not a YAML file"),
