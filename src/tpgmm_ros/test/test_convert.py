@@ -318,7 +318,6 @@ def several_arrays(path: Path) -> None:
         ("a.npz", "no array", "x", "a.npz: cannot be read"),
         ("a.xlsx", "", "x", "is of no known kind; expected .csv"),
         ("a.csv.gz", "", "x", "is of no known kind; .*; unpack it first"),
-        ("a.csv", lambda path: path.mkdir(), "x", "is a folder, and none of a LeRobot dataset; name the files in it"),
         ("a.csv", lambda path: None, "x", "a.csv: does not exist"),
     ],
 )
@@ -438,6 +437,12 @@ def test_transforms_are_read_without_their_last_row(
     recording = read_recording(find_bags([tmp_path / "bags"])[0], Task.load(tmp_path / "bags" / "task.yaml"))
     np.testing.assert_allclose(recording.movement[:, :3], hand[:, :3], atol=1e-12)
     np.testing.assert_allclose(quaternion.angle_between(recording.movement[:, 3:], hand[:, 3:]), 0.0, atol=1e-6)
+
+
+def test_a_folder_that_is_no_dataset_is_called_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        convert.main(["--to", str(tmp_path / "bags"), "--movement", "x,y", str(tmp_path)])
+    assert ended.value.code == 2 and f"{tmp_path} is a folder, and none of a LeRobot dataset" in capsys.readouterr().err
 
 
 def test_what_train_would_refuse_is_no_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

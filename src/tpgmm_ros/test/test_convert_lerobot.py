@@ -210,7 +210,7 @@ def test_what_is_damaged_is_refused_in_words(
     shutil.copytree(made / "dataset", tmp_path / "dataset")
     damage(tmp_path / "dataset")
     found = run(capsys, "--to", tmp_path / "bags", *BACK, tmp_path / "dataset")
-    assert words in found["error"] and str(tmp_path / "dataset") in found["error"]
+    assert words in found["error"] and found["error"].count(str(tmp_path / "dataset")) == 1
     assert not (tmp_path / "bags").exists()
 
 

@@ -67,6 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
     elif options.movement is None or options.task is not None:
         parser.error("give --movement COLUMNS; --task is only for --lerobot")
+    elif folder := next((file for file in options.files if file.is_dir() and not is_dataset(file)), None):
+        parser.error(f"{folder} is a folder, and none of a LeRobot dataset: name files, or the folder that holds meta")
     elif all(map(is_dataset, options.files)) and options.rate is None:
         options.time = options.time or TIME
     elif (options.time is None) == (options.rate is None):
@@ -160,7 +162,8 @@ def _read(files: Sequence[Path], columns: Columns) -> dict[str, Shown]:
                 for one in demonstrations_of(table, columns)
             ]
         except ConversionError as error:
-            raise ConversionError(f"{file}: {str(error).removeprefix(f'{file}: ')}") from None
+            text = str(error)
+            raise ConversionError(text if text.startswith(str(file)) else f"{file}: {text}") from None
         digits = max(2, len(str(len(several))))
         for number, one in enumerate(several, 1):
             stem = file.resolve().name if file.is_dir() else file.stem

@@ -157,7 +157,9 @@ def _values(
         values[:, k] = [np.nan if number is None else number for number in column]
         if None in column and labels is not None and labels in names[k : k + 1]:
             values[:, k] = np.unique([row[k] for row in rows], return_inverse=True)[1]
-        elif None in column and _is_wanted(names[k] if k < len(names) else "", wanted, np.isfinite(values[:, k]).any()):
+        elif None in column and _is_wanted(
+            names[k] if k < len(names) else "", wanted, bool(np.isfinite(values[:, k]).any())
+        ):
             bad = column.index(None)
             raise ConversionError(f"{path}: {_no_number(lines[bad].number, k, rows[bad][k], names)}")
     return values

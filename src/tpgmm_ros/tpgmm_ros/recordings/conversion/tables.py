@@ -60,8 +60,6 @@ def read_tables(path: Path, wanted: Collection[str], labels: str | None = None) 
     }
     if not path.exists():
         raise ConversionError(f"{path}: does not exist")
-    if path.is_dir():
-        raise ConversionError(f"{path}: is a folder, and none of a LeRobot dataset; name the files in it: {path}/*.csv")
     reader = readers.get(path.suffix.lower())
     if reader is None:
         hint = "; unpack it first" if path.name.lower().endswith(PACKED) else ""
