@@ -175,17 +175,18 @@ def page_of(parser: argparse.ArgumentParser, options: argparse.Namespace) -> Pat
         a file that ends with .html
     """
     report: Path | None = options.report
-    if report is None or report.suffix != ".html":
-        if report is not None and report.is_file():
-            parser.error(f"--report {report} is a file; name a folder, or a file that ends with .html")
+    if report is None:
         return None
-    if options.output is not None and report.resolve() == options.output.resolve():
+    is_page = report.suffix == ".html"
+    if not is_page and report.is_file():
+        parser.error(f"--report {report} is a file; name a folder, or a file that ends with .html")
+    if is_page and options.output is not None and report.resolve() == options.output.resolve():
         parser.error(f"--report and --output are both {report}: one would overwrite the other")
     try:
-        refuse_foreign(report, PAGE, "report of a training")
+        refuse_foreign(report if is_page else report / "report.json", PAGE if is_page else b"", "report of a training")
     except (OSError, ValueError) as error:
         parser.error(one_line(error))
-    return report
+    return report if is_page else None
 
 
 def _seconds(text: str) -> float:
