@@ -15,7 +15,7 @@ import numpy as np
 from tpgmm_core.common.atomic_file import write_atomically
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
-from tpgmm_core.common.yaml_values import is_name, is_topic, quoted
+from tpgmm_core.common.yaml_values import is_name, is_topic
 from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_ros.programs.convert_lerobot import to_lerobot
 from tpgmm_ros.programs.reading import TrainingError, progress_bar
@@ -27,7 +27,7 @@ from tpgmm_ros.recordings.conversion.demonstrations import Columns, Shown, demon
 from tpgmm_ros.recordings.conversion.lerobot_layout import is_dataset
 from tpgmm_ros.recordings.conversion.lerobot_reading import TIME, read_dataset
 from tpgmm_ros.recordings.conversion.tables import Table, read_tables
-from tpgmm_ros.recordings.conversion.written import MOVEMENT, audit, topic_of, topics_of, write_bag
+from tpgmm_ros.recordings.conversion.written import BEGIN, MOVEMENT, audit, task_text, topic_of, topics_of, write_bag
 from tpgmm_ros.recordings.judging import doubts_about
 from tpgmm_ros.runtime.arguments import number_above_0
 from tpgmm_ros.runtime.entry import a_path
@@ -52,8 +52,6 @@ exit status: 0 everything was written, read back bit by bit, and fits the task f
 printed; 2 wrong arguments
 """
 TASK_FILE = "task.yaml"
-BEGIN = "begin"
-"""Frame of where the hand is at the beginning."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -102,7 +100,7 @@ def _convert(options: argparse.Namespace, report: dict[str, Any]) -> None:
         options.time_unit,
         options.orientation,
     )
-    text = _task_text(options, frames)
+    text = task_text(options.name, options.base_frame, list(frames))
     task = Task.from_text(text, "the task file")
     shown = _read(options.files, columns)
     there = [path for path in [options.to / TASK_FILE, *(options.to / name for name in shown)] if path.exists()]
@@ -180,22 +178,6 @@ def _tables(file: Path, columns: Columns) -> list[tuple[Table, tuple[str, ...]]]
     if is_dataset(file):
         return [(episode.table, episode.notes) for episode in read_dataset(file, columns.arrays() - {TIME})]
     return [(table, ()) for table in read_tables(file, columns.arrays(), labels=columns.split)]
-
-
-def _task_text(options: argparse.Namespace, frames: dict[str, str]) -> str:
-    lines = [
-        "# Written by convert: look at each line, above all at `endpoint` and at the frames.",
-        f"name: {quoted(options.name)}",
-        f"base_frame: {quoted(options.base_frame)}",
-        f"movement: {MOVEMENT}",
-        "endpoint: hand  # the end point of your robot that follows the movement",
-        "frames:",
-        *(f"  {quoted(name)}: {{topic: {topic_of(name)}}}" for name in frames),
-        f"  {BEGIN}: {{hand: start, turned: false}}  # where the hand is when the movement begins",
-    ]
-    if not frames:
-        lines.insert(-1, "  robot: {pose: [0, 0, 0, 0, 0, 0, 1]}  # no frames were given; what does it depend on?")
-    return "\n".join(lines) + "\n"
 
 
 def _named(option: str, texts: Sequence[str], is_right: Callable[[str], bool]) -> dict[str, str]:
