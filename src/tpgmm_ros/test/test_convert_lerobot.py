@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from conversions_made import run
 from synthetic_bags import REACH_TASK, reach, write_bag
 from tpgmm_ros.programs import convert
 from tpgmm_ros.recordings.bags import find_bags, read_recording
@@ -26,13 +27,6 @@ pq: Any = pytest.importorskip("pyarrow.parquet")
 BACK = ["--movement", "observation.state", "--frame", "object=observation.environment_state[0:7]"]
 DATA = "data/chunk-000/file-000.parquet"
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
-
-
-def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> dict[str, Any]:
-    status = convert.main([*map(str, arguments), "--json"])
-    found: dict[str, Any] = json.loads(capsys.readouterr().out)
-    assert status == (0 if found["passed"] else 1)
-    return found
 
 
 @pytest.fixture(scope="module")

@@ -92,3 +92,10 @@ def test_a_first_line_with_texts_where_the_next_has_them_too_is_no_line_of_names
     (tmp_path / "a.csv").write_text("\n".join([*ROWS[:5], "0.5,5,base,5.5m", *ROWS[6:]]))
     with pytest.raises(ConversionError, match="line 6, column 3: '5.5m' is no number"):
         read_csv(tmp_path / "a.csv", {""})
+
+
+def test_numbers_of_columns_are_names_too(tmp_path: Path) -> None:
+    """As pandas calls columns that have no names, beside one that has."""
+    (tmp_path / "a.csv").write_text("label,0,1\n" + "".join(f"a,{i},{i + 0.5}\n" for i in range(3)))
+    found = read_csv(tmp_path / "a.csv", {"0", "1"})
+    np.testing.assert_array_equal(found["1"], [0.5, 1.5, 2.5])

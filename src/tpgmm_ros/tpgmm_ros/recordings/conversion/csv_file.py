@@ -99,11 +99,12 @@ def read_csv(path: Path, wanted: Collection[str] | None = None, labels: str | No
 
 
 def _holds_names(lines: Sequence[_Line], delimiter: str | None) -> bool:
-    """Whether the first line has names: texts where the next one has none, or texts alone."""
+    """Whether the first line has names: texts alone, or texts where the next one has none, or numbers of columns."""
     first, *others = (_words(line.text, delimiter) for line in lines[:2])
     if all(map(_is_number, first)):
         return False
-    if not others or not any(_is_measured(word, delimiter) for word in first):
+    numbers = [_number(word, delimiter) for word in first if _is_measured(word, delimiter)]
+    if not others or numbers in (list(range(len(numbers))), list(range(1, len(numbers) + 1))):
         return True
     return any(_is_number(below) for word, below in zip(first, others[0], strict=False) if not _is_number(word))
 
