@@ -95,4 +95,5 @@ def links(page: Path, text: str) -> list[str]:
 
 
 def setup(app: Any) -> None:
+    """Have Sphinx pass each page through `prepare`."""
     app.connect("source-read", prepare)

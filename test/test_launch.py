@@ -56,6 +56,11 @@ def test_the_loop_gives_parameters_that_its_nodes_have_with_their_own_defaults()
                 assert value == declared[name].default, name
 
 
+def test_the_home_folder_is_known_where_a_shell_leaves_it_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/ann")
+    assert loop_processes(GIVEN | {"parameters": "~/more.yaml"})[0].parameter_file == "/home/ann/more.yaml"
+
+
 def test_the_loop_starts_what_its_arguments_say() -> None:
     loop, poses = loop_processes(
         GIVEN

@@ -33,6 +33,7 @@ from vision_msgs.msg import Detection3D, Detection3DArray, ObjectHypothesisWithP
 
 from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_ros.messages.qos import LATCHED, STREAM, TRANSFORMS, TRANSFORMS_STATIC
+from tpgmm_ros.programs.record import main
 from tpgmm_ros.recordings.bags import find_bags, read_recording
 from tpgmm_ros.recordings.storage.bag_reader import BagReader
 from tpgmm_ros.runtime.keys import LINE_START
@@ -133,6 +134,13 @@ def ask(ros_node: Node) -> Callable[[str], Trigger.Response]:
         return answer
 
     return call
+
+
+def test_a_folder_that_takes_no_bag_is_said_before_anybody_demonstrates(
+    task_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["record", str(task_file), "--to", "/proc/bags"]) == 1
+    assert "cannot be written, as no file can be made in /proc" in capsys.readouterr().err
 
 
 def record(start_process: StartProcess, *arguments: Any) -> RunningProcess:

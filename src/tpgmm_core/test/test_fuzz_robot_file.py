@@ -108,7 +108,8 @@ def test_a_robot_file_reads_nothing_outside_its_folder(tmp_path: Path) -> None:
     folder = tmp_path / "robot"
     folder.mkdir()
     (folder / "link.urdf").symlink_to(tmp_path / "outside.urdf")
-    for reference in ("../outside.urdf", str(tmp_path / "outside.urdf"), "package://../outside.urdf", "link.urdf"):
+    whole = str(tmp_path / "outside.urdf")
+    for reference in ("../outside.urdf", whole, "~/outside.urdf", "package://../outside.urdf", "link.urdf"):
         with pytest.raises(RobotFileError, match="outside the robot file's folder"):
             RobotModel.from_file(write_arm(folder, {"urdf": reference}))
     (folder / "urdf").mkdir()

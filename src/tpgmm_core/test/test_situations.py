@@ -54,7 +54,9 @@ def test_the_corner_that_no_demonstration_was_near_is_the_most_informative_one()
 
 def test_the_same_situation_again_and_again_teaches_nothing_of_others() -> None:
     found = judged(*[place(0.1, 0.2, 0.3)] * 4)
-    assert found.varied == () and found.least == 1 and "the same situation" in str(found)
+    assert found.varied == () and found.least == 1 and "all 4 demonstrations have the same situation" in str(found)
+    assert str(judged(place(0.1, 0.2, 0.3))).startswith("one demonstration shows one situation")
+    assert "object (x) varied: 1 degree of freedom." in str(judged(place(0.1, 0.2, 0.3), place(0.4, 0.2, 0.3)))
 
 
 def test_enough_demonstrations_are_not_asked_for_more() -> None:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tpgmm_core.common.text import LINE_LIMIT, NAME_LIMIT, listed, one_line, shown
+from tpgmm_core.common.text import LINE_LIMIT, NAME_LIMIT, counted, listed, one_line, shown
 
 
 @given(st.text(st.characters()) | st.binary() | st.lists(st.text(st.characters())))
@@ -44,6 +44,10 @@ def test_names_are_listed_plainly_and_others_in_quotes() -> None:
 )
 def test_line_breaks_and_codes_are_written_out(value: Any, text: str) -> None:
     assert shown(value) == text
+
+
+def test_a_count_of_one_has_no_plural() -> None:
+    assert [counted(count, "bag") for count in (0, 1, 2, "?")] == ["0 bags", "1 bag", "2 bags", "? bags"]
 
 
 def test_a_message_of_several_lines_becomes_one() -> None:

@@ -44,6 +44,11 @@ def test_what_is_printed_says_its_units(capsys: pytest.CaptureFixture[str]) -> N
         assert words in printed
 
 
+def test_a_task_file_is_called_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert check_robot.main([str(config_file("pick_place.yaml"))]) == 1
+    assert "is a task file, as it has 'movement'; expected a robot file" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("content", [None, "", "\0\xff", "urdf: [", "- 1\n"])
 def test_what_is_no_robot_file_is_one_line(
     tmp_path: Path, content: str | None, capsys: pytest.CaptureFixture[str]

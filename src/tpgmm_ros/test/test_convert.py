@@ -3,60 +3,23 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse
 
-from synthetic_bags import reach
-from tpgmm_core.common.types import Array
+from conversions_made import COLUMNS, TIMES, csv_of, holds, run, shown
 from tpgmm_core.geometry import quaternion
-from tpgmm_ros.programs import convert, train
+from tpgmm_ros.programs import train
 from tpgmm_ros.recordings.bags import find_bags, read_recording
 from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
-from tpgmm_ros.recordings.conversion.csv_file import read_csv
 from tpgmm_ros.recordings.conversion.demonstrations import Columns, demonstrations_of
 from tpgmm_ros.recordings.conversion.tables import read_tables
 from tpgmm_ros.recordings.numeric_fields import read_numbers
 from tpgmm_ros.task.task_file import Task
-
-TIMES = np.linspace(0.0, 4.0, 41)
-
-
-def shown(seed: int) -> tuple[Array, Array]:
-    """The hand (41, 7), and where the object was (7,)."""
-    topics = reach(seed, samples=41, duration=4.0)
-    return topics["/endpoint/pose"].poses, topics["/object/pose"].poses[0]
-
-
-def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> dict[str, Any]:
-    status = convert.main([*map(str, arguments), "--json"])
-    found: dict[str, Any] = json.loads(capsys.readouterr().out)
-    assert status == (0 if found["passed"] else 1)
-    return found
-
-
-def holds(bags: Path, number: int, hand: Array, place: Array | None) -> None:
-    """The bag has these poses at these times, as a reader of the task sees them."""
-    recording = read_recording(find_bags([bags])[number], Task.load(bags / "task.yaml"))
-    np.testing.assert_allclose(recording.times, TIMES, atol=1e-9)
-    np.testing.assert_allclose(recording.movement, hand, atol=1e-12)
-    if place is not None:
-        np.testing.assert_allclose(recording.frames["object"], np.tile(place, (41, 1)), atol=1e-12)
-
-
-def csv_of(hand: Array, place: Array, times: Array = TIMES) -> str:
-    names = "t,x,y,z,qx,qy,qz,qw,ox,oy,oz,oqx,oqy,oqz,oqw,width"
-    rows = [[t, *pose, *place, 0.04 - 0.01 * (t > 2.0)] for t, pose in zip(times, hand, strict=True)]
-    return "\n".join([names, *(",".join(map(repr, map(float, row))) for row in rows)]) + "\n"
-
-
-COLUMNS = ["--time", "t", "--movement", "x,y,z,qx,qy,qz,qw", "--frame", "object=ox,oy,oz,oqx,oqy,oqz,oqw"]
 
 
 def test_csv_becomes_bags_that_train(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -102,27 +65,6 @@ def test_csv_of_any_country_is_read_alike(
     holds(tmp_path / "bags", 0, *shown(0))
 
 
-@pytest.mark.parametrize(
-    "write",
-    [
-        pytest.param(lambda rows: "sep=;\n" + rows.replace(",", ";").replace(".", ","), id="separator of Excel"),
-        pytest.param(lambda rows: rows.replace("\n", ",\n"), id="separators at the end of all lines"),
-        pytest.param(lambda rows: rows.replace("\n", ",,\n").replace(",,\n", "\n", 1), id="and not of the names"),
-        pytest.param(lambda rows: rows.replace("\n", ",\n", 1), id="and of the names alone"),
-        pytest.param(lambda rows: "% by a recorder\n// of ours\n" + rows, id="comments of other programs"),
-        pytest.param(lambda rows: rows.replace("\n", ",9,9\n").replace("9,9", "n,n", 1), id="other names given twice"),
-    ],
-)
-def test_what_programs_add_around_a_table_changes_nothing(write: Any, tmp_path: Path) -> None:
-    rows = "t,x,y\n" + "".join(f"{0.1 * i:.1f},{0.5 * i:.2f},-1.5\n" for i in range(12))
-    (tmp_path / "plain.csv").write_text(rows)
-    (tmp_path / "other.csv").write_text(write(rows))
-    plain, other = (read_csv(tmp_path / name) for name in ("plain.csv", "other.csv"))
-    assert {"t", "x", "y"} <= other.keys()
-    for name in ("t", "x", "y"):
-        np.testing.assert_array_equal(other[name], plain[name])
-
-
 def test_units_in_brackets_are_part_of_a_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     hand = shown(0)[0]
     rows = [f"{t},{x},{y},{z}" for t, (x, y, z) in zip(TIMES.tolist(), hand[:, :3].tolist(), strict=True)]
@@ -143,31 +85,17 @@ def test_what_was_not_measured_is_left_out(tmp_path: Path, capsys: pytest.Captur
     assert found["bags"][0]["samples"] == 40 and "1 of 41 rows are not finite" in found["bags"][0]["notes"][0]
 
 
-def test_times_in_another_unit_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name, factor in (("ms", 1e3), ("ns", 1e9)):
-        (tmp_path / f"{name}.csv").write_text(csv_of(*shown(0), TIMES * factor))
-    found = run(capsys, "--to", tmp_path / "ms", *COLUMNS, tmp_path / "ms.csv")
-    assert "its samples are 100 s apart: if its times are not in s" in found["bags"][0]["notes"][0]
-    found = run(capsys, "--to", tmp_path / "ns", *COLUMNS, tmp_path / "ns.csv")
-    assert "would last 4.63e+04 days: its times are not in s" in found["error"]
-
-
-def test_quaternions_with_w_first_are_suspected_until_it_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    files = [tmp_path / f"shown_{i}.csv" for i in range(4)]
-    for i, file in enumerate(files):
-        hand, place = shown(i)
-        file.write_text(csv_of(*(np.hstack([p[..., :3], np.roll(p[..., 3:], 1, axis=-1)]) for p in (hand, place))))
-    found = run(capsys, "--to", tmp_path / "bags", *COLUMNS, *files)
-    assert [doubt["kind"] for doubt in found["doubts"]] == ["order"]
-    assert "--orientation wxyz" in found["doubts"][0]["text"]
-    task = tmp_path / "bags" / "task.yaml"
-    assert train.main(["--task", str(task), "--output", str(tmp_path / "m.tpgmm"), str(tmp_path / "bags")]) == 0
-    assert "in the order w, x, y, z" in capsys.readouterr().err
-    found = run(capsys, "--to", tmp_path / "right", "--orientation", "wxyz", *COLUMNS, *files)
-    assert not found["doubts"]
-    holds(tmp_path / "right", 0, *shown(0))
+def test_times_of_two_columns_are_those_of_a_stamp(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As `ros2 topic echo --csv` writes a PoseStamped: without names, with the frame_id between numbers."""
+    hand, start = shown(0)[0], 1_764_000_000_900_000_000
+    with (tmp_path / "echo.csv").open("w") as file:
+        for t, pose in zip(TIMES, hand.tolist(), strict=True):
+            seconds, ns = divmod(start + round(1e9 * t), 10**9)
+            file.write(",".join([str(seconds), str(ns), "base", *map(repr, pose)]) + "\n")
+    columns = ["--time", "[0:2]", "--movement", "[3:10]"]
+    found = run(capsys, "--to", tmp_path / "bags", *columns, tmp_path / "echo.csv")
+    assert found["passed"] and found["bags"][0]["samples"] == 41
+    holds(tmp_path / "bags", 0, hand, None)
 
 
 def test_numpy_arrays_and_units(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -260,75 +188,11 @@ def test_a_table_joined_from_topics_of_several_rates_keeps_what_stands_between()
     np.testing.assert_array_equal(found.frames["object"][1:], np.tile(place, (40, 1)))
 
 
-def test_rows_that_repeat_a_time_are_left_out_and_rounded_times_are_refused() -> None:
-    hand, _ = shown(0)
-    twice = {"t": np.repeat(TIMES, 2)[:, None], "hand": np.repeat(hand, 2, axis=0)}
-    (found,) = demonstrations_of(twice, Columns("hand", "t"))
-    np.testing.assert_array_equal(found.movement, hand)
-    assert found.notes == ("41 of 82 rows repeat the time of the one before: left out",)
-    with pytest.raises(ConversionError, match="has 8 rows to each time, which is rounded.* --rate"):
-        demonstrations_of({"t": np.floor(TIMES)[:, None], "hand": hand}, Columns("hand", "t"))
-
-
 def test_structured_arrays_are_columns_by_name(tmp_path: Path) -> None:
     hand, _ = shown(0)
     np.save(tmp_path / "a.npy", np.rec.fromarrays(hand.T, names=["x", "y", "z", "qx", "qy", "qz", "qw"]))
     (table,) = read_tables(tmp_path / "a.npy", {"x"})
     np.testing.assert_array_equal(table["qw"].ravel(), hand[:, 6])
-
-
-def test_angles_in_degrees_are_refused() -> None:
-    hand = np.hstack([shown(0)[0][:, :3], np.linspace([180.0, 0.0, 0.0], [180.0, 0.0, 45.0], 41)])
-    with pytest.raises(ConversionError, match="angles up to 180, .* are they in degrees"):
-        demonstrations_of({"t": TIMES[:, None], "hand": hand}, Columns("hand", "t", orientation="rpy"))
-
-
-def no_numbers(path: Path) -> None:
-    np.save(path, np.array([{"a": 1}], object), allow_pickle=True)
-
-
-def several_arrays(path: Path) -> None:
-    with path.open("wb") as file:
-        for _ in range(2):
-            np.save(file, np.zeros((12, 3)))
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "movement", "words"),
-    [
-        ("a.csv", "x,y,z\n1,2,3\n1,b,3\n", "x,y,z", "a.csv: line 3, column 1 .y.: 'b' is no number"),
-        ("a.csv", "x,y\n2026-01-01T00:00:00,2\n", "x,y", "looks like a date or a time of day: write seconds"),
-        ("a.csv", "x,y\n0,1,0,2\n0,1,0,3\n", "x,y", "are these decimal commas. Then separate the columns by ; or"),
-        ("a.csv", "x,y\n1,2\n1\n", "x,y", "line 3 has 1 values, the lines before have 2"),
-        ("a.csv", "\0\1\2", "x", "is no text: it begins with"),
-        ("a.csv", "1,2\n" * 12, "x,y", "has no column or array 'x'.* by its number"),
-        ("a.csv", "", "x", "is empty"),
-        ("a.csv", "x,x\n" + "1,2\n" * 12, "x", r"no column or array 'x'; there are .*'x\(1\) .*'x\(2\)"),
-        ("a.csv", "x,y\nm,m\n1,2\n", "x,y", "line 2 holds no number below the names; if it holds units"),
-        ("a.csv", "made by a recorder\nx,y\n1,2\n", "x,y", "put # before what is above"),
-        ("a.csv", "x,y\n" + "1,2\n" * 12, "x,z", "has no column or array 'z'; there are"),
-        ("a.csv", "x,y\n" + "1,2\n" * 12, "x", "has 1 columns for a pose"),
-        ("a.csv", "x,y\n" + "1,2\n" * 3, "x,y", "has 3 samples from row 0 on, expected at least 10"),
-        ("a.csv", "x,y\n" + "1,2\n" * 12, "[0:5]", "has no columns '\\[0:5\\]'; it has 2"),
-        ("a.npy", no_numbers, "[0:3]", "holds Python objects .pickle., which are never loaded"),
-        ("a.npy", several_arrays, "[0:3]", "goes on for 416 bytes behind its array, as where several"),
-        ("a.npy", "no array", "[0:3]", "a.npy: cannot be read"),
-        ("a.mat", "no array", "x", "a.mat: cannot be read"),
-        ("a.npz", "no array", "x", "a.npz: cannot be read"),
-        ("a.xlsx", "", "x", "is of no known kind; expected .csv"),
-    ],
-)
-def test_what_cannot_be_converted_is_said(
-    name: str, content: Any, movement: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    if callable(content):
-        content(tmp_path / name)
-    else:
-        (tmp_path / name).write_text(content)
-    found = run(capsys, "--to", tmp_path / "bags", "--rate", "10", "--movement", movement, tmp_path / name)
-    with pytest.raises(ValueError, match=words):
-        raise ValueError(found["error"])
-    assert name in found["error"] and not (tmp_path / "bags").exists()
 
 
 def test_rows_that_fill_an_array_up_are_left_out_and_an_end_at_the_origin_is_not(tmp_path: Path) -> None:
@@ -366,53 +230,40 @@ def test_what_stands_beside_the_wanted_arrays_does_no_harm(tmp_path: Path) -> No
     assert [table[""].shape for table in read_tables(tmp_path / "d.npy", {""})] == [(12, 4, 4)] * 3
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--movement", "x,y", "--name", "my task: x"], "--name 'my task: x' is no name"),
-        (["--movement", "x,y", "--frame", "begin=x,y"], "--frame begin: this is where the hand is at the beginning"),
-        (["--movement", "x,y", "--number", "hand/pose=x"], "--number hand/pose: this is the topic of poses"),
-        (["--movement", "x,y", "--number", "cup/pose=x", "--frame", "cup=x,y"], "--number cup/pose: this is the topic"),
-        (["--movement", "x,y,"], "a comma too many in 'x,y,'"),
-        (["--movement", "x,y", "--to", "FILE/bags"], "FILE is a file, so that nothing can be written in it"),
-    ],
-)
-def test_names_that_are_taken_and_places_that_are_none_are_refused_before_anything_is_written(
-    arguments: list[str],
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+def test_names_that_yaml_reads_as_something_else_stay_what_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("FILE").write_text("")
-    Path("a.csv").write_text("x,y\n" + "".join(f"{i},{i}\n" for i in range(20)))
-    assert convert.main(["--to", "bags", "--rate", "10", *arguments, "a.csv"]) == 1
-    assert words in capsys.readouterr().err and not Path("bags").exists()
+    (tmp_path / "shown.csv").write_text(csv_of(*shown(0)))
+    names = ["--base-frame", "1", "--name", "no", "--frame", "on=ox,oy,oz"]
+    assert run(capsys, "--to", tmp_path / "bags", *COLUMNS, *names, tmp_path / "shown.csv")["passed"]
+    task = Task.load(tmp_path / "bags" / "task.yaml")
+    assert (task.name, task.base_frame) == ("no", "1") and "on" in task.frames
 
 
-def test_numbers_with_thousands_and_names_in_the_middle_are_called_so(tmp_path: Path) -> None:
-    for cell, words in (
-        ("1.234,5", "'1.234,5' is no number; write numbers without"),
-        ("x", "'x' .* were files joined"),
-    ):
-        (tmp_path / "a.csv").write_text(f"x;y\n1;2\n{cell};2\n")
-        with pytest.raises(ConversionError, match=f"line 3, column 0 .x.: {words}"):
-            read_csv(tmp_path / "a.csv")
+def test_texts_tell_demonstrations_apart_and_truths_are_numbers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = csv_of(*shown(0)).splitlines()
+    more = [f"{'first' if i < 20 else 'second'},{i % 20 > 10}" for i in range(41)]
+    rows = [f"{line},{words}" for line, words in zip(lines[1:], more, strict=True)]
+    (tmp_path / "all.csv").write_text("\n".join([f"{lines[0]},episode,closed", *rows]))
+    columns = [*COLUMNS, "--split", "episode", "--number", "gripper/closed=closed"]
+    found = run(capsys, "--to", tmp_path / "bags", *columns, tmp_path / "all.csv")
+    assert found["passed"] and [bag["samples"] for bag in found["bags"]] == [20, 21]
+    np.testing.assert_array_equal(
+        read_numbers(tmp_path / "bags/all_01", "gripper/closed", "data")[1][9:13], [0, 0, 1, 1]
+    )
 
 
-def test_what_train_would_refuse_is_no_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for i in range(4):
-        np.save(tmp_path / f"{i}.npy", shown(i)[0] * ([1e3] * 3 + [1.0] * 4 if i == 2 else 1.0))
-    files = sorted(map(str, tmp_path.glob("*.npy")))
-    assert convert.main(["--to", str(tmp_path / "bags"), "--rate", "10", "--movement", "", *files]) == 1
-    assert "refused: " in capsys.readouterr().out
-
-
-def test_doubts_of_what_was_converted_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    hand, _ = shown(0)
-    np.save(tmp_path / "mm.npy", hand[:, :3] * 1e3)
-    found = run(capsys, "--to", tmp_path / "bags", "--rate", "10", "--movement", "", tmp_path / "mm.npy")
-    assert [doubt["kind"] for doubt in found["doubts"]] == ["units"]
-    assert convert.main(["--to", str(tmp_path / "c"), "--rate", "10", "--movement", "", str(tmp_path / "mm.npy")]) == 0
-    assert "read back: all 1 bags hold the same numbers" in capsys.readouterr().out
+@pytest.mark.parametrize("shape", [(41, 3, 4), (41, 12)])
+def test_transforms_are_read_without_their_last_row(
+    shape: tuple[int, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hand = shown(0)[0]
+    matrices = np.concatenate([quaternion.rotation_matrix(hand[:, 3:]), hand[:, :3, None]], axis=2)
+    np.savez(tmp_path / "log.npz", t=TIMES, pose=matrices.reshape(shape))
+    arguments = ["--time", "t", "--movement", "pose", tmp_path / "log.npz"]
+    assert run(capsys, "--to", tmp_path / "bags", *arguments)["passed"]
+    recording = read_recording(find_bags([tmp_path / "bags"])[0], Task.load(tmp_path / "bags" / "task.yaml"))
+    np.testing.assert_allclose(recording.movement[:, :3], hand[:, :3], atol=1e-12)
+    np.testing.assert_allclose(quaternion.angle_between(recording.movement[:, 3:], hand[:, 3:]), 0.0, atol=1e-6)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from conversions_made import run
 from synthetic_bags import REACH_TASK, reach, write_bag
 from tpgmm_ros.programs import convert
 from tpgmm_ros.recordings.bags import find_bags, read_recording
@@ -26,13 +27,6 @@ pq: Any = pytest.importorskip("pyarrow.parquet")
 BACK = ["--movement", "observation.state", "--frame", "object=observation.environment_state[0:7]"]
 DATA = "data/chunk-000/file-000.parquet"
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
-
-
-def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> dict[str, Any]:
-    status = convert.main([*map(str, arguments), "--json"])
-    found: dict[str, Any] = json.loads(capsys.readouterr().out)
-    assert status == (0 if found["passed"] else 1)
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -210,7 +204,7 @@ def test_what_is_damaged_is_refused_in_words(
     shutil.copytree(made / "dataset", tmp_path / "dataset")
     damage(tmp_path / "dataset")
     found = run(capsys, "--to", tmp_path / "bags", *BACK, tmp_path / "dataset")
-    assert words in found["error"] and str(tmp_path / "dataset") in found["error"]
+    assert words in found["error"] and found["error"].count(str(tmp_path / "dataset")) == 1
     assert not (tmp_path / "bags").exists()
 
 

@@ -32,10 +32,13 @@ def test_a_bag_is_cut_to_what_its_edits_say_and_stays_as_it_is(tmp_path: Path) -
     assert len(read_recording(bag, TASK, every=20).times) == 4
     assert {file.name: file.read_bytes() for file in bag.iterdir()} == before
     edit(bag, "from: 4.8\n")
-    with pytest.raises(BagError, match="movement has 5 samples, expected at least 10"):
+    with pytest.raises(BagError, match="movement has 5 samples, expected at least 10; leave more of it"):
         read_recording(bag, TASK)
     edit(bag, "from: 6\n")
     with pytest.raises(BagError, match="edits begin at 6 s, and its movement ends after 5.00 s"):
+        read_recording(bag, TASK)
+    edit(bag, "from: 1.01\nto: 1.02\n")
+    with pytest.raises(BagError, match="its edits keep 1.01 to 1.02 s, and its movement has no sample there"):
         read_recording(bag, TASK)
 
 

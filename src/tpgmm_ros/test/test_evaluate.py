@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,31 @@ def test_what_cannot_be_evaluated_is_said_and_the_status_is_1(
     assert status == 1 and "leave out --held-out and --methods" in error == f"error: {found['error']}\n"
     status, found, error = run(folder, capsys, "--methods", "dmp", "--", str(folder / "new" / "demo_4"))
     assert status == 1 and "at least two demonstrations" in found["results"][0]["error"]
+
+
+def test_bags_that_an_option_of_several_values_took_are_missed_with_the_reason(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    new, task = str(folder / "new"), ["--task", str(folder / "task.yaml")]
+    for arguments, words in (
+        (["--held-out", new, new], "no BAG is given: what stands behind --held-out belongs to it"),
+        (["--methods", "dmp", new], "is no retrieval method; there are .* or -- before them"),
+        ([], "no BAG is given$"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            evaluate.main([*task, *arguments])
+        assert ended.value.code == 2 and re.search(words, capsys.readouterr().err.strip(), re.DOTALL)
+
+
+def test_a_model_on_what_it_has_learned_from_is_called_so(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = str(tmp_path / "reach.tpgmm")
+    assert train.main(["--task", str(folder / "task.yaml"), "--output", model, str(folder / "bags")]) == 0
+    capsys.readouterr()
+    for bags, said in (("bags", "has learned from recordings with the names demo_0, demo_1"), ("new", "")):
+        status, _, error = run(folder, capsys, "--model", model, str(folder / bags))
+        assert status == 0 and (said in error) and bool(said) == ("warning" in error)
 
 
 def test_processes_side_by_side_find_the_same_numbers(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from synthetic_bags import REACH_TASK, Topic, reach, write_bag, write_pose_arrays
-from tpgmm_ros.programs import train
+from tpgmm_ros.programs import show, train
 from tpgmm_ros.programs.inspect import main
 from tpgmm_ros.programs.reporting import json_text
 from tpgmm_ros.task.task_file import Task
@@ -42,6 +42,16 @@ def test_topics_are_shown_with_rates_and_what_moves(tmp_path: Path, capsys: pyte
     assert main([str(tmp_path)]) == 0
     text = capsys.readouterr().out
     assert "no doubts" in text and "stands still in each bag, elsewhere from bag to bag" in text
+
+
+def test_of_one_bag_nothing_is_said_of_others_and_what_is_no_bag_is_json_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    suggested = inspected(capsys, bags(tmp_path, 1))["suggested_task"]
+    assert "{topic: object/pose}  # stands still\n" in suggested
+    assert "does not exist" in inspected(capsys, tmp_path / "nothing")["error"]
+    assert show.main(["--json", str(tmp_path / "nothing")]) == 1
+    assert json.loads(capsys.readouterr().out)["passed"] is False
 
 
 def test_the_suggested_task_file_trains(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -151,11 +161,12 @@ def test_sources_of_other_types_are_named(tmp_path: Path, capsys: pytest.Capture
     assert "{topic: odom, type: nav_msgs/Odometry}" in hints
 
 
-def test_without_a_bag_there_is_an_error_and_no_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_bag_there_is_an_error_in_json_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_bag(tmp_path / "left" / "demo_1", reach(0))
     assert main(["--json", str(tmp_path)]) == 1
     said = capsys.readouterr()
-    assert not said.out and "bags lie in its folders: left" in said.err
+    assert not json.loads(said.out)["passed"] and "bags lie in its folders: left" in json.loads(said.out)["error"]
+    assert "bags lie in its folders: left" in said.err
     write_bag(tmp_path / "empty", {})
     assert main(["--json", str(tmp_path / "empty")]) == 1
     assert "holds no message at all" in json.loads(capsys.readouterr().out)["bad_bags"][0]["error"]

@@ -70,6 +70,12 @@ def test_recordings_that_were_not_seen_are_recognised(
     assert not json.loads((folder / "report.json").read_text())["passed"]
 
 
+def test_models_are_found_in_the_home_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(folder))
+    skills = [f"--skill={name}=~/{name}.tpgmm" for name in ("reach", "back")]
+    assert recognize.main(["--task", "~/task.yaml", *skills, "--expect", "reach", "~/new_reach"]) == 0
+
+
 def test_a_long_recording_is_taken_apart(folder: Path) -> None:
     assert run(folder, "--segments", str(folder / "long")) == 0
     found = json.loads((folder / "report.json").read_text())["segments"]

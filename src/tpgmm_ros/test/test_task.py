@@ -13,7 +13,7 @@ from tpgmm_core.common.old_names import RENAMED
 from tpgmm_core.common.safe_yaml import MAX_BYTES
 from tpgmm_core.model.derived_frames import HAND, FrameSource
 from tpgmm_core.retrieval.methods import ALL_METHODS, METHODS
-from tpgmm_ros.messages.sources import PoseStampedSource
+from tpgmm_ros.messages.sources import JointStateSource, PoseStampedSource
 from tpgmm_ros.task.frames_section import TaskFrameSpec
 from tpgmm_ros.task.task_file import Task, TaskError
 
@@ -32,6 +32,24 @@ GOOD = {
 
 def changed(**changes: object) -> str:
     return yaml.safe_dump({**GOOD, **changes})
+
+
+def test_paths_in_a_file_are_from_its_folder_and_the_home_folder_is_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "two  spaces"
+    folder.mkdir()
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for robot, path in (("~/arm.yaml", tmp_path / "arm.yaml"), ("arm.yaml", folder / "arm.yaml")):
+        entry = {"joint_states": "joint_states", "robot": robot, "link": "hand"}
+        (folder / "task.yaml").write_text(changed(recordings={"movement": entry}))
+        source = Task.load(folder / "task.yaml").recorded_movement
+        assert isinstance(source, JointStateSource) and source.robot == path
+
+
+def test_a_robot_file_is_called_so() -> None:
+    with pytest.raises(TaskError, match="panda.yaml: the file is a robot file, as it has 'urdf'; expected a task file"):
+        Task.load(CONFIG / "panda.yaml")
 
 
 def gripped(gripper: dict[str, object]) -> str:
@@ -176,6 +194,7 @@ def test_a_missing_key_is_named(key: str) -> None:
         ("a: &x 1\nb: *x", "aliases"),
         ("a: 010", "'010' begins with 0, so that YAML reads it as octal"),
         ("a: [", "is not a YAML file"),
+        ("a: 1\na: 2", "is not a YAML file that can be read: the key 'a' is given twice in line 2, column 1"),
         ("!!python/object/apply:os.getcwd []", "is not a YAML file"),
         ("!!bool maybe", "is not a YAML file"),
         ("[" * 20_000, "nested too deeply|not a YAML file"),

@@ -308,6 +308,17 @@ def test_an_output_that_is_a_directory_is_refused_before_training(
     assert "is a directory; give the name of a model file" in capsys.readouterr().err
 
 
+def test_a_folder_that_takes_no_file_is_said_before_anything_is_learned(
+    bags: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train(bags, "--output", "/proc/model.tpgmm", bags) == 1
+    said = capsys.readouterr()
+    assert "/proc/model.tpgmm cannot be written, as no file can be made in /proc" in said.err and not said.out
+    with pytest.raises(SystemExit):
+        train(bags, "--leave-one-out", "--report", "/proc/report", bags)
+    assert "/proc/report/report.json cannot be written" in capsys.readouterr().err
+
+
 def test_files_of_other_kinds_are_not_overwritten(
     bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -18,6 +18,7 @@ from pathlib import Path
 from domain_coordinator import domain_id
 
 from tpgmm_core.common.text import one_line
+from tpgmm_ros.runtime.arguments import DOMAIN, whole_number
 from tpgmm_ros.runtime.entry import a_path
 from tpgmm_ros.runtime.executor import run
 from tpgmm_ros.runtime.processes import GraphError, NodeProcesses, Value
@@ -174,7 +175,7 @@ def _parser() -> argparse.ArgumentParser:
         default="127.0.0.1",
         help=f"address of the page; 0.0.0.0: also for other machines, with a token {shown}",
     )
-    parser.add_argument("--port", type=int, default=8080, help=f"port of the page {shown}")
+    parser.add_argument("--port", type=whole_number(0, 65535), default=8080, help=f"port of the page {shown}")
     parser.add_argument(
         "--rate", type=float, default=FEW_CORES_RATE if few else RATE, help=f"rate of joint states, Hz {shown}"
     )
@@ -195,7 +196,9 @@ def _parser() -> argparse.ArgumentParser:
         help="force on the hand from which on the arm is soft, and a correction begins by itself while the skill runs, "
         f"N; 0: never {shown}",
     )
-    parser.add_argument("--domain", type=int, help="ROS domain, to watch with RViz (default: a free one)")
+    parser.add_argument(
+        "--domain", type=whole_number(0, DOMAIN), help="ROS domain, to watch with RViz (default: a free one)"
+    )
     parser.add_argument("--log", type=a_path, default=Path("out/workbench/log"), help=f"logs of the nodes {shown}")
     return parser
 

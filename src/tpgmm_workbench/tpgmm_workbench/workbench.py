@@ -94,7 +94,7 @@ class WorkbenchNode(Node):
 
     @staticmethod
     def _project(parameters: Parameters) -> Project:
-        folder = Path(parameters["project"])
+        folder = Path(parameters.file("project"))
         if folder.is_dir() and any(folder.iterdir()):
             return Project.open(folder)
         return Project.create(folder, parameters.file("task_file"), parameters.file("robot_file"))

@@ -86,7 +86,8 @@ def parse_yaml(text: str, source: str) -> Any:
     # PyYAML lets more than YAMLError out of malformed scalars: KeyError, IndexError, AttributeError, ...
     except Exception as error:
         hint = "; indent with spaces, not with tabs" if "\\t" in str(error) else ""
-        raise YamlError(f"{source}: is not a YAML file that can be read: {one_line(error, 400)}{hint}") from None
+        why = one_line(error, 400).replace('in "<unicode string>", line', "in line")
+        raise YamlError(f"{source}: is not a YAML file that can be read: {why}{hint}") from None
 
 
 class _Loader(yaml.SafeLoader):

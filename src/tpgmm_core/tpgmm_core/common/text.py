@@ -69,6 +69,11 @@ def listed(values: Iterable[Any], most: int = 12) -> str:
     return ", ".join(parts) or "nothing"
 
 
+def counted(count: int | str, noun: str) -> str:
+    """So many of a thing, count and noun, in words: 1 bag, 2 bags, ? bags."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def _plain(value: Any) -> str:
     if isinstance(value, str) and len(value) <= NAME_LIMIT and _NAME.fullmatch(value):
         return value

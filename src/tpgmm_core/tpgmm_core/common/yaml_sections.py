@@ -7,19 +7,21 @@ Unknown keys are refused.
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Self
 
 from tpgmm_core.common.safe_yaml import YamlError, load_yaml, parse_yaml
 from tpgmm_core.common.text import one_line, shown
+from tpgmm_core.common.yaml_values import checked_text
 
 
 class Section:
     """One mapping of the file, and where it stands there, so that errors can say so."""
 
-    def __init__(self, source: str, where: str, values: Any) -> None:
-        self.source, self.where = source, where
+    def __init__(self, file: str | Path, where: str, values: Any) -> None:
+        self.file, self.source, self.where = file, one_line(file), where
         if not isinstance(values, Mapping):
             found = "empty" if values is None else shown(values)
             raise self.error(f"is {found}, expected a mapping of keys to values")
@@ -34,7 +36,7 @@ class Section:
     @classmethod
     def load(cls, path: Path, what: str) -> Self:
         """The whole of a file; `what` is what errors say was expected, such as "a task file". Raises YamlError."""
-        return cls(one_line(path), "", load_yaml(path, what))
+        return cls(path, "", load_yaml(path, what))
 
     @classmethod
     def from_text(cls, text: str, source: str) -> Self:
@@ -96,6 +98,29 @@ class Section:
             found = shown(self.values[key])
             raise YamlError(f"{self.source}: '{one_line(self.path(key))}' is {found}, expected {error}") from None
 
+    def path_in(self, key: str, what: str) -> Path:
+        """The path that a key names, from the folder of this file; ~ is the home folder.
+
+        Parameters
+        ----------
+        key
+            its name
+        what
+            the path is of, in words
+
+        Returns
+        -------
+        Path
+            of something that may not exist
+
+        Raises
+        ------
+        YamlError
+            where the key is missing or has another value than a text
+        """
+        read = checked_text(bool, f"the path of {what}, from this file")
+        return Path(self.file).parent / os.path.expanduser(self.required(key, read))
+
     def section(self, key: str, optional: bool = False) -> Section:
         """What is below a key, as a section.
 
@@ -118,7 +143,7 @@ class Section:
         """
         if key not in self.values and not optional:
             raise self.error(f"lacks the key '{key}'")
-        return Section(self.source, self.path(key), self.values.get(key, {}))
+        return Section(self.file, self.path(key), self.values.get(key, {}))
 
     def sections(self, key: str, optional: bool = False) -> Iterator[tuple[str, Section]]:
         """The mappings in the mapping of a key, by name."""

@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Callable
 from typing import Any
+
+import yaml
 
 from tpgmm_core.common.text import shown
 
@@ -19,6 +22,17 @@ _QUATERNION_TOLERANCE = 1e-3
 def is_name(text: str) -> bool:
     """Letters, digits and underscores, no digit first."""
     return _NAME.fullmatch(text) is not None
+
+
+def is_topic(text: str) -> bool:
+    """A relative topic: names with slashes between."""
+    return _TOPIC.fullmatch(text) is not None
+
+
+def quoted(text: str) -> str:
+    """A text as YAML reads it as such, in quotes where it would be a number, a truth or anything else without."""
+    is_plain = _TOPIC.fullmatch(text) and yaml.safe_load(text) == text
+    return text if is_plain else json.dumps(text)
 
 
 def checked_text(is_valid: Callable[[str], object], expected: str) -> Callable[[Any], str]:
@@ -34,9 +48,7 @@ def checked_text(is_valid: Callable[[str], object], expected: str) -> Callable[[
 
 a_name = checked_text(is_name, "a name of letters, digits and underscores")
 a_text = checked_text(lambda text: True, "a text (in quotes, if YAML could read it as a number or as true or false)")
-a_topic = checked_text(
-    _TOPIC.fullmatch, "a relative topic such as object/pose (no leading slash, so that namespaces work)"
-)
+a_topic = checked_text(is_topic, "a relative topic such as object/pose (no leading slash, so that namespaces work)")
 
 
 def expect[T](read: Callable[[Any], T], value: Any) -> T:

@@ -24,7 +24,7 @@ class Doubt:
     ----------
     kind
         what is doubted, one word for programs: clock, lag, gap, rate, units, origin, order, speed, duration, length,
-        still, copy, misfit
+        still, copy, misfit, transforms
     about
         names of the recordings that it is about; none where it is about all of them
     text

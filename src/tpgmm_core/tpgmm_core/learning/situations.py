@@ -108,9 +108,12 @@ class DemonstratedSituations:
 
     def __str__(self) -> str:
         if not self.varied:
+            if self.count == 1:
+                return "one demonstration shows one situation: it cannot show how to adapt to another"
             return f"all {self.count} demonstrations have the same situation: they cannot show how to adapt to another"
+        freedom = "1 degree" if len(self.varied) == 1 else f"{len(self.varied)} degrees"
         text = (
-            f"{_grouped(self.varied)} varied: {len(self.varied)} degrees of freedom. At least {self.least} situations "
+            f"{_grouped(self.varied)} varied: {freedom} of freedom. At least {self.least} situations "
             f"are needed to learn how the movement follows them, {self.better} to learn how precisely; "
             f"{self.count} were demonstrated"
         )

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of each frame right now: seen, remembered or lost, and how far it can be trusted.
+"""`FrameTracker`: what is known of each frame right now: seen, remembered or lost, and how far it can be trusted.
 
 A frame that is not seen for a moment keeps its last pose. Its confidence, which scales its precision in the product
 of Gaussians (Eqs. 5, 6), falls to zero slowly and rises slowly, so that a frame that disappears or comes back never
 makes the movement jump. A frame may also stay where it was last seen (`unknown_after`): then its pose is known worse
 with the time out of sight and the speed that it was seen to have (`motion`). Or it moves with the hand, if it was seen
-to (`in_hand`). A noisy pose is averaged while the frame
-is at rest (`pose_filter`). What is no pose, lies about its time, or leaps is refused (`poses`, `clocks`, `gate`).
+to (`in_hand`). A noisy pose is averaged while the frame is at rest (`pose_filter`). What is no pose, lies about its
+time, or leaps is refused (`poses`, `clocks`, `gate`). `track` is all of this for one frame.
 
 Two clocks enter, as arguments: the *stamp* of an observation (ROS time, when the camera saw it) and the *steady* time
 of its arrival. The status follows the steady clock, which no clock step can stall; stamps are checked when they come.
@@ -16,38 +16,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.geometry.pose import pose_error
-from tpgmm_core.observation.clocks import LeadMeter
-from tpgmm_core.observation.gate import NOISE_TURN, NOISE_WAY, Leap, LeapGate
-from tpgmm_core.observation.health import FrameHealth, FrameRecord
+from tpgmm_core.observation.gate import NOISE_TURN, NOISE_WAY, Leap
+from tpgmm_core.observation.health import FrameHealth
 from tpgmm_core.observation.in_hand import Hand, carried_covariance
-from tpgmm_core.observation.motion import SeenMotion
 from tpgmm_core.observation.pose_filter import PoseFilter
 from tpgmm_core.observation.poses import check_pose
 from tpgmm_core.observation.streams import SECOND
+from tpgmm_core.observation.track import Track
 from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame, TrackingConfig
-
-
-@dataclass(slots=True)
-class _Track:
-    fixed: bool
-    filter: PoseFilter
-    gate: LeapGate
-    clock: LeadMeter = field(default_factory=LeadMeter)
-    pose: NDArray[np.float64] | None = None
-    stamp_ns: int = 0
-    seen_ns: int = 0  # steady
-    confidence: float = 0.0
-    covariance: NDArray[np.float64] | None = None
-    stretch: NDArray[np.float64] | None = None
-    record: FrameRecord = field(default_factory=FrameRecord)
-    motion: SeenMotion = field(default_factory=SeenMotion)
-    unknown_after: float | None = None
 
 
 class FrameTracker:
@@ -83,8 +64,7 @@ class FrameTracker:
         with_hand: Collection[str] = (),
     ) -> None:
         self.config = config or TrackingConfig()
-        memory, motion = self.config.filter_time, self.config.motion
-        self._tracks = {name: _Track(fixed=False, filter=PoseFilter(memory), gate=LeapGate(motion)) for name in frames}
+        self._tracks = {name: Track(self.config) for name in frames}
         for name, seconds in (unknown_after or {}).items():
             if name not in self._tracks or not seconds >= 0.0:
                 raise ValueError(
@@ -95,12 +75,12 @@ class FrameTracker:
             raise ValueError(f"with_hand names some of {list(unknown_after or {})}, got {list(with_hand)}")
         self._hand = Hand(with_hand)
         for name, pose in (fixed or {}).items():
-            self._tracks[name] = _Track(fixed=True, filter=PoseFilter(0.0), gate=LeapGate(motion))
+            self._tracks[name] = Track(self.config, fixed=True)
             if reason := self.fix(name, pose):
                 raise ValueError(reason)
         if not self._tracks:
             raise ValueError("no frames to track: name at least one")
-        if memory > 0.0:
+        if self.config.filter_time > 0.0:
             PoseFilter.compile_kernels()
         self._updated_ns: int | None = None
 
@@ -137,7 +117,7 @@ class FrameTracker:
         checked, reason = check_pose(pose)
         if checked is None:
             return self.refuse(name, reason)
-        track.fixed, track.pose, track.confidence, track.stamp_ns = True, checked, 1.0, 0
+        track.fix(checked)
         return None
 
     def observe(
@@ -184,19 +164,14 @@ class FrameTracker:
         checked, reason = check_pose(pose)
         if checked is None:
             return self.refuse(name, reason)
-        stamp_ns, reason = self._judged_stamp(track, stamp_ns, now_ns)
+        stamp_ns, reason = track.judged_stamp(stamp_ns, now_ns)
         if reason:
             return self.refuse(name, reason)
         if leap := track.gate.judge(checked, stamp_ns):
             return self.refuse(name, self._words(name, leap, checked))
-        track.pose, track.stamp_ns, track.seen_ns = track.filter.observe(checked, stamp_ns), stamp_ns, steady_ns
-        track.covariance = None if covariance is None or np.isnan(covariance).any() else covariance
-        track.stretch = stretch
-        track.motion.take(track.pose, stamp_ns, track.filter.noise)
+        track.take(pose, checked, stamp_ns, steady_ns, covariance, stretch)
         if name in self._hand:
             self._hand.see(name, checked, stamp_ns)
-        track.record.take(pose, checked, stamp_ns, track.filter)
-        track.record.odd_covariances += track.covariance is None and covariance is not None
         return None
 
     def observe_hand(self, pose: ArrayLike, stamp_ns: int, steady_ns: int) -> str:
@@ -240,25 +215,6 @@ class FrameTracker:
         self._tracks[name].record.refuse(reason)
         return f"frame '{name}': {reason}"
 
-    def _judged_stamp(self, track: _Track, stamp_ns: int, now_ns: int) -> tuple[int, str]:
-        """The stamp by ROS time, and why the observation is refused."""
-        if track.fixed:
-            return stamp_ns, "fixed frame: its pose never changes, observations are not used"
-        age = (now_ns - stamp_ns) / SECOND
-        if age < -self.config.max_future:
-            corrected = track.clock.corrected(stamp_ns, now_ns)
-            if corrected is None:
-                allowed = f"{self.config.max_future} s allowed"
-                return stamp_ns, f"stamp in the future: {-age:.3f} s ahead of ROS time, {allowed}"
-            stamp_ns = corrected
-        if age > self.config.max_age:
-            return stamp_ns, f"stamp too old: {age:.3f} s behind ROS time, {self.config.max_age} s allowed"
-        if stamp_ns == track.stamp_ns:
-            return stamp_ns, "repeated stamp: the same observation came before"
-        if stamp_ns < track.stamp_ns:
-            return stamp_ns, "stamp out of order: older than the observation that is known already"
-        return stamp_ns, ""
-
     def _words(self, name: str, leap: Leap, pose: NDArray[np.float64]) -> str:
         """Why a pose is refused: kind, ":", details."""
         limits = self.config.motion
@@ -273,24 +229,15 @@ class FrameTracker:
 
     def health(self, steady_ns: int) -> dict[str, FrameHealth]:
         """How well the frames are observed that are not fixed, by name, at a steady time, ns."""
-        found = {}
-        for name, track in self._tracks.items():
-            if not track.fixed:
-                period, record = track.gate.period, track.record
-                found[name] = FrameHealth(
-                    age=None if track.pose is None else (steady_ns - track.seen_ns) / SECOND,
-                    rate=None if period is None else 1.0 / period,
-                    noise=track.filter.noise,
-                    refused=dict(record.refused),
-                    notes=(*record.notes(track.clock.lead_ns), *self._whereabouts(name, track, steady_ns)),
-                    doubts=record.doubts(),
-                    trouble=record.trouble,
-                )
-        return found
+        return {
+            name: track.health(steady_ns, self._whereabouts(name, track, steady_ns))
+            for name, track in self._tracks.items()
+            if not track.fixed
+        }
 
-    def _whereabouts(self, name: str, track: _Track, steady_ns: int) -> tuple[str, ...]:
+    def _whereabouts(self, name: str, track: Track, steady_ns: int) -> tuple[str, ...]:
         """In words, where a frame is that may move with the hand and is not seen."""
-        if name not in self._hand or (steady_ns - track.seen_ns) / SECOND <= self.config.visible_timeout:
+        if name not in self._hand or track.unseen(steady_ns) <= self.config.visible_timeout:
             return ()
         if self._hand.moves(name) and self._is_hand_lost(steady_ns):
             return ("not seen; it was with the hand, whose pose does not come",)
@@ -302,11 +249,7 @@ class FrameTracker:
     def forget(self) -> None:
         """Forget all observations (time jumped backwards: a looped bag, a restarted simulation)."""
         for track in self._tracks.values():
-            if not track.fixed:
-                track.pose, track.stamp_ns, track.seen_ns, track.confidence = None, 0, 0, 0.0
-                track.covariance, track.stretch = None, None
-                for part in (track.filter, track.gate, track.clock, track.record, track.motion):
-                    part.forget()
+            track.forget()
         self._hand.forget()
         self._updated_ns = None
 
@@ -317,30 +260,19 @@ class FrameTracker:
         self._updated_ns = steady_ns
         return [self._update(name, track, steady_ns, elapsed, first) for name, track in self._tracks.items()]
 
-    def _update(self, name: str, track: _Track, steady_ns: int, elapsed: float, first: bool) -> TrackedFrame:
+    def _update(self, name: str, track: Track, steady_ns: int, elapsed: float, first: bool) -> TrackedFrame:
         if track.fixed:
             return TrackedFrame(name, FrameStatus.VISIBLE, 1.0, 0, track.pose)
-        config = self.config
-        unseen = math.inf if track.pose is None else (steady_ns - track.seen_ns) / SECOND
-        hold_time = config.hold_time if track.unknown_after is None else track.unknown_after
-        carried = unseen > config.visible_timeout and name in self._hand and self._hand.moves(name)
-        trusted = track.pose is not None and unseen <= config.visible_timeout + hold_time
-        trusted &= not (carried and self._is_hand_lost(steady_ns))
+        unseen = track.unseen(steady_ns)
+        is_away = unseen > self.config.visible_timeout and name in self._hand
+        carried = is_away and self._hand.moves(name)
         # Before the first update no confidence was published, so there is nothing to be continuous with.
-        change = 1.0 if first else elapsed / config.fade_time
-        if trusted:
-            track.confidence = min(1.0, track.confidence + change)
-        else:
-            track.confidence = max(0.0, track.confidence - change)
-        if unseen <= config.visible_timeout:
-            status = FrameStatus.VISIBLE
-        elif track.confidence > 0.0 and track.pose is not None:
-            status = FrameStatus.HELD
-        else:
-            status = FrameStatus.MISSING
+        change = 1.0 if first else elapsed / self.config.fade_time
+        track.fade(track.is_known(unseen) and not (carried and self._is_hand_lost(steady_ns)), change)
+        status = track.status(unseen)
         pose, covariance = track.pose, track.covariance
         place = None
-        if unseen > config.visible_timeout and name in self._hand:
+        if is_away:
             place = self._hand.place(name) if carried else self._hand.left(name)
         if place is not None and pose is not None:
             pose, covariance = place, carried_covariance(covariance, pose, place)

@@ -142,6 +142,14 @@ class TransformTree:
             del link.stamps[:old], link.poses[:old]
         return ""
 
+    def contradictions(self, frame: str, base: str) -> list[str]:
+        """Why what leads from a frame to a base cannot be at rest, though it is said to be, in words."""
+        up, down = self._chains(frame, base)
+        return self._unsteady_among([*up, *down])
+
+    def _unsteady_among(self, children: list[str]) -> list[str]:
+        return [self.unsteady[child] for child in children if child in self.unsteady]
+
     def latest(self, frame: str, base: str) -> int | None:
         """The newest time at which a frame is known in the base.
 
@@ -225,7 +233,7 @@ class TransformTree:
             known = sorted({*self._links, *(link.parent for link in self._links.values())})
             raise TransformError(
                 f"{NO_TRANSFORM}nothing connects {shown(base)} to {shown(frame)}; those that came are about "
-                f"{listed(known)}"
+                f"{'; '.join([listed(known), *self._unsteady_among([*up, *down])])}"
             )
         return up[: up.index(meeting)], down[: down.index(meeting)]
 

@@ -102,6 +102,8 @@ class RobotDescription:
 
     @classmethod
     def _of(cls, path: Path, top: Section) -> RobotDescription:
+        if task := {"movement", "movements"} & top.values.keys():
+            raise top.error(f"is a task file, as it has {task.pop()!r}; expected a robot file: a URDF, end points")
         top.refuse_others(*REQUIRED_KEYS, *OPTIONAL_KEYS)
         groups = top.mapping("joint_groups", some_names)
         try:
@@ -146,7 +148,7 @@ def resolve_urdf(reference: str, folder: Path) -> Path:
         where there is none, and for a path that leads out of the package or the folder
     """
     is_package = reference.startswith(PACKAGE_SCHEME)
-    relative = Path(reference.removeprefix(PACKAGE_SCHEME))
+    relative = Path(os.path.expanduser(reference.removeprefix(PACKAGE_SCHEME)))
     if relative.is_absolute() or ".." in relative.parts or "\0" in reference:
         raise RobotFileError(
             f"urdf {shown(reference)} is outside the robot file's folder; expected a file in this folder or below it, "

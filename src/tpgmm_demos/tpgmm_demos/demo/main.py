@@ -29,6 +29,7 @@ from tpgmm_demos.scene.pick_place import random_placement
 from tpgmm_msgs.action import Reproduce
 from tpgmm_ros.programs import train
 from tpgmm_ros.programs.reporting import run_with_report, write_report
+from tpgmm_ros.runtime.arguments import DOMAIN, SEED, whole_number
 from tpgmm_ros.runtime.entry import INTERRUPTED, a_path
 from tpgmm_ros.runtime.graph import Graph, open_graph, own_domain
 from tpgmm_ros.runtime.processes import REALTIME_PRIORITY, GraphError, GraphTimeoutError, Value
@@ -180,7 +181,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="demo", description=package.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--seed", type=int, default=1, help="number of the situation (default: %(default)s)")
+    parser.add_argument(
+        "--seed", type=whole_number(0, SEED), default=1, help="number of the situation (default: %(default)s)"
+    )
     parser.add_argument(
         "--bags", type=a_path, default=Path("bags/pick_place"), help="the demonstrations (default: %(default)s)"
     )
@@ -216,6 +219,8 @@ def _parser() -> argparse.ArgumentParser:
         help="rate of joint states and torques, Hz, 100 to 2000 (default: %(default)s)",
     )
     parser.add_argument(
-        "--domain", type=int, help="ROS domain to run on, to watch with RViz (default: a free one, this machine only)"
+        "--domain",
+        type=whole_number(0, DOMAIN),
+        help="ROS domain to run on, to watch with RViz (default: a free one, this machine only)",
     )
     return parser

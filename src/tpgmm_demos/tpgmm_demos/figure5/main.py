@@ -19,6 +19,7 @@ from tpgmm_demos.figure5.report import evaluate, table
 from tpgmm_demos.figure5.sequences import CUP, SEQUENCES, SUGAR, SequenceResult, random_pushes, run_sequence
 from tpgmm_demos.figure5.teaching import learn, record_lesson
 from tpgmm_ros.programs.reporting import run_with_report, write_report
+from tpgmm_ros.runtime.arguments import SEED, whole_number
 from tpgmm_ros.runtime.entry import a_path
 from tpgmm_ros.runtime.processes import GraphError
 from tpgmm_ros.runtime.resources import config_file
@@ -85,8 +86,10 @@ def _parser() -> argparse.ArgumentParser:
         prog="figure5", description=package.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     shown = "(default: %(default)s)"
-    parser.add_argument("--seed", type=int, default=1, help=f"random seed of demonstrations and pushes {shown}")
-    parser.add_argument("--pushes", type=int, default=20, help=f"random pushes of each kind {shown}")
+    parser.add_argument(
+        "--seed", type=whole_number(0, SEED), default=1, help=f"random seed of demonstrations and pushes {shown}"
+    )
+    parser.add_argument("--pushes", type=whole_number(1), default=20, help=f"random pushes of each kind {shown}")
     parser.add_argument(
         "--bags", type=a_path, help="directory of recorded demonstrations; without it they are recorded again"
     )

@@ -28,6 +28,7 @@ from tpgmm_demos.teaching.bar_lesson import BarLesson
 from tpgmm_demos.teaching.pick_place_lesson import ScriptedLesson
 from tpgmm_ros.recordings.bag_recorder import BagRecorder
 from tpgmm_ros.recordings.recorded_topics import JOINT_STATE, needed_topics
+from tpgmm_ros.runtime.arguments import SEED, whole_number
 from tpgmm_ros.runtime.entry import a_path
 from tpgmm_ros.runtime.executor import StopFlag
 from tpgmm_ros.runtime.graph import open_graph, own_domain
@@ -191,8 +192,10 @@ def main() -> int:
     parser.add_argument("--lesson", choices=LESSONS, default="pick_place", help=f"what is demonstrated {shown}")
     parser.add_argument("--task", type=a_path, help="task file (default: that of the lesson in config/)")
     parser.add_argument("--output", type=a_path, required=True, help="the directory of the bags")
-    parser.add_argument("--count", type=int, default=16, help=f"demonstrations to record {shown}")
-    parser.add_argument("--seed", type=int, default=0, help=f"random seed of the scripted teacher's variation {shown}")
+    parser.add_argument("--count", type=whole_number(1), default=16, help=f"demonstrations to record {shown}")
+    parser.add_argument(
+        "--seed", type=whole_number(0, SEED), default=0, help=f"random seed of the scripted teacher's variation {shown}"
+    )
     parser.add_argument(
         "--perception",
         choices=PERCEPTIONS,

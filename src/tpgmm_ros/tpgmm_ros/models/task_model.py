@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,7 +29,7 @@ def load_task_model(path: str | Path, task: Task) -> LearnedMixture:
     Parameters
     ----------
     path
-        of the model file
+        of the model file; ~ is the home folder
     task
         what the model is for
 
@@ -44,7 +45,7 @@ def load_task_model(path: str | Path, task: Task) -> LearnedMixture:
     OSError
         the file cannot be read.
     """
-    model, space = load_model(path), task.space
+    model, space = load_model(os.path.expanduser(path)), task.space
     try:
         encoding = space.encoding_of(model)
         derived = DerivedFrames.of_metadata(model.metadata_)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
@@ -16,7 +15,7 @@ import numpy as np
 from tpgmm_core.common.atomic_file import write_atomically
 from tpgmm_core.common.report import format_table
 from tpgmm_core.common.text import listed, one_line
-from tpgmm_core.common.yaml_values import is_name
+from tpgmm_core.common.yaml_values import is_name, is_topic
 from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_ros.programs.convert_lerobot import to_lerobot
 from tpgmm_ros.programs.reading import TrainingError, progress_bar
@@ -28,8 +27,9 @@ from tpgmm_ros.recordings.conversion.demonstrations import Columns, Shown, demon
 from tpgmm_ros.recordings.conversion.lerobot_layout import is_dataset
 from tpgmm_ros.recordings.conversion.lerobot_reading import TIME, read_dataset
 from tpgmm_ros.recordings.conversion.tables import Table, read_tables
-from tpgmm_ros.recordings.conversion.written import MOVEMENT, audit, topic_of, topics_of, write_bag
+from tpgmm_ros.recordings.conversion.written import BEGIN, MOVEMENT, audit, task_text, topic_of, topics_of, write_bag
 from tpgmm_ros.recordings.judging import doubts_about
+from tpgmm_ros.runtime.arguments import number_above_0
 from tpgmm_ros.runtime.entry import a_path
 from tpgmm_ros.task.task_file import Task
 
@@ -52,8 +52,6 @@ exit status: 0 everything was written, read back bit by bit, and fits the task f
 printed; 2 wrong arguments
 """
 TASK_FILE = "task.yaml"
-BEGIN = "begin"
-"""Frame of where the hand is at the beginning."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,6 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
     elif options.movement is None or options.task is not None:
         parser.error("give --movement COLUMNS; --task is only for --lerobot")
+    elif folder := next((file for file in options.files if file.is_dir() and not is_dataset(file)), None):
+        parser.error(f"{folder} is a folder, and none of a LeRobot dataset: name files, or the folder that holds meta")
     elif all(map(is_dataset, options.files)) and options.rate is None:
         options.time = options.time or TIME
     elif (options.time is None) == (options.rate is None):
@@ -87,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _convert(options: argparse.Namespace, report: dict[str, Any]) -> None:
-    frames, numbers = _named(options.frame, is_name), _named(options.number, lambda name: name.strip("/") == name)
+    frames, numbers = _named("--frame", options.frame, is_name), _named("--number", options.number, is_topic)
     _check_names(options, frames, numbers)
     columns = Columns(
         options.movement,
@@ -100,7 +100,7 @@ def _convert(options: argparse.Namespace, report: dict[str, Any]) -> None:
         options.time_unit,
         options.orientation,
     )
-    text = _task_text(options, frames)
+    text = task_text(options.name, options.base_frame, list(frames))
     task = Task.from_text(text, "the task file")
     shown = _read(options.files, columns)
     there = [path for path in [options.to / TASK_FILE, *(options.to / name for name in shown)] if path.exists()]
@@ -142,6 +142,8 @@ def _check_names(options: argparse.Namespace, frames: dict[str, str], numbers: d
         raise ConversionError(f"--name {options.name!r} is no name of letters, digits and underscores")
     if BEGIN in frames:
         raise ConversionError(f"--frame {BEGIN}: this is where the hand is at the beginning; take another name")
+    if taken := next((name for name in frames if topic_of(name) == MOVEMENT), None):
+        raise ConversionError(f"--frame {taken}: this is the movement, of which --movement tells; take another name")
     if twice := sorted({MOVEMENT, *map(topic_of, frames)} & numbers.keys()):
         raise ConversionError(f"--number {twice[0]}: this is the topic of poses; give the number another topic")
     refuse_foreign(options.to / TASK_FILE, b"", "task file")
@@ -158,7 +160,8 @@ def _read(files: Sequence[Path], columns: Columns) -> dict[str, Shown]:
                 for one in demonstrations_of(table, columns)
             ]
         except ConversionError as error:
-            raise ConversionError(f"{file}: {str(error).removeprefix(f'{file}: ')}") from None
+            text = str(error)
+            raise ConversionError(text if text.startswith(str(file)) else f"{file}: {text}") from None
         digits = max(2, len(str(len(several))))
         for number, one in enumerate(several, 1):
             stem = file.resolve().name if file.is_dir() else file.stem
@@ -174,34 +177,20 @@ def _read(files: Sequence[Path], columns: Columns) -> dict[str, Shown]:
 def _tables(file: Path, columns: Columns) -> list[tuple[Table, tuple[str, ...]]]:
     if is_dataset(file):
         return [(episode.table, episode.notes) for episode in read_dataset(file, columns.arrays() - {TIME})]
-    return [(table, ()) for table in read_tables(file, columns.arrays())]
+    return [(table, ()) for table in read_tables(file, columns.arrays(), labels=columns.split)]
 
 
-def _task_text(options: argparse.Namespace, frames: dict[str, str]) -> str:
-    lines = [
-        "# Written by convert: look at each line, above all at `endpoint` and at the frames.",
-        f"name: {options.name}",
-        f"base_frame: {options.base_frame}",
-        f"movement: {MOVEMENT}",
-        "endpoint: hand  # the end point of your robot that follows the movement",
-        "frames:",
-        *(f"  {name}: {{topic: {topic_of(name)}}}" for name in frames),
-        f"  {BEGIN}: {{hand: start, turned: false}}  # where the hand is when the movement begins",
-    ]
-    if not frames:
-        lines.insert(-1, "  robot: {pose: [0, 0, 0, 0, 0, 0, 1]}  # no frames were given; what does it depend on?")
-    return "\n".join(lines) + "\n"
-
-
-def _named(texts: Sequence[str], is_right: Callable[[str], bool]) -> dict[str, str]:
+def _named(option: str, texts: Sequence[str], is_right: Callable[[str], bool]) -> dict[str, str]:
     found: dict[str, str] = {}
     for text in texts:
         name, equals, columns = text.partition("=")
-        if not equals or not columns or not name or not is_right(name) or name in found:
-            raise ConversionError(
-                f"{text!r} is not NAME=COLUMNS with a name of its own: letters, digits and underscores; for numbers a "
-                "relative topic"
+        if not equals or not columns or not is_right(name):
+            kind = (
+                "TOPIC=COLUMN with a relative topic such as gripper/width" if option == "--number" else "NAME=COLUMNS"
             )
+            raise ConversionError(f"{option} {text!r} is not {kind}: letters, digits and underscores")
+        if name in found:
+            raise ConversionError(f"{option} gives {name!r} twice: take another name for one of them")
         found[name] = columns
     return found
 
@@ -217,7 +206,7 @@ def _text(report: dict[str, Any]) -> str:
     parts += [f"{'refused' if one['refuses'] else 'doubt'}: {Doubt(**one)}" for one in report.get("doubts", [])]
     parts += [f"bad bag: {one_line(bag['error'])}" for bag in report.get("bad_bags", [])]
     if report["passed"]:
-        where = f"the dataset {report['dataset']} holds" if "dataset" in report else f"all {len(rows)} bags hold"
+        where = f"the dataset {report['dataset']} holds" if "dataset" in report else "every bag holds"
         parts.append(f"read back: {where} the same numbers, bit by bit")
         parts += [f"task file: {report['task_file']}"] if "task_file" in report else []
     return "\n\n".join(parts)
@@ -253,12 +242,16 @@ def _parser() -> argparse.ArgumentParser:
         "--movement",
         metavar="COLUMNS",
         help="poses of the hand: names separated by commas, an array, or columns of one by number, such as poses[0:7]; "
-        "2 (x, y), 3, 7 (with a quaternion), 6 (see --orientation) or 16 (4 by 4 transforms) of them",
+        "2 (x, y), 3, 7 (with a quaternion), 6 (see --orientation), 12 or 16 (3 by 4 or 4 by 4 transforms) of them",
     )
-    parser.add_argument("--time", metavar="COLUMN", help="times of the samples (a LeRobot dataset has its own)")
+    parser.add_argument(
+        "--time",
+        metavar="COLUMN",
+        help="times of the samples; two columns are seconds and nanoseconds, as in ROS (a LeRobot dataset has its own)",
+    )
     parser.add_argument(
         "--rate",
-        type=_positive,
+        type=number_above_0("a rate in Hz"),
         metavar="HZ",
         help="samples per second, if there are no times; with --lerobot a whole number (default: that of the bags)",
     )
@@ -276,7 +269,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="TOPIC=COLUMN",
         help="another number, such as a gripper's width, as std_msgs/Float64; may be repeated",
     )
-    parser.add_argument("--split", metavar="COLUMN", help="a demonstration begins where this number changes")
+    parser.add_argument("--split", metavar="COLUMN", help="a demonstration begins where this number or text changes")
     parser.add_argument("--unit", choices=UNITS, default="m", help="unit of positions (default: m)")
     parser.add_argument("--time-unit", choices=TIME_UNITS, default="s", help="unit of times (default: s)")
     parser.add_argument(
@@ -286,13 +279,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--name", default="converted", help="name of the task (default: converted)")
     parser.add_argument("--json", action="store_true", help="print everything that was found as JSON")
     return parser
-
-
-def _positive(text: str) -> float:
-    number = float(text)
-    if not number > 0.0 or not math.isfinite(number):
-        raise argparse.ArgumentTypeError(f"{text} is not a rate above 0 in Hz")
-    return number
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tpgmm_core.common.text import listed
+from tpgmm_core.common.text import counted, listed
 from tpgmm_ros.programs.reading import TrainingError, progress_bar
 from tpgmm_ros.recordings.bags import find_bags, join_parts, read_recordings
 from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
@@ -47,11 +47,11 @@ def to_lerobot(options: argparse.Namespace, report: dict[str, Any]) -> None:
         recordings, bad = read_recordings(bags, task, progress=lambda _: bar.update())
     report["bad_bags"] = [{"bag": str(error.path), "error": str(error)} for error in bad]
     if bad or not recordings:
-        raise TrainingError(f"{len(bad)} of {len(bags)} bags are bad, nothing was written: see bad_bags")
+        raise TrainingError(f"{len(bad)} of {counted(len(bags), 'bag')} cannot be read, nothing was written")
     doubts = doubts_about(recordings, task)
     report["doubts"] = [asdict(doubt) for doubt in doubts]
     if any(doubt.refuses for doubt in doubts):
-        raise TrainingError("the doubts show that these bags do not belong together, nothing was written: see doubts")
+        raise TrainingError("these bags do not belong together, nothing was written")
     if recordings[0].stretches:
         maps = listed(recordings[0].stretches)
         raise ConversionError(f"a dataset has poses of frames, and {maps} are maps: leave them out of the task file")

@@ -15,10 +15,11 @@ from tpgmm_core import Demonstration, LearnedMixture
 from tpgmm_core.choice.calibration import coverage
 from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.report import format_table
-from tpgmm_core.common.text import one_line
+from tpgmm_core.common.text import listed, one_line, shown
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.retrieval.methods import ALL_METHODS, DEFAULT, KEY, like
 from tpgmm_ros.models.task_model import load_task_model
+from tpgmm_ros.models.training_record import learned_from
 from tpgmm_ros.models.validation import Tried, mean_errors, tried, tried_by_others
 from tpgmm_ros.programs.leave_one_out import cells_of
 from tpgmm_ros.programs.reading import TrainingError, progress_bar, read_bags
@@ -42,7 +43,12 @@ LEVEL = 0.9
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit status."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if not options.bags:
+        greedy = "--held-out" if options.held_out else "--methods" if options.methods else ""
+        hint = f": what stands behind {greedy} belongs to it. Write the bags before it, or -- before them"
+        parser.error(f"no BAG is given{hint if greedy else ''}")
     report: dict[str, Any] = {"passed": False}
     try:
         _evaluate(options, report)
@@ -89,6 +95,12 @@ def _tried(
 ) -> list[Tried]:
     if is_model:
         model = load_task_model(name, task)
+        if known := sorted(set(learned_from(model)) & {recording.name for recording in recordings}):
+            print(
+                f"warning: {name} has learned from recordings with the names {listed(known)}; errors are smaller there "
+                "than on what is new",
+                file=sys.stderr,
+            )
         return [tried(model, recording, float(model.metadata_["duration_s"])) for recording in recordings]
     space, recipe = task.space.manifold(), task.space.recipe(task.model, name)
     learn: Callable[[list[Demonstration]], LearnedMixture] = lambda shown: recipe.learn(shown, space)  # noqa: E731
@@ -131,8 +143,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--methods",
         nargs="+",
-        type=current_name,
-        choices=ALL_METHODS,
+        type=_method,
         metavar="METHOD",
         help=f"retrieval methods, of {', '.join(ALL_METHODS)} (default: all, but periodic where the task file says so)",
     )
@@ -144,8 +155,18 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--json", action="store_true", help="print everything as JSON, with each demonstration")
     add_jobs(parser)
-    add_reading_options(parser)
+    add_reading_options(parser, nargs="*")  # options of several values take what follows them, bags too
     return parser
+
+
+def _method(text: str) -> str:
+    name = current_name(text)
+    if name not in ALL_METHODS:
+        raise argparse.ArgumentTypeError(
+            f"{shown(text)} is no retrieval method; there are {listed(ALL_METHODS)}. Write bags before --methods, "
+            "or -- before them"
+        )
+    return name
 
 
 if __name__ == "__main__":

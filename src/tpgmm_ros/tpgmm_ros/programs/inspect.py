@@ -39,6 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         found = _inspect(options)
     except (OSError, ValueError) as error:
         print(f"error: {one_line(error)}", file=sys.stderr)
+        if options.json:
+            print(json_text({"passed": False, "error": one_line(error)}))
         return 1
     for bag in found["bad_bags"]:
         print(f"bad bag: {one_line(bag['error'])}", file=sys.stderr)

@@ -11,7 +11,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from tpgmm_core.common.text import one_line
+from tpgmm_core.common.text import counted, one_line
 from tpgmm_core.doubt.doubts import Doubt, RawDemonstration
 from tpgmm_core.doubt.judging import judged_alone
 from tpgmm_ros.recordings.bags import Recording, find_bags, join_parts, read_recordings
@@ -74,13 +74,13 @@ def read_bags(
     if bad and not options.skip_bad:
         count = len({error.path for error in bad})
         raise TrainingError(
-            f"{count} of {len(bags)} bags are bad, nothing was trained; repair or leave out the bags "
-            "named above, or train on the others with --skip-bad"
+            f"{count} of {counted(len(bags), 'bag')} {'is' if count == 1 else 'are'} bad, nothing was trained; repair "
+            "or leave out what is named above, or train on the others with --skip-bad"
         )
     if good:
         good = _without_doubt(good, task, options, report, judged_alone if kept is None else kept.alone)
     if not good:
-        raise TrainingError(f"none of the {len(bags)} bags could be used")
+        raise TrainingError(f"none of {counted(len(bags), 'bag')} could be used")
     return good
 
 
@@ -106,11 +106,11 @@ def _without_doubt(
         print(f"doubt: {doubt}", file=sys.stderr)
     if refusing:
         raise TrainingError(
-            f"{len(refusing)} of the doubts above show that these bags do not belong together, nothing was trained; "
-            "correct them, or leave out the bags that are named" + (", or use --skip-bad" if named else "")
+            f"these bags cannot be learned from together ({counted(len(refusing), 'doubt')} above), nothing was "
+            "trained; correct them, or leave out the bags that are named" + (", or use --skip-bad" if named else "")
         )
     if doubts and options.strict:
-        raise TrainingError(f"{len(doubts)} doubts, and --strict refuses all; nothing was trained")
+        raise TrainingError(f"{counted(len(doubts), 'doubt')} above, and --strict refuses all; nothing was trained")
     return recordings
 
 

@@ -17,6 +17,7 @@ from tpgmm_core.recognition.segmentation import segment
 from tpgmm_ros.models.known_skills import load_skills
 from tpgmm_ros.programs.reporting import write_report
 from tpgmm_ros.recordings.bags import Recording, find_bags, read_recordings
+from tpgmm_ros.runtime.arguments import number_above_0, whole_number
 from tpgmm_ros.runtime.entry import a_path
 from tpgmm_ros.task.task_file import Task
 
@@ -154,14 +155,16 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--segments", action="store_true", help="split each recording into skills")
     default = RecognitionConfig()
     parser.add_argument(
-        "--memory", type=float, default=default.memory, metavar="S",
+        "--memory", type=number_above_0("a time in s"), default=default.memory, metavar="S",
         help="time within which everything that is seen counts as one observation, s (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--unknown-prior", type=float, default=default.unknown_prior, metavar="P",
         help="probability of a movement that is none of the skills (default: %(default)s)",
     )  # fmt: skip
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="use every N-th sample (default: all)")
+    parser.add_argument(
+        "--every", type=whole_number(1), default=1, metavar="N", help="use every N-th sample (default: all)"
+    )
     parser.add_argument("--report", type=a_path, metavar="DIR", help="directory of report.json")
     return parser
 

@@ -29,7 +29,7 @@ from std_srvs.srv import Trigger
 from tpgmm_core.common.text import one_line
 from tpgmm_ros.nodes.frame_watch import FrameWatch
 from tpgmm_ros.programs.record_session import RecordSession, answered
-from tpgmm_ros.programs.reporting import json_text
+from tpgmm_ros.programs.reporting import json_text, refuse_foreign
 from tpgmm_ros.recordings.bag_recorder import BagRecorder
 from tpgmm_ros.recordings.recorded_topics import topics_of
 from tpgmm_ros.recordings.recovery import recover
@@ -92,6 +92,7 @@ def _record(options: argparse.Namespace, args: list[str], report: dict[str, Any]
     task = Task.load(options.task)
     if options.to.exists() and not options.to.is_dir():
         raise ValueError(f"{options.to} is not a folder; give the folder for the bags")
+    refuse_foreign(options.to / "demo_01", b"", "bag")
     init(args)
     stop = StopFlag()
     node = Node("record")

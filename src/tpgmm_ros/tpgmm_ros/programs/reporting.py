@@ -3,7 +3,9 @@
 
 import json
 import math
+import os
 import sys
+import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -60,7 +62,7 @@ MODEL, PAGE, JSON = b"PK", b"<!doctype html>", b"{"
 
 
 def refuse_foreign(path: Path | None, begins: bytes, what: str) -> None:
-    """Refuse to write where something else is: a slip in an argument must cost neither a bag nor a task file.
+    """Refuse to write where something else is, or nothing can be: a slip must cost neither a bag nor a training.
 
     Parameters
     ----------
@@ -74,7 +76,7 @@ def refuse_foreign(path: Path | None, begins: bytes, what: str) -> None:
     Raises
     ------
     ValueError
-        there is another file.
+        there is another file, or the folder takes none.
     OSError
         it cannot be read.
     """
@@ -86,6 +88,12 @@ def refuse_foreign(path: Path | None, begins: bytes, what: str) -> None:
         with path.open("rb") as file:
             if not file.read(len(begins)).startswith(begins):
                 raise ValueError(f"{path} exists and is no {what}, so that it is not overwritten: give another name")
+    folder = next(folder for folder in Path(os.path.abspath(path)).parents if folder.exists())
+    try:
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        why = f"{path} cannot be written, as no file can be made in {folder} ({error.strerror})"
+        raise ValueError(f"{why}: name another folder") from None
 
 
 def run_with_report(

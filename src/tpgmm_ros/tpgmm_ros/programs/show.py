@@ -15,7 +15,7 @@ import numpy as np
 from tpgmm_core import LearnedMixture
 from tpgmm_core.common.atomic_file import write_atomically
 from tpgmm_core.common.report import format_table
-from tpgmm_core.common.text import listed, one_line
+from tpgmm_core.common.text import counted, listed, one_line
 from tpgmm_core.kinematics.method import NAME as KINEMATIC
 from tpgmm_core.learning.periodic import PeriodicTPGMM
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
@@ -61,6 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"costs: {options.costs}", file=sys.stderr)
     except (OSError, ValueError) as error:
         print(f"error: {one_line(error)}", file=sys.stderr)
+        if options.json:
+            print(json_text({"passed": False, "error": one_line(error)}))
         return 1
     print(json_text(found) if options.json else _text(found))
     return 0
@@ -184,7 +186,7 @@ def _bases(model: LearnedMixture) -> str | None:
     said = bases_from(model)
     source = f"those of {said['model']}" if said else "given"
     more = [f"task {said['task']}"] if "task" in said else []
-    more += [f"{said['demonstrations']} demonstrations"] if "demonstrations" in said else []
+    more += [counted(said["demonstrations"], "demonstration")] if "demonstrations" in said else []
     return source + (f" ({', '.join(more)})" if more else "") + ", not learned"
 
 
@@ -202,11 +204,12 @@ def _relevance(model: LearnedMixture, method: str) -> tuple[str, dict[str, list[
 
 
 def _text(found: Mapping[str, Any]) -> str:
-    learned = f"{found['demonstrations'] or '?'} demonstrations, {found['samples'] or '?'} samples"
+    learned = f"{counted(found['demonstrations'] or '?', 'demonstration')}, {found['samples'] or '?'} samples"
     if found["learned_from"]:
         learned += f": {listed(found['learned_from'])}"
+    components = counted(len(found["components"]), "component")
     rows = {
-        "model": f"{found['kind']}, {len(found['components'])} components, {found['covariance']} covariances",
+        "model": f"{found['kind']}, {components}, {found['covariance']} covariances",
         "bases": found["bases"],
         "retrieval": f"{found['retrieval']}, of {found['encodes']}",
         "task": found["task"],

@@ -11,6 +11,7 @@ from tpgmm_core.common.old_names import current_name
 from tpgmm_core.common.text import one_line
 from tpgmm_core.retrieval.methods import ALL_METHODS
 from tpgmm_ros.programs.reporting import PAGE, refuse_foreign
+from tpgmm_ros.runtime.arguments import SEED, whole_number
 from tpgmm_ros.runtime.entry import a_path
 
 EXAMPLES = """\
@@ -43,7 +44,7 @@ def parser_of_train() -> argparse.ArgumentParser:
     parser.add_argument("--output", type=a_path, metavar="FILE", help="where the model is saved, such as task.tpgmm")
     parser.add_argument(
         "--components",
-        type=_positive,
+        type=whole_number(1),
         metavar="K",
         help="number of Gaussians, instead of n_components of the task file",
     )
@@ -55,7 +56,7 @@ def parser_of_train() -> argparse.ArgumentParser:
         help=f"retrieval method of the model, instead of retrieval of the task file: {', '.join(ALL_METHODS)}",
     )
     parser.add_argument(
-        "--seed", type=_natural, help="seed of random choices, instead of random_state of the task file"
+        "--seed", type=whole_number(0, SEED), help="seed of random choices, instead of random_state of the task file"
     )
     parser.add_argument(
         "--leave-one-out",
@@ -81,9 +82,12 @@ def parser_of_train() -> argparse.ArgumentParser:
         metavar="TIME",
         help="for --auto: time for the search, such as 60s (the default) or 5min",
     )
-    parser.add_argument("--trials", type=_positive, metavar="N", help="for --auto: try at most N configurations")
+    parser.add_argument("--trials", type=whole_number(1), metavar="N", help="for --auto: try at most N configurations")
     parser.add_argument(
-        "--workers", type=_positive, metavar="N", help="for --auto: number of processes (default: one for each core)"
+        "--workers",
+        type=whole_number(1),
+        metavar="N",
+        help="for --auto: number of processes (default: one for each core)",
     )
     parser.add_argument(
         "--online",
@@ -117,19 +121,19 @@ def add_jobs(parser: argparse.ArgumentParser) -> None:
     """Add how many processes leave demonstrations out."""
     parser.add_argument(
         "--jobs",
-        type=_positive,
+        type=whole_number(1),
         default=1,
         metavar="N",
         help="number of processes for leave-one-out, through joblib (default: 1); the numbers stay the same",
     )
 
 
-def add_reading_options(parser: argparse.ArgumentParser) -> None:
-    """Add what says which bags are read, by which task file, and how strictly: see `reading.read_bags`."""
+def add_reading_options(parser: argparse.ArgumentParser, nargs: str = "+") -> None:
+    """Add which bags are read (`nargs`: how many), by which task file, and how strictly: see `reading.read_bags`."""
     parser.add_argument(
         "bags",
         metavar="BAG",
-        nargs="+",
+        nargs=nargs,
         type=a_path,
         help="rosbag2 (MCAP, sqlite3) or ROS 1 bag, or one of its files, or a directory with several of them",
     )
@@ -138,7 +142,7 @@ def add_reading_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--every",
-        type=_positive,
+        type=whole_number(1),
         default=1,
         metavar="N",
         help="use every N-th sample of the movement (default: all)",
@@ -171,17 +175,18 @@ def page_of(parser: argparse.ArgumentParser, options: argparse.Namespace) -> Pat
         a file that ends with .html
     """
     report: Path | None = options.report
-    if report is None or report.suffix != ".html":
-        if report is not None and report.is_file():
-            parser.error(f"--report {report} is a file; name a folder, or a file that ends with .html")
+    if report is None:
         return None
-    if options.output is not None and report.resolve() == options.output.resolve():
+    is_page = report.suffix == ".html"
+    if not is_page and report.is_file():
+        parser.error(f"--report {report} is a file; name a folder, or a file that ends with .html")
+    if is_page and options.output is not None and report.resolve() == options.output.resolve():
         parser.error(f"--report and --output are both {report}: one would overwrite the other")
     try:
-        refuse_foreign(report, PAGE, "report of a training")
+        refuse_foreign(report if is_page else report / "report.json", PAGE if is_page else b"", "report of a training")
     except (OSError, ValueError) as error:
         parser.error(one_line(error))
-    return report
+    return report if is_page else None
 
 
 def _seconds(text: str) -> float:
@@ -189,17 +194,3 @@ def _seconds(text: str) -> float:
     if found is None or float(found[1]) == 0.0:
         raise argparse.ArgumentTypeError(f"{text} is not a time such as 60s or 5min")
     return float(found[1]) * (60.0 if found[2] == "min" else 1.0)
-
-
-def _natural(text: str) -> int:
-    number = int(text)
-    if not 0 <= number < 2**32:
-        raise argparse.ArgumentTypeError(f"{text} is not a whole number from 0 to {2**32 - 1}")
-    return number
-
-
-def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least 1")
-    return number

@@ -121,7 +121,7 @@ def read_takes(path: str | Path, task: Task, every: int = 1) -> tuple[list[Recor
                 raise BagError(
                     path,
                     f"the movement has {len(found.times)} samples, expected at least {MIN_SAMPLES}; "
-                    "record the whole movement",
+                    + ("leave more of it" if cut.note else "record the whole movement"),
                 )
         except BagError as error:
             bad.append(BagError(path, f"{cut.note}: {error.text}") if cut.take else error)

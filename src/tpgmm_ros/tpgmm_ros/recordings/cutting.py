@@ -69,10 +69,10 @@ def cuts_of(streams: BagStreams, rule: TakesRule | None, edits: Edits) -> list[C
     times = streams.seconds
     inside = (times >= begin) & (times <= end)
     if not inside.any():
-        raise BagError(
-            streams.path,
-            f"its edits begin at {begin:g} s, and its movement ends after {duration:.2f} s: correct {name}",
-        )
+        why = f"its edits begin at {begin:g} s, and its movement ends after {duration:.2f} s"
+        if begin <= duration:
+            why = f"its edits keep {begin:g} to {end:g} s, and its movement has no sample there"
+        raise BagError(streams.path, f"{why}: correct {name}")
     if edits.takes is None and rule is None:
         if edits.without:
             raise BagError(streams.path, f"its edits leave out some of its takes, and it has none: correct {name}")

@@ -11,6 +11,7 @@ import numpy as np
 
 from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array, Nanoseconds
+from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_core.doubt.ends import doubts_of_ends
 from tpgmm_core.geometry.pose import compose
 from tpgmm_core.observation.poses import ROUNDING, check_poses, doubtful_units, never_filled, wrong_frame
@@ -32,11 +33,14 @@ class PoseStreams(NamedTuple):
         poses (7,) of those that only static transforms lead to
     notes
         what is odd in the transforms that lead to these, in words
+    doubts
+        about the transforms that lead to any of them
     """
 
     moving: dict[str, Stream]
     fixed: dict[str, Array]
     notes: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
 
 def read_pose_streams(path: Path, sources: Mapping[str, Source], base_frame: str) -> PoseStreams:
@@ -93,7 +97,7 @@ def read_pose_streams(path: Path, sources: Mapping[str, Source], base_frame: str
                 fixed[name] = found
         else:
             moving[name] = seen[name].stream(path, names[source.topic], base_frame, transforms)
-    return PoseStreams(moving, fixed, transforms.notes if fixed else ())
+    return PoseStreams(moving, fixed, transforms.notes if fixed else (), transforms.doubts)
 
 
 class _Seen:
@@ -210,7 +214,7 @@ def usable_poses(
             try:
                 if transforms is None or not frame_id:
                     raise TransformError(reason)
-                place = transforms.tree.pose(frame_id, base_frame, int(observed.stamps[k]))
+                place = transforms.pose(frame_id, base_frame, int(observed.stamps[k]))
             except TransformError as error:
                 good[k] = False
                 kind = reason if str(error).startswith(NO_TRANSFORM) else str(error)

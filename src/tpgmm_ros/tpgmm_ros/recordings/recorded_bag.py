@@ -156,7 +156,7 @@ def _taken(stream: Stream, which: np.ndarray) -> Stream:
 
 def _read(path: Path, task: Task) -> tuple[dict[str, Stream], dict[str, Array]]:
     """All topics as they were recorded, and poses of frames that do not move."""
-    streams, fixed, notes = read_pose_streams(path, _sources(task), task.base_frame)
+    streams, fixed, notes, doubts = read_pose_streams(path, _sources(task), task.base_frame)
     # a frame that is lost at an end stays where it was, or is not seen yet
     streams = {name: s if name == MOVEMENT else replace(s, doubts=()) for name, s in streams.items()}
     if isinstance(task.recorded_movement, JointStateSource):
@@ -164,7 +164,8 @@ def _read(path: Path, task: Task) -> tuple[dict[str, Stream], dict[str, Array]]:
     if names := task.space.joints():
         streams[JOINTS] = read_joint_stream(path, task.space.joint_states, names)
     movement = streams[MOVEMENT]
-    streams[MOVEMENT] = replace(movement, notes=(*movement.notes, *_unturned(movement), *notes, *_far(task)))
+    notes = (*movement.notes, *_unturned(movement), *notes, *_far(task))
+    streams[MOVEMENT] = replace(movement, notes=notes, doubts=(*movement.doubts, *doubts))
     return streams, {**fixed, **_given(task)}
 
 

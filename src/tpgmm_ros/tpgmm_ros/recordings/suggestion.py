@@ -83,9 +83,10 @@ def suggested_task(bags: Sequence[BagOverview]) -> SuggestedTask:
             varies = np.ptp(first[:, :3], axis=0).max() > STILL_M or bool(
                 (quaternion.angle_between(first[:1, 3:], first[:, 3:]) > STILL_RAD).any()
             )
-            what = "moves" if any(t.moves for t in _each(bags, name)) else "stands still in each bag"
-            where = "elsewhere from bag to bag" if varies else "always at the same place"
-            frames.append((_frame_name(name), name, f"{what}, {where}"))
+            what = "moves" if any(t.moves for t in _each(bags, name)) else "stands still"
+            if len(bags) > 1:
+                what += f" in each bag, {'elsewhere from bag to bag' if varies else 'always at the same place'}"
+            frames.append((_frame_name(name), name, what))
     lines = [
         "# Suggested from the recordings: look at each line, above all at `endpoint` and at the frames.",
         "name: my_task",

@@ -9,6 +9,7 @@ import numpy as np
 
 from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
+from tpgmm_core.doubt.doubts import Doubt
 from tpgmm_core.observation.transforms import TransformTree, TransformWatch
 from tpgmm_ros.messages.fields import time_to_ns, transform_numbers
 from tpgmm_ros.messages.sources import TF, TF_MESSAGE, TF_STATIC, TransformSource
@@ -33,6 +34,7 @@ class RecordedTransforms:
         self._moving: list[tuple[int, Any]] = []
         self._refused: dict[str, int] = {}
         self._by_recorder = False
+        self._used: set[tuple[str, str]] = set()
 
     @property
     def tree(self) -> TransformTree:
@@ -63,11 +65,43 @@ class RecordedTransforms:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is odd in them, in words."""
+        """What is odd in all of them, in words."""
         said = [f"/tf: {count} transforms left out ({kind})" for kind, count in self._refused.items()]
         if self._by_recorder:
             said.append("/tf has stamps that never change: times of the recorder used")
-        return (*said, *(f"/tf_static: {reason}" for reason in self.tree.unsteady.values()))
+        return tuple(said)
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """Contradictions among those that lead to the frames that were asked for."""
+        reasons = (reason for used in sorted(self._used) for reason in self.tree.contradictions(*used))
+        return tuple(
+            Doubt("transforms", (), f"/tf_static: {reason}, and record again") for reason in dict.fromkeys(reasons)
+        )
+
+    def pose(self, frame: str, base: str, stamp_ns: int) -> Array:
+        """Where a frame is in a base at a time.
+
+        Parameters
+        ----------
+        frame, base, stamp_ns
+            see `TransformTree.pose`
+
+        Returns
+        -------
+        Array
+            shape (7,), with a unit quaternion
+
+        Raises
+        ------
+        TransformError
+            no transforms lead from one to the other, or they are not known at this time
+        BagError
+            the bag cannot be read
+        """
+        found = self.tree.pose(frame, base, stamp_ns)
+        self._used.add((frame, base))
+        return found
 
     def _add(self, tree: TransformTree, message: Any, recorded: int, is_static: bool) -> Iterator[str]:
         """Kinds of reasons why transforms are not used."""
@@ -103,6 +137,7 @@ class RecordedTransforms:
                 f"its transforms on /tf and /tf_static do not say where {source.frame} is: {watch.reason}. Record them "
                 "from before the start, or correct the task file",
             )
+        self._used.add((source.frame, source.base))
         if whole[0] is None:
             return whole[1]
         seen = list(self._seen(source))

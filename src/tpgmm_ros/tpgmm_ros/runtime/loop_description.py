@@ -6,6 +6,7 @@ The launch file hands this to `launch`; programs without it start the same proce
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,6 +104,7 @@ ARGUMENTS = (
         "parameters",
         "path of a file of parameters (YAML) for what has no argument here; empty: none",
         "",
+        os.path.expanduser,
         is_parameter=False,
     ),
     LoopArgument(

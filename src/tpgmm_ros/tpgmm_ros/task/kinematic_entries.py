@@ -8,11 +8,9 @@ from typing import Any
 
 from tpgmm_core.common.text import shown
 from tpgmm_core.common.yaml_sections import Section
-from tpgmm_core.common.yaml_values import a_choice, a_name, checked_text
+from tpgmm_core.common.yaml_values import a_choice, a_name
 from tpgmm_core.kinematics.hierarchy import Level
 from tpgmm_core.kinematics.tasks import KinematicTask
-
-a_robot_file = checked_text(bool, "the path of a robot file, from this file")
 
 
 def read_tasks(section: Section, objects: Collection[str]) -> tuple[dict[str, KinematicTask], frozenset[str]]:

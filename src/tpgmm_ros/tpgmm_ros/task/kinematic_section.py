@@ -47,7 +47,6 @@ from tpgmm_core.retrieval.methods import RetrievalMethod
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.task.kinematic_entries import (
-    a_robot_file,
     joint_groups,
     read_hierarchies,
     read_postures,
@@ -119,7 +118,7 @@ class KinematicSpec:
         section.refuse_others("robot", "joints", "joint_states", "tasks", "hierarchies", "postures", "threshold")
         tasks, aims = read_tasks(section.section("tasks"), objects)
         return cls(
-            robot=Path(section.source).parent / section.required("robot", a_robot_file),
+            robot=section.path_in("robot", "a robot file"),
             joint_groups=section.required("joints", joint_groups),
             joint_states=section.required("joint_states", a_topic)
             if "joint_states" in section.values

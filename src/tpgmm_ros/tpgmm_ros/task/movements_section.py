@@ -99,4 +99,4 @@ def movement_of(top: Section, movement: str | None) -> Section:
     if isinstance(values.get("name"), str):
         values["name"] = f"{values['name']}_{movement}"
     values |= {"movement": topics[movement], "endpoint": movement, "frames": {name: known[name] for name in chosen}}
-    return Section(top.source, top.where, values)
+    return Section(top.file, top.where, values)

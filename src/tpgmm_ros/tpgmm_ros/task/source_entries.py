@@ -13,7 +13,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 from tpgmm_core.common.text import shown
@@ -103,7 +102,7 @@ def read_movement(entry: Section, base_frame: str) -> Source | JointStateSource:
     """
     if "joint_states" in entry.values:
         entry.refuse_others("joint_states", "robot", "link")
-        robot = Path(entry.source).parent / entry.required("robot", a_text)
+        robot = entry.path_in("robot", "a robot file")
         return JointStateSource(entry.required("joint_states", a_topic), robot, entry.required("link", a_text))
     entry.refuse_others(*KEYS, "joint_states")
     if len(entry.values.keys() & {"topic", "tf"}) != 1:

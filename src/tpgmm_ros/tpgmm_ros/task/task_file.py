@@ -156,6 +156,8 @@ class Task:
     @classmethod
     def _of(cls, top: Section) -> "Task":
         keys = ("name", "base_frame", "movement", "endpoint", "movements", "frames", "kinematic")
+        if "urdf" in top.values:
+            raise top.error("is a robot file, as it has 'urdf'; expected a task file: a movement and its frames")
         top.refuse_others(*keys, "recordings", "tracking", "model")
         base_frame, movement = top.required("base_frame", a_frame_id), top.required("movement", a_topic)
         frames, derived = read_frames(top.section("frames"), movement, base_frame)

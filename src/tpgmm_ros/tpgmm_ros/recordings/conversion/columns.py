@@ -18,7 +18,7 @@ from tpgmm_core.common.text import listed, shown
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry import quaternion
 from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
-from tpgmm_ros.recordings.conversion.tables import Table
+from tpgmm_ros.recordings.conversion.tables import MATRICES, Table
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -88,8 +88,8 @@ def columns_of(table: Table, text: str) -> Array:
 
 def _upright(array: Array) -> Array:
     """(T, k), samples first."""
-    if array.ndim == 3 or array.shape == (4, 4):  # transforms
-        return array.reshape(-1, 16)
+    if array.ndim == 3 or array.shape in MATRICES:  # transforms
+        return array.reshape(-1, array.shape[-2] * array.shape[-1])
     if array.ndim == 1:
         return array[:, None]
     return array.T if array.shape[0] < array.shape[1] and 1 < array.shape[0] <= 16 else array
@@ -102,7 +102,7 @@ def poses_of(numbers: Array, unit: str = "m", orientation: str = "xyzw") -> Arra
     ----------
     numbers
         (T, 2) x, y; (T, 3) x, y, z; (T, 6) or (T, 7) these and an orientation; (T, 16) homogeneous transforms, written
-        row by row or column by column, which the place of 0 0 0 1 tells
+        row by row or column by column, which the place of 0 0 0 1 tells; (T, 12) these row by row without 0 0 0 1
     unit
         of positions: m, cm, mm or in
     orientation
@@ -118,6 +118,8 @@ def poses_of(numbers: Array, unit: str = "m", orientation: str = "xyzw") -> Arra
     ConversionError
         so many columns are no pose, or a matrix is no rotation.
     """
+    if numbers.shape[1] == 12:
+        numbers = np.hstack([numbers, np.tile([0.0, 0.0, 0.0, 1.0], (len(numbers), 1))])
     T, count = numbers.shape
     poses = np.tile([0.0, 0.0, 0.0, *quaternion.IDENTITY], (T, 1))
     if count == 16:
@@ -132,7 +134,7 @@ def poses_of(numbers: Array, unit: str = "m", orientation: str = "xyzw") -> Arra
             or (np.linalg.det(R) < 0.0).any()
             or not (last == [0.0, 0.0, 0.0, 1.0]).all()
         ):
-            raise ConversionError("has 16 columns that are no rotation and translation with a row 0 0 0 1")
+            raise ConversionError("has 12 or 16 columns that are no rotation and translation with a row 0 0 0 1")
         U, _, Vt = np.linalg.svd(R)  # the nearest rotation: what people write down is rounded
         poses[:, :3], poses[:, 3:] = matrices[:, :3, 3], quaternion.from_matrix(U @ Vt)
     elif count in (2, 3):
@@ -143,7 +145,7 @@ def poses_of(numbers: Array, unit: str = "m", orientation: str = "xyzw") -> Arra
     else:
         raise ConversionError(
             f"has {count} columns for a pose with the orientation {orientation}; expected 2 (x, y), 3 (x, y, z), 7 "
-            "(and a quaternion), 16 (a transform) or, with --orientation rpy or rotation_vector, 6"
+            "(and a quaternion), 12 or 16 (a transform) or, with --orientation rpy or rotation_vector, 6"
         )
     poses[:, :3] *= UNITS[unit]
     return poses

@@ -32,7 +32,7 @@ class Columns:
     movement
         of the hand
     time
-        None where `rate` tells
+        one column, or two of seconds and nanoseconds; None where `rate` tells
     rate
         samples per second, Hz; None where `time` tells
     frames, numbers
@@ -115,7 +115,7 @@ def demonstrations_of(table: Table, columns: Columns) -> list[Shown]:
     if movement.shape and (movement[:, 3:] == [0.0, 0.0, 0.0, 1.0]).all():
         notes.append("no orientation of the hand is given: 0 0 0 1 was written; what a model says of it means nothing")
     if columns.time is not None:
-        times = _single(columns_of(table, columns.time), columns.time) * TIME_UNITS[columns.time_unit]
+        times = _seconds(columns_of(table, columns.time), columns.time, columns.time_unit)
     else:
         assert columns.rate is not None
         times = np.arange(T) / columns.rate
@@ -169,15 +169,17 @@ def demonstrations_of(table: Table, columns: Columns) -> list[Shown]:
                 f"its samples are {period:.4g} s apart: if its times are not in {columns.time_unit}, give their "
                 "unit by --time-unit"
             )
-        found.append(
-            Shown(
-                ns,
-                movement[at],
-                {name: _latest(poses, at, first) for name, poses in frames.items()},
-                {name: _latest(values[:, None], at, first)[:, 0] for name, values in numbers.items()},
-                (*notes, *said),
-            )
-        )
+        seen = {name: _latest(poses, at, first) for name, poses in frames.items()}
+        further = {name: _latest(values[:, None], at, first)[:, 0] for name, values in numbers.items()}
+        for option, text, values in (
+            *(("--frame", f"{name}={columns.frames[name]}", poses) for name, poses in seen.items()),
+            *(("--number", f"{name}={columns.numbers[name]}", values[:, None]) for name, values in further.items()),
+        ):
+            if not np.isfinite(values).all(axis=1).any():
+                raise ConversionError(
+                    f"has nothing finite in {option} {text} from row {first} on: name other columns, or leave it out"
+                )
+        found.append(Shown(ns, movement[at], seen, further, (*notes, *said)))
     return found
 
 
@@ -201,6 +203,13 @@ def _latest(values: Array, at: NDArray[np.intp], first: int) -> Array:
     return np.where((latest > since)[:, None], values[latest], np.nan)
 
 
+def _seconds(numbers: Array, text: str, unit: str) -> Array:
+    """Times (T,) s out of one column, or of two: seconds and nanoseconds, as stamps of ROS have them."""
+    if numbers.shape[1] == 2 and unit == "s":
+        return numbers[:, 0] - np.nanmin(numbers[:, 0], initial=np.inf) + 1e-9 * numbers[:, 1]
+    return _single(numbers, text) * TIME_UNITS[unit]
+
+
 def _single(numbers: Array, text: str) -> Array:
     if len(numbers) == 1:  # a row, as MATLAB has times
         return numbers[0]
@@ -211,7 +220,9 @@ def _single(numbers: Array, text: str) -> Array:
 
 def _row(numbers: Array, T: int) -> Array:
     """A pose that is given once, as a list of numbers (k,), has its columns there."""
-    return numbers.T if numbers.shape[1] == 1 and len(numbers) in (2, 3, 6, 7, 16) and len(numbers) != T else numbers
+    return (
+        numbers.T if numbers.shape[1] == 1 and len(numbers) in (2, 3, 6, 7, 12, 16) and len(numbers) != T else numbers
+    )
 
 
 def _as_long(values: Array, T: int, name: str) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,11 @@ from tpgmm_core.common.text import listed, one_line
 from tpgmm_core.common.types import Array
 from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
 from tpgmm_ros.recordings.conversion.csv_file import read_csv
+from tpgmm_ros.recordings.finding import PACKED
 
 _PICKLED = np.array("Python objects (pickle), which are never loaded")
+MATRICES = (4, 4), (3, 4)
+"""Shapes of transforms, with and without their row 0 0 0 1."""
 MOST_OF_SPARSE = 50_000_000
 """Numbers of a sparse matrix, with all its zeros."""
 
@@ -25,7 +29,7 @@ type Table = Mapping[str, Array]
 """Arrays (T, k) by name; a single array without a name is called ""."""
 
 
-def read_tables(path: Path, wanted: Collection[str]) -> list[Table]:
+def read_tables(path: Path, wanted: Collection[str], labels: str | None = None) -> list[Table]:
     """Read a file.
 
     Parameters
@@ -34,6 +38,8 @@ def read_tables(path: Path, wanted: Collection[str]) -> list[Table]:
         .csv, .tsv, .txt, .npy, .npz or .mat
     wanted
         names of the arrays that are used: these tell how many demonstrations there are
+    labels
+        name of a column of a text file that may hold texts
 
     Returns
     -------
@@ -47,18 +53,17 @@ def read_tables(path: Path, wanted: Collection[str]) -> list[Table]:
         the file is none of these, is damaged, or holds no numbers.
     """
     readers: dict[str, Callable[[Path], dict[str, Any]]] = {
-        ".csv": read_csv,
-        ".tsv": read_csv,
-        ".txt": read_csv,
+        **dict.fromkeys((".csv", ".tsv", ".txt"), partial(read_csv, wanted=wanted, labels=labels)),
         ".npy": _npy,
         ".npz": _npz,
         ".mat": _mat,
     }
+    if not path.exists():
+        raise ConversionError(f"{path}: does not exist")
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise ConversionError(f"{path}: is of no known kind; expected {listed(list(readers))}")
-    if not path.is_file():
-        raise ConversionError(f"{path}: is no file")
+        hint = "; unpack it first" if path.name.lower().endswith(PACKED) else ""
+        raise ConversionError(f"{path}: is of no known kind; expected {listed(list(readers))}{hint}")
     try:
         return _tables(path, reader(path), wanted, is_matlab=path.suffix.lower() == ".mat")
     except ConversionError:
@@ -127,7 +132,7 @@ def _tables(path: Path, values: Mapping[str, Any], wanted: Collection[str], is_m
             several[name] = value
         elif value.ndim == 4:
             several[name] = list(np.moveaxis(value, (3, 2), (0, 1)) if is_matlab else value)
-        elif value.ndim == 3 and value.shape[-2:] != (4, 4) and not (is_matlab and value.shape[:2] == (4, 4)):
+        elif value.ndim == 3 and value.shape[-2:] not in MATRICES and not (is_matlab and value.shape[:2] in MATRICES):
             several[name] = list(np.moveaxis(value, -1, 0) if is_matlab else value)
         else:
             shared[name] = np.moveaxis(value, -1, 0) if is_matlab and value.ndim == 3 else value

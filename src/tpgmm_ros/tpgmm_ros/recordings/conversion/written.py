@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Demonstrations to bags, and bags held against what was written: the same numbers, bit by bit."""
+"""Demonstrations to bags with a task file, and bags held against what was written: the same numbers, bit by bit."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tpgmm_core.common.types import Array, Nanoseconds
+from tpgmm_core.common.yaml_values import quoted
 from tpgmm_ros.recordings.bag_messages import read_messages
 from tpgmm_ros.recordings.conversion.conversion_error import ConversionError
 from tpgmm_ros.recordings.conversion.demonstrations import Shown
@@ -19,6 +20,8 @@ from tpgmm_ros.recordings.storage.definitions import types_for
 
 POSE_STAMPED, FLOAT64 = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Float64"
 MOVEMENT = "hand/pose"
+BEGIN = "begin"
+"""Frame of where the hand is at the beginning."""
 START_NS = 1_000_000_000
 """Stamp of the first sample: 0 would mean that there is none."""
 
@@ -31,6 +34,38 @@ def topic_of(frame: str) -> str:
 def topics_of(shown: Shown) -> dict[str, Array]:
     """Topic → (T, 7) poses of the hand and of each frame."""
     return {MOVEMENT: shown.movement} | {topic_of(name): values for name, values in shown.frames.items()}
+
+
+def task_text(name: str, base_frame: str, frames: Sequence[str]) -> str:
+    """The task file of such bags.
+
+    Parameters
+    ----------
+    name
+        of the task
+    base_frame
+        frame_id of all poses
+    frames
+        names of those that have topics
+
+    Returns
+    -------
+    str
+        YAML
+    """
+    lines = [
+        "# Written by convert: look at each line, above all at `endpoint` and at the frames.",
+        f"name: {quoted(name)}",
+        f"base_frame: {quoted(base_frame)}",
+        f"movement: {MOVEMENT}",
+        "endpoint: hand  # the end point of your robot that follows the movement",
+        "frames:",
+        *(f"  {quoted(frame)}: {{topic: {topic_of(frame)}}}" for frame in frames),
+        f"  {BEGIN}: {{hand: start, turned: false}}  # where the hand is when the movement begins",
+    ]
+    if not frames:
+        lines.insert(-1, "  robot: {pose: [0, 0, 0, 0, 0, 0, 1]}  # no frames were given; what does it depend on?")
+    return "\n".join(lines) + "\n"
 
 
 def write_bag(
@@ -119,7 +154,7 @@ def audit(bag: Path, shown: Shown, base_frame: str) -> dict[str, int]:
         _hold(bag, name, stamps, (START_NS + shown.ns)[seen])
         _hold(bag, name, found[name].recorded, stamps)
         _hold(bag, name, np.array([_numbers(message.pose) for message in found[name].messages]), values[seen])
-        if {header.frame_id for header in headers} != {base_frame}:
+        if {header.frame_id for header in headers} - {base_frame}:
             raise ConversionError(f"{bag}: {name} has another frame than {base_frame!r}")
         counts[name] = len(stamps)
     for name, column in shown.numbers.items():
