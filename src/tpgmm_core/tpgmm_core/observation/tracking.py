@@ -15,6 +15,7 @@ of its arrival. The status follows the steady clock, which no clock step can sta
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -29,8 +30,11 @@ from tpgmm_core.observation.in_hand import Hand, carried_covariance
 from tpgmm_core.observation.motion import SeenMotion
 from tpgmm_core.observation.pose_filter import PoseFilter
 from tpgmm_core.observation.poses import check_pose
+from tpgmm_core.observation.signals import PAUSE, SignalWatch
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame, TrackingConfig
+
+_SAID_ONCE = "said once, by a publisher that keeps it (transient local): it holds as long as that is there"
 
 
 @dataclass(slots=True)
@@ -48,6 +52,8 @@ class _Track:
     record: FrameRecord = field(default_factory=FrameRecord)
     motion: SeenMotion = field(default_factory=SeenMotion)
     unknown_after: float | None = None
+    lasts: bool = False
+    """The last observation holds as long as somebody keeps it."""
 
 
 class FrameTracker:
@@ -94,6 +100,7 @@ class FrameTracker:
         if not set(with_hand) <= set(unknown_after or {}):
             raise ValueError(f"with_hand names some of {list(unknown_after or {})}, got {list(with_hand)}")
         self._hand = Hand(with_hand)
+        self._grippers: defaultdict[str, SignalWatch] = defaultdict(SignalWatch)
         for name, pose in (fixed or {}).items():
             self._tracks[name] = _Track(fixed=True, filter=PoseFilter(0.0), gate=LeapGate(motion))
             if reason := self.fix(name, pose):
@@ -149,6 +156,7 @@ class FrameTracker:
         steady_ns: int,
         covariance: NDArray[np.float64] | None = None,
         stretch: NDArray[np.float64] | None = None,
+        lasts: bool = False,
     ) -> str | None:
         """Add one observation.
 
@@ -169,6 +177,10 @@ class FrameTracker:
             none, which is counted
         stretch
             (3, 3), what the frame's axes do to positions, where its source says it; the same
+        lasts
+            it was said once, and is kept for those who come later (see `update`): whatever its stamp, it is the present
+            place, which no leap and no average makes doubtful. What comes so often that it could not be held meanwhile
+            is a stream like any other
 
         Returns
         -------
@@ -184,11 +196,20 @@ class FrameTracker:
         checked, reason = check_pose(pose)
         if checked is None:
             return self.refuse(name, reason)
-        stamp_ns, reason = self._judged_stamp(track, stamp_ns, now_ns)
-        if reason:
-            return self.refuse(name, reason)
-        if leap := track.gate.judge(checked, stamp_ns):
+        period = track.gate.period
+        lasts &= not track.fixed and (period is None or period > self.config.visible_timeout)
+        track.lasts &= lasts
+        if lasts:
+            stamp_ns = self._stamp_of_lasting(track, stamp_ns, now_ns)
+            track.filter.forget()
+            track.motion.forget()
+        else:
+            stamp_ns, reason = self._judged_stamp(track, stamp_ns, now_ns)
+            if reason:
+                return self.refuse(name, reason)
+        if (leap := track.gate.judge(checked, stamp_ns)) and not lasts:
             return self.refuse(name, self._words(name, leap, checked))
+        track.lasts = lasts
         track.pose, track.stamp_ns, track.seen_ns = track.filter.observe(checked, stamp_ns), stamp_ns, steady_ns
         track.covariance = None if covariance is None or np.isnan(covariance).any() else covariance
         track.stretch = stretch
@@ -218,8 +239,21 @@ class FrameTracker:
         """
         return self._hand.take(pose, stamp_ns, steady_ns)
 
-    def observe_gripper(self, name: str, closed: bool, stamp_ns: int) -> None:
-        """Hear whether the gripper that may hold a frame is closed from a time on, ROS time."""
+    def observe_gripper(self, name: str, closed: bool, stamp_ns: int, steady_ns: int) -> None:
+        """Hear whether the gripper that may hold a frame is closed.
+
+        Parameters
+        ----------
+        name
+            the frame
+        closed
+            whether it is closed
+        stamp_ns
+            from when on, ROS time
+        steady_ns
+            steady time at arrival
+        """
+        self._grippers[name].hear(closed, steady_ns)
         self._hand.grip(name, closed, stamp_ns)
 
     def refuse(self, name: str, reason: str) -> str:
@@ -251,6 +285,8 @@ class FrameTracker:
                 allowed = f"{self.config.max_future} s allowed"
                 return stamp_ns, f"stamp in the future: {-age:.3f} s ahead of ROS time, {allowed}"
             stamp_ns = corrected
+        if age > self.config.max_age and stamp_ns == 0:
+            return stamp_ns, "stamp too old: it is 0; the driver must stamp each message with its own time"
         if age > self.config.max_age:
             return stamp_ns, f"stamp too old: {age:.3f} s behind ROS time, {self.config.max_age} s allowed"
         if stamp_ns == track.stamp_ns:
@@ -258,6 +294,12 @@ class FrameTracker:
         if stamp_ns < track.stamp_ns:
             return stamp_ns, "stamp out of order: older than the observation that is known already"
         return stamp_ns, ""
+
+    def _stamp_of_lasting(self, track: _Track, stamp_ns: int, now_ns: int) -> int:
+        """The stamp of what is said once: when it came, where its own tells nothing; always after the last one."""
+        age = (now_ns - stamp_ns) / SECOND
+        fresh = -self.config.max_future <= age <= self.config.max_age
+        return max(stamp_ns if fresh else now_ns, track.stamp_ns + 1)
 
     def _words(self, name: str, leap: Leap, pose: NDArray[np.float64]) -> str:
         """Why a pose is refused: kind, ":", details."""
@@ -282,7 +324,11 @@ class FrameTracker:
                     rate=None if period is None else 1.0 / period,
                     noise=track.filter.noise,
                     refused=dict(record.refused),
-                    notes=(*record.notes(track.clock.lead_ns), *self._whereabouts(name, track, steady_ns)),
+                    notes=(
+                        *record.notes(track.clock.lead_ns),
+                        *((_SAID_ONCE,) if track.lasts else ()),
+                        *self._whereabouts(name, track, steady_ns),
+                    ),
                     doubts=record.doubts(),
                     trouble=record.trouble,
                 )
@@ -294,24 +340,51 @@ class FrameTracker:
             return ()
         if self._hand.moves(name) and self._is_hand_lost(steady_ns):
             return ("not seen; it was with the hand, whose pose does not come",)
-        return (f"not seen; {self._hand.why(name)}",)
+        silence = self._grippers[name].age(steady_ns)
+        if self._is_grip_lost(name, steady_ns):
+            return (f"not seen; the gripper held it, and has stopped saying so: silent for {silence:.0f} s",)
+        since = f"; the gripper spoke last {silence:.0f} s ago" if PAUSE < silence < math.inf else ""
+        return (f"not seen; {self._hand.why(name)}{since}",)
 
     def _is_hand_lost(self, steady_ns: int) -> bool:
         return self._hand.age(steady_ns) > self.config.visible_timeout
+
+    def _is_grip_lost(self, name: str, steady_ns: int) -> bool:
+        """Whether a frame is only held by what a gripper said that has stopped speaking since."""
+        return self._hand.holds(name) and self._grippers[name].has_ceased(steady_ns)
 
     def forget(self) -> None:
         """Forget all observations (time jumped backwards: a looped bag, a restarted simulation)."""
         for track in self._tracks.values():
             if not track.fixed:
                 track.pose, track.stamp_ns, track.seen_ns, track.confidence = None, 0, 0, 0.0
-                track.covariance, track.stretch = None, None
+                track.covariance, track.stretch, track.lasts = None, None, False
                 for part in (track.filter, track.gate, track.clock, track.record, track.motion):
                     part.forget()
         self._hand.forget()
+        self._grippers.clear()
         self._updated_ns = None
 
-    def update(self, steady_ns: int) -> list[TrackedFrame]:
-        """All frames as they are known at a steady time; call it regularly, since confidences change with time."""
+    def update(self, steady_ns: int, kept: Collection[str] = ()) -> list[TrackedFrame]:
+        """All frames as they are known; call it regularly, since confidences change with time.
+
+        Parameters
+        ----------
+        steady_ns
+            steady time, ns
+        kept
+            frames of which somebody keeps what was said once: they are there, until something else is said, unless
+            they are in the hand
+
+        Returns
+        -------
+        list[TrackedFrame]
+            in the order of the frames
+        """
+        for name in kept:
+            in_hand = name in self._hand and (self._hand.moves(name) or self._hand.left(name) is not None)
+            if (track := self._tracks.get(name)) is not None and track.lasts and not in_hand:
+                track.seen_ns = steady_ns
         elapsed = 0.0 if self._updated_ns is None else max(0.0, (steady_ns - self._updated_ns) / SECOND)
         first = self._updated_ns is None
         self._updated_ns = steady_ns
@@ -325,7 +398,7 @@ class FrameTracker:
         hold_time = config.hold_time if track.unknown_after is None else track.unknown_after
         carried = unseen > config.visible_timeout and name in self._hand and self._hand.moves(name)
         trusted = track.pose is not None and unseen <= config.visible_timeout + hold_time
-        trusted &= not (carried and self._is_hand_lost(steady_ns))
+        trusted &= not (carried and (self._is_hand_lost(steady_ns) or self._is_grip_lost(name, steady_ns)))
         # Before the first update no confidence was published, so there is nothing to be continuous with.
         change = 1.0 if first else elapsed / config.fade_time
         if trusted:

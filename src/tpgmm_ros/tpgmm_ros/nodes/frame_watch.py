@@ -68,7 +68,7 @@ class FrameWatch:
     def frames(self) -> list[Seen]:
         """All observed frames as they are seen now."""
         now = time.monotonic_ns()
-        status = {frame.name: frame.status for frame in self._tracker.update(now)}
+        status = {frame.name: frame.status for frame in self._tracker.update(now, self._sources.kept)}
         health, unknown = self._tracker.health(now), self._sources.unknown()
         found = []
         for name, count in self._counts.items():
@@ -81,8 +81,9 @@ class FrameWatch:
 
     def _observe(self, name: str, observation: Observation) -> None:
         now_ns = self._node.get_clock().now().nanoseconds
+        steady_ns, lasts = time.monotonic_ns(), observation.lasts
         stamp_ns, pose, covariance = observation.stamp_ns, observation.pose, observation.covariance
-        if self._tracker.observe(name, pose, stamp_ns, now_ns, time.monotonic_ns(), covariance) is None:
+        if self._tracker.observe(name, pose, stamp_ns, now_ns, steady_ns, covariance, lasts=lasts) is None:
             self._counts[name] += 1
 
     def _fix(self, name: str, pose: Array) -> None:

@@ -21,6 +21,7 @@ from tpgmm_ros.messages.classes import message_class
 from tpgmm_ros.recordings.heard_topic import HeardTopic, bag_qos
 from tpgmm_ros.recordings.storage.bag_writer import BagWriter, next_name
 from tpgmm_ros.recordings.storage.definitions import types_for
+from tpgmm_ros.runtime.fitted_subscription import are_latched
 
 #: Nothing that comes while the disk is busy is to be lost, whatever the publisher promises.
 RECORD = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -288,7 +289,7 @@ class BagRecorder:
         if topic.type not in types:
             topic.trouble = f"is published as {listed(types)}, expected {topic.type}: correct the task file"
             return
-        latched = all(offer.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
+        latched = are_latched(offers)
         if topic.subscription is None or latched != topic.latched:
             self._subscribe(topic, latched)
 
