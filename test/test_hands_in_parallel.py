@@ -190,36 +190,33 @@ def test_a_reference_of_before_a_restart_counts_no_more_when_time_comes_there_ag
         stamp_ns, n = round(seconds * SECOND), robot.model.nv
         states.publish(conversions.joint_state_message(list(robot.model.joint_names), stamp_ns, robot.q, np.zeros(n)))
 
-    def frames_at(begin: float, with_reference: bool = False) -> Callable[[], list[str] | None]:
-        """The frames of a reference after this time; states come from there on."""
-        time_s = [begin]
+    now = [100.0]
 
-        def frames() -> list[str] | None:
-            time_s[0] += 0.002
-            if with_reference:
-                message = conversions.reference_message(led, DIMENSIONS, round(time_s[0] * SECOND), "base")
-                publisher.publish(message)
-            state(time_s[0])
-            last = robot.inbox.last
-            if last is None or abs(conversions.time_to_ns(last.header.stamp) / SECOND - time_s[0]) > 0.3:
-                return None
-            return list(last.frames)
-
-        return frames
+    def frames(with_reference: bool = False) -> list[str] | None:
+        """The frames of the answer to a joint state of now, which goes on; None where it has not come."""
+        now[0] += 0.002
+        if with_reference:
+            message = conversions.reference_message(led, DIMENSIONS, round(now[0] * SECOND), "base")
+            publisher.publish(message)
+        state(now[0])
+        last = robot.inbox.last
+        if last is None or abs(conversions.time_to_ns(last.header.stamp) / SECOND - now[0]) > 0.3:
+            return None
+        return list(last.frames)
 
     def wait(condition: Callable[[], bool], what: str) -> None:
         spin_until(ros_node, condition, message=what, processes=(process,))
 
-    at_100 = frames_at(100.0, with_reference=True)
-    wait(lambda: at_100() == ["left/object"], "the reference to be followed")
-    at_1 = frames_at(1.0)
-    wait(lambda: at_1() == [], "time to begin again without a movement")
-    again = frames_at(100.0)
+    wait(lambda: frames(with_reference=True) == ["left/object"], "the reference to be followed")
+    there = now[0]
+    now[0] = 1.0
+    wait(lambda: frames() == [], "time to begin again without a movement")
+    now[0] = there
     answered: list[list[str]] = []
 
     def enough() -> bool:
-        if (frames := again()) is not None:
-            answered.append(frames)
+        if (found := frames()) is not None:
+            answered.append(found)
         return len(answered) > 20
 
     wait(enough, "time to be there again")
