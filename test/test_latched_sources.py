@@ -19,7 +19,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
-from ros_graph import ALL_LATCHED, SECOND, Diagnostics, Inbox, ros_arguments
+from ros_graph import ALL_LATCHED, ROBOT_FILE, SECOND, Diagnostics, Inbox, ros_arguments
 from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import TaskFrame, TaskParameters
@@ -86,20 +86,28 @@ class Tracked:
 
 @pytest.fixture
 def start(ros_node: Node, start_process: StartProcess, tmp_path: Path) -> Callable[..., Tracked]:
-    def start(frames: str, **parameters: object) -> Tracked:
+    def start(frames: str, *command: str, **parameters: object) -> Tracked:
         (tmp_path / "task.yaml").write_text(HEAD % frames)
         arguments = ros_arguments(task_file=tmp_path / "task.yaml", **parameters)
-        return Tracked(ros_node, start_process("frame_tracker", *arguments))
+        return Tracked(ros_node, start_process(*(command or ("frame_tracker",)), *arguments))
 
     return start
 
 
-@pytest.mark.parametrize("before", [True, False], ids=["before the tracker starts", "after it has started"])
+@pytest.mark.parametrize(
+    ("before", "command"),
+    [
+        (True, ["frame_tracker"]),
+        (False, ["frame_tracker"]),
+        (True, ["compose", "frame_tracker", "endpoint_poses"]),
+    ],
+    ids=["before the tracker starts", "after it has started", "before, in one process with another node"],
+)
 def test_what_is_said_once_holds_until_something_else_is_said_and_while_it_is_kept(
-    before: bool, ros_node: Node, start: Callable[..., Tracked]
+    before: bool, command: list[str], ros_node: Node, start: Callable[..., Tracked]
 ) -> None:
     if not before:
-        tracked = start(FRAMES)
+        tracked = start(FRAMES, *command, robot_file=ROBOT_FILE)
         tracked.wait(lambda: tracked.are(TaskFrame.MISSING), "the tracker")
     old = ros_node.get_clock().now().nanoseconds - 3600 * SECOND
     publishers = {
@@ -112,7 +120,7 @@ def test_what_is_said_once_holds_until_something_else_is_said_and_while_it_is_ke
 
     say(HERE, old)
     if before:
-        tracked = start(FRAMES)
+        tracked = start(FRAMES, *command, robot_file=ROBOT_FILE)
     tracked.wait(lambda: tracked.are(TaskFrame.VISIBLE, HERE), "what was said")
     tracked.inbox.clear()
     tracked.wait(lambda: len(tracked.inbox.messages) > 150, "more than one and a half seconds")
