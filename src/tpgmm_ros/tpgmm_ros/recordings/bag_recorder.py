@@ -270,11 +270,12 @@ class BagRecorder:
                 except OSError as error:
                     self._fail(error)
             for topic in self._topics.values():
-                if not topic.trouble and not topic.came:
+                # a latched subscription does not hear who is not, and comes later
+                if not topic.trouble and (topic.latched or not topic.came):
                     self._look_at(topic)
 
     def _look_at(self, topic: HeardTopic) -> None:
-        """Subscribe as those who publish it ask for, as long as nothing has come."""
+        """Subscribe as those who publish it ask for."""
         offers = self._offers(topic)
         if not offers:
             return
@@ -299,6 +300,7 @@ class BagRecorder:
             self._node.destroy_subscription(topic.subscription)
         take = functools.partial(self._take, topic)
         topic.latched = latched
+        topic.kept.clear()
         topic.subscription = self._node.create_subscription(
             message_class(topic.type), topic.name, take, RECORD_LATCHED if latched else RECORD, raw=True
         )
