@@ -15,7 +15,8 @@ from tpgmm_ros.messages.qos import STREAM
 from tpgmm_ros.task.task_file import Task
 
 RATE, POSE_RATE = 250.0, 50.0
-NODES: dict[str, dict[str, object]] = {
+Nodes = dict[str, dict[str, object]]
+LOOP: Nodes = {
     "baxter_simulator": {
         "robot_file": ROBOT_FILE,
         "lockstep": True,
@@ -24,16 +25,25 @@ NODES: dict[str, dict[str, object]] = {
         "pose_rate": POSE_RATE,
     },
     "impedance_controller": {"robot_file": ROBOT_FILE, "lockstep": True, "use_sim_time": True, "autostart": True},
-    "frame_tracker": {"task_file": TASK_FILE, "lockstep": True, "use_sim_time": True},
-    "reproduction": {"task_file": TASK_FILE, "lockstep_rate": POSE_RATE, "use_sim_time": True, "autostart": True},
 }
+
+GRAPHS: dict[str, Nodes] = {
+    "poses": {
+        **LOOP,
+        "frame_tracker": {"task_file": TASK_FILE, "lockstep": True, "use_sim_time": True},
+        "reproduction": {"task_file": TASK_FILE, "lockstep_rate": POSE_RATE, "use_sim_time": True, "autostart": True},
+    },
+    "joints": {**LOOP, "joint_reference": {"robot_file": ROBOT_FILE, "led": "[left, right]", "use_sim_time": True}},
+}
+LIFECYCLE = "impedance_controller", "reproduction"
 
 
 class Graph:
     """The nodes, and a camera that answers each pose of the hand with what it sees of each frame."""
 
-    def __init__(self, node: Node, start: StartProcess) -> None:
-        self.node, self._start, self.processes = node, start, dict[str, RunningProcess]()
+    def __init__(self, node: Node, nodes: Nodes, start: StartProcess) -> None:
+        self.node, self._nodes, self._start = node, nodes, start
+        self.processes = dict[str, RunningProcess]()
         self.stamp_ns = 0
         task = Task.load(TASK_FILE)
         self._seen = [node.create_publisher(PoseStamped, topic, STREAM) for topic in task.topics.values()]
@@ -48,7 +58,7 @@ class Graph:
         self.stamp_ns = conversions.time_to_ns(state.header.stamp)
 
     def start(self, name: str) -> None:
-        self.processes[name] = self._start(name, *ros_arguments(**NODES[name]))
+        self.processes[name] = self._start(name, *ros_arguments(**self._nodes[name]))
 
     def goes_on(self, what: str) -> None:
         """Wait until time has gone on by half a second."""
@@ -67,12 +77,13 @@ class Graph:
         spin_until(self.node, has_gone_on, message=f"time to go on {what}", processes=processes)
 
 
-@pytest.mark.parametrize("last", NODES)
+@pytest.mark.parametrize(("kind", "last"), [(kind, name) for kind, nodes in GRAPHS.items() for name in nodes])
 def test_time_goes_on_whoever_comes_last_and_comes_again(
-    last: str, ros_node: Node, start_process: StartProcess
+    kind: str, last: str, ros_node: Node, start_process: StartProcess
 ) -> None:
-    graph = Graph(ros_node, start_process)
-    others = [name for name in NODES if name != last]
+    nodes = GRAPHS[kind]
+    graph = Graph(ros_node, nodes, start_process)
+    others = [name for name in nodes if name != last]
     for name in others:
         graph.start(name)
     spin_until(
@@ -87,6 +98,6 @@ def test_time_goes_on_whoever_comes_last_and_comes_again(
     graph.stamp_ns = 0
     graph.start(last)
     graph.goes_on(f"with {last} started again")
-    for name in ("impedance_controller", "reproduction"):
+    for name in (name for name in LIFECYCLE if name in nodes):
         assert change_state(ros_node, name, DEACTIVATE, ACTIVATE)
         graph.goes_on(f"with {name} activated again")
