@@ -24,7 +24,8 @@ class SetBackClock:
         self._clock, self.back = clock, Duration()
 
     def now(self) -> Time:
-        return self._clock.now() - self.back
+        now = self._clock.now()
+        return Time(nanoseconds=now.nanoseconds - self.back.nanoseconds, clock_type=now.clock_type)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._clock, name)
