@@ -21,10 +21,13 @@ from std_srvs.srv import Trigger
 
 from ros_graph import ALL_LATCHED, SECOND, Diagnostics, Inbox, call, ros_arguments, set_parameters
 from ros_testing import RunningProcess, StartProcess, spin_until
+from set_back_tracker import BACK, SetBackClock
 from tpgmm_core import Frame
 from tpgmm_msgs.msg import TaskFrame, TaskParameters
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.nodes.frame_watch import FrameWatch
+from tpgmm_ros.task.task_file import Task
 
 # Each test has a frame of its own, so that one process serves them all
 FRAMES = (
@@ -356,3 +359,22 @@ def test_poses_are_taken_again_at_once_after_the_clock_of_the_machine_was_set_ba
     moved = GOOD + 0.2 * np.eye(7)[0]
     spin_until(ros_node, is_seen(moved, 3600 * SECOND), message="the frame by the new time", processes=(process,))
     assert "time jumped backwards" in process.output
+
+
+def test_what_a_recorder_shows_of_a_frame_goes_on_after_the_clock_of_the_machine_was_set_back(
+    ros_node: Node, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = SetBackClock(ros_node.get_clock())
+    monkeypatch.setattr(ros_node, "get_clock", lambda: clock)
+    watch = FrameWatch(ros_node, Task.load(write_task(tmp_path / "task.yaml", ("seen",))))
+    publisher = ros_node.create_publisher(PoseStamped, "seen/pose", STREAM)
+
+    def goes_on() -> bool:
+        publisher.publish(conversions.pose_stamped(GOOD, clock.now().nanoseconds, "base"))
+        (seen,) = watch.frames()
+        return not seen.missing and seen.count > before + 10
+
+    before = 0
+    spin_until(ros_node, goes_on, message="the frame")
+    before, clock.back = watch.frames()[0].count, BACK
+    spin_until(ros_node, goes_on, message="the frame by the new time")

@@ -21,6 +21,7 @@ from std_msgs.msg import Bool
 
 from ros_graph import ALL_LATCHED, ROBOT_FILE, SECOND, Diagnostics, Inbox, ros_arguments
 from ros_testing import RunningProcess, StartProcess, spin_until
+from tpgmm_core.observation.signals import STEADY
 from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame
 from tpgmm_msgs.msg import TaskFrame, TaskParameters
 from tpgmm_ros.messages import conversions
@@ -263,3 +264,40 @@ def test_what_a_gripper_says_once_is_heard_among_what_the_arm_says_on_the_same_t
             return words in tracked.diagnostics.values.get("frame_tracker", {}).get("note_nut_1", "")
 
         tracked.wait(says, words)
+
+
+def test_a_gripper_that_stops_saying_what_it_said_all_the_time_holds_nothing_until_it_speaks_again(
+    ros_node: Node, start: Callable[..., Tracked]
+) -> None:
+    tracked = start("{nut: {topic: nut, unseen: {with: hand, gripper: {topic: closed, type: std_msgs/Bool}}}}")
+    hands, nuts = (ros_node.create_publisher(PoseStamped, topic, STREAM) for topic in ("hand/pose", "nut"))
+    gripper = ros_node.create_publisher(Bool, "closed", STREAM)
+    said: list[bool] = []
+    closed, speaks, seen = [False], [True], [True]
+
+    def live() -> None:
+        stamp = ros_node.get_clock().now().nanoseconds
+        for publisher in (hands, nuts) if seen[0] else (hands,):
+            publisher.publish(conversions.pose_stamped(HERE, stamp, "base"))
+        if speaks[0]:
+            said.append(closed[0])
+            gripper.publish(Bool(data=closed[0]))
+
+    timer = ros_node.create_timer(0.03, live)
+
+    def note() -> str:
+        return tracked.diagnostics.values.get("frame_tracker", {}).get("note_nut_1", "")
+
+    tracked.wait(lambda: tracked.are(TaskFrame.VISIBLE, HERE), "the nut")
+    seen[0] = False
+    tracked.wait(lambda: "the gripper is open" in note(), "the open gripper")
+    said.clear()
+    closed[0] = True
+    tracked.wait(lambda: said.count(True) * 0.03 > STEADY + 1.0, "the gripper to speak all the time")
+    assert tracked.are(TaskFrame.HELD, HERE) and note().endswith("whose gripper holds it")
+    speaks[0] = False
+    tracked.wait(lambda: tracked.are(TaskFrame.MISSING), "what it held to be lost")
+    tracked.wait(lambda: "has stopped saying so" in note(), "the diagnostics to say why")
+    speaks[0] = True
+    tracked.wait(lambda: tracked.are(TaskFrame.HELD, HERE), "the gripper to hold it again")
+    ros_node.destroy_timer(timer)

@@ -17,7 +17,7 @@ from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.observation.health import FrameHealth
 from tpgmm_core.observation.poses import Observation, wrong_frame
-from tpgmm_core.observation.streams import OVERTAKEN, SECOND
+from tpgmm_core.observation.streams import ClockWatch
 from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame, TrackingConfig
 from tpgmm_core.observation.tracking import FrameTracker
 from tpgmm_msgs.msg import TaskParameters
@@ -87,7 +87,8 @@ class FrameTrackerNode(Node):
         self._uses_covariances = parameters["use_covariances"]
         self._loop_clock = loop_clock(self)
         self._known: list[TrackedFrame] = []
-        self._changes = self._now_ns = 0
+        self._changes = 0
+        self._clock_watch = ClockWatch()
         self._publisher = self.create_publisher(TaskParameters, "task_parameters", LATCHED)
         self._transforms = TransformBroadcaster(self) if parameters["broadcast_transforms"] else None
         self._sources: FrameSources | None = None
@@ -151,10 +152,9 @@ class FrameTrackerNode(Node):
 
     def _publish_regularly(self) -> None:
         self._changes = 0
-        now_ns = self.get_clock().now().nanoseconds
-        if now_ns < self._now_ns - OVERTAKEN * SECOND:  # the system's clock was set back, which no callback tells
+        # no callback tells it of the system's clock
+        if self._clock_watch.was_set_back(self.get_clock().now().nanoseconds):
             self._forget()
-        self._now_ns = now_ns
         self._publish()
 
     def _publish(self) -> None:
@@ -206,7 +206,7 @@ class FrameTrackerNode(Node):
 
     def _forget(self) -> None:
         self.get_logger().warning("time jumped backwards: all observations are forgotten")
-        self._now_ns = 0
+        self._clock_watch = ClockWatch()
         self.tracker.forget()
         if self._sources is not None:
             self._sources.forget()
