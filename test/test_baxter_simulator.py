@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -206,6 +207,20 @@ def test_a_push_moves_the_hand_its_way_and_ends_when_it_is_not_repeated(lockstep
         speed = lockstep.hand_speed
         lockstep.advance(300, leading)
         assert lockstep.hand_speed < 0.9 * speed, "friction alone brakes a hand that nobody pushes any more"
+
+
+def test_pushes_at_two_links_that_have_waited_together_both_count(lockstep: Lockstep) -> None:
+    for _ in range(3):
+        lockstep.advance(500, lambda q, v: compensation(q, v) - 5.0 * v)  # to rest
+        lockstep.process.send_signal(signal.SIGSTOP)
+        for hand in ("left", "right"):
+            push = [0.0, 0.0, 10.0, 0.0, 0.0, 0.0]
+            lockstep.wrenches.publish(conversions.wrench_from_array(push, 0, ROBOT.endpoints[hand].frame))
+        lockstep.process.send_signal(signal.SIGCONT)
+        lockstep.advance(100)
+        DATA.update(*lockstep.state)
+        left, right = (DATA.twist(hand)[2] for hand in ("left", "right"))
+        assert min(left, right) > 0.5 * max(left, right) > 0.0
 
 
 def test_a_hand_that_is_led_is_let_go_of_at_once(lockstep: Lockstep) -> None:

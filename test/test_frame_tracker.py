@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 import math
 import signal
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,13 +17,17 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from std_srvs.srv import Trigger
 
-from ros_graph import ALL_LATCHED, SECOND, Diagnostics, Inbox, ros_arguments, set_parameters
+from ros_graph import ALL_LATCHED, SECOND, Diagnostics, Inbox, call, ros_arguments, set_parameters
 from ros_testing import RunningProcess, StartProcess, spin_until
+from set_back_tracker import BACK, SetBackClock
 from tpgmm_core import Frame
 from tpgmm_msgs.msg import TaskFrame, TaskParameters
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.qos import STREAM
+from tpgmm_ros.nodes.frame_watch import FrameWatch
+from tpgmm_ros.task.task_file import Task
 
 # Each test has a frame of its own, so that one process serves them all
 FRAMES = (
@@ -330,3 +335,46 @@ def test_noisy_poses_are_averaged_over_the_time_that_the_parameter_says(
         np.testing.assert_array_equal(last, 0.0)
     else:
         assert np.std(last) > 1e-3, "what goes out is not the pose that came, which is 2 mm off"
+
+
+def test_poses_are_taken_again_at_once_after_the_clock_of_the_machine_was_set_back(
+    ros_node: Node, start_process: StartProcess, tmp_path: Path
+) -> None:
+    task, script = write_task(tmp_path / "task.yaml", ("seen",)), Path(__file__).with_name("set_back_tracker.py")
+    process = start_process(sys.executable, str(script), *ros_arguments(task_file=task))
+    inbox = Inbox(ros_node, TaskParameters, "task_parameters", ALL_LATCHED)
+    publisher = ros_node.create_publisher(PoseStamped, "seen/pose", STREAM)
+
+    def is_seen(pose: np.ndarray, back_ns: int) -> Callable[[], bool]:
+        def check() -> bool:
+            stamp_ns = ros_node.get_clock().now().nanoseconds - back_ns
+            publisher.publish(conversions.pose_stamped(pose, stamp_ns, "base"))
+            frame = frame_of(inbox.last, "seen") if inbox.last is not None else None
+            return frame is not None and frame.status == TaskFrame.VISIBLE and np.allclose(frame.b[:3], pose[:3])
+
+        return check
+
+    spin_until(ros_node, is_seen(GOOD, 0), message="the frame", processes=(process,))
+    assert call(ros_node, Trigger, "set_back", Trigger.Request()).success
+    moved = GOOD + 0.2 * np.eye(7)[0]
+    spin_until(ros_node, is_seen(moved, 3600 * SECOND), message="the frame by the new time", processes=(process,))
+    assert "time jumped backwards" in process.output
+
+
+def test_what_a_recorder_shows_of_a_frame_goes_on_after_the_clock_of_the_machine_was_set_back(
+    ros_node: Node, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = SetBackClock(ros_node.get_clock())
+    monkeypatch.setattr(ros_node, "get_clock", lambda: clock)
+    watch = FrameWatch(ros_node, Task.load(write_task(tmp_path / "task.yaml", ("seen",))))
+    publisher = ros_node.create_publisher(PoseStamped, "seen/pose", STREAM)
+
+    def goes_on() -> bool:
+        publisher.publish(conversions.pose_stamped(GOOD, clock.now().nanoseconds, "base"))
+        (seen,) = watch.frames()
+        return not seen.missing and seen.count > before + 10
+
+    before = 0
+    spin_until(ros_node, goes_on, message="the frame")
+    before, clock.back = watch.frames()[0].count, BACK
+    spin_until(ros_node, goes_on, message="the frame by the new time")

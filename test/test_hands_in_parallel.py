@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,9 @@ from sensor_msgs.msg import JointState
 from ros_graph import ROOT, SECOND, Inbox, result_of, ros_arguments
 from ros_testing import STARTUP_TIMEOUT, RunningProcess, StartProcess, spin_until
 from tpgmm_core import Demonstration, Frame
+from tpgmm_core.geometry.gaussian import Gaussian
 from tpgmm_core.geometry.manifold import POSE
+from tpgmm_core.model.reference import Reference as CoreReference
 from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame
 from tpgmm_core.retrieval.recipe import Recipe
 from tpgmm_core.robot.model import RobotModel
@@ -169,3 +172,52 @@ def test_each_hand_reaches_its_object_at_its_own_pace_while_the_other_one_moves(
     for _ in range(60):  # nobody says anything any more
         robot.tick()
     assert not robot.inbox.last.frames
+
+
+def test_a_reference_of_before_a_restart_counts_no_more_when_time_comes_there_again(
+    ros_node: Node, start_process: StartProcess
+) -> None:
+    robot = Robot(ros_node)
+    process = start_process(
+        "joint_reference", *ros_arguments(robot_file=ROBOT_FILE, led="[left, right]", blend_time=0.05)
+    )
+    publisher = ros_node.create_publisher(Reference, "left/reference", STREAM)
+    states = ros_node.create_publisher(JointState, "joint_states", STREAM)
+    wanted = Gaussian(robot.homes["left"], 1e-4 * np.eye(6), POSE)
+    led = CoreReference(0.5, wanted, 0.0, (), np.ones(1), ("object",))
+
+    def state(seconds: float) -> None:
+        stamp_ns, n = round(seconds * SECOND), robot.model.nv
+        states.publish(conversions.joint_state_message(list(robot.model.joint_names), stamp_ns, robot.q, np.zeros(n)))
+
+    now = [100.0]
+
+    def frames(with_reference: bool = False) -> list[str] | None:
+        """The frames of the answer to a joint state of now, which goes on; None where it has not come."""
+        now[0] += 0.002
+        if with_reference:
+            message = conversions.reference_message(led, DIMENSIONS, round(now[0] * SECOND), "base")
+            publisher.publish(message)
+        state(now[0])
+        last = robot.inbox.last
+        if last is None or abs(conversions.time_to_ns(last.header.stamp) / SECOND - now[0]) > 0.3:
+            return None
+        return list(last.frames)
+
+    def wait(condition: Callable[[], bool], what: str) -> None:
+        spin_until(ros_node, condition, message=what, processes=(process,))
+
+    wait(lambda: frames(with_reference=True) == ["left/object"], "the reference to be followed")
+    there = now[0]
+    now[0] = 1.0
+    wait(lambda: frames() == [], "time to begin again without a movement")
+    now[0] = there
+    answered: list[list[str]] = []
+
+    def enough() -> bool:
+        if (found := frames()) is not None:
+            answered.append(found)
+        return len(answered) > 20
+
+    wait(enough, "time to be there again")
+    assert not any(answered)

@@ -32,7 +32,7 @@ from tf2_msgs.msg import TFMessage
 from vision_msgs.msg import Detection3D, Detection3DArray, ObjectHypothesisWithPose
 
 from ros_testing import RunningProcess, StartProcess, spin_until
-from tpgmm_ros.messages.qos import LATCHED, STREAM, TRANSFORMS, TRANSFORMS_STATIC
+from tpgmm_ros.messages.qos import LATCHED, MIXED, STREAM, TRANSFORMS_STATIC
 from tpgmm_ros.programs.record import main
 from tpgmm_ros.recordings.bags import find_bags, read_recording
 from tpgmm_ros.recordings.storage.bag_reader import BagReader
@@ -64,7 +64,7 @@ class Robot:
         self.publishers = {
             kind: node.create_publisher(message, topic, qos)
             for kind, message, topic, qos in (
-                ("tf", TFMessage, "/tf", TRANSFORMS),
+                ("tf", TFMessage, "/tf", MIXED),
                 ("detections", Detection3DArray, "detections", STREAM),
                 ("odometry", Odometry, "odom", STREAM),
                 ("joints", JointState, "joint_states", STREAM),

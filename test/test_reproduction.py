@@ -356,3 +356,18 @@ def test_a_robot_that_is_stuck_elsewhere_is_named_with_what_its_controller_says(
     result = future.result().result
     assert not result.success and "the robot has stopped there" in result.reason
     assert "the controller says 'DAMPING: no reference yet'" in result.reason
+
+
+def test_what_a_controller_said_that_is_gone_is_told_as_such(player: Player) -> None:
+    says = player.node.create_publisher(ControllerState, "controller_state", LATCHED)
+    says.publish(ControllerState(state=ControllerState.ACTIVE, reason="following the reference"))
+    handle = player.start()
+    spin_until(player.node, says.get_subscription_count, message="who listens", processes=(player.process,))
+    assert says.wait_for_all_acked()
+    player.node.destroy_publisher(says)
+    pose = np.array([0.2, -0.6, 0.9, 0.0, 0.0, 0.0, 1.0])
+    future = handle.get_result_async()  # type: ignore[attr-defined]
+    while not future.done():
+        player.tick(unless=future.done, pose=pose)
+    words = "no controller publishes on controller_state any more; it said last 'ACTIVE: following the reference'"
+    assert words in future.result().result.reason

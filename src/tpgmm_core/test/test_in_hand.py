@@ -79,7 +79,7 @@ def tracked(
     for t in TIMES:
         now, seen = round(SECOND * (100 + t)), round(SECOND * (100 + t - delay))
         if gripper is not None:  # told before the hand's pose of this time
-            tracker.observe_gripper("thing", gripper(t), now)
+            tracker.observe_gripper("thing", gripper(t), now, now)
         if 0.0 <= t - delay < HIDDEN:  # told before the hand's pose of this time
             assert tracker.observe("thing", thing(t - delay), seen, now, now) is None
         if t < hand_until:
@@ -225,3 +225,30 @@ def test_a_recording_says_the_same_as_the_tracker_of_a_gripper(thing: Callable[[
     still = np.array([gripper(t) == gripper(t - PERIOD) for t in TIMES])
     np.testing.assert_allclose(poses[hidden & still], live[hidden & still], atol=1e-9)
     np.testing.assert_array_equal(moved, signal[1] & (thing is beside_the_hand))
+
+
+@pytest.mark.parametrize(
+    ("said_for", "status", "words"),
+    [
+        (0.0, FrameStatus.HELD, "the gripper spoke last 20 s ago"),
+        (6.0, FrameStatus.MISSING, "has stopped saying so: silent for 14 s"),
+        (20.0, FrameStatus.HELD, "whose gripper holds it"),
+    ],
+    ids=["said once", "said all the time, and then no more", "said all the time"],
+)
+def test_what_a_gripper_holds_is_lost_where_it_stops_saying_so(
+    said_for: float, status: FrameStatus, words: str
+) -> None:
+    tracker = FrameTracker(["thing"], config=CONFIG, unknown_after={"thing": math.inf}, with_hand=["thing"])
+    for t in np.arange(0.0, 20.02, PERIOD):
+        now = round(SECOND * (100 + t))
+        if t < 0.1:
+            assert tracker.observe("thing", beside_the_hand(0.0), now, now, now) is None
+        assert tracker.observe_hand(hand_at(CLOSES), now, now) == ""
+        if t == 0.0:
+            tracker.observe_gripper("thing", False, now, now)
+        elif PERIOD <= t <= PERIOD + said_for:
+            tracker.observe_gripper("thing", True, now, now)
+        (last,) = tracker.update(now)
+    assert last.status is status
+    assert any(words in note for note in tracker.health(now)["thing"].notes)

@@ -8,7 +8,16 @@ import math
 import numpy as np
 import pytest
 
-from tpgmm_core.observation.streams import RESTARTED_AFTER, Beat, Leader, RateMeter, Stamp, StreamWatch
+from tpgmm_core.observation.streams import (
+    RESTARTED_AFTER,
+    SECOND,
+    Beat,
+    ClockWatch,
+    Leader,
+    RateMeter,
+    Stamp,
+    StreamWatch,
+)
 
 MS = 1_000_000
 
@@ -128,3 +137,15 @@ def test_a_step_between_two_messages_has_a_time_between_them_and_time_never_goes
     assert beat.between(4060 * MS) is None and beat.between(4045 * MS) == 5037 * MS
     beat.take(10 * MS, 40 * MS, restarted=True)
     assert beat.step_ns == 10 * MS and beat.between(42 * MS) is None
+
+
+@pytest.mark.parametrize(
+    ("back", "set_back"), [(-1.0, False), (0.0, False), (0.03, False), (0.2, True), (3600.0, True)]
+)
+def test_a_clock_that_is_set_back_is_noticed_once(back: float, set_back: bool) -> None:
+    watch = ClockWatch()
+    assert not watch.was_set_back(5000 * SECOND)
+    later = round((5001.0 - back) * SECOND)
+    assert not watch.was_set_back(5001 * SECOND)
+    assert watch.was_set_back(later) == set_back
+    assert not watch.was_set_back(later + 1)

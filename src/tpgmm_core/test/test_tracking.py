@@ -141,7 +141,7 @@ def test_what_is_no_pose_is_refused_and_the_last_good_one_stays(pose, words):
 
 @pytest.mark.parametrize(
     ("stamp", "words"),
-    [(0.5, "future"), (-1.5, "too old"), (-0.01, "repeated"), (-0.05, "out of order")],
+    [(0.5, "future"), (-1.5, "too old"), (-100.0, "it is 0"), (-0.01, "repeated"), (-0.05, "out of order")],
 )
 def test_a_stamp_that_lies_is_refused(stamp, words):
     frames = tracker()
@@ -220,3 +220,72 @@ def test_integers_that_a_message_has_taken_for_floats_are_named(at: int) -> None
     accepted, reason = check_pose(pose)
     assert accepted is None
     assert "write 1.0, not 1" in reason
+
+
+def say(frames: FrameTracker, seconds: float, pose=POSE, stamp=0.0) -> str | None:
+    """Once, by a publisher that keeps it."""
+    return frames.observe("object", pose, ns(stamp), ns(100 + seconds), ns(seconds), lasts=True)
+
+
+def kept(frames: FrameTracker, seconds: float, by=("object",)):
+    return {item.name: item for item in frames.update(ns(seconds), by)}["object"]
+
+
+@pytest.mark.parametrize("stamp", [0.0, 1.0, 100.0, 3600.0])
+def test_what_is_said_once_holds_whatever_its_stamp_until_something_else_is_said_or_nobody_keeps_it(stamp):
+    frames = tracker()
+    assert say(frames, 0.0, stamp=stamp) is None
+    for t in np.arange(0.0, 60.0, 0.1):
+        now = kept(frames, t)
+        assert now.status is FrameStatus.VISIBLE and now.confidence == 1.0
+    there = [2.0, *POSE[1:]]
+    for t, pose in ((60.0, there), (60.01, POSE), (60.02, there)):  # no leap, no average, no repeated stamp
+        assert say(frames, t, pose, stamp) is None
+        np.testing.assert_array_equal(kept(frames, t).pose, pose)
+    assert "keeps it" in " ".join(frames.health(ns(60.0))["object"].notes)
+    assert kept(frames, 60.5, ()).status is FrameStatus.HELD
+    assert kept(frames, 61.1, ()).status is FrameStatus.HELD
+    assert kept(frames, 62.2, ()).status is FrameStatus.MISSING
+
+
+def test_a_stream_is_one_though_its_publisher_keeps_the_last_pose():
+    frames = tracker()
+    for step in range(30):
+        t = step / 30
+        assert say(frames, t, stamp=100.0 + t) is None
+        kept(frames, t)
+    assert kept(frames, 1.5).status is FrameStatus.HELD
+    assert "leap" in (say(frames, 1.5, [50.0, *POSE[1:]], stamp=101.5) or "")
+    assert "too old" in (say(frames, 1.6) or "")
+
+
+def test_an_old_stream_does_not_stand_though_its_publisher_keeps_the_last_pose():
+    frames = tracker()
+    for step in range(60):
+        t = step / 30
+        refused = say(frames, t, stamp=1.0 + t)
+        now = kept(frames, t)
+    assert "too old" in (refused or "") and now.status is FrameStatus.HELD
+
+
+def test_seen_by_others_it_is_judged_as_they_see_it():
+    frames = tracker()
+    assert say(frames, 0.0) is None
+    assert see(frames, 1.0) is None
+    assert kept(frames, 1.3).status is FrameStatus.HELD
+
+
+def test_what_was_said_once_and_is_in_the_hand_moves_with_it():
+    frames = FrameTracker(["object"], config=CONFIG, unknown_after={"object": math.inf}, with_hand=["object"])
+    frames.observe_hand(POSE, ns(100), ns(0.0))
+    frames.observe_gripper("object", False, ns(100), ns(0.0))
+    assert say(frames, 0.0, stamp=100.0) is None
+    frames.observe_gripper("object", True, ns(100), ns(0.0))
+    way = np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for t in np.arange(0.01, 1.0, 0.01):
+        frames.observe_hand(POSE + t * way, ns(100 + t), ns(t))
+        now = kept(frames, t)
+    np.testing.assert_allclose(now.pose, POSE + 0.99 * way, atol=1e-9)
+    frames.observe_gripper("object", False, ns(100.99), ns(0.99))
+    frames.observe_hand(POSE + 2 * way, ns(102), ns(2.0))
+    np.testing.assert_allclose(kept(frames, 2.0).pose, POSE + 0.99 * way, atol=1e-9)

@@ -12,6 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from ros_testing import spin_until
+from tpgmm_ros.messages.qos import LATCHED
 from tpgmm_ros.recordings.bag_recorder import BagRecorder
 
 TOPICS = {"hand/pose": "geometry_msgs/msg/PoseStamped", "silent/pose": "geometry_msgs/msg/PoseStamped"}
@@ -72,3 +73,16 @@ def test_an_existing_bag_is_refused_before_anything_is_touched(ros_node: Node, t
     with pytest.raises(FileExistsError, match="demo_01 exists"):
         BagRecorder(ros_node, TOPICS).start(tmp_path, "demo_01")
     assert (tmp_path / "demo_01" / "precious").read_text() == "data"
+
+
+def test_who_publishes_later_and_keeps_nothing_is_recorded_beside_what_was_said_once(
+    ros_node: Node, tmp_path: Path
+) -> None:
+    once = ros_node.create_publisher(PoseStamped, "hand/pose", LATCHED)
+    first = PoseStamped()
+    first.header.frame_id, first.pose.position.x = "base", 100.0
+    once.publish(first)
+    with BagRecorder(ros_node, TOPICS).into(tmp_path / "demo") as recorder:
+        spin_until(ros_node, lambda: recorder.counts["hand/pose"] == 1, message="what was said once")
+        send(ros_node, recorder, 3)
+    assert recorded(tmp_path / "demo") == [100.0, 0.0, 1.0, 2.0]

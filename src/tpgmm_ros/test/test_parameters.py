@@ -96,3 +96,17 @@ def test_the_settings_of_a_dataclass_become_parameters_and_fill_it_again(ros_nod
     assert parameters.fill(ExecutionConfig).settle_time == 2.5
     assert not change(ros_node, settle_time=-1.0).successful
     assert ros_node.describe_parameter("settle_time").description
+
+
+def test_a_name_that_is_nearly_a_parameter_is_said_and_names_of_other_nodes_are_not(
+    ros_node: Node, capfd: pytest.CaptureFixture[str]
+) -> None:
+    given = [Parameter(name, value=3.0) for name in ("robot_file", "joint_state_rate", "low")]
+    node = rclpy.create_node("misspelt", context=ros_node.context, parameter_overrides=given)
+    try:
+        Parameters(node, [Declared("high_speed", 1.0, "m/s"), *DECLARED, Declared("joint_state_rates", 1.0, "Hz")])
+    finally:
+        node.destroy_node()
+    said = capfd.readouterr().err
+    assert "there is no parameter 'joint_state_rate', it has no effect: is joint_state_rates meant?" in said
+    assert said.count("it has no effect") == 1

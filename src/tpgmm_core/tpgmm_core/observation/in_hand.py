@@ -145,6 +145,10 @@ class Hand:
             seen.waiting.append((stamp_ns, bool(closed)))
             self._work_off(seen)
 
+    def holds(self, name: str) -> bool:
+        """Whether the gripper has said that it holds a frame."""
+        return self._frames[name].held is not None
+
     def moves(self, name: str) -> bool:
         """Whether a frame moves with the hand: its gripper holds it, or it was seen to, up to its last observation."""
         seen = self._frames[name]

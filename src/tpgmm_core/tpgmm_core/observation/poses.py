@@ -53,6 +53,8 @@ class Observation(NamedTuple):
         (3, 3), what the thing's axes do to positions, where it says more than a pose; see `Frame.from_pose`
     fault
         why it says nothing: kind, ":", details; empty where it does
+    lasts
+        whether it was said once, by somebody who keeps it for those who come later: its stamp may be as old as it likes
     """
 
     stamp_ns: int
@@ -61,6 +63,7 @@ class Observation(NamedTuple):
     covariance: Array | None = None
     stretch: Array | None = None
     fault: str = ""
+    lasts: bool = False
 
 
 class CheckedPoses(NamedTuple):

@@ -93,6 +93,18 @@ class StreamWatch:
         self.stamp_ns, self._received_ns = stamp_ns, now_ns
 
 
+class ClockWatch:
+    """Notices that the clock of stamps is set back: all that was stamped before seems newer than what comes then."""
+
+    def __init__(self) -> None:
+        self._now_ns = 0
+
+    def was_set_back(self, now_ns: int) -> bool:
+        """Whether it is earlier now, ns, than it was when this was asked last; to be asked regularly."""
+        former, self._now_ns = self._now_ns, now_ns
+        return now_ns < former - OVERTAKEN * SECOND
+
+
 def standing_still(stamp_ns: int) -> str:
     """Words for a stream that goes on while its stamps do not."""
     return f"their stamps stay at {stamp_ns / SECOND:.3f} s: the driver must stamp each message with its own time"

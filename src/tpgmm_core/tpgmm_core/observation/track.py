@@ -18,6 +18,8 @@ from tpgmm_core.observation.pose_filter import PoseFilter
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_core.observation.tracked import FrameStatus, TrackingConfig
 
+SAID_ONCE = "said once, by a publisher that keeps it (transient local): it holds as long as that is there"
+
 
 @dataclass(slots=True)
 class Track:
@@ -42,6 +44,8 @@ class Track:
         (6, 6) and (3, 3), as its last observation says
     unknown_after
         how long it is known where it was last seen, s; None: as long as `config` says
+    lasts
+        whether its last observation was said once, and holds as long as somebody keeps it
     """
 
     config: TrackingConfig
@@ -58,6 +62,7 @@ class Track:
     covariance: NDArray[np.float64] | None = None
     stretch: NDArray[np.float64] | None = None
     unknown_after: float | None = None
+    lasts: bool = False
 
     def __post_init__(self) -> None:
         """What poses pass through."""
@@ -68,8 +73,37 @@ class Track:
         """Take the frame as fixed at a pose (7,) from now on."""
         self.fixed, self.pose, self.confidence, self.stamp_ns = True, pose, 1.0, 0
 
-    def judged_stamp(self, stamp_ns: int, now_ns: int) -> tuple[int, str]:
-        """The stamp by ROS time, and why an observation with it is refused, at ROS time `now_ns`; empty: it is not."""
+    def judged_observation(self, stamp_ns: int, now_ns: int, lasts: bool) -> tuple[int, str]:
+        """The stamp of an observation by ROS time, and why it is refused; empty where it is not.
+
+        Parameters
+        ----------
+        stamp_ns
+            as it came, ROS time
+        now_ns
+            ROS time now
+        lasts
+            it was said once, and is kept for those who come later: its stamp does not matter, and it is not averaged
+            with others. What comes so often that it could not be held meanwhile is a stream like any other
+
+        Returns
+        -------
+        tuple[int, str]
+            the stamp, ns, and the reason in words
+        """
+        period = self.gate.period
+        lasts &= not self.fixed and (period is None or period > self.config.visible_timeout)
+        if not lasts:
+            self.lasts = False
+            return self._judged_stamp(stamp_ns, now_ns)
+        self.lasts = True
+        self.filter.forget()
+        self.motion.forget()
+        # when it came, where its own stamp tells nothing; always after the last one
+        fresh = -self.config.max_future <= (now_ns - stamp_ns) / SECOND <= self.config.max_age
+        return max(stamp_ns if fresh else now_ns, self.stamp_ns + 1), ""
+
+    def _judged_stamp(self, stamp_ns: int, now_ns: int) -> tuple[int, str]:
         if self.fixed:
             return stamp_ns, "fixed frame: its pose never changes, observations are not used"
         age = (now_ns - stamp_ns) / SECOND
@@ -79,6 +113,8 @@ class Track:
                 allowed = f"{self.config.max_future} s allowed"
                 return stamp_ns, f"stamp in the future: {-age:.3f} s ahead of ROS time, {allowed}"
             stamp_ns = corrected
+        if age > self.config.max_age and stamp_ns == 0:
+            return stamp_ns, "stamp too old: it is 0; the driver must stamp each message with its own time"
         if age > self.config.max_age:
             return stamp_ns, f"stamp too old: {age:.3f} s behind ROS time, {self.config.max_age} s allowed"
         if stamp_ns == self.stamp_ns:
@@ -143,7 +179,7 @@ class Track:
             rate=None if period is None else 1.0 / period,
             noise=self.filter.noise,
             refused=dict(record.refused),
-            notes=(*record.notes(self.clock.lead_ns), *more),
+            notes=(*record.notes(self.clock.lead_ns), *((SAID_ONCE,) if self.lasts else ()), *more),
             doubts=record.doubts(),
             trouble=record.trouble,
         )
@@ -153,6 +189,6 @@ class Track:
         if self.fixed:
             return
         self.pose, self.stamp_ns, self.seen_ns, self.confidence = None, 0, 0, 0.0
-        self.covariance, self.stretch = None, None
+        self.covariance, self.stretch, self.lasts = None, None, False
         for part in (self.filter, self.gate, self.clock, self.record, self.motion):
             part.forget()

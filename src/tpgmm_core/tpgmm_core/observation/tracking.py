@@ -15,6 +15,7 @@ of its arrival. The status follows the steady clock, which no clock step can sta
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
@@ -26,6 +27,7 @@ from tpgmm_core.observation.health import FrameHealth
 from tpgmm_core.observation.in_hand import Hand, carried_covariance
 from tpgmm_core.observation.pose_filter import PoseFilter
 from tpgmm_core.observation.poses import check_pose
+from tpgmm_core.observation.signals import PAUSE, SignalWatch
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_core.observation.track import Track
 from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame, TrackingConfig
@@ -74,6 +76,7 @@ class FrameTracker:
         if not set(with_hand) <= set(unknown_after or {}):
             raise ValueError(f"with_hand names some of {list(unknown_after or {})}, got {list(with_hand)}")
         self._hand = Hand(with_hand)
+        self._grippers: defaultdict[str, SignalWatch] = defaultdict(SignalWatch)
         for name, pose in (fixed or {}).items():
             self._tracks[name] = Track(self.config, fixed=True)
             if reason := self.fix(name, pose):
@@ -129,6 +132,7 @@ class FrameTracker:
         steady_ns: int,
         covariance: NDArray[np.float64] | None = None,
         stretch: NDArray[np.float64] | None = None,
+        lasts: bool = False,
     ) -> str | None:
         """Add one observation.
 
@@ -149,6 +153,10 @@ class FrameTracker:
             none, which is counted
         stretch
             (3, 3), what the frame's axes do to positions, where its source says it; the same
+        lasts
+            it was said once, and is kept for those who come later (see `update`): whatever its stamp, it is the present
+            place, which no leap and no average makes doubtful. What comes so often that it could not be held meanwhile
+            is a stream like any other
 
         Returns
         -------
@@ -164,10 +172,10 @@ class FrameTracker:
         checked, reason = check_pose(pose)
         if checked is None:
             return self.refuse(name, reason)
-        stamp_ns, reason = track.judged_stamp(stamp_ns, now_ns)
+        stamp_ns, reason = track.judged_observation(stamp_ns, now_ns, lasts)
         if reason:
             return self.refuse(name, reason)
-        if leap := track.gate.judge(checked, stamp_ns):
+        if (leap := track.gate.judge(checked, stamp_ns)) and not track.lasts:
             return self.refuse(name, self._words(name, leap, checked))
         track.take(pose, checked, stamp_ns, steady_ns, covariance, stretch)
         if name in self._hand:
@@ -193,8 +201,21 @@ class FrameTracker:
         """
         return self._hand.take(pose, stamp_ns, steady_ns)
 
-    def observe_gripper(self, name: str, closed: bool, stamp_ns: int) -> None:
-        """Hear whether the gripper that may hold a frame is closed from a time on, ROS time."""
+    def observe_gripper(self, name: str, closed: bool, stamp_ns: int, steady_ns: int) -> None:
+        """Hear whether the gripper that may hold a frame is closed.
+
+        Parameters
+        ----------
+        name
+            the frame
+        closed
+            whether it is closed
+        stamp_ns
+            from when on, ROS time
+        steady_ns
+            steady time at arrival
+        """
+        self._grippers[name].hear(closed, steady_ns)
         self._hand.grip(name, closed, stamp_ns)
 
     def refuse(self, name: str, reason: str) -> str:
@@ -241,20 +262,47 @@ class FrameTracker:
             return ()
         if self._hand.moves(name) and self._is_hand_lost(steady_ns):
             return ("not seen; it was with the hand, whose pose does not come",)
-        return (f"not seen; {self._hand.why(name)}",)
+        silence = self._grippers[name].age(steady_ns)
+        if self._is_grip_lost(name, steady_ns):
+            return (f"not seen; the gripper held it, and has stopped saying so: silent for {silence:.0f} s",)
+        since = f"; the gripper spoke last {silence:.0f} s ago" if PAUSE < silence < math.inf else ""
+        return (f"not seen; {self._hand.why(name)}{since}",)
 
     def _is_hand_lost(self, steady_ns: int) -> bool:
         return self._hand.age(steady_ns) > self.config.visible_timeout
+
+    def _is_grip_lost(self, name: str, steady_ns: int) -> bool:
+        """Whether a frame is only held by what a gripper said that has stopped speaking since."""
+        return self._hand.holds(name) and self._grippers[name].has_ceased(steady_ns)
 
     def forget(self) -> None:
         """Forget all observations (time jumped backwards: a looped bag, a restarted simulation)."""
         for track in self._tracks.values():
             track.forget()
         self._hand.forget()
+        self._grippers.clear()
         self._updated_ns = None
 
-    def update(self, steady_ns: int) -> list[TrackedFrame]:
-        """All frames as they are known at a steady time; call it regularly, since confidences change with time."""
+    def update(self, steady_ns: int, kept: Collection[str] = ()) -> list[TrackedFrame]:
+        """All frames as they are known; call it regularly, since confidences change with time.
+
+        Parameters
+        ----------
+        steady_ns
+            steady time, ns
+        kept
+            frames of which somebody keeps what was said once: they are there, until something else is said, unless
+            they are in the hand
+
+        Returns
+        -------
+        list[TrackedFrame]
+            in the order of the frames
+        """
+        for name in kept:
+            in_hand = name in self._hand and (self._hand.moves(name) or self._hand.left(name) is not None)
+            if (track := self._tracks.get(name)) is not None and track.lasts and not in_hand:
+                track.seen_ns = steady_ns
         elapsed = 0.0 if self._updated_ns is None else max(0.0, (steady_ns - self._updated_ns) / SECOND)
         first = self._updated_ns is None
         self._updated_ns = steady_ns
@@ -268,7 +316,8 @@ class FrameTracker:
         carried = is_away and self._hand.moves(name)
         # Before the first update no confidence was published, so there is nothing to be continuous with.
         change = 1.0 if first else elapsed / self.config.fade_time
-        track.fade(track.is_known(unseen) and not (carried and self._is_hand_lost(steady_ns)), change)
+        is_lost = carried and (self._is_hand_lost(steady_ns) or self._is_grip_lost(name, steady_ns))
+        track.fade(track.is_known(unseen) and not is_lost, change)
         status = track.status(unseen)
         pose, covariance = track.pose, track.covariance
         place = None

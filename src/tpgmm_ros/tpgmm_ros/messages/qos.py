@@ -16,8 +16,8 @@ COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 #: State that a node which starts later must get too (task parameters, controller state).
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-#: Transforms: many programs publish on the one topic, and all of them count.
-TRANSFORMS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+#: Topics with news of several things, as transforms, or forces at several links: all count, not the newest alone.
+MIXED = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 #: Transforms for others: their listeners insist on reliable ones.
 BROADCAST = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)

@@ -32,7 +32,7 @@ from tpgmm_ros.messages.broadcasting import RobotBroadcaster
 from tpgmm_ros.messages.conversions import JointReader, MessageError
 from tpgmm_ros.messages.joint_messages import joint_state_of_values
 from tpgmm_ros.messages.joint_state_bytes import JointStateValues
-from tpgmm_ros.messages.qos import EVENTS, STREAM
+from tpgmm_ros.messages.qos import EVENTS, MIXED, STREAM
 from tpgmm_ros.nodes.joint_states import BROADCAST_ROBOT
 from tpgmm_ros.runtime.executor import StopFlag, run
 from tpgmm_ros.runtime.local_topics import publish_value
@@ -123,7 +123,7 @@ class BaxterSimulatorNode(Node):
         self._shown = RobotBroadcaster(self, self.robot) if self.parameters[BROADCAST_ROBOT.name] else None
         self._clock_publisher = self.create_publisher(Clock, "/clock", EVENTS) if self.lockstep else None
         self.create_subscription(JointState, "joint_torques", self._take_torques, STREAM)
-        self.create_subscription(WrenchStamped, "external_wrench", self._take_wrench, STREAM)
+        self.create_subscription(WrenchStamped, "external_wrench", self._take_wrench, MIXED)
         for name in self.robot.endpoints:
             self.create_subscription(PoseStamped, f"lead/{name}/pose", functools.partial(self._take_lead, name), STREAM)
         self.monitor = Monitor(self, self._status)

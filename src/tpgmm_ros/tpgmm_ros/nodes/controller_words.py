@@ -31,6 +31,8 @@ class ControllerWords:
         if self._last is None:
             return f"no controller publishes on {TOPIC}"
         words = f"the controller says {_words(self._last)}"
+        if not self._node.count_publishers(self._node.resolve_topic_name(TOPIC)):
+            words = f"no controller publishes on {TOPIC} any more; it said last {_words(self._last)}"
         if self._worst is not None and self._worst.reason != self._last.reason:
             words += f", and said {_words(self._worst)} during the movement"
         return words

@@ -14,26 +14,24 @@ from itertools import chain
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 
 from tpgmm_core.geometry.pose import compose, turned_covariance
 from tpgmm_core.observation.poses import Observation, check_pose, wrong_frame
 from tpgmm_core.observation.transforms import NO_TRANSFORM, TransformError, TransformTree, TransformWatch
 from tpgmm_ros.messages.classes import message_class
 from tpgmm_ros.messages.fields import time_to_ns, transform_numbers
-from tpgmm_ros.messages.qos import STREAM, TRANSFORMS, TRANSFORMS_STATIC
+from tpgmm_ros.messages.qos import MIXED, STREAM, TRANSFORMS_STATIC
 from tpgmm_ros.messages.sources import TF, TF_MESSAGE, TF_STATIC, Source, TopicSource, TransformSource
 from tpgmm_ros.runtime.batches import Batches
+from tpgmm_ros.runtime.fitted_subscription import FittedSubscription
 
 #: So many poses of one frame wait for transforms: half a second of a fast camera.
 MOST_WAITING = 32
 #: So many poses of one topic are looked at in one turn: of more that have come meanwhile, the newest.
 MOST_TOGETHER = 4
-_ONCE = (
-    ": it is published once, for those who come later (transient local); publish it again and again, or a transform on "
-    "/tf_static"
-)
 
 
 class FrameSources:
@@ -75,6 +73,7 @@ class FrameSources:
         self._watches: dict[str, TransformWatch] = {}
         self._waiting: dict[str, deque[Observation]] = {name: deque() for name in sources}
         self._topics: dict[str, str] = {}
+        self._fitted: dict[str, FittedSubscription] = {}
         self._heard = set[str]()
         # of frames, how many messages have come since one was about it, and what it should have held
         self._without: dict[str, tuple[int, str]] = {}
@@ -87,8 +86,9 @@ class FrameSources:
                 take = functools.partial(self._take_all, name, source)
                 self._topics[name] = node.resolve_topic_name(source.topic)
                 # where several things take turns on one topic, its newest message may be about another one
-                qos, most = (TRANSFORMS, TRANSFORMS.depth) if source.selection else (STREAM, MOST_TOGETHER)
-                self._subscribe(source.message_type, source.topic, take, qos, most)
+                qos, most = (MIXED, MIXED.depth) if source.selection else (STREAM, MOST_TOGETHER)
+                subscribe = functools.partial(self._subscribe, source.message_type, source.topic, take, most)
+                self._fitted[name] = FittedSubscription(node, qos, subscribe)
         if self._watches:
             self._listen()
 
@@ -99,6 +99,13 @@ class FrameSources:
             waiting.clear()
         for watch in self._watches.values():
             watch.forget()
+        for subscription in self._fitted.values():
+            subscription.hear_again()
+
+    @property
+    def kept(self) -> list[str]:
+        """Frames whose publishers keep what they have said: it holds until they say something else."""
+        return [name for name, subscription in self._fitted.items() if subscription.is_latched]
 
     def unknown(self) -> dict[str, str]:
         """Frames that no transforms lead to, or that no message of their topic is about, and why."""
@@ -112,19 +119,19 @@ class FrameSources:
         """Frames on whose topic nothing came, or that has no publisher at present, in words."""
         found = {}
         for name, topic in self._topics.items():
-            if not (publishers := self._node.get_publishers_info_by_topic(topic)):
+            self._fitted[name].fit()
+            if not self._node.count_publishers(topic):
                 found[name] = f"nobody publishes {topic}"
             elif name not in self._heard:
-                latched = all(one.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in publishers)
-                found[name] = f"nothing came on {topic}" + (_ONCE if latched else "")
+                found[name] = f"nothing came on {topic}"
         return found
 
     def _subscribe(
-        self, kind: str, topic: str, take: Callable[[Sequence[Any]], object], qos: QoSProfile, most: int
-    ) -> None:
+        self, kind: str, topic: str, take: Callable[[Sequence[Any]], object], most: int, qos: QoSProfile
+    ) -> Subscription:
         """Whoever floods a topic shall not keep other topics, or other nodes of the process, from their turn."""
         read = functools.partial(deserialize_message, message_type=message_class(kind))
-        Batches(self._node, message_class(kind), topic, take, qos, read, most)
+        return Batches(self._node, message_class(kind), topic, take, qos, read, most).subscription
 
     def _take_all(self, name: str, source: TopicSource, messages: Sequence[Any]) -> None:
         for message in messages:
@@ -138,6 +145,8 @@ class FrameSources:
             self._without[name] = count + 1, source.selection
             return
         self._without.pop(name, None)
+        if self._fitted[name].is_latched:
+            observation = observation._replace(lasts=True)
         if observation.fault:
             self._refuse(name, observation.fault)
         elif observation.frame_id == self._base_frame or not wrong_frame(observation.frame_id, self._base_frame):
@@ -185,9 +194,9 @@ class FrameSources:
 
     def _listen(self) -> None:
         if not self._listens and not self._missing:
-            for topic, is_static, qos in ((TF_STATIC, True, TRANSFORMS_STATIC), (TF, False, TRANSFORMS)):
+            for topic, is_static, qos in ((TF_STATIC, True, TRANSFORMS_STATIC), (TF, False, MIXED)):
                 take = functools.partial(self._take_transforms, is_static)
-                self._subscribe(TF_MESSAGE, f"/{topic}", take, qos, qos.depth)
+                self._subscribe(TF_MESSAGE, f"/{topic}", take, qos.depth, qos)
             self._listens = True
 
     def _take_transforms(self, is_static: bool, messages: Sequence[Any]) -> None:

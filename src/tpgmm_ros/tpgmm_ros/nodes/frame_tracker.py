@@ -17,6 +17,7 @@ from tpgmm_core.common.text import listed
 from tpgmm_core.common.types import Array
 from tpgmm_core.observation.health import FrameHealth
 from tpgmm_core.observation.poses import Observation, wrong_frame
+from tpgmm_core.observation.streams import ClockWatch
 from tpgmm_core.observation.tracked import FrameStatus, TrackedFrame, TrackingConfig
 from tpgmm_core.observation.tracking import FrameTracker
 from tpgmm_msgs.msg import TaskParameters
@@ -87,6 +88,7 @@ class FrameTrackerNode(Node):
         self._loop_clock = loop_clock(self)
         self._known: list[TrackedFrame] = []
         self._changes = 0
+        self._clock_watch = ClockWatch()
         self._publisher = self.create_publisher(TaskParameters, "task_parameters", LATCHED)
         self._transforms = TransformBroadcaster(self) if parameters["broadcast_transforms"] else None
         self._sources: FrameSources | None = None
@@ -98,7 +100,7 @@ class FrameTrackerNode(Node):
                 sources[_HAND] = PoseStampedSource(self.task.movement)
             self._sources = FrameSources(self, sources, self.task.base_frame, self._observe, self._refuse, self._fix)
             self.create_timer(1.0 / parameters["rate"], self._publish_regularly, clock=self._loop_clock)
-        subscribe_to_grippers(self, self.task.grippers, self.tracker.observe_gripper, self._warn)
+        self._grippers = subscribe_to_grippers(self, self.task.grippers, self._grip, self._warn)
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
         self._jump = self.get_clock().create_jump_callback(backwards, post_callback=lambda _: self._forget())
         self.monitor = Monitor(self, self._status)
@@ -143,13 +145,16 @@ class FrameTrackerNode(Node):
     # -- otherwise ----------------------------------------------------------------------------------------------------
 
     def _observe(self, name: str, observation: Observation) -> None:
-        steady_ns = self._loop_clock.now().nanoseconds
-        if self._take(name, observation, self.get_clock().now().nanoseconds, steady_ns) and self._changes < MAX_CHANGES:
+        steady_ns, now_ns = self._loop_clock.now().nanoseconds, self.get_clock().now().nanoseconds
+        if self._take(name, observation, now_ns, steady_ns) and self._changes < MAX_CHANGES:
             self._changes += 1
             self._publish()
 
     def _publish_regularly(self) -> None:
         self._changes = 0
+        # no callback tells it of the system's clock
+        if self._clock_watch.was_set_back(self.get_clock().now().nanoseconds):
+            self._forget()
         self._publish()
 
     def _publish(self) -> None:
@@ -166,13 +171,17 @@ class FrameTrackerNode(Node):
                 self._refuse(name, reason)
             return False
         covariance = observation.covariance if self._uses_covariances else None
-        refusal = self.tracker.observe(name, pose, stamp_ns, now_ns, steady_ns, covariance, observation.stretch)
+        stretch, lasts = observation.stretch, observation.lasts
+        refusal = self.tracker.observe(name, pose, stamp_ns, now_ns, steady_ns, covariance, stretch, lasts)
         if refusal:
             self._warn(refusal)
         return refusal is None
 
     def _refuse(self, name: str, reason: str) -> None:
         self._warn(f"{name}: {reason}" if name == _HAND else self.tracker.refuse(name, reason))
+
+    def _grip(self, name: str, closed: bool, stamp_ns: int) -> None:
+        self.tracker.observe_gripper(name, closed, stamp_ns, self._loop_clock.now().nanoseconds)
 
     def _fix(self, name: str, pose: Array) -> None:
         if refusal := self.tracker.fix(name, pose):
@@ -181,7 +190,7 @@ class FrameTrackerNode(Node):
     def _update(self, steady_ns: int) -> None:
         self.monitor.asked += 1
         before = {frame.name: frame.status for frame in self._known}
-        self._known = self.tracker.update(steady_ns)
+        self._known = self.tracker.update(steady_ns, () if self._sources is None else self._sources.kept)
         for frame in self._known:
             if before.get(frame.name, frame.status) is not frame.status:
                 self.get_logger().info(f"frame '{frame.name}' is {frame.status.name}")
@@ -197,14 +206,19 @@ class FrameTrackerNode(Node):
 
     def _forget(self) -> None:
         self.get_logger().warning("time jumped backwards: all observations are forgotten")
+        self._clock_watch = ClockWatch()
         self.tracker.forget()
         if self._sources is not None:
             self._sources.forget()
+        for gripper in self._grippers:
+            gripper.hear_again()
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text, throttle_duration_sec=2.0)
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
+        for gripper in self._grippers:
+            gripper.fit()
         lost = [frame.name for frame in self._known if frame.status is FrameStatus.MISSING]
         values = {f"status_{frame.name}": frame.status.name for frame in self._known}
         said = [f"missing: {', '.join(lost)}"] if lost else []

@@ -10,6 +10,7 @@ from rclpy.node import Node
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.observation.poses import Observation
+from tpgmm_core.observation.streams import ClockWatch
 from tpgmm_core.observation.tracked import FrameStatus, TrackingConfig
 from tpgmm_core.observation.tracking import FrameTracker
 from tpgmm_ros.nodes.frame_sources import FrameSources
@@ -61,6 +62,7 @@ class FrameWatch:
         self._node = node
         self._tracker = FrameTracker(task.sources, fixed={}, config=TrackingConfig(**task.tracking))
         self._counts = dict.fromkeys(task.sources, 0)
+        self._clock_watch = ClockWatch()
         self._sources = FrameSources(
             node, task.sources, task.base_frame, self._observe, self._tracker.refuse, self._fix
         )
@@ -68,7 +70,10 @@ class FrameWatch:
     def frames(self) -> list[Seen]:
         """All observed frames as they are seen now."""
         now = time.monotonic_ns()
-        status = {frame.name: frame.status for frame in self._tracker.update(now)}
+        if self._clock_watch.was_set_back(self._node.get_clock().now().nanoseconds):
+            self._tracker.forget()
+            self._sources.forget()
+        status = {frame.name: frame.status for frame in self._tracker.update(now, self._sources.kept)}
         health, unknown = self._tracker.health(now), self._sources.unknown()
         found = []
         for name, count in self._counts.items():
@@ -81,8 +86,9 @@ class FrameWatch:
 
     def _observe(self, name: str, observation: Observation) -> None:
         now_ns = self._node.get_clock().now().nanoseconds
+        steady_ns, lasts = time.monotonic_ns(), observation.lasts
         stamp_ns, pose, covariance = observation.stamp_ns, observation.pose, observation.covariance
-        if self._tracker.observe(name, pose, stamp_ns, now_ns, time.monotonic_ns(), covariance) is None:
+        if self._tracker.observe(name, pose, stamp_ns, now_ns, steady_ns, covariance, lasts=lasts) is None:
             self._counts[name] += 1
 
     def _fix(self, name: str, pose: Array) -> None:

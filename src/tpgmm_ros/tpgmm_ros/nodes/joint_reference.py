@@ -167,6 +167,8 @@ class JointReferenceNode(Node):
                 self._references.publish(self._last)
             return
         stamp_ns, (q,) = heard.stamp_ns, heard.values
+        if heard.kind is Stamp.RESTARTED:  # else a movement of before would count once time comes there again
+            self._heard = {name: item for name, item in self._heard.items() if item[0] <= stamp_ns}
         self.monitor.tick(stamp_ns)
         dt = 0.0 if self._last_ns is None else 1e-9 * (stamp_ns - self._last_ns)
         movements = self._movements(stamp_ns)

@@ -130,6 +130,7 @@ class ReproductionNode(ManagedNode):
         """End the movement that goes on, and take no more goals."""
         if self.movements is not None:
             self.movements.deactivate()
+        self._sent = None  # of the movement that has ended: no answer to a joint state any more
         self._views.hide(self.get_clock().now().nanoseconds)
         return super().on_deactivate(state)
 

@@ -21,6 +21,7 @@ from tpgmm_ros.messages.classes import message_class
 from tpgmm_ros.recordings.heard_topic import HeardTopic, bag_qos
 from tpgmm_ros.recordings.storage.bag_writer import BagWriter, next_name
 from tpgmm_ros.recordings.storage.definitions import types_for
+from tpgmm_ros.runtime.fitted_subscription import are_latched
 
 #: Nothing that comes while the disk is busy is to be lost, whatever the publisher promises.
 RECORD = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -269,11 +270,12 @@ class BagRecorder:
                 except OSError as error:
                     self._fail(error)
             for topic in self._topics.values():
-                if not topic.trouble and not topic.came:
+                # a latched subscription does not hear who is not, and comes later
+                if not topic.trouble and (topic.latched or not topic.came):
                     self._look_at(topic)
 
     def _look_at(self, topic: HeardTopic) -> None:
-        """Subscribe as those who publish it ask for, as long as nothing has come."""
+        """Subscribe as those who publish it ask for."""
         offers = self._offers(topic)
         if not offers:
             return
@@ -288,7 +290,7 @@ class BagRecorder:
         if topic.type not in types:
             topic.trouble = f"is published as {listed(types)}, expected {topic.type}: correct the task file"
             return
-        latched = all(offer.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
+        latched = are_latched(offers)
         if topic.subscription is None or latched != topic.latched:
             self._subscribe(topic, latched)
 
@@ -298,6 +300,7 @@ class BagRecorder:
             self._node.destroy_subscription(topic.subscription)
         take = functools.partial(self._take, topic)
         topic.latched = latched
+        topic.kept.clear()
         topic.subscription = self._node.create_subscription(
             message_class(topic.type), topic.name, take, RECORD_LATCHED if latched else RECORD, raw=True
         )

@@ -43,6 +43,11 @@ class Batches:
     most : int
         Messages that `take` gets at most; of more that have come since the last turn, the newest. The others are
         not even read: so a flood costs a little for each message, and what is done with them once for each turn.
+
+    Attributes
+    ----------
+    subscription : Subscription
+        The subscription.
     """
 
     def __init__(
@@ -59,12 +64,12 @@ class Batches:
         self._waiting: deque[bytes] = deque(maxlen=most)
         self._is_behind = False
         self._end_of_queue = guarded(node, self._work_off)
-        self._subscription = node.create_subscription(kind, topic, self._come, qos, raw=True)
-        receive_values(self._subscription, self._come_as_value)
+        self.subscription = node.create_subscription(kind, topic, self._come, qos, raw=True)
+        receive_values(self.subscription, self._come_as_value)
 
     def _come(self, data: bytes) -> None:
         self._waiting.append(data)
-        self._waiting.extend(waiting_messages(self._subscription))
+        self._waiting.extend(waiting_messages(self.subscription))
         self._plan()
 
     def _come_as_value(self, value: Any) -> None:
@@ -92,6 +97,6 @@ class Batches:
             try:
                 messages.append(self._decode(self._waiting.popleft()))
             except RuntimeError as error:  # of rclpy, for bytes that are no such message
-                text = f"a message on {self._subscription.topic_name} cannot be read: {one_line(error, 200)}"
+                text = f"a message on {self.subscription.topic_name} cannot be read: {one_line(error, 200)}"
                 self._node.get_logger().error(text, throttle_duration_sec=1.0)
         return messages

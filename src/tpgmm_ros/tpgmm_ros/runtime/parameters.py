@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -14,8 +15,11 @@ from rclpy.parameter import Parameter
 
 from tpgmm_core.common.old_names import RENAMED_PARAMETERS
 from tpgmm_core.common.settings import setting_of
-from tpgmm_core.common.text import one_line
+from tpgmm_core.common.text import one_line, shown
 from tpgmm_ros.runtime.rclpy_workarounds import parameter_overrides
+
+#: A name that is so like a parameter's was meant to be that; files for several nodes hold other names too.
+ALIKE = 0.85
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +132,9 @@ class Parameters:
         for old in parameter_overrides(node) & RENAMED_PARAMETERS.keys():
             if (new := RENAMED_PARAMETERS[old]) in declared_names:
                 raise ValueError(f"the parameter {old} is called {new} now: give that one instead")
+        for name in sorted(parameter_overrides(node) - declared_names):
+            for meant in get_close_matches(name, declared_names, 1, ALIKE):
+                node.get_logger().warning(f"there is no parameter {shown(name)}, it has no effect: is {meant} meant?")
         for item in declared:
             node.declare_parameter(item.name, item.default, item.descriptor())
         self._values: dict[str, Any] = {item.name: node.get_parameter(item.name).value for item in declared}
