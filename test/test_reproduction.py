@@ -347,6 +347,7 @@ def test_stamps_that_stand_still_end_the_goal_and_are_named(player: Player) -> N
 def test_a_robot_that_is_stuck_elsewhere_is_named_with_what_its_controller_says(player: Player) -> None:
     says = player.node.create_publisher(ControllerState, "controller_state", LATCHED)
     says.publish(ControllerState(state=ControllerState.DAMPING, reason="no reference yet"))
+    spin_until(player.node, says.get_subscription_count, message="who listens", processes=(player.process,))
     handle = player.start()
     pose = np.array([0.2, -0.6, 0.9, 0.0, 0.0, 0.0, 1.0])
     future = handle.get_result_async()  # type: ignore[attr-defined]
