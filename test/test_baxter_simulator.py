@@ -209,22 +209,6 @@ def test_a_push_moves_the_hand_its_way_and_ends_when_it_is_not_repeated(lockstep
         assert lockstep.hand_speed < 0.9 * speed, "friction alone brakes a hand that nobody pushes any more"
 
 
-def test_pushes_at_two_links_that_have_waited_together_both_count(lockstep: Lockstep) -> None:
-    for _ in range(3):
-        lockstep.advance(500, lambda q, v: compensation(q, v) - 5.0 * v)
-        DATA.update(*lockstep.state)
-        before = np.array([DATA.twist(hand)[2] for hand in ("left", "right")])  # what earlier pushes have left
-        lockstep.process.send_signal(signal.SIGSTOP)
-        for hand in ("left", "right"):
-            push = [0.0, 0.0, 10.0, 0.0, 0.0, 0.0]
-            lockstep.wrenches.publish(conversions.wrench_from_array(push, 0, ROBOT.endpoints[hand].frame))
-        lockstep.process.send_signal(signal.SIGCONT)
-        lockstep.advance(100)
-        DATA.update(*lockstep.state)
-        left, right = np.array([DATA.twist(hand)[2] for hand in ("left", "right")]) - before
-        assert min(left, right) > 0.05, (left, right)
-
-
 def test_a_hand_that_is_led_is_let_go_of_at_once(lockstep: Lockstep) -> None:
     lead = lockstep.node.create_publisher(PoseStamped, "lead/left/pose", STREAM)
     lockstep.advance(300, lambda q, v: compensation(q, v) - 5.0 * v)  # to rest
@@ -242,6 +226,22 @@ def test_a_hand_that_is_led_is_let_go_of_at_once(lockstep: Lockstep) -> None:
     assert fast > slow, "it is still being pulled faster"
     speed = told(own, ROBOT.endpoints["left"].frame, 30)
     assert told(own, ROBOT.endpoints["left"].frame, 100) < 0.9 * speed, "and is not, long before the time-out of 0.2 s"
+
+
+def test_pushes_at_two_links_that_have_waited_together_both_count(lockstep: Lockstep) -> None:
+    for _ in range(3):
+        lockstep.advance(500, lambda q, v: compensation(q, v) - 5.0 * v)
+        DATA.update(*lockstep.state)
+        before = np.array([DATA.twist(hand)[2] for hand in ("left", "right")])  # what earlier pushes have left
+        lockstep.process.send_signal(signal.SIGSTOP)
+        for hand in ("left", "right"):
+            push = [0.0, 0.0, 10.0, 0.0, 0.0, 0.0]
+            lockstep.wrenches.publish(conversions.wrench_from_array(push, 0, ROBOT.endpoints[hand].frame))
+        lockstep.process.send_signal(signal.SIGCONT)
+        lockstep.advance(100)
+        DATA.update(*lockstep.state)
+        left, right = np.array([DATA.twist(hand)[2] for hand in ("left", "right")]) - before
+        assert min(left, right) > 0.05, (left, right)
 
 
 @pytest.mark.parametrize(
