@@ -75,6 +75,21 @@ def test_a_push_at_the_hand_of_a_moving_arm_is_found_and_none_where_nobody_pushe
     assert 12.0 < turned[-1] < 24.0
 
 
+def test_time_that_is_set_back_begins_anew(robot: RobotModel) -> None:
+    arm = Arm(robot)
+    take = arm.observer.take
+    back = 0
+
+    def later(stamp_ns: int, q: Array, v: Array, tau: Array) -> None:
+        take(stamp_ns + 100_000_000_000 - back, q, v, tau)
+
+    arm.observer.take = later  # type: ignore[method-assign]
+    arm.run(0.5, np.array([20.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    back = 100_000_000_000
+    found = arm.run(1.0)
+    assert np.isfinite(found).all() and found[-1] < 3.0, found
+
+
 def test_states_that_come_twice_tell_the_same(robot: RobotModel) -> None:
     arms = Arm(robot), Arm(robot)
     take = arms[1].observer.take

@@ -114,7 +114,9 @@ class ExternalTorques:
         torques = self._data.mass_matrix(middle) @ ((v - v0) / seconds)
         torques += self._data.nonlinear_effects(middle, 0.5 * (v0 + v)) - self._sum / self._count
         # after a pause the new counts for more: what was before is older by the pause
-        passed = math.inf if self._judged_ns is None else (self._last_ns - self._judged_ns) / SECOND
+        # and after time was set back, nothing of before is left
+        former = self._judged_ns
+        passed = math.inf if former is None or self._last_ns < former else (self._last_ns - former) / SECOND
         self.torques = self.torques - math.expm1(-passed / TIME_CONSTANT) * (torques - self.torques)
         self._judged_ns = self._last_ns
         self._begin(self._last_ns, q, v)
