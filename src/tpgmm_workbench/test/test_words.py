@@ -86,6 +86,13 @@ def test_what_others_wrote_is_text_and_never_a_part_of_the_page() -> None:
         assert "<img" not in say(view), say.__name__
 
 
+def test_a_movement_that_is_paused_is_not_called_running_also_while_it_is_corrected() -> None:
+    view = DeskView(run=RunView("running", 0.4), activity=Activity.COACHING)
+    assert "running" in words.run(view) and "paused" not in words.run(view)
+    assert "paused" in words.run(replace(view, is_paused=True))
+    assert "paused" not in words.run(replace(view, run=RunView("done", 1.0), is_paused=True))
+
+
 def test_it_is_told_where_in_a_movement_each_frame_counts() -> None:
     shares = {"object": np.array([0.9, 0.8, 0.6, 0.2]), "target": np.array([0.1, 0.2, 0.4, 0.8]), "robot": np.zeros(4)}
     view = replace(READY, model=ModelView(1, "1.tpgmm", (), {}, Relevance("movement", shares)))

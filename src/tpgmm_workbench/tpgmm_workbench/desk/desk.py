@@ -167,6 +167,7 @@ class Desk:
             hidden=self.table.hidden,
             aim=self.table.aim,
             to_go=self.table.to_go,
+            is_paused=self._pace.is_paused,
             waits=self._pace.words,
             speed=self._pace.speed,
             duration=self._duration,

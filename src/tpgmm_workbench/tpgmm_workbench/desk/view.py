@@ -49,6 +49,8 @@ class DeskView:
         what was said last, newest first
     coached
         what goes on of a correction, or came of the last one
+    is_paused
+        whether the movement stands still, as the user said
     waits
         that the movement waits for an arm that was let go of, or did
     coach_force
@@ -86,6 +88,7 @@ class DeskView:
     reasons: dict[Action, str] = field(default_factory=dict)
     words: tuple[str, ...] = ()
     coached: str = ""
+    is_paused: bool = False
     waits: str = ""
     coach_force: float = 0.0
     may_grab: bool = False

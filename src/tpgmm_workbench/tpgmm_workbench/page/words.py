@@ -204,7 +204,7 @@ def run(view: DeskView) -> str:
     colors = {"running": SKY, "asked": GREY, "done": GREEN, "failed": RED, "stopped": YELLOW}
     if view.run.stage == "idle":
         return block([escape(view.reasons.get(Action.RUN, ""))]) if view.reasons.get(Action.RUN) else ""
-    stage = "paused" if view.activity is Activity.PAUSED else view.run.stage
+    stage = "paused" if view.is_paused and view.run.goes_on else view.run.stage
     share = f" {100.0 * view.run.phase:.0f} %" if view.run.goes_on else ""
     lines = [f"{chip(stage, colors.get(view.run.stage, GREY))}{share} {escape(view.run.words)}", escape(view.waits)]
     return block([line for line in lines if line])
