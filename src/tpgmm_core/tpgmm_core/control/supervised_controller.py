@@ -101,11 +101,20 @@ class SupervisedController[TargetT]:
         self._paused = False
         self.decision = decide(Inputs(None, "", None, ""), self.timeouts)
 
-    def configure(self, limits: TorqueLimits, timeouts: Timeouts, yields: YieldConfig) -> None:
-        """Use other limits and time-outs, and let the law prepare the reference again with its new parameters."""
+    def configure(self, limits: TorqueLimits, timeouts: Timeouts, yields: YieldConfig | None = None) -> None:
+        """Use other limits and time-outs, and let the law prepare the reference again with its new parameters.
+
+        Parameters
+        ----------
+        limits, timeouts
+            of the torques, and of the inputs
+        yields
+            when it yields to somebody who holds the hand; None: as before
+        """
         self.controller.pipeline.configure(limits)
         self.timeouts = self.guard.timeouts = timeouts
-        self.guard.yielding.configure(yields)
+        if yields is not None:
+            self.guard.yielding.configure(yields)
         self._max_time_step = limits.max_time_step
         if self._reference is not None:
             self._moving, self._held = self.law.target(self._reference, True), None
