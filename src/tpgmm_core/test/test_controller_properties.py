@@ -27,6 +27,7 @@ from tpgmm_core.control.supervised_controller import Answer, SupervisedControlle
 from tpgmm_core.control.supervision import Timeouts
 from tpgmm_core.control.torque_limits import injected_power
 from tpgmm_core.control.torque_pipeline import TorqueLimits, TorquePipeline
+from tpgmm_core.control.yielding import YieldConfig
 from tpgmm_core.geometry.manifold import POSE
 from tpgmm_core.model.reference import Reference
 from tpgmm_core.robot.model import RobotModel
@@ -65,6 +66,7 @@ class Event:
     deviation: float = 0.01
     spoiled: dict[int, float] = field(default_factory=dict)
     share: float = 1.0
+    force: float | None = None
 
 
 times = st.one_of(st.just(MS), st.just(MS), st.integers(0, 3 * MS), st.integers(-50 * MS, 400 * MS))
@@ -96,6 +98,9 @@ events = st.one_of(
     st.builds(Event, what=st.just("refuse"), wait_ns=times),
     st.builds(Event, what=st.just("configure"), wait_ns=times, share=st.floats(0.0, 1.0)),
     st.builds(Event, what=st.just("release"), wait_ns=times),
+    st.builds(
+        Event, what=st.just("held"), wait_ns=times, seed=seeds, force=st.one_of(st.none(), numbers, st.just(40.0))
+    ),
 )
 
 
@@ -104,11 +109,11 @@ class Judge:
 
     def __init__(self, supervised: SupervisedController[PoseTarget], law: ImpedanceLaw) -> None:
         self.supervised, self.law, self.robot = supervised, law, law.robot
-        self.judged = 0
+        self.judged, self.was_held = 0, False
         self.begin()
 
     def begin(self) -> None:
-        self.supervised.configure(TorqueLimits(), Timeouts())
+        self.supervised.configure(TorqueLimits(), Timeouts(), YieldConfig(yield_force=15.0))
         self.law.configure(ImpedanceConfig())
         self.supervised.start()
         self.now_ns = 1_000_000_000
@@ -120,6 +125,13 @@ class Judge:
             for _ in range(1 + event.seed):
                 self.play(replace(event, what="reference", wait_ns=0))
                 self.play(replace(event, what="state", wait_ns=MS))
+            return
+        if event.what == "held":  # a free hand, and a force that may be a person's, beside ordinary steps
+            for force in (*[0.0] * 5, *[event.force] * 5):
+                self.now_ns += 100 * MS
+                self.supervised.take_force(force, self.now_ns)
+                self.play(replace(event, what="run", wait_ns=0))
+                self.was_held |= self.supervised.guard.yielding.is_held
             return
         self.now_ns = max(0, self.now_ns + event.wait_ns)
         stamp_ns = max(0, self.now_ns + event.stamp_ns)
@@ -210,7 +222,7 @@ def test_no_sequence_of_inputs_makes_a_torque_or_a_rate_beyond_its_limit(
             judge.play(event)
 
     sequence()
-    assert judge.judged > 3 * SEQUENCES  # there were torques to judge
+    assert judge.judged > 3 * SEQUENCES and judge.was_held  # there were torques to judge
 
 
 vectors = st.lists(st.floats(-60.0, 60.0), min_size=2, max_size=2).map(np.array)
