@@ -108,7 +108,7 @@ def test_a_push_that_lasts_begins_a_correction_by_itself_and_asks_nothing_of_the
             return view.activity is Activity.COACHING
 
         view = bench.until(is_grabbed, "a correction that begins by itself")
-        assert "the hand is held with" in view.coached and any("the hand is held" in words for words in view.words)
+        assert "the hand is held (more than 15 N)" in view.coached and any("is held (" in words for words in view.words)
         since = view.run.phase
 
         def is_led(view: DeskView) -> bool:

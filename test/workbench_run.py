@@ -97,7 +97,7 @@ def _push(user: User, places: Places, home: Array) -> None:
     was = places.of("hand")
     with user.holding(was, axis=0, way=PULLED, camera=camera_for(home), length=HAND_GIZMO):
         user.until(lambda: pose_error(places.of("hand"), was)[0] > FOLLOWS, "the hand to be pushed aside")
-        user.sees("the hand is held with")
+        user.sees("the hand is held (more than")
         user.shoot("pushed")
     user.sees("the hand was let go of")
     user.until(lambda: pose_error(places.of("hand"), was)[0] < FOLLOWS, "the hand to come back")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tpgmm_core.control.yielding import HELD
 from tpgmm_core.observation.external_torques import MeasuredForce
 from tpgmm_core.observation.touch import FREE_TIME, HOLD_TIME, RELEASE_TIME, Touch
 from tpgmm_workbench.desk import coaching
@@ -19,7 +20,7 @@ from tpgmm_workbench.graph.movement import RunView
 from tpgmm_workbench.page import robot_words
 from tpgmm_workbench.project.activities import Activity
 from tpgmm_workbench.project.coach import Run
-from tpgmm_workbench.session.view import GraphView
+from tpgmm_workbench.session.view import ControllerView, GraphView
 
 THRESHOLD, PERIOD = 15.0, 0.03
 HAND = np.array([0.6, 0.2, 0.1, 0.0, 1.0, 0.0, 0.0])
@@ -99,11 +100,15 @@ class Watched:
         self.coaching = Coaching(Project(), Background(), self.said.append, lambda: None, feels, threshold)  # type: ignore[arg-type]
         self.phase = 0.0
 
-    def go(self, seconds: float, force: float | None, stage: str = "running") -> None:
+    def go(self, seconds: float, force: float | None, stage: str = "running", says: str = "") -> None:
         for _ in range(round(seconds / PERIOD)):
             self.phase = min(1.0, self.phase + 0.002)
             view = MeasuredForce(why="no effort") if force is None else MeasuredForce(force, "joint torques")
-            self.coaching.watch(RunView(stage, self.phase), GraphView(hand=HAND, force=view), False)
+            self.coaching.watch(
+                RunView(stage, self.phase),
+                GraphView(hand=HAND, force=view, controller=ControllerView("HOLD", says)),
+                False,
+            )
 
 
 def _fail() -> None:
@@ -117,7 +122,7 @@ def test_a_correction_begins_where_the_hand_is_grabbed_and_is_what_it_was_led_to
     run.go(3.0, 2.0)
     assert not run.coaching.is_on and not run.said
     run.go(2.0, 22.0)
-    assert run.coaching.is_on and "held with 22 N, more than 15 N" in run.coaching.words and len(run.said) == 1
+    assert run.coaching.is_on and "held (more than 15 N)" in run.coaching.words and len(run.said) == 1
     began = run.phase
     run.go(2.0, 2.0)
     assert not run.coaching.is_on and "let go of" in run.said[-1]
@@ -130,6 +135,21 @@ def test_a_correction_begins_where_the_hand_is_grabbed_and_is_what_it_was_led_to
     run.go(2.0, 2.0)
     run.go(1.0, 2.0, stage="done")
     assert len(run.corrected) == 1, "a run in which nobody takes hold of the hand corrects nothing"
+
+
+def test_an_arm_that_yields_is_held_as_its_controller_says_with_less_force_than_it_took(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = Watched(monkeypatch)
+    run.go(1.0, 1.0)
+    run.go(1.0, 9.0)
+    assert not run.coaching.is_on
+    run.go(1.0, 9.0, says=f"{HELD} 15 N: the arm is soft")
+    assert run.coaching.is_on
+    run.go(1.0, 9.0)
+    assert run.coaching.is_on
+    run.go(2.0, 1.0)
+    assert not run.coaching.is_on and "let go of" in run.said[-1]
 
 
 def test_a_correction_that_was_asked_for_ends_when_that_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

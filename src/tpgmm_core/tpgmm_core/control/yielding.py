@@ -22,6 +22,8 @@ from tpgmm_core.observation.touch import LETS_GO, Touch
 SOFT = math.sqrt(LETS_GO)
 #: The share goes from 1 to 0 within, and from 0 to 1, s. What becomes stiff slowly adds little energy.
 SOFTENS, STIFFENS = 0.1, 1.5
+#: How the reason for yielding begins: others may take the controller's word for it.
+HELD = "the hand is held with more than"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +82,7 @@ class Yielding:
         """Why the arm does not follow, or not as usual, in words; empty where it does."""
         if self.is_held:
             return (
-                f"the hand is held with more than {self._touch.threshold:g} N: the arm is soft, and pulled only a "
+                f"{HELD} {self._touch.threshold:g} N: the arm is soft, and pulled only a "
                 f"little, until it is let go of (below {self._touch.free:g} N)"
             )
         return ", still softer than usual, because the hand was held" if self.share < 1.0 else ""

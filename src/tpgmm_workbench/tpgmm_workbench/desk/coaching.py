@@ -8,7 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 
 from tpgmm_core.common.text import one_line
-from tpgmm_core.observation.external_torques import MeasuredForce
+from tpgmm_core.control.yielding import HELD
 from tpgmm_core.observation.touch import Touch
 from tpgmm_ros.runtime.background import Background
 from tpgmm_workbench.graph.movement import RunView
@@ -94,25 +94,29 @@ class Coaching:
             self._watched = WatchedRun()
             self.is_on, self._is_wanted, self.words = False, False, ""
             self._was_touched = False
-        is_led |= self._feel(run, graph.force, is_led)
+        is_led |= self._feel(run, graph, is_led)
         if run.stage in ("asked", "running") or (run.stage == "done" and self._goes_on):
             self._watched.take(time.monotonic(), run.phase, graph, self.is_on and is_led)
         if self._goes_on and not run.goes_on:
             self._over(run)
         self._goes_on = run.goes_on
 
-    def _feel(self, run: RunView, force: MeasuredForce | None, is_led: bool) -> bool:
+    def _feel(self, run: RunView, graph: GraphView, is_led: bool) -> bool:
         """Begin a correction where the hand is taken hold of, and end it where it is let go of; whether it is held."""
-        before = self.touch.is_held
+        before, force, controller = self.touch.is_held, graph.force, graph.controller
         newtons = None if force is None or run.stage != "running" else force.newtons
-        self.touch.take(time.monotonic(), newtons)
+        # an arm that yields at once is held with less force from then on than it took
+        if newtons is not None and controller is not None and controller.reason.startswith(HELD):
+            self.touch.take(time.monotonic(), max(newtons, 1.01 * self.touch.threshold))
+        else:
+            self.touch.take(time.monotonic(), newtons)
         is_held = self.touch.is_held
         if is_held and not before and not self.is_on:
             self.begin()
             self._is_of_touch = self._was_touched = True
             self.words = (
-                f"the hand is held with {newtons:.0f} N, more than {self.touch.threshold:.0f} N: lead it to where it "
-                "should be, as long as it matters; then let go"
+                f"the hand is held (more than {self.touch.threshold:.0f} N): lead it to where it should be, as long as "
+                "it matters; then let go"
             )
             self._say(self.words)
         elif self.is_on and self._is_of_touch and run.goes_on and not (is_held or is_led):
