@@ -123,8 +123,8 @@ def test_gains_fall_fast_and_come_back_slowly() -> None:
     yielding = Yielding(YieldConfig(yield_force=THRESHOLD))
     assert shares(yielding, [(0.0, 1.0), (30.0, 0.2 + SOFTENS)]) == pytest.approx([1.0, SOFT])
     (share,) = shares(yielding, [(0.0, 1.0)])
-    assert SOFT < share < 1.0 and "softer" in yielding.reason  # the force has to be gone for a while first
-    assert shares(yielding, [(0.0, STIFFENS)]) == [1.0] and not yielding.reason
+    assert SOFT < share < 1.0 and "softer" in yielding.words  # the force has to be gone for a while first
+    assert shares(yielding, [(0.0, STIFFENS)]) == [1.0] and not yielding.words
 
 
 @pytest.mark.parametrize("force", [None, 30.0])

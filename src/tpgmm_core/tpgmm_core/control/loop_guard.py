@@ -126,9 +126,9 @@ class LoopGuard:
             return decision
         if self._late:
             return Decision(ControllerMode.DAMPING, self._late, decision.sends)
-        if hindrance := self.yielding.reason if self.yielding.is_held else self._progress.reason:
+        if hindrance := self.yielding.reason or self._progress.reason:
             return Decision(ControllerMode.HOLD, hindrance, decision.sends)
-        return Decision(decision.mode, decision.reason + self._words + self.yielding.reason, decision.sends)
+        return Decision(decision.mode, decision.reason + self._words + self.yielding.words, decision.sends)
 
     def after(self, command: TorqueCommand, mode: ControllerMode, dt: float) -> None:
         """Observe torques that were sent.

@@ -79,12 +79,17 @@ class Yielding:
 
     @property
     def reason(self) -> str:
-        """Why the arm does not follow, or not as usual, in words; empty where it does."""
-        if self.is_held:
-            return (
-                f"{HELD} {self._touch.threshold:g} N: the arm is soft, and pulled only a "
-                f"little, until it is let go of (below {self._touch.free:g} N)"
-            )
+        """Why the arm does not follow, in words; empty where nobody holds the hand."""
+        if not self.is_held:
+            return ""
+        return (
+            f"{HELD} {self._touch.threshold:g} N: the arm is soft, and pulled only a little, until it is let go of "
+            f"(below {self._touch.free:g} N)"
+        )
+
+    @property
+    def words(self) -> str:
+        """What to add to the reason of an arm that follows; empty where it is as stiff as usual."""
         return ", still softer than usual, because the hand was held" if self.share < 1.0 else ""
 
     def feel(self, now: float, force: float | None) -> str:

@@ -98,6 +98,5 @@ class HandForce:
             joints = self._robot.joints_above(link)
         except ValueError:
             return f"{WRENCH} is at {shown(link)}, which the robot file does not know"
-        return (
-            "" if self._moving.intersection(joints) else f"{WRENCH} is at {shown(link)}, which this arm does not move"
-        )
+        is_moved = self._moving.intersection(joints)
+        return "" if is_moved else f"{WRENCH} is at {shown(link)}, which this arm does not move"

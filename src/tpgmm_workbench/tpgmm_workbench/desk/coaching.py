@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -106,10 +107,8 @@ class Coaching:
         before, force, controller = self.touch.is_held, graph.force, graph.controller
         newtons = None if force is None or run.stage != "running" else force.newtons
         # an arm that yields at once is held with less force from then on than it took
-        if newtons is not None and controller is not None and controller.reason.startswith(HELD):
-            self.touch.take(time.monotonic(), max(newtons, 1.01 * self.touch.threshold))
-        else:
-            self.touch.take(time.monotonic(), newtons)
+        is_told = controller is not None and controller.reason.startswith(HELD)
+        self.touch.take(time.monotonic(), math.inf if is_told and newtons is not None else newtons)
         is_held = self.touch.is_held
         if is_held and not before and not self.is_on:
             self.begin()
