@@ -17,7 +17,7 @@ from faults.graph_bench import GraphBench
 from faults.parts import gripper
 from faults.relay import MANNER_TOPIC
 from faults.table import fault
-from ros_graph import SECOND, ros_arguments, set_parameters
+from ros_graph import ACTIVATE, DEACTIVATE, SECOND, change_state, ros_arguments, set_parameters
 from ros_testing import RunningProcess, StartProcess
 from tpgmm_core.control.supervision import ControllerMode
 from tpgmm_ros.messages.qos import LATCHED, STREAM
@@ -86,6 +86,50 @@ enter_manner(
     "in_parts",
     "complete states are answered: the movement ends well",
 )
+
+
+def enter_leaps(name: str, manner: str) -> None:
+    @fault(
+        DriverBench,
+        f"{name}, during a movement",
+        "such states are left out, and the diagnostics name a joint: the movement ends well",
+        quick=False,
+    )
+    def left_out(bench: DriverBench) -> str:
+        bench.drive(manner)
+        observed = bench.moved()
+        bench.wait(bench.said(CONTROLLER, "joint states were left out: "), "the diagnostics")
+        return observed
+
+
+enter_leaps("one joint state in fifty with an encoder that leaps by 0.5 rad", "leaping")
+enter_leaps("a second robot of the same joints on the topic", "beside_another_robot")
+
+
+def enter_velocities(name: str, manner: str) -> None:
+    @fault(
+        DriverBench,
+        f"velocities of joint states {name}, during a movement",
+        "FAULT once a joint has moved by some 0.1 rad, then silence; the goal is aborted, and names the joint",
+        quick=False,
+    )
+    def contradicted(bench: DriverBench) -> str:
+        bench.drive(manner)
+        since = bench.now_ns()
+        goal = bench.move()
+        begun = np.array(bench.states.last.position)
+        faulty = bench.mode_since(ControllerMode.FAULT, since)
+        moved = float(np.abs(np.array(bench.states.last.position) - begun).max())
+        assert "velocities contradict positions" in bench.modes.last.reason, bench.modes.last.reason
+        result = bench.result(goal)
+        assert not result.success and "velocities contradict positions" in result.reason, result.reason
+        bench.drive("faithfully")
+        assert change_state(bench.node, CONTROLLER, DEACTIVATE, ACTIVATE)
+        return f"FAULT after {faulty:.2f} s, {moved:.2f} rad moved; {bench.assert_sound()}: '{result.reason}'"
+
+
+enter_velocities("always zero", "without_velocities")
+enter_velocities("in degrees per second", "in_degrees")
 
 
 @fault(

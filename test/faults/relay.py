@@ -6,6 +6,7 @@ How, it is told on `driver/manner`, by one of the names in MANNERS. A process of
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable
 
 import numpy as np
@@ -73,6 +74,28 @@ class Relay:
             self._due_ns = max(self._due_ns + SLOW_NS, stamp_ns + SLOW_NS // 2)
             self._publish(state)
 
+    def leaping(self, state: JointState) -> None:
+        """A joint of one state in fifty is elsewhere."""
+        if self._count % 50 == 0:
+            state.position[state.name.index("left_e0")] += 0.5
+        self._publish(state)
+
+    def beside_another_robot(self, state: JointState) -> None:
+        """Another robot of this kind rests at other joints."""
+        self._publish(state)
+        stamp_ns = conversions.time_to_ns(state.header.stamp) + 300_000
+        elsewhere = np.full(len(state.name), 0.3)
+        self._publish(conversions.joint_state_message(list(state.name), stamp_ns, elsewhere, 0.0 * elsewhere))
+
+    def without_velocities(self, state: JointState) -> None:
+        """As drivers do that have none, and must fill the field."""
+        state.velocity = array("d", bytes(8 * len(state.name)))
+        self._publish(state)
+
+    def in_degrees(self, state: JointState) -> None:
+        state.velocity = array("d", np.degrees(state.velocity))
+        self._publish(state)
+
     def without_an_elbow(self, state: JointState) -> None:
         stamp_ns = conversions.time_to_ns(state.header.stamp)
         self._publish(part(state, [name for name in state.name if name != "left_e1"], stamp_ns))
@@ -86,6 +109,10 @@ MANNERS: dict[str, Callable[[Relay, JointState], None]] = {
         Relay.in_parts,
         Relay.without_stamps,
         Relay.at_50_hz,
+        Relay.leaping,
+        Relay.beside_another_robot,
+        Relay.without_velocities,
+        Relay.in_degrees,
         Relay.without_an_elbow,
     )
 }

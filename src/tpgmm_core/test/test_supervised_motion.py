@@ -245,8 +245,34 @@ def test_a_robot_that_is_told_poses_chooses_its_joints_and_only_its_hand_has_to_
     assert np.abs(q - panda.home).max() > 0.3, "farther than joints may lag behind"
     assert supervised.lag.largest < 0.01 and set(supervised.lag.values) == {"hand_lag_mm", "hand_lag_deg"}
     assert np.abs(q - supervised.motion.q).max() < 0.2, "the limits are those of the measured joints"
-    q[3] += 0.9  # somebody holds the arm elsewhere
-    now += 10 * MS
-    supervised.take_state(q, now, now, now)
+    for _ in range(45):  # somebody leads the arm elsewhere
+        q[3] += 0.02
+        now += 10 * MS
+        supervised.take_state(q, now, now, now)
     supervised.step(now)
     assert supervised.mode is ControllerMode.HOLD and "the robot does not follow: hand is" in supervised.reason
+
+
+def test_positions_that_leap_are_left_out_and_where_only_they_come_the_joints_stop() -> None:
+    bench = Bench(offset=(0.1, 0.3, 0.1))
+    bench.run(0.3)
+    sound, wrong = bench.supervised.take_state, UR5.indices("arm")[2]
+    heard = 0
+
+    def with_leaps(q: np.ndarray, *times: int) -> None:
+        nonlocal heard
+        heard += 1
+        sound(q + (heard % 10 == 0) * np.eye(UR5.nv)[wrong], *times)
+
+    bench.supervised.take_state = with_leaps  # type: ignore[method-assign]
+    for _ in range(100):
+        bench.run(0.05)
+        assert bench.says[0] is ControllerMode.ACTIVE
+    assert bench.missing < 1e-3
+    bench.supervised.take_state = sound  # type: ignore[method-assign]
+    sent, bench.obeys = len(bench.sent), False
+    bench.q[wrong] += 1.0
+    bench.run(2.0)
+    mode, reason = bench.says
+    assert mode is ControllerMode.WAITING and f"{UR5.joint_names[wrong]} leapt by 0.99 rad" in reason
+    assert np.abs(np.diff([step.q for step in bench.sent[sent:]], axis=0)).max() < 1e-3

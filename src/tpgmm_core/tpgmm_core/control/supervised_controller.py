@@ -22,6 +22,7 @@ from tpgmm_core.control.supervision import ControllerMode, Inputs, Timeouts, dec
 from tpgmm_core.control.torque_pipeline import TorqueLimits
 from tpgmm_core.control.yielding import YieldConfig
 from tpgmm_core.model.reference import Reference
+from tpgmm_core.observation.plausible_states import PlausibleStates
 from tpgmm_core.observation.streams import (
     BETWEEN,
     SECOND,
@@ -79,12 +80,14 @@ class SupervisedController[TargetT]:
         self._max_time_step = (limits or TorqueLimits()).max_time_step
         self.controller = Controller(robot, law, limits, period, closed_elsewhere=closed_elsewhere)
         self.guard = LoopGuard(robot, self.timeouts, yields, closed_elsewhere)
+        self._plausible = PlausibleStates(robot)
         self.start()
 
     def start(self) -> None:
         """Forget everything: torques begin with the first joint state, as gravity compensation with damping."""
         self.controller.reset()
         self.guard.forget()
+        self._plausible.start()
         self._states, self._references = StreamWatch(), StreamWatch()
         self._rate = RateMeter()
         self._trouble: Callable[[], str] = str
@@ -125,7 +128,11 @@ class SupervisedController[TargetT]:
         return self._states.stamp_ns or 0
 
     @property
-    def slow(self) -> list[str]:
+    def doubts(self) -> list[str]:
+        """What is wrong with joint states that are answered nevertheless, in words."""
+        return self._slow() + self._plausible.told(self.stamp_ns)
+
+    def _slow(self) -> list[str]:
         """What has to be set for joint states that are as slow as measured, in words."""
         period = self._rate.period()
         return [] if period is None else slow_states(period, "measured", self.timeouts, self._max_time_step)
@@ -202,8 +209,14 @@ class SupervisedController[TargetT]:
             return self.refuse_state(stamps_behind(stamp_ns, clock_ns, timeouts.max_age), stamp_ns, now_ns)
         if kind is Stamp.RESTARTED:
             self.guard.forget()
+            self._plausible.forget()
             self._references.forget()
             self._reference = self._moving = self._held = None
+        if leap := self._plausible.leap(q, stamp_ns, self.guard.age.period, timeouts.joint_state_timeout):
+            self._trouble = lambda: leap
+            return self.refuse_state(leap, stamp_ns, now_ns) if stale else None
+        if fault := self._plausible.accept(q, stamp_ns, v):
+            return self.refuse_state(fault, stamp_ns, now_ns)
         if stale or self._state_fault:
             self.controller.restart()
         if self._used is not None and self._answer is not None:  # what was answered again counts to the same interval
@@ -357,7 +370,7 @@ class SupervisedController[TargetT]:
             reference_age = max(reference_age, 1e-9 * (state_stamp - stamp))
         state_age, trouble = self._states.age(now_ns), ""
         if state_age is None or state_age > self.timeouts.joint_state_timeout:
-            trouble = self._trouble() or "; ".join(self.slow)
+            trouble = self._trouble() or "; ".join(self._slow())
         return Inputs(state_age, self._state_fault, reference_age, self._reference_fault, trouble)
 
     def _target(self) -> TargetT | None:

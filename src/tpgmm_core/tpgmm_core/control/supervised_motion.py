@@ -22,7 +22,9 @@ from tpgmm_core.control.aim_progress import AimProgress
 from tpgmm_core.control.joint_motion import JointMotion, JointStep, MotionConfig
 from tpgmm_core.control.motion_aims import Aim
 from tpgmm_core.control.motion_lag import HandLag, JointLag, LagLimits, MotionLag
+from tpgmm_core.control.state_age import StateAge
 from tpgmm_core.control.supervision import ControllerMode
+from tpgmm_core.observation.plausible_states import PlausibleStates
 from tpgmm_core.observation.streams import (
     RESTARTED_AFTER,
     SECOND,
@@ -88,11 +90,14 @@ class SupervisedMotion:
         self.lag: MotionLag = HandLag(self.motion, endpoint) if by_pose else JointLag(self.motion)
         self._by_pose = by_pose
         self.timeouts = timeouts or MotionTimeouts()
+        self._plausible = PlausibleStates(robot)
         self.start()
 
     def start(self) -> None:
         """Forget everything: nothing is sent until a reference and the measured joints are there."""
         self._states, self._references = StreamWatch(), StreamWatch()
+        self._plausible.start()
+        self._state_age = StateAge()
         self._aims: tuple[Aim, ...] = ()
         self._state_fault = self._reference_fault = ""
         self._state_missing: Callable[[], str] | None = None
@@ -173,8 +178,14 @@ class SupervisedMotion:
         if self._state_fault:
             return
         if kind is Stamp.RESTARTED:
+            self._plausible.forget()
             self._references.forget()
             self._aims = ()
+        if leap := self._plausible.leap(q, stamp_ns, self._state_age.period, timeouts.joint_state_timeout):
+            self.refuse_state(leap)
+            return
+        self._plausible.accept(q, stamp_ns)
+        self._state_age.take(stamp_ns, clock_ns)
         age = self._states.age(now_ns)
         self._states.accept(stamp_ns, now_ns)
         known = self.motion.q if self._moving else self._q

@@ -91,7 +91,7 @@ class ImpedanceControllerNode(ManagedNode):
         self.parameters = Parameters(self, PARAMETERS, check=self._check_parameters, changed=self._reconfigure)
         self.law: ReferenceLaw | None = None
         self._background, self.status = Background(self), TorqueStatus(self)
-        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"], self._slow)
+        self.monitor = Monitor(self, self._status, self.parameters["joint_state_rate"], self._doubts)
         self._active = False
         if self.parameters["autostart"]:
             self.start_itself()
@@ -161,9 +161,9 @@ class ImpedanceControllerNode(ManagedNode):
         self.create_timer(WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return TransitionCallbackReturn.SUCCESS
 
-    def _slow(self) -> list[str]:
-        """The defaults are those of a robot with some hundred joint states per second: what others have to set."""
-        return self.controller.slow if self._active else []
+    def _doubts(self) -> list[str]:
+        """What is wrong with joint states, such as a rate that the settings are not made for."""
+        return self.controller.doubts if self._active else []
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to answer joint states, with nothing known of references from before."""
@@ -241,14 +241,13 @@ class ImpedanceControllerNode(ManagedNode):
 
     def _take_states(self, messages: Sequence[JointStateValues]) -> None:
         """All that wait, since a state may come in parts; the newest state is answered, others would be too late."""
-        samples = [self._sample(message) for message in messages if self._active]
-        newest = next((sample for sample in reversed(samples) if sample is not None), None)
-        if newest is None:
+        samples = [sample for sample in map(self._sample, messages) if sample is not None] if self._active else []
+        if not samples:
             return
         if self._barrier is None:
-            self._answer(newest)
+            self._answer(*reversed(samples))
         else:
-            self._barrier.take(newest, newest.stamp_ns)
+            self._barrier.take(samples[-1], samples[-1].stamp_ns)
 
     def _sample(self, message: JointStateValues) -> JointSample | None:
         """The state that a message completes, if it completes one."""
@@ -274,13 +273,17 @@ class ImpedanceControllerNode(ManagedNode):
 
     # -- one step -----------------------------------------------------------------------------------------------------
 
-    def _answer(self, sample: JointSample) -> None:
+    def _answer(self, newest: JointSample, *before: JointSample) -> None:
+        """Answer the newest state; one before it, newest first, where that is of another robot."""
         start = time.perf_counter()
-        self.monitor.tick(sample.stamp_ns)
-        now_ns, clock_ns = self._times(sample.stamp_ns)
-        q, v = sample.values
-        self._force.feel(now_ns)
-        answer = self.controller.take_state(q, v, sample.stamp_ns, now_ns, clock_ns)
+        self.monitor.tick(newest.stamp_ns)
+        for sample in (newest, *before):
+            now_ns, clock_ns = self._times(sample.stamp_ns)
+            q, v = sample.values
+            self._force.feel(now_ns)
+            answer = self.controller.take_state(q, v, sample.stamp_ns, now_ns, clock_ns)
+            if answer is not None:
+                break
         self._report(answer, now_ns)
         if (age := self.controller.guard.age.age) is not None:
             self.status.ages.add(age)
