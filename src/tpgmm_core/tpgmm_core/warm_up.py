@@ -118,8 +118,8 @@ def small_model() -> TPGMM:
 def warm_up_control() -> None:
     """Run the controller on the smallest of arms, so that it is compiled; nothing where Pinocchio is not installed."""
     try:
-        from tpgmm_core.control.controller import Controller
         from tpgmm_core.control.laws import LAWS, ReferenceLaw
+        from tpgmm_core.control.supervised_controller import SupervisedController
         from tpgmm_core.robot.model import RobotModel
     except ImportError:
         return
@@ -129,7 +129,7 @@ def warm_up_control() -> None:
         robot = RobotModel.from_file(Path(directory) / "arm.yaml")
         for name in LAWS:
             with contextlib.suppress(ImportError):  # the solver of predictive control is optional
-                Controller(robot, ReferenceLaw(name, robot, "hand"))
+                SupervisedController(robot, ReferenceLaw(name, robot, "hand"))
 
 
 LINK = """<link name="{name}"><inertial><mass value="1"/><origin xyz="1 0 0"/>
