@@ -47,7 +47,7 @@ def expected(
     return np.linalg.solve(H, h), np.linalg.inv(H)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), D=st.integers(2, 7), P=st.integers(1, 4), K=st.integers(1, 11))
 def test_adapt_matches_explicit_inverses_for_any_invertible_frame(seed: int, D: int, P: int, K: int) -> None:
     rng = np.random.default_rng(seed)

@@ -39,7 +39,6 @@ ROUNDING = 1e-12
 
 many = settings(
     max_examples=SEQUENCES,
-    deadline=None,
     derandomize=SEQUENCES < 1000,
     database=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture],

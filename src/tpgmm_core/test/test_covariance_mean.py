@@ -57,7 +57,7 @@ def test_little_of_a_wide_one_adds_little() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_any_other_frame_of_reference_sees_the_same(seed: int) -> None:
     rng = np.random.default_rng(seed)
     covariances, goal, weights = problem(rng, 6)

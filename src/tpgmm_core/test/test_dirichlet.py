@@ -24,7 +24,7 @@ def groups(rng: np.random.Generator, K: int, N: int, dims: tuple[int, ...], nois
     }
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     dims=st.lists(st.integers(1, 4), min_size=1, max_size=3),

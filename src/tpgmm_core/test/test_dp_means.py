@@ -37,7 +37,7 @@ def cost(X: dict[str, Array], seen: dict[str, Array], clusters: DPMeans) -> floa
     return float(total)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**32 - 1),
     dims=st.lists(st.integers(1, 4), min_size=1, max_size=3),

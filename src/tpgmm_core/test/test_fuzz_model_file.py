@@ -29,9 +29,7 @@ from tpgmm_core.retrieval.recipe import Recipe
 from wiping import shown_for
 
 EXAMPLES = int(os.environ.get("TPGMM_FUZZ_EXAMPLES", "100"))
-FUZZ = settings(
-    max_examples=EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]
-)
+FUZZ = settings(max_examples=EXAMPLES, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 MANIFOLD = Manifold.parse("R1 x R3 x S3")
 DIMENSIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 START = place(0.02, -0.03, 0.2)

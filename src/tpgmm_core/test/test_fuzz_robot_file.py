@@ -19,7 +19,7 @@ from tpgmm_core.robot.description import MAX_URDF_BYTES, MAX_URDF_DEPTH, MAX_URD
 from tpgmm_core.robot.model import RobotModel
 
 EXAMPLES = int(os.environ.get("TPGMM_FUZZ_EXAMPLES", "100"))
-FUZZ = settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+FUZZ = settings(max_examples=EXAMPLES, suppress_health_check=[HealthCheck.too_slow])
 URDF = ARM_URDF.format(effort=10, turn="revolute")
 
 _NUMBERS = st.sampled_from([0, -1, 1e300, -1e300, float("nan"), float("inf"), 10**400])

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -58,7 +58,6 @@ def test_what_persists_is_followed_after_the_stated_time(period: float, to: NDAr
     assert all(followed[int(np.argmax(followed)) :])
 
 
-@settings(deadline=None)
 @given(st.integers(0, 1000), st.sampled_from(PERIODS), st.floats(0.0, 3.0), st.floats(0.0, 6.0))
 def test_what_moves_as_fast_as_it_can_is_always_followed(seed: int, period: float, speed: float, rate: float) -> None:
     random = np.random.default_rng(seed)

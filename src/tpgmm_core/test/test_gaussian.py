@@ -18,7 +18,7 @@ rng = np.random.default_rng(2)
 seeds = st.integers(0, 2**32 - 1)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=seeds, n=st.integers(1, 6), count=st.integers(1, 5))
 def test_a_product_solves_the_normal_equations_of_eq_3(seed: int, n: int, count: int) -> None:
     rng = np.random.default_rng(seed)
@@ -35,7 +35,7 @@ def test_a_product_solves_the_normal_equations_of_eq_3(seed: int, n: int, count:
     np.testing.assert_allclose(product.covariance @ H, np.eye(n), atol=1e-7)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=seeds)
 def test_a_product_on_the_sphere_minimises_eq_3(seed: int) -> None:
     rng = np.random.default_rng(seed)

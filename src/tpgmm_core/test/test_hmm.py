@@ -98,7 +98,7 @@ def test_neighbours_tell_states_apart_that_look_the_same() -> None:
     np.testing.assert_array_equal(np.argmax(p[[5, 30, 55]], axis=1), [0, 1, 2])
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(
     seed=st.integers(0, 2**32 - 1),
     kind=st.sampled_from([TPHMM, TPHSMM]),

@@ -4,7 +4,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import scipy.linalg
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.linalg import solve_continuous_are, solve_discrete_are
@@ -28,7 +28,6 @@ def precisions(draw: st.DrawFn, max_dimensions: int = 7) -> np.ndarray:
     return scale * (X @ X.T + 0.1 * np.eye(D))
 
 
-@settings(deadline=None)
 @given(precisions(), st.sampled_from([1e-2, 0.3, 5.0]))
 def test_closed_form_solves_the_riccati_equation(precision: np.ndarray, control_cost: float) -> None:
     gains = double_integrator_gains(precision, control_cost)

@@ -78,7 +78,7 @@ def expected(chain: MarkovChain | SemiMarkovChain, log_b: Array) -> tuple[Poster
     return Posteriors(total, *(mean(name) for name in names)), everything[best][0], float(values[best])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 2**32 - 1),
     K=st.integers(1, 3),
@@ -127,7 +127,7 @@ def test_em_of_the_chain_never_lowers_its_objective(semi: bool) -> None:
     np.testing.assert_allclose(chain.transitions.sum(axis=1), 1.0)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=st.integers(0, 2**32 - 1), L=st.integers(1, 300), n=st.floats(0.0, 50.0), width=st.floats(0.0, 40.0))
 def test_durations_match_the_moments_that_they_are_given(seed: int, L: int, n: float, width: float) -> None:
     rng = np.random.default_rng(seed)

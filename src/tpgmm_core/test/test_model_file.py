@@ -124,7 +124,7 @@ def test_a_file_that_would_unpack_to_too_much_is_refused_before_unpacking(
         TPGMM.load(path)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_damaged_file_gives_a_clear_error_or_the_same_model(path: Path, data: st.DataObject) -> None:
     original = TPGMM.load(path)

@@ -129,7 +129,7 @@ def test_what_so_few_agree_in_is_not_held_back_from() -> None:
     np.testing.assert_allclose(model.means_["a"], CENTRES + [1.0, 0.0], atol=0.1)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), K=st.integers(1, 4), hidden=st.floats(0.0, 0.5))
 def test_the_objective_never_falls_and_the_old_are_as_likely_as_the_statistics_say(
     seed: int, K: int, hidden: float

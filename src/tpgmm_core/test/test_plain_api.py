@@ -44,7 +44,7 @@ def random_mixture(rng: np.random.Generator, manifold: Manifold, K: int, spread:
     return GaussianMixture(rng.dirichlet(np.ones(K)), means, covariances, manifold)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), space=st.sampled_from(sorted(SPACES)), K=st.integers(1, 7), T=st.integers(1, 70))
 def test_regression_of_any_dimensions_is_that_of_the_equations(seed: int, space: str, K: int, T: int) -> None:
     rng, manifold = np.random.default_rng(seed), Manifold.parse(space)
@@ -88,7 +88,7 @@ def random_frame(rng: np.random.Generator, D: int, D_j: int) -> Frame:
     return Frame(A, b, np.linalg.inv(A) * rng.uniform(0.5, 1.0) if rng.random() < 0.3 else None)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), D=st.integers(2, 5), P=st.integers(1, 4), K=st.integers(1, 8))
 def test_the_plain_api_is_the_equations_for_any_frames(seed: int, D: int, P: int, K: int) -> None:
     rng = np.random.default_rng(seed)

@@ -157,7 +157,7 @@ def law(radius: float, reach: float, time: float, system: StableDynamics, top_sp
     st.floats(-3.0, 3.0),
     st.floats(-2.0, 1.0),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_goal_is_reached_as_the_theorem_says(
     seed: int, space: str, detour: float, log_time_step: float, log_scale: float
 ) -> None:

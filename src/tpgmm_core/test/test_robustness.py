@@ -72,7 +72,7 @@ def fit_or_refuse(model: TPGMM, demonstrations: list[Demonstration]) -> bool:
     return True
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     demonstrations=awkward_demonstrations(),
     K=st.integers(1, 12),
@@ -86,7 +86,7 @@ def test_a_good_model_or_a_clear_error(demonstrations: list[Demonstration], **pa
     fit_or_refuse(TPGMM(**params, max_iter=30), demonstrations)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     demonstrations=awkward_demonstrations(),
     K=st.integers(1, 6),
@@ -99,7 +99,7 @@ def test_a_good_model_or_a_clear_error_with_every_structure(demonstrations: list
     fit_or_refuse(TPGMM(**params, init="bins", max_iter=15), demonstrations)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     demonstrations=awkward_demonstrations(),
     T=st.integers(1, 12),
@@ -112,7 +112,7 @@ def test_a_good_dirichlet_process_or_a_clear_error(
     fit_or_refuse(DirichletTPGMM(T, init=init, reg_covar=reg_covar, max_iter=40), demonstrations)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(demonstrations=awkward_demonstrations(), subspaces=st.booleans())
 def test_good_clusters_or_a_clear_error(demonstrations: list[Demonstration], subspaces: bool) -> None:
     clusters = DPMeans(0.5, 1.0 if subspaces else None)

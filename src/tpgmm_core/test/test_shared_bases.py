@@ -96,7 +96,7 @@ def test_the_variances_on_a_given_basis_are_the_likeliest_ones() -> None:
             assert objective(moved) < best
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(seed=st.integers(0, 2**32 - 1), is_prior=st.booleans(), share=st.sampled_from([0.0, 0.3]))
 def test_the_likelihood_never_falls_and_the_bases_stay_bit_by_bit(seed: int, is_prior: bool, share: float) -> None:
     tasks = RelatedTasks(seed)

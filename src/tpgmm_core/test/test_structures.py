@@ -50,7 +50,7 @@ def random_views(rng: np.random.Generator, dims: tuple[int, ...], N: int, K: int
 
 
 @pytest.mark.parametrize("structure", STRUCTURES)
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(data=st.data())
 def test_the_objective_never_falls(structure: str, data: st.DataObject) -> None:
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))

@@ -84,7 +84,7 @@ def test_em_takes_the_same_course_as_plain_numpy() -> None:
         np.testing.assert_allclose(model.covariances_[name], plain.covariances[j], rtol=0, atol=1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     dims=st.lists(st.integers(2, 4), min_size=1, max_size=3),

@@ -28,7 +28,6 @@ from tpgmm_ros.models.task_model import known_frames
 
 FUZZ = settings(
     max_examples=int(os.environ.get("TPGMM_FUZZ_EXAMPLES", "150")),
-    deadline=None,
     suppress_health_check=[HealthCheck.too_slow],
 )
 NUMBERS = st.floats(width=64) | st.sampled_from([0.0, -0.0, 1.0, 1e-300, 1e300, np.nan, np.inf, -np.inf])

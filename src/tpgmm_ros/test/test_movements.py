@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tpgmm_core.model.derived_frames import HAND, FrameSource
@@ -118,7 +118,6 @@ _VALUES = st.recursive(
 )
 
 
-@settings(deadline=None)  # how long it takes says how busy the machine is
 @given(st.sampled_from(["movements", "frames", "recordings"]), _VALUES, st.sampled_from(["left", "right", "", None]))
 def test_any_movements_are_taken_or_refused(key: str, value: object, movement: str | None) -> None:
     try:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tpgmm_core.common.old_names import RENAMED
@@ -233,7 +233,6 @@ _VALUES = st.recursive(
 )
 
 
-@settings(deadline=None)  # how long it takes says how busy the machine is
 @given(st.sampled_from(sorted(GOOD)), _VALUES)
 def test_any_value_under_a_known_key_is_taken_or_refused(key: str, value: object) -> None:
     try:
