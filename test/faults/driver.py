@@ -123,9 +123,11 @@ def enter_velocities(name: str, manner: str) -> None:
         assert "velocities contradict positions" in bench.modes.last.reason, bench.modes.last.reason
         result = bench.result(goal)
         assert not result.success and "velocities contradict positions" in result.reason, result.reason
+        observed = f"FAULT after {faulty:.2f} s, {moved:.2f} rad moved; {bench.assert_sound()}: '{result.reason}'"
         bench.drive("faithfully")
         assert change_state(bench.node, CONTROLLER, DEACTIVATE, ACTIVATE)
-        return f"FAULT after {faulty:.2f} s, {moved:.2f} rad moved; {bench.assert_sound()}: '{result.reason}'"
+        bench.clear()
+        return observed
 
 
 enter_velocities("always zero", "without_velocities")

@@ -97,8 +97,10 @@ def test_of_two_robots_on_one_topic_the_first_is_followed_and_the_other_is_named
         assert driver.mode is ControllerMode.ACTIVE
     assert any("whether another robot publishes on this topic" in words for words in driver.controller.doubts)
     assert np.abs(driver.simulator.state.v).max() < 2.0
+    driver.goal = driver.home - 2.0 * AWAY
     for _ in range(1100):
         driver.hear(rightly)
+        assert driver.mode is ControllerMode.ACTIVE, "however long ago the other one was heard"
     assert not driver.controller.doubts, "told while it lasts"
 
 

@@ -214,9 +214,9 @@ class SupervisedController[TargetT]:
             self._reference = self._moving = self._held = None
         if leap := self._plausible.leap(q, stamp_ns, self.guard.age.period, timeouts.joint_state_timeout):
             self._trouble = lambda: leap
-            return self.refuse_state(leap, stamp_ns, now_ns) if stale else None
+            return self._refuse_values(leap, stamp_ns, now_ns) if stale else None
         if fault := self._plausible.accept(q, stamp_ns, v):
-            return self.refuse_state(fault, stamp_ns, now_ns)
+            return self._refuse_values(fault, stamp_ns, now_ns)
         if stale or self._state_fault:
             self.controller.restart()
         if self._used is not None and self._answer is not None:  # what was answered again counts to the same interval
@@ -353,14 +353,19 @@ class SupervisedController[TargetT]:
 
     # -- how they work -------------------------------------------------------------------------------------------
 
-    def _rest(self, stamp_ns: int, now_ns: int) -> Answer | None:
+    def _refuse_values(self, reason: str, stamp_ns: int, now_ns: int) -> Answer | None:
+        """Refuse a state of which only the stamp is good: time is that of the stamps, as between good states."""
+        self._state_fault = reason
+        return self._rest(stamp_ns, now_ns, to_state=True)
+
+    def _rest(self, stamp_ns: int, now_ns: int, to_state: bool = False) -> Answer | None:
         inputs = self._inputs(now_ns)
         self.decision = decide(inputs, self.timeouts)
         if not self.decision.sends:
             return None
-        dt = self._since_last(None, now_ns)
+        dt = self._since_last(stamp_ns if to_state and self._answered_state else None, now_ns)
         command = self.controller.rest(inputs.state_age or 0.0, dt, loop=self.guard.loop(), now_ns=now_ns)
-        return self._send(command, stamp_ns, now_ns, to_state=False)
+        return self._send(command, stamp_ns, now_ns, to_state)
 
     def _inputs(self, now_ns: int) -> Inputs:
         reference_age = self._references.age(now_ns)

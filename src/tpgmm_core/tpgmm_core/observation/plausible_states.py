@@ -168,11 +168,12 @@ class PlausibleStates:
         if q.shape != self._known.shape:
             return ""
         q = self._robot.unwound(q, self._known)
-        joint, share = self._farthest(q, self._known, self._known_ns, stamp_ns, period)
+        time = max((stamp_ns - self._known_ns) / SECOND, JITTER * period)
+        joint, share = farthest(q, self._known, time, self._limits)
         of_other = math.inf
-        if self._other is not None:
-            _, of_other = self._farthest(q, self._other, self._other_ns, stamp_ns, period)
-        if share <= 1.0 and share <= of_other:  # of two places that it may belong to, the nearer one
+        if self._other is not None and stamp_ns - self._other_ns <= pause * SECOND:
+            _, of_other = farthest(q, self._other, time, self._limits)
+        if share <= min(1.0, of_other):  # of two places that it may belong to, the nearer one
             return ""
         self._other, self._other_ns = q.copy(), stamp_ns
         self._leaps += 1
@@ -230,7 +231,3 @@ class PlausibleStates:
         if not self._leaps or stamp_ns - self._other_ns > TOLD * SECOND:
             return []
         return [f"{self._leaps} joint states were left out: {self._leapt}"]
-
-    def _farthest(self, q: Array, known: Array, known_ns: int, stamp_ns: int, period: float) -> tuple[int, float]:
-        time = max((stamp_ns - known_ns) / SECOND, JITTER * period)
-        return farthest(q, known, time, self._limits)
