@@ -192,12 +192,15 @@ class TransformTree:
             no transforms lead from one to the other, or they are not known at this time
         """
         up, down = self._chains(frame, base)
-        return compose(inverse(self._composed(down, stamp_ns)), self._composed(up, stamp_ns))
+        pose = self._composed(up, stamp_ns)
+        return compose(inverse(self._composed(down, stamp_ns)), pose) if down else pose
 
     def _composed(self, chain: list[str], stamp_ns: int | None) -> Array:
         """Pose of the first of a chain in the parent of its last."""
-        pose = np.array([0.0, 0.0, 0.0, *quaternion.IDENTITY])
-        for child in chain:
+        if not chain:
+            return np.array([0.0, 0.0, 0.0, *quaternion.IDENTITY])
+        pose = self._at(chain[0], stamp_ns).copy()
+        for child in chain[1:]:
             pose = compose(self._at(child, stamp_ns), pose)
         return pose
 
