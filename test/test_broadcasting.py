@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -17,6 +19,8 @@ from std_msgs.msg import String
 
 from ros_graph import ALL_LATCHED, ROOT, Inbox, ros_arguments
 from ros_testing import StartProcess, spin_until
+from tpgmm_core.geometry.pose import pose_error
+from tpgmm_core.observation.transforms import TransformTree
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.motion_outputs import OUTPUTS
@@ -62,6 +66,13 @@ def test_what_rviz_and_foxglove_open_are_topics_of_the_nodes() -> None:
     assert OUTPUTS["target_pose"].topic == "target_pose"
 
 
+class Transforms(dict[str, TransformStamped]):
+    """The last one of each child."""
+
+    def hear(self, message: Any) -> None:
+        self.update({item.child_frame_id: item for item in message.transforms})
+
+
 def numbers(message: TransformStamped) -> np.ndarray:
     place, turn = message.transform.translation, message.transform.rotation
     return np.array([place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w])
@@ -79,12 +90,9 @@ def test_links_frames_and_the_description_are_published_on_request(
     robot = start_process("endpoint_poses", *ros_arguments(robot_file=UR5_FILE, **on_request))
     tracker = start_process("frame_tracker", *ros_arguments(task_file=task, **on_request))
     description = Inbox(ros_node, String, "robot_description", ALL_LATCHED)
-    heard: dict[str, TransformStamped] = {}
-
-    def hear(message: object) -> None:
-        heard.update({item.child_frame_id: item for item in message.transforms})  # type: ignore[attr-defined]
-
-    ros_node.create_subscription(tf2_msgs.TFMessage, "/tf", hear, LISTENER)
+    moving, fixed = Transforms(), Transforms()
+    ros_node.create_subscription(tf2_msgs.TFMessage, "/tf", moving.hear, LISTENER)
+    ros_node.create_subscription(tf2_msgs.TFMessage, "/tf_static", fixed.hear, ALL_LATCHED)
     states = ros_node.create_publisher(JointState, "joint_states", STREAM)
     seen = ros_node.create_publisher(PoseStamped, "object/pose", STREAM)
     model = RobotModel.from_file(UR5_FILE)
@@ -93,13 +101,25 @@ def test_links_frames_and_the_description_are_published_on_request(
         now_ns = ros_node.get_clock().now().nanoseconds
         states.publish(conversions.joint_state_message(list(model.joint_names), now_ns, model.home))
         seen.publish(conversions.pose_stamped(OBJECT, now_ns, "base_link"))
-        return bool({"tool0", "reach/object"} <= heard.keys() and description.messages)
+        return bool({"wrist_3_link", "reach/object"} <= moving.keys() and "tool0" in fixed and description.messages)
 
     spin_until(ros_node, shown, message="transforms", processes=(robot, tracker))
     assert "<robot" in description.last.data and "wrist_3_joint" in description.last.data
-    data = model.create_data()
+    np.testing.assert_allclose(numbers(moving["reach/object"]), OBJECT, atol=1e-6)
+    assert moving.pop("reach/object").header.frame_id == "base_link" and "reach/other" not in moving
+    # the tree of the URDF, as viewers read it from robot_description; no frame has two parents
+    joints = ElementTree.fromstring(description.last.data).findall("joint")
+    for among, is_fixed in ((moving, False), (fixed, True)):
+        wanted = {
+            (joint.find("child").get("link"), joint.find("parent").get("link"))  # type: ignore[union-attr]
+            for joint in joints
+            if (joint.get("type") == "fixed") == is_fixed
+        }
+        assert {(child, item.header.frame_id) for child, item in among.items()} == wanted
+    tree, data = TransformTree(), model.create_data()
     data.update(model.home)
-    np.testing.assert_allclose(numbers(heard["tool0"]), data.pose("tool"), atol=1e-9)
-    np.testing.assert_allclose(numbers(heard["reach/object"]), OBJECT, atol=1e-6)
-    assert "reach/other" not in heard and {item.header.frame_id for item in heard.values()} == {"base_link"}
-    assert "base_link" not in heard  # nobody is its own parent
+    for among, is_static in ((fixed, True), (moving, False)):
+        for child, item in among.items():
+            assert not tree.add(item.header.frame_id, child, numbers(item), 1, is_static)
+    np.testing.assert_allclose(pose_error(tree.pose("tool0", "base_link", 1), data.pose("tool")), 0.0, atol=1e-9)
+    assert "publishers on /tf" not in robot.output + tracker.output  # it has several as a rule

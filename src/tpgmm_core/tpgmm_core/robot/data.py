@@ -52,6 +52,10 @@ class RobotData:
         """Pose [x, y, z, qx, qy, qz, qw] of any frame of the URDF in the base frame, m."""
         return pin.SE3ToXYZQUAT(self._world_to_base.act(self._data.oMf[frame_id]))
 
+    def relative_pose(self, parent_id: int, frame_id: int) -> Array:
+        """Pose [x, y, z, qx, qy, qz, qw] of a frame of the URDF in another one, m."""
+        return pin.SE3ToXYZQUAT(self._data.oMf[parent_id].actInv(self._data.oMf[frame_id]))
+
     def twist(self, endpoint: str) -> Array:
         """Velocity (6,) of an end point in base axes: linear m/s, then angular rad/s."""
         motion = pin.getFrameVelocity(self._model, self._data, self._frame_ids[endpoint], AXES)

@@ -41,6 +41,8 @@ class RobotModel:
         path of the URDF
     links
         names of its links
+    link_parents
+        link -> the link that it stands on, and whether the joint between them is fixed; not of the root
     joint_names, joint_units
         (nv,) names in model order, and "rad" or "m"
     base_frame
@@ -78,6 +80,10 @@ class RobotModel:
         self.pinocchio = model
         self.urdf = description.urdf
         self.links = tuple(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY)
+        self.link_parents: Mapping[str, tuple[str, bool]] = {
+            link: (parent, urdf.tree.joints[joint].get("type") == "fixed")
+            for link, (joint, parent) in urdf.tree.parents.items()
+        }
         self.nv: int = model.nv
         self.joint_names: tuple[str, ...] = tuple(model.names[1:])
         self.joint_units = tuple("m" if "P" in joint.shortname() else "rad" for joint in model.joints.tolist()[1:])

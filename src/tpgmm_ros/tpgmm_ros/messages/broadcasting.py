@@ -14,17 +14,19 @@ from tpgmm_core.robot.data import RobotData
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.messages import conversions
 from tpgmm_ros.messages.classes import message_class
-from tpgmm_ros.messages.qos import BROADCAST, LATCHED
+from tpgmm_ros.messages.qos import BROADCAST, LATCHED, TRANSFORMS_STATIC
 from tpgmm_ros.messages.sources import TF_MESSAGE
 
 
 class TransformBroadcaster:
-    """Publishes poses as transforms on /tf.
+    """Publishes poses as transforms on /tf, or those that never change on /tf_static.
 
     Parameters
     ----------
     node
         that publishes
+    is_static
+        whether they never change
 
     Raises
     ------
@@ -32,30 +34,32 @@ class TransformBroadcaster:
         tf2_msgs is not installed
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, is_static: bool = False) -> None:
         self._message = message_class(TF_MESSAGE)
-        self._publisher = node.create_publisher(self._message, "/tf", BROADCAST)
+        topic, qos = ("/tf_static", TRANSFORMS_STATIC) if is_static else ("/tf", BROADCAST)
+        self._publisher = node.create_publisher(self._message, topic, qos)
 
-    def send(self, stamp_ns: int, parent: str, poses: Mapping[str, Array]) -> None:
+    def send(self, stamp_ns: int, poses: Mapping[tuple[str, str], Array]) -> None:
         """Publish poses at a time.
 
         Parameters
         ----------
         stamp_ns
             ns
-        parent
-            frame in which the poses are expressed
         poses
-            child frame → (7,), x, y, z in m, qx, qy, qz, qw
+            parent and child frame → (7,) of the child in the parent: x, y, z in m, qx, qy, qz, qw
         """
         if poses:
             self._publisher.publish(
-                self._message(transforms=[_transform(stamp_ns, parent, *item) for item in poses.items()])
+                self._message(transforms=[_transform(stamp_ns, *frames, pose) for frames, pose in poses.items()])
             )
 
 
 class RobotBroadcaster:
-    """Publishes `robot_description` once, latched, and the links of the robot on /tf: as robot_state_publisher does.
+    """Publishes `robot_description` once, latched, and the links of the robot, as robot_state_publisher does.
+
+    Each link is published in the one that it stands on, as in the URDF: those that a joint moves on /tf, the others
+    once on /tf_static. Viewers that read the URDF too expect the same tree.
 
     Parameters
     ----------
@@ -73,15 +77,26 @@ class RobotBroadcaster:
     """
 
     def __init__(self, node: Node, robot: RobotModel) -> None:
-        self._transforms, self._base = TransformBroadcaster(node), robot.base_frame
-        self._links = {name: robot.frame_id(name) for name in robot.links if name != robot.base_frame}
+        self._moving, fixed = (
+            {
+                (parent, link): (robot.frame_id(parent), robot.frame_id(link))
+                for link, (parent, is_fixed) in robot.link_parents.items()
+                if is_fixed is wanted
+            }
+            for wanted in (False, True)
+        )
+        self._transforms = TransformBroadcaster(node)
+        self._fixed = TransformBroadcaster(node, is_static=True)
+        data = robot.create_data()
+        data.update(robot.home)
+        now_ns = node.get_clock().now().nanoseconds
+        self._fixed.send(now_ns, {frames: data.relative_pose(*ids) for frames, ids in fixed.items()})
         self._description = node.create_publisher(String, "robot_description", LATCHED)
         self._description.publish(String(data=robot.urdf.read_text(encoding="utf-8")))
 
     def send(self, data: RobotData, stamp_ns: int) -> None:
         """Publish where the links are, for data that were updated, at a time (ns)."""
-        poses = {name: data.frame_pose(frame_id) for name, frame_id in self._links.items()}
-        self._transforms.send(stamp_ns, self._base, poses)
+        self._transforms.send(stamp_ns, {frames: data.relative_pose(*ids) for frames, ids in self._moving.items()})
 
 
 def _transform(stamp_ns: int, parent: str, child: str, pose: Array) -> TransformStamped:

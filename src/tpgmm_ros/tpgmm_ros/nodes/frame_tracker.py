@@ -201,8 +201,9 @@ class FrameTrackerNode(Node):
         publish_value(self._publisher, frames, StampedFrames.message)
         if self._transforms is not None:
             known = [frame for frame in self._known if frame.status is not FrameStatus.MISSING]
-            poses = {f"{self.task.name}/{frame.name}": frame.pose for frame in known if frame.pose is not None}
-            self._transforms.send(stamp_ns, self.task.base_frame, poses)
+            base, task = self.task.base_frame, self.task.name
+            poses = {(base, f"{task}/{frame.name}"): frame.pose for frame in known if frame.pose is not None}
+            self._transforms.send(stamp_ns, poses)
 
     def _forget(self) -> None:
         self.get_logger().warning("time jumped backwards: all observations are forgotten")

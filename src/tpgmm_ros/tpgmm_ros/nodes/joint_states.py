@@ -40,7 +40,7 @@ JOINT_STATE_RATE = Declared(
 BROADCAST_ROBOT = Declared(
     "broadcast_transforms",
     False,
-    "Publish robot_description, and the links on /tf, for viewers; only if no robot_state_publisher runs",
+    "Publish robot_description, and the links on /tf and /tf_static; only if no robot_state_publisher runs",
     fixed=True,
 )
 MAX_FUTURE = Declared("max_future", 0.05, "Messages with stamps further in the future are refused, s", 0.001, 10.0)

@@ -80,8 +80,8 @@ class ReferenceViews:
         if self._pose_due.is_due(stamp_ns):
             self._poses.publish(conversions.pose_with_covariance(reference.gaussian, stamp_ns, frame_id))
             if self._transforms is not None:
-                pose = {f"{self._task.name}/reference": reference.gaussian.mean}
-                self._transforms.send(stamp_ns, frame_id, pose)
+                pose = {(frame_id, f"{self._task.name}/reference"): reference.gaussian.mean}
+                self._transforms.send(stamp_ns, pose)
         if self._markers.get_subscription_count() and self._markers_due.is_due(stamp_ns):
             mixture = sequence.execution.retrieval.mixture()
             shown = self._scene.show(mixture, reference.activations, sequence.frames, stamp_ns, frame_id)

@@ -12,8 +12,8 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from tpgmm_core.common.text import one_line
 from tpgmm_ros.messages.classes import type_name
 
-#: Topics that every node writes to, or anyone may; joints may have several drivers.
-SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/external_wrench", "/joint_states")
+#: Topics that every node writes to, or anyone may; joints may have several drivers, and transforms several sources.
+SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/external_wrench", "/joint_states", "/tf", "/tf_static")
 
 
 def graph_problems(node: Node) -> list[str]:
