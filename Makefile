@@ -26,8 +26,10 @@ DATA ?= ../shared/data
 # The libraries of a sourced ROS installation or of another environment must not mix with those of the wheels
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# Each process would compile the sources anew: a second of processor time
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup dev lint format test mutants properties faults fuzz determinism seeds soak networks robots demo workbench bags results figures figure5 figure6 bench pages scaling stress colcon docs reference lock clean
+.PHONY: help setup dev lint format test long mutants properties faults fuzz determinism seeds soak networks robots demo workbench bags results figures figure5 figure6 bench pages scaling stress colcon docs reference lock clean
 
 help: ## list all targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 20
@@ -46,13 +48,19 @@ format: dev ## format the code in the project's style
 	$(PYTHON) -m ruff check --fix
 	$(PYTHON) -m ruff format
 
-# A file of tests per core at a time, then those that need the machine for themselves. What fails is run once more without
+# $(1): which tests. A file of tests per core at a time, then those that need the machine for themselves. What fails is run once more without
 # other tests beside it, which may have taken its cores: a fault of the code fails again.
-test: lint ## run lint, then all tests
-	@failed=0; again() { echo "==> again what failed, by itself"; $(PYTHON) -m pytest --last-failed -m "$$1"; }; \
-		$(PYTHON) -m pytest --numprocesses logical --maxprocesses 8 --dist loadfile -m "not alone" || again "not alone" || failed=1; \
-		$(PYTHON) -m pytest -m alone || again alone || failed=1; \
-		exit $$failed
+define tests
+failed=0; again() { echo "==> again what failed, by itself"; $(PYTHON) -m pytest --last-failed -m "$$1"; }; \
+	$(PYTHON) -m pytest --numprocesses logical --maxprocesses 8 --dist loadfile -m "not alone and $(1)" || again "not alone and $(1)" || failed=1; \
+	$(PYTHON) -m pytest -m "alone and $(1)" || again "alone and $(1)" || failed=1; \
+	exit $$failed
+endef
+test: lint ## run lint, then the tests, except those that `make long` runs
+	@$(call tests,not long)
+
+long: dev ## run the tests that repeat others in further situations, and take long
+	@$(call tests,long)
 
 properties: dev ## try 10 000 sequences of inputs: no torque and no rate exceeds its limit (`make test` tries fewer)
 	TPGMM_PROPERTY_SEQUENCES=10000 $(PYTHON) -m pytest --timeout 3600 src/tpgmm_core/test/test_controller_properties.py

@@ -24,6 +24,7 @@ from std_msgs.msg import Int64
 from std_srvs.srv import Trigger
 
 from faults.graph_bench import trained
+from long_tests import mostly_long
 from ros_graph import (
     ACTIVATE,
     ALL_LATCHED,
@@ -312,7 +313,7 @@ def test_a_process_takes_the_cores_and_the_memory_that_its_parameters_say(
     spin_until(ros_node, lambda: is_locked() or "memory is not locked" in process.output, processes=(process,))
 
 
-@pytest.mark.parametrize("cores", ["999", "a", "1-", "3-x", "-1"])
+@pytest.mark.parametrize("cores", mostly_long(["999", "a", "1-", "3-x", "-1"], "999", "a"))
 def test_cores_that_there_are_not_keep_a_node_from_starting(cores: str, ros_domain: int) -> None:
     command = [executable("frame_tracker"), *ros_arguments(task_file=TASK_FILE), "-p", f"cpu_cores:='{cores}'"]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=60)

@@ -15,6 +15,7 @@ from rclpy.action import ActionClient
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
+from long_tests import mostly_long
 from noisy_poses import (
     BOUND,
     Noise,
@@ -69,7 +70,7 @@ def learned(method: str) -> tuple[LearnedMixture, Array]:
     return model, demonstrations[0].data[0, 1:].copy()
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", mostly_long(METHODS, "adapt_regress", "regress_product", "trajectory"))
 def test_references_to_trembling_poses_are_as_firm_as_to_exact_ones(method: str) -> None:
     """Noise of 0.5 and 2 mm and 0.5 deg, at 30 Hz, through the tracker's filter, over the whole movement.
 

@@ -12,6 +12,7 @@ from rclpy.action import ActionClient
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
+from long_tests import mostly_long
 from ros_graph import ALL, ROBOT_FILE, ROOT, Inbox, result_of, ros_arguments
 from ros_testing import StartProcess, spin_until
 from tpgmm_core.geometry import quaternion
@@ -73,7 +74,7 @@ class TwoTargets:
             publisher.publish(conversions.pose_stamped(pose, stamp_ns, self._task.base_frame))
 
 
-@pytest.mark.parametrize("first", HANDS)
+@pytest.mark.parametrize("first", mostly_long(HANDS, "left"))
 def test_the_hand_that_had_priority_in_the_demonstrations_is_at_its_target(
     ros_node: Node, start_process: StartProcess, tmp_path: Path, first: str
 ) -> None:

@@ -113,7 +113,10 @@ BAD_REFERENCES: dict[str, tuple[Callable[[ReferenceMessage], None], str]] = {
 
 def enter_bad_references(name: str, spoil: Callable[[ReferenceMessage], None], reason: str) -> None:
     @fault(
-        ControllerBench, f"references {name}", "refused: HOLD at the last good one, then DAMPING; both name the reason"
+        ControllerBench,
+        f"references {name}",
+        "refused: HOLD at the last good one, then DAMPING; both name the reason",
+        quick=name in ("with NaN", "in a wrong frame_id"),
     )
     def bad_references(bench: ControllerBench) -> str:
         goal = bench.follow(400)

@@ -143,6 +143,7 @@ def beyond_max_age(bench: LateBench) -> str:
     LateBench,
     "joint states 40 ms late whose stamps do not tell",
     "swings are noticed: DAMPING with the reason; once calm it follows with gains that bear it, or says why not",
+    quick=False,
 )
 def late_unawares(bench: LateBench) -> str:
     assert set_parameters(bench.node, "impedance_controller", max_age=ANOTHER_CLOCK).successful
@@ -202,6 +203,7 @@ def held(bench: LateBench) -> str:
     LateBench,
     "a reference out of reach",
     "HOLD with the reason: where it stands, and why it gets no further; ACTIVE with the next one that it can follow",
+    quick=False,
 )
 def out_of_reach(bench: LateBench) -> str:
     bench.deviation, bench.goal = SOFT, bench.pose() + np.array([0.8, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0])

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from long_tests import mostly_long
 from tpgmm_core.doubt.cameras import doubts_of_cameras
 from tpgmm_core.doubt.doubts import RawDemonstration
 from tpgmm_core.doubt.judging import judged
@@ -70,7 +71,7 @@ def test_a_camera_on_the_hand_that_is_given_inverted_is_doubted(count: int) -> N
     assert "while the hand does, and would rest within 0.00" in doubt.text
 
 
-@pytest.mark.parametrize("first", range(0, 200, 10))
+@pytest.mark.parametrize("first", mostly_long(range(0, 200, 10), 0, 10, 20, 30))
 def test_objects_that_do_not_matter_are_not_doubted(first: int) -> None:
     """They stand anywhere beside what the hand goes to."""
     for count in (5, 6, 10):

@@ -13,6 +13,8 @@ import re
 import numpy as np
 import pytest
 
+from long_tests import mostly_long
+
 pytest.importorskip("pinocchio")
 
 from delayed_loop import DelayedLoop, LoopRecord, joint_reference, pose_reference
@@ -48,7 +50,7 @@ def age_in(reason: str) -> int:
     return int(found[1])
 
 
-@pytest.mark.parametrize("seed", range(COUNT))
+@pytest.mark.parametrize("seed", mostly_long(range(COUNT), 0, 1, 2, 3))
 def test_whatever_the_robot_the_posture_the_gains_the_delay_and_the_law_nothing_swings(
     robots: dict[str, RobotModel], seed: int
 ) -> None:
@@ -78,7 +80,7 @@ def test_whatever_the_robot_the_posture_the_gains_the_delay_and_the_law_nothing_
     assert_calm(robot, loop.run(3000, reference))
 
 
-@pytest.mark.parametrize("late_ms", [0, 20, 30, 60])
+@pytest.mark.parametrize("late_ms", mostly_long([0, 20, 30, 60], 0, 30))
 @pytest.mark.parametrize("name", ["panda", "baxter"])
 def test_a_firm_reference_is_followed_as_long_as_that_can_be_borne_and_it_says_so(
     robots: dict[str, RobotModel], name: str, late_ms: int

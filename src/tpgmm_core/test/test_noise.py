@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from long_tests import mostly_long
 from noisy_poses import (
     SECOND,
     Noise,
@@ -106,7 +107,9 @@ def test_changes_that_are_next_to_nothing_change_next_to_nothing(method: str) ->
     np.testing.assert_allclose(found.deviations, exact.deviations, rtol=1e-5)
 
 
-@pytest.mark.parametrize("noise", [Noise(0.1), Noise(0.5), Noise(2.0)], ids=["0.1mm", "0.5mm", "2mm"])
+@pytest.mark.parametrize(
+    "noise", mostly_long([Noise(0.1), Noise(0.5), Noise(2.0)], Noise(0.5)), ids=["0.1mm", "0.5mm", "2mm"]
+)
 @pytest.mark.parametrize("what", PLACES)
 @pytest.mark.parametrize("method", METHODS)
 def test_noise_of_poses_makes_references_neither_soft_nor_stiff_nor_restless(

@@ -73,7 +73,12 @@ def of_joints(loop: DelayedLoop) -> Reference:
 
 
 @pytest.mark.parametrize(
-    ("law", "refers"), [("infinite_horizon", of_pose), ("infinite_horizon", of_joints), ("predictive", of_pose)]
+    ("law", "refers"),
+    [
+        ("infinite_horizon", of_pose),
+        ("infinite_horizon", of_joints),
+        pytest.param("predictive", of_pose, marks=pytest.mark.long),
+    ],
 )
 def test_a_hand_that_is_held_is_led_with_little_force_and_does_not_leap_back(
     robot: RobotModel, law: str, refers: Callable[[DelayedLoop], Reference]

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from long_tests import mostly_long
 from tpgmm_core import LearnedMixture
 from tpgmm_core.choice.reproducing import reproduce
 from tpgmm_core.common.types import Array
@@ -82,7 +83,7 @@ def errors(model: LearnedMixture, first: LearnedMixture, situations: list[Record
     return float(max(ends)), float(max(before))
 
 
-@pytest.mark.parametrize("method", ["time_steps", "adapt_regress"])
+@pytest.mark.parametrize("method", mostly_long(["time_steps", "adapt_regress"], "adapt_regress"))
 def test_after_three_corrections_a_target_changed_by_5_cm_is_met_to_1_cm_and_the_rest_stays_within_2_mm(
     method: str, situations: list[Recording], tmp_path: Path
 ) -> None:

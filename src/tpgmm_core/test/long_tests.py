@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tests that repeat a shorter one in further situations: `make long` runs them, `make test` leaves them out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import pytest
+
+
+def mostly_long(values: Iterable[Any], *short: Any) -> list[Any]:
+    """Parameters of a test, of which `make test` takes the short ones only."""
+    values = list(values)
+    assert all(value in values for value in short), f"{short} are not among {values}"
+    return [value if value in short else pytest.param(value, marks=pytest.mark.long) for value in values]
