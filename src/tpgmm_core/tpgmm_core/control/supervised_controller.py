@@ -18,21 +18,12 @@ from tpgmm_core.common.types import Array
 from tpgmm_core.control.control_law import ControlLaw
 from tpgmm_core.control.controller import Controller, TorqueCommand
 from tpgmm_core.control.loop_guard import LoopGuard
-from tpgmm_core.control.supervision import ControllerMode, Inputs, Timeouts, decide, slow_states
+from tpgmm_core.control.state_intake import Intake, StateIntake
+from tpgmm_core.control.supervision import ControllerMode, Inputs, Timeouts, decide
 from tpgmm_core.control.torque_pipeline import TorqueLimits
 from tpgmm_core.control.yielding import YieldConfig
 from tpgmm_core.model.reference import Reference
-from tpgmm_core.observation.plausible_states import PlausibleStates
-from tpgmm_core.observation.streams import (
-    BETWEEN,
-    SECOND,
-    RateMeter,
-    Stamp,
-    StreamWatch,
-    stamps_ahead,
-    stamps_behind,
-    standing_still,
-)
+from tpgmm_core.observation.streams import BETWEEN, SECOND, Stamp, StreamWatch, stamps_ahead
 from tpgmm_core.robot.model import RobotModel
 
 
@@ -80,21 +71,19 @@ class SupervisedController[TargetT]:
         self._max_time_step = (limits or TorqueLimits()).max_time_step
         self.controller = Controller(robot, law, limits, period, closed_elsewhere=closed_elsewhere)
         self.guard = LoopGuard(robot, self.timeouts, yields, closed_elsewhere)
-        self._plausible = PlausibleStates(robot)
+        self._states = StateIntake(robot)
         self.start()
 
     def start(self) -> None:
         """Forget everything: torques begin with the first joint state, as gravity compensation with damping."""
         self.controller.reset()
         self.guard.forget()
-        self._plausible.start()
-        self._states, self._references = StreamWatch(), StreamWatch()
-        self._rate = RateMeter()
-        self._trouble: Callable[[], str] = str
+        self._states.start()
+        self._references = StreamWatch()
         self._reference: Reference | None = None
         self._moving: TargetT | None = None
         self._held: TargetT | None = None
-        self._state_fault = self._reference_fault = ""
+        self._reference_fault = ""
         self._answer: Answer | None = None
         self._answered_state = False
         self._used: float | None = None
@@ -130,12 +119,7 @@ class SupervisedController[TargetT]:
     @property
     def doubts(self) -> list[str]:
         """What is wrong with joint states that are answered nevertheless, in words."""
-        return self._slow() + self._plausible.told(self.stamp_ns)
-
-    def _slow(self) -> list[str]:
-        """What has to be set for joint states that are as slow as measured, in words."""
-        period = self._rate.period()
-        return [] if period is None else slow_states(period, "measured", self.timeouts, self._max_time_step)
+        return self._states.doubts(self.timeouts, self._max_time_step)
 
     # -- inputs --------------------------------------------------------------------------------------------------
 
@@ -194,52 +178,38 @@ class SupervisedController[TargetT]:
         Answer | None
             None where the state is not answered
         """
-        timeouts = self.timeouts
-        kind = self._states.judge(stamp_ns, now_ns, clock_ns, timeouts.joint_state_timeout, timeouts.max_future)
-        if kind is Stamp.FUTURE:
-            return self.refuse_state(stamps_ahead(timeouts.max_future), stamp_ns, now_ns)
-        if kind is Stamp.OLD:
+        timeouts, guard, before_ns = self.timeouts, self.guard, self._states.stamp_ns
+        begins = self._states.is_stale(now_ns, timeouts) or bool(self._states.fault)
+        kind = self._states.judge(q, v, stamp_ns, now_ns, clock_ns, timeouts, guard.age.period)
+        if kind is Intake.IGNORED:
             return None
-        age = self._states.age(now_ns)
-        stale = age is not None and age > timeouts.joint_state_timeout
-        if kind is Stamp.REPEATED:
-            self._trouble = lambda: standing_still(stamp_ns)
-            return None if stale else self._answer  # once it is stale, `watch` answers
-        if timeouts.max_age > 0.0 and clock_ns > 0 and clock_ns - stamp_ns > timeouts.max_age * SECOND:
-            return self.refuse_state(stamps_behind(stamp_ns, clock_ns, timeouts.max_age), stamp_ns, now_ns)
-        if kind is Stamp.RESTARTED:
-            self.guard.forget()
-            self._plausible.forget()
+        if kind is Intake.REPEATED:  # once it is stale, `watch` answers
+            return None if self._states.is_stale(now_ns, timeouts) else self._answer
+        if kind in (Intake.REFUSED, Intake.WRONG):
+            return self._rest(stamp_ns, now_ns, is_timed=kind is Intake.WRONG)
+        if kind is Intake.RESTARTED:
+            guard.forget()
             self._references.forget()
             self._reference = self._moving = self._held = None
-        if leap := self._plausible.leap(q, stamp_ns, self.guard.age.period, timeouts.joint_state_timeout):
-            self._trouble = lambda: leap
-            return self._refuse_values(leap, stamp_ns, now_ns) if stale else None
-        if fault := self._plausible.accept(q, stamp_ns, v):
-            return self._refuse_values(fault, stamp_ns, now_ns)
-        if stale or self._state_fault:
+        if begins:
             self.controller.restart()
         if self._used is not None and self._answer is not None:  # what was answered again counts to the same interval
             dt = max(0.0, (stamp_ns - self._answer.stamp_ns) / SECOND - self._used)
         else:
             dt = self._since_last(stamp_ns if self._answered_state else None, now_ns)
-        former, self._interval_ns = self._interval_ns, stamp_ns - (self._states.stamp_ns or stamp_ns)
+        former, self._interval_ns = self._interval_ns, stamp_ns - (before_ns or stamp_ns)
         self._period_ns = min(former, self._interval_ns)  # a pause is no period
-        self._states.accept(stamp_ns, now_ns)
         self._q, self._v = q, v
-        self._rate.add(stamp_ns)
-        self._state_fault, self._trouble = "", str
-        self.guard.age.take(stamp_ns, clock_ns, of_another_clock=timeouts.max_age == 0.0)
-        self.decision = self.guard.judge(decide(self._inputs(now_ns), timeouts))
-        guard = self.guard
+        guard.age.take(stamp_ns, clock_ns, of_another_clock=timeouts.max_age == 0.0)
+        self.decision = guard.judge(decide(self._inputs(now_ns), timeouts))
         command = self.controller.step(q, v, self._target(), dt, guard.loop(), brakes=guard.swings, now_ns=now_ns)
         if command is None or command.reason:
             # a state that is well-formed and still cannot be right
-            self._state_fault = command.reason if command is not None else "the joint state is not finite"
+            self._states.refuse(command.reason if command is not None else "the joint state is not finite")
             self.decision = decide(self._inputs(now_ns), timeouts)
         else:
             guard.after(command, self.decision.mode, self.controller.pipeline.time_step(dt))
-        return self._send(command, stamp_ns, now_ns, to_state=not self._state_fault)
+        return self._send(command, stamp_ns, now_ns, to_state=not self._states.fault)
 
     def take_force(self, newtons: float | None, now_ns: int) -> str:
         """Yield to a force on the hand, if it is one of a person; see `Yielding.feel`.
@@ -309,12 +279,12 @@ class SupervisedController[TargetT]:
         Answer | None
             None while there was no good state yet
         """
-        self._state_fault = reason
+        self._states.refuse(reason)
         return self._rest(stamp_ns, now_ns)
 
     def miss_state(self, trouble: Callable[[], str]) -> None:
         """Note that a message came that is no whole joint state; `trouble` says what is missing, should none come."""
-        self._trouble = trouble
+        self._states.miss(trouble)
 
     def watch(self, now_ns: int) -> Answer | None:
         """What has to be sent when no joint state came: the safe torque for some time, then nothing."""
@@ -353,19 +323,15 @@ class SupervisedController[TargetT]:
 
     # -- how they work -------------------------------------------------------------------------------------------
 
-    def _refuse_values(self, reason: str, stamp_ns: int, now_ns: int) -> Answer | None:
-        """Refuse a state of which only the stamp is good: time is that of the stamps, as between good states."""
-        self._state_fault = reason
-        return self._rest(stamp_ns, now_ns, to_state=True)
-
-    def _rest(self, stamp_ns: int, now_ns: int, to_state: bool = False) -> Answer | None:
+    def _rest(self, stamp_ns: int, now_ns: int, is_timed: bool = False) -> Answer | None:
+        """The safe torque; time is that of the stamps, as between good states, where this one's is good."""
         inputs = self._inputs(now_ns)
         self.decision = decide(inputs, self.timeouts)
         if not self.decision.sends:
             return None
-        dt = self._since_last(stamp_ns if to_state and self._answered_state else None, now_ns)
+        dt = self._since_last(stamp_ns if is_timed and self._answered_state else None, now_ns)
         command = self.controller.rest(inputs.state_age or 0.0, dt, loop=self.guard.loop(), now_ns=now_ns)
-        return self._send(command, stamp_ns, now_ns, to_state)
+        return self._send(command, stamp_ns, now_ns, to_state=is_timed)
 
     def _inputs(self, now_ns: int) -> Inputs:
         reference_age = self._references.age(now_ns)
@@ -375,8 +341,8 @@ class SupervisedController[TargetT]:
             reference_age = max(reference_age, 1e-9 * (state_stamp - stamp))
         state_age, trouble = self._states.age(now_ns), ""
         if state_age is None or state_age > self.timeouts.joint_state_timeout:
-            trouble = self._trouble() or "; ".join(self._slow())
-        return Inputs(state_age, self._state_fault, reference_age, self._reference_fault, trouble)
+            trouble = self._states.why_none(self.timeouts, self._max_time_step)
+        return Inputs(state_age, self._states.fault, reference_age, self._reference_fault, trouble)
 
     def _target(self) -> TargetT | None:
         if self.decision.mode is ControllerMode.ACTIVE:
