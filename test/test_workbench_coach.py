@@ -127,6 +127,7 @@ def test_a_push_that_lasts_begins_a_correction_by_itself_and_asks_nothing_of_the
         print(f"\nfree: at most {max(forces):.1f} N of {THRESHOLD:.0f} N")
 
 
+@pytest.mark.long
 def test_an_arm_that_was_led_far_away_for_long_comes_back_and_ends_where_the_model_ends(
     ros_node: Node, taught: Path, tmp_path: Path
 ) -> None:
@@ -164,6 +165,7 @@ def test_an_arm_that_was_led_far_away_for_long_comes_back_and_ends_where_the_mod
         bench.until(lambda view: view.model is not None and view.model.number == 2, "the corrected model", 60.0)
 
 
+@pytest.mark.long
 def test_an_arm_that_is_held_to_the_end_ends_with_the_true_reason_and_comes_back_slowly(
     ros_node: Node, taught: Path, tmp_path: Path
 ) -> None:
