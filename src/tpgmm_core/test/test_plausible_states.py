@@ -236,3 +236,21 @@ def test_values_that_are_not_finite_or_of_another_length_are_others_to_refuse(dr
     assert driver.mode is ControllerMode.ACTIVE
     with pytest.raises(ValueError, match="shapes"):
         driver.hear(lambda q, v: (q[:3], v[:3]))
+
+
+@pytest.mark.parametrize("speed", [1e3, 1e200])
+def test_a_single_absurd_velocity_is_forgotten_with_its_state(driver: Driver, speed: float) -> None:
+    for i in range(300):
+        driver.hear((lambda q, v: (q, v + speed)) if i % 100 == 50 else rightly)
+        assert driver.mode is ControllerMode.ACTIVE or i % 100 == 50, (i, driver.reason)
+
+
+@pytest.mark.parametrize("heard", [0, 1])
+def test_a_message_of_somebody_else_at_the_beginning_does_not_shut_the_robot_out(driver: Driver, heard: int) -> None:
+    garbage = driver.robot.home + 1e9
+    for _ in range(heard):
+        driver.hear(rightly)
+    driver.now_ns += 1000 * MS  # nothing for a while
+    driver.hear(lambda q, v: (garbage, np.zeros_like(v)))
+    answers = [driver.hear(rightly) for _ in range(20)]
+    assert all(tau is not None for tau in answers[1:]) and driver.mode is ControllerMode.ACTIVE

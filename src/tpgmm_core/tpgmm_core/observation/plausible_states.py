@@ -2,10 +2,10 @@
 """`PlausibleStates`: joint states of which each number is possible, and which still cannot be right.
 
 - **Positions that leap.** No joint gets further than `REACH` times its speed limit allows. An encoder that loses its
-  count does, a bit that tips over, a second robot on the same topic. A state that leaps is left out; the ones that
-  go on where the last good one was are used. If only states of another place come, that place may be the right one or
-  not, and nobody here can know: they are refused until joint states have paused, as they do where a driver is started
-  again, or the controller is activated again.
+  count does, a bit that tips over, a second robot on the same topic. A state that leaps is left out; those that go on
+  where the last good one was are used, and at the beginning those of which more come. If only states of another place
+  come, that place may be the right one or not, and nobody here can know: they are refused until joint states have
+  paused, as they do where a driver is started again, or the controller is activated again.
 - **Velocities that are not the change of the positions**: in degrees, of the other sign, always zero, of an encoder
   that hangs. Damping would push instead of brake, or be absent. Both changes are compared over the last second.
   Such states are refused, also at rest, where nothing shows the fault, until a motion has shown that velocities fit.
@@ -25,6 +25,8 @@ from tpgmm_core.robot.model import RobotModel
 #: Joints get no further than this many times their speed limit allows, and a margin, rad (m). Limits that were lowered
 #: bind the controller only: a person may lead a joint faster than this, rad/s (m/s).
 REACH, REACH_MARGIN, LED = 3.0, 0.02, 1.0
+#: After so many states of one place another one does not take over, however many follow.
+ESTABLISHED = 10
 #: Stamps of a driver jitter by less than this many periods.
 JITTER = 2.0
 #: Changes of positions are compared with velocities over this time, s, ...
@@ -92,9 +94,11 @@ def compare(
     kept = math.exp(-dt / COMPARED)
     worst, largest_excess = -1, 0.0
     for i in range(len(change)):
-        by_velocity = 0.5 * dt * (v[i] + before[i])
-        if not math.isfinite(change[i] + by_velocity):
+        if not math.isfinite(change[i] + v[i] + before[i]):
             continue
+        # a single absurd one shows no more than that a joint is fast
+        most = REACH * max(speed_limits[i], LED)
+        by_velocity = 0.5 * dt * (max(-most, min(v[i], most)) + max(-most, min(before[i], most)))
         changes[0, i] = kept * (changes[0, i] + change[i])
         changes[1, i] = kept * (changes[1, i] + by_velocity)
         changes[2, i] = max(kept * changes[2, i], min(abs(v[i]), speed_limits[i]))
@@ -141,6 +145,7 @@ class PlausibleStates:
         self._other: Array | None = None
         self._speeds: Array | None = None
         self._known_ns = self._other_ns = 0
+        self._known_count = self._other_count = 0
         self._changes[:] = 0.0
 
     def leap(self, q: Array, stamp_ns: int, period: float, pause: float) -> str:
@@ -175,9 +180,14 @@ class PlausibleStates:
             _, of_other = farthest(q, self._other, time, self._limits)
         if share <= min(1.0, of_other):  # of two places that it may belong to, the nearer one
             return ""
+        is_another = of_other > 1.0  # a leap of its own, not one of those that go on where another one led
+        self._other_count = 1 if is_another else self._other_count + 1
+        if self._known_count < min(ESTABLISHED, self._other_count):  # the first one was none of this robot
+            self.forget()
+            return ""
         self._other, self._other_ns = q.copy(), stamp_ns
         self._leaps += 1
-        if of_other > 1.0:  # a leap of its own, not one of those that go on where another one led
+        if is_another:
             unit = self._units[joint]
             self._leapt = (
                 f"{self._names[joint]} leapt by {abs(float(q[joint] - self._known[joint])):.2g} {unit} within "
@@ -223,6 +233,7 @@ class PlausibleStates:
             elif self._believed.all():
                 self._fault = ""
         self._known, self._known_ns = q.copy(), stamp_ns
+        self._known_count += 1
         self._speeds = None if v is None else v.copy()
         return self._fault
 
