@@ -16,6 +16,7 @@ import pytest
 from rclpy.node import Node
 
 from forked_processes import run_all
+from long_tests import mostly_long
 from ros_graph import ROBOT_FILE, TASK_FILE, ros_arguments
 from ros_testing import STARTUP_TIMEOUT, StartProcess, executable, spin_until
 from tpgmm_ros import executables
@@ -91,7 +92,9 @@ def moments(name: str) -> list[float]:
     return [chance.uniform(i, i + 1) for i in range(MOMENTS)]
 
 
-@pytest.mark.parametrize("name", EXECUTABLES)
+@pytest.mark.parametrize(
+    "name", mostly_long(EXECUTABLES, "frame_tracker", "impedance_controller", "train", "record", "demo")
+)
 def test_ctrl_c_at_any_moment_ends_an_executable_quietly(
     name: str, tmp_path: Path, ros_domain: int, start_process: StartProcess
 ) -> None:

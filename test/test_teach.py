@@ -39,6 +39,7 @@ def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
+@pytest.mark.long
 def test_a_scripted_demonstration_is_a_bag_that_train_reads_and_that_shows_the_task(scripted: Path) -> None:
     recording = read_recording(scripted / "demo_01", Task.load(TASK_FILE))
     assert 5.0 < recording.duration < 30.0 and len(recording.times) > 500
@@ -52,6 +53,7 @@ def test_a_scripted_demonstration_is_a_bag_that_train_reads_and_that_shows_the_t
     assert not (scripted / ".partial").exists()
 
 
+@pytest.mark.long
 def test_demonstrations_that_exist_are_kept_as_they_are(scripted: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in scripted.rglob("*")}
     run = teach("--scripted", "--count", "1", "--seed", "4", "--output", str(scripted))
@@ -59,6 +61,7 @@ def test_demonstrations_that_exist_are_kept_as_they_are(scripted: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in scripted.rglob("*")} == before
 
 
+@pytest.mark.long
 def test_a_bag_that_exists_is_not_overwritten(scripted: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in scripted.rglob("*")}
     run = teach("--output", str(scripted / "demo_01"))
