@@ -52,7 +52,7 @@ format: dev ## format the code in the project's style
 # other tests beside it, which may have taken its cores: a fault of the code fails again.
 define tests
 failed=0; again() { echo "==> again what failed, by itself"; $(PYTHON) -m pytest --last-failed -m "$$1"; }; \
-	$(PYTHON) -m pytest --numprocesses logical --maxprocesses 8 --dist loadfile -m "not alone and $(1)" || again "not alone and $(1)" || failed=1; \
+	$(PYTHON) -m pytest --numprocesses logical --maxprocesses 8 --dist loadfile --no-loadscope-reorder -m "not alone and $(1)" || again "not alone and $(1)" || failed=1; \
 	$(PYTHON) -m pytest -m "alone and $(1)" || again "alone and $(1)" || failed=1; \
 	exit $$failed
 endef
