@@ -96,13 +96,15 @@ def compare(
     for i in range(len(change)):
         if not math.isfinite(change[i] + v[i] + before[i]):
             continue
-        # the smaller one of two counts, and none beyond reach: a single absurd one shows nothing
-        slower = v[i] if abs(v[i]) < abs(before[i]) else before[i]
         most = REACH * max(speed_limits[i], LED)
-        by_velocity = dt * max(-most, min(slower, most)) if v[i] * before[i] > 0.0 else 0.0
+        mean = 0.5 * (v[i] + before[i])
+        if max(abs(v[i]), abs(before[i])) > most:  # beyond reach the smaller one counts: a single absurd one is nothing
+            mean = min(abs(v[i]), abs(before[i]), most) if v[i] > 0.0 else -min(abs(v[i]), abs(before[i]), most)
+            mean = mean if v[i] * before[i] > 0.0 else 0.0
+        by_velocity = dt * mean
         changes[0, i] = kept * (changes[0, i] + change[i])
         changes[1, i] = kept * (changes[1, i] + by_velocity)
-        changes[2, i] = max(kept * changes[2, i], min(abs(slower), speed_limits[i]))
+        changes[2, i] = max(kept * changes[2, i], min(abs(mean), speed_limits[i]))
         of_positions, of_velocities = abs(changes[0, i]), abs(changes[1, i])
         difference = abs(changes[0, i] - changes[1, i]) - SHARE * max(of_positions, of_velocities)
         excess = difference - DIFFERENCE - FILTER * changes[2, i]
