@@ -31,6 +31,7 @@ def has_taught(count: int, view: DeskView) -> bool:
     return len(view.taught) == count
 
 
+@pytest.mark.long  # what `test_workbench_page` does, without a browser
 def test_a_skill_is_taught_trained_and_run_and_follows_a_target_that_is_moved(bench: Bench) -> None:
     desk = bench.desk
     bench.until(lambda view: not view.reasons[Action.RECORD], "the robot and all frames to be seen")
