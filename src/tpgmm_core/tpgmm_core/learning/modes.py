@@ -14,9 +14,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.cluster.hierarchy import fcluster, linkage
-from scipy.spatial.distance import squareform
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
@@ -112,7 +111,8 @@ def _divided(left: Array, members: Labels, apart: float) -> list[Labels]:
             distances = np.linalg.norm(off[:, None] - off[None], axis=2)
             if distances.max() < apart:
                 continue
-            halves = fcluster(linkage(squareform(distances, checks=False), "average"), 2, "maxclust")
+            pairs = scipy.spatial.distance.squareform(distances, checks=False)
+            halves = scipy.cluster.hierarchy.fcluster(scipy.cluster.hierarchy.linkage(pairs, "average"), 2, "maxclust")
             first = halves == halves[0]
             if min(first.sum(), (~first).sum()) < FEWEST:
                 continue

@@ -15,8 +15,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
@@ -90,7 +90,7 @@ def _warps(numbers: Sequence[Array], seen: NDArray[np.bool_]) -> Array:
         costs = _costs(numbers, seen, at)
         found = np.array([_warp(cost) for cost in costs])
         pace = np.pad(found - even, ((0, 0), (S - 1, S - 1)), mode="reflect", reflect_type="odd")
-        found = even + gaussian_filter1d(pace, SMOOTH * S, axis=1)[:, S - 1 : 2 * S - 1]
+        found = even + scipy.ndimage.gaussian_filter1d(pace, SMOOTH * S, axis=1)[:, S - 1 : 2 * S - 1]
         mean = found.mean(axis=0)
         warps = np.array([np.interp(even, mean, warp) for warp in found])
     return warps

@@ -11,8 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
-from scipy.optimize import brentq
+import scipy
 
 from tpgmm_core.common.settings import Settings, setting
 from tpgmm_core.common.types import Array
@@ -143,7 +142,8 @@ class ArcLengthPhase(ClockPhase):
 
     def __init__(self, config: ArcLengthConfig | None = None) -> None:
         self.config = config or ArcLengthConfig()
-        self._path: PchipInterpolator | None = None
+        _ = scipy.interpolate, scipy.optimize  # loaded by their names, which takes a while: not during a movement
+        self._path: scipy.interpolate.PchipInterpolator | None = None
         super().__init__()
 
     def bind(self, course: TimeParametrized, duration: float) -> None:
@@ -168,7 +168,7 @@ class ArcLengthPhase(ClockPhase):
         length = float(steps.sum())
         standing = STANDING_SHARE * max(length, np.finfo(float).tiny) / len(steps)
         shares = np.concatenate([[0.0], np.cumsum(steps + standing)])
-        path = self._path = PchipInterpolator(shares / shares[-1], times)
+        path = self._path = scipy.interpolate.PchipInterpolator(shares / shares[-1], times)
         value = self._value
         if now is not None:
             value = self._value_of_share(share_at(path, now))
@@ -195,11 +195,13 @@ class ArcLengthPhase(ClockPhase):
         return half if share < 0.5 else 1.0 - half
 
 
-def share_at(path: PchipInterpolator, time: float) -> float:
+def share_at(path: scipy.interpolate.PchipInterpolator, time: float) -> float:
     """The share, 0 to 1, at which a path of increasing model's times over shares has a time."""
     if time <= path(0.0):
         return 0.0
-    return 1.0 if time >= path(1.0) else float(brentq(lambda share: float(path(share)) - time, 0.0, 1.0, xtol=1e-14))
+    if time >= path(1.0):
+        return 1.0
+    return float(scipy.optimize.brentq(lambda share: float(path(share)) - time, 0.0, 1.0, xtol=1e-14))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from scipy.linalg import eigh
+import scipy
 
 from tpgmm_core.common.constants import SINGULAR
 from tpgmm_core.common.types import Array
@@ -62,7 +62,7 @@ class SemiTiedCovariances(Covariances):
         halves.append(counts @ scatters.reshape(-1, scatters[0].size))
         one, both = (half.reshape(scatters[0].shape) / counts.sum() for half in halves)
         _check_definite(both, scatters)
-        A = eigh(one, both)[1].T
+        A = scipy.linalg.eigh(one, both)[1].T
         return cls(structure, A, _diagonals(A, scatters))
 
     @classmethod

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.special import logsumexp
 
 from tpgmm_core.common.types import Array
 
@@ -83,7 +83,7 @@ class Durations:
     def log_prior(self) -> float:
         """Logarithm of the prior's density at these parameters, without its constant: the penalty of EM."""
         features = _features(self.max_duration)
-        log_normaliser = logsumexp(self.natural @ features, axis=1)
+        log_normaliser = scipy.special.logsumexp(self.natural @ features, axis=1)
         return float(PRIOR_SEGMENTS * np.sum(np.sum(self.natural * self.prior_moments, axis=1) - log_normaliser))
 
     def maximised(self, counts: Array) -> Durations:
@@ -116,7 +116,7 @@ def _features(max_duration: int) -> Array:
 
 def _log_probabilities(natural: Array, features: Array) -> Array:
     values = natural @ features
-    return np.asarray(values - logsumexp(values, axis=1, keepdims=True))
+    return np.asarray(values - scipy.special.logsumexp(values, axis=1, keepdims=True))
 
 
 def _match_moments(target: Array, log_d: Array) -> Array:
