@@ -115,10 +115,16 @@ class PageClient:
         KeyError
             where the page has none
         """
+        await self._set(self._button(label, option is not None), option or True)
+
+    def offers(self, label: str) -> bool:
+        """Whether a group of buttons, by the begin of its label, is to be seen."""
+        return bool(self.panels.get((self._button(label, True), "visible"), True))
+
+    def _button(self, label: str, is_group: bool) -> str:
         for (of, key), value in self.panels.items():
-            if key == "label" and str(value).startswith(label) and (option is None) != ((of, "options") in self.panels):
-                await self._set(of, option or True)
-                return
+            if key == "label" and str(value).startswith(label) and is_group == ((of, "options") in self.panels):
+                return of
         raise KeyError(f"no button {label!r} on the page")
 
     async def set(self, label: str, value: float | bool) -> None:

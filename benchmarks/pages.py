@@ -34,7 +34,13 @@ NOBODY, INVITES, UNHEARD = "Nobody leads the hand", "Lead the hand to where it b
 
 @contextlib.contextmanager
 def serving(folder: Path, port: int = PORT, options: Sequence[str] = ()) -> Iterator[tuple[int, str]]:
-    """The workbench with a simulated robot and a new project; its process id, and the address of its page."""
+    """The workbench with a simulated robot and a new project; its process id, and the address of its page.
+
+    Raises
+    ------
+    RuntimeError
+        where it does not serve its page, or an error of its own was written meanwhile
+    """
     command = [sys.executable, "-m", "tpgmm_workbench.simulated", "--project", str(folder / "project")]
     command += ["--log", str(folder / "log"), "--seed", "3", "--port", str(port), *options]
     said = folder / "said"
@@ -50,6 +56,8 @@ def serving(folder: Path, port: int = PORT, options: Sequence[str] = ()) -> Iter
     finally:
         process.terminate()
         process.wait()
+    if "Traceback" in said.read_text():
+        raise RuntimeError(f"an error of the workbench: {said.read_text()}")
 
 
 async def open_pages(stack: contextlib.AsyncExitStack, address: str, count: int) -> list[PageClient]:

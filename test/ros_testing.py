@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 # Processes that are started as users do start Python twice and import much; a busy machine takes long for both
 STARTUP_TIMEOUT = 60.0
+# What Python writes where nobody has thought of an error
+TRACEBACK = "Traceback (most recent call last)"
 # Time from one signal to the next, stronger one [s]
 STOP_TIMEOUT = 5.0
 
@@ -39,7 +41,14 @@ class RunningProcess:
 
     A command that begins with a path is started as a user starts it, one that begins with the name of an executable of
     ours as a fork of a process that has done the imports.
+
+    Attributes
+    ----------
+    is_made_to_fail
+        whether the test puts an error into its code, so that a traceback is what it is to write
     """
+
+    is_made_to_fail = False
 
     def __init__(self, command: list[str], output_path: Path, env: dict[str, str] | None = None) -> None:
         self.command = command
@@ -196,7 +205,10 @@ def node_on(domain: int) -> Iterator[Node]:
 
 @contextlib.contextmanager
 def process_starter(directory: Path) -> Iterator[StartProcess]:
-    """Starts processes whose output goes to a directory, and ends them all."""
+    """Starts processes whose output goes to a directory, and ends them all.
+
+    None may write a traceback, also where the test looks at something else, and the process goes on after it.
+    """
     started: list[RunningProcess] = []
 
     def start(program: str, *arguments: str, env: dict[str, str] | None = None) -> RunningProcess:
@@ -212,6 +224,9 @@ def process_starter(directory: Path) -> Iterator[StartProcess]:
         for process in started:
             # pytest shows this for failed tests only
             print(f"--- {process} (exit status {process.returncode})\n{process.output}")
+    for process in started:
+        at = process.output.find(TRACEBACK)
+        assert at == -1 or process.is_made_to_fail, f"{process}: {process.output[max(0, at - 500) :][:4000]}"
 
 
 @pytest.fixture

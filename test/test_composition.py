@@ -205,6 +205,7 @@ class Pair:
     def __init__(self, node: Node, start: StartProcess) -> None:
         self.node = node
         self.process: RunningProcess = start(sys.executable, str(FAILING))
+        self.process.is_made_to_fail = True
         self.counts = Inbox(node, Int64, "count", 10)  # type: ignore[arg-type]
         self.given = node.create_publisher(Int64, "given", 10)
         self.number = node.create_publisher(Int64, "number", 10)

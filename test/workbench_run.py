@@ -53,7 +53,7 @@ def pause_and_go_back(user: User, places: Places, home: Array) -> None:
     paused = share(user)
     _push(user, places, home)
     _stands(user, places)
-    assert share(user) == paused, "a pause is a pause"
+    assert (now := share(user)) == paused, f"a pause is a pause: {paused} %, then {now} %"
     user.shoot("paused")
     user.click("Go on [G]")
     user.until(lambda: share(user) > paused, "the movement to go on")
@@ -82,12 +82,14 @@ def take_picture(user: User, folder: Path, download: Path) -> None:
 
 
 def _stands(user: User, places: Places) -> None:
-    before = [places.of("hand")]
+    """Wait until the hand stands still, and the page, which is late where the browser draws slowly, says no more."""
+    before = places.of("hand"), share(user)
 
     def stands() -> bool:
+        nonlocal before
         user.rest(0.5)
-        moved, before[0] = pose_error(places.of("hand"), before[0])[0], places.of("hand")
-        return moved < STANDS
+        (pose, said), before = before, (places.of("hand"), share(user))
+        return pose_error(before[0], pose)[0] < STANDS and before[1] == said
 
     user.until(stands, "the hand to stand still")
 

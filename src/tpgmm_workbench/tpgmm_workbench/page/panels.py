@@ -95,10 +95,10 @@ class TeachPanel:
         self._notes.show(view)
         if self._led is not None:
             self._led.show(words.led(view))
-        may_not_lead = bool(view.reasons.get(Action.DRAG_HAND))
+        may_lead = not view.reasons.get(Action.DRAG_HAND)
         for group in self._leads:
-            if group.disabled != may_not_lead:
-                group.disabled = may_not_lead
+            if group.visible != may_lead:  # a group of buttons cannot be disabled (viser 1.1); the reason stands above
+                group.visible = may_lead
         for name, box in self._hide.items():
             if box.value != (name in view.hidden):
                 box.value = name in view.hidden
