@@ -134,13 +134,13 @@ class PageClient:
     async def key(self, key: str) -> None:
         """Press a key of the keyboard. Raises StopIteration where the page hears none such."""
         of = next(of for (of, what), said in self.panels.items() if (what, said) == ("hotkey", key))
-        await self._send({"type": "CommandTriggerMessage", "uuid": of})
+        await self.send({"type": "CommandTriggerMessage", "uuid": of})
 
     async def drag(self, name: str, phase: Literal["start", "update", "end"], x: float = 0.0) -> None:
         """Take hold of a gizmo, move it to x (m), or let go of it."""
         placed = {"position": (x, 0.0, 0.0), "wxyz": (1.0, 0.0, 0.0, 0.0)} if phase == "update" else {}
         step = "Update" if phase == "update" else f"Drag{phase.title()}"
-        await self._send({"type": f"TransformControls{step}Message", "name": name, "owner": "", **placed})
+        await self.send({"type": f"TransformControls{step}Message", "name": name, "owner": "", **placed})
 
     async def close(self) -> None:
         """Take nothing more."""
@@ -148,9 +148,10 @@ class PageClient:
         await asyncio.gather(self._listening, return_exceptions=True)
 
     async def _set(self, of: str, value: float | bool | str) -> None:
-        await self._send({"type": "GuiUpdateMessage", "uuid": of, "updates": {"value": value}})
+        await self.send({"type": "GuiUpdateMessage", "uuid": of, "updates": {"value": value}})
 
-    async def _send(self, message: Mapping[str, Any]) -> None:
+    async def send(self, message: Mapping[str, Any]) -> None:
+        """Send a message of viser's protocol, as a browser does."""
         await self._socket.send(msgspec.msgpack.encode(message))
 
     async def until(self, condition: Callable[[], object], what: str, timeout: float = 60.0) -> None:
@@ -195,7 +196,7 @@ async def open_page(address: str) -> AsyncIterator[PageClient]:
     ) as socket:
         page = PageClient(socket)
         try:
-            await page._send(_CAMERA)
+            await page.send(_CAMERA)
             await page.until(lambda: OWN in str(page.panels), "the page to be heard")
             yield page
         finally:

@@ -60,6 +60,12 @@ def serving(folder: Path, port: int = PORT, options: Sequence[str] = ()) -> Iter
         raise RuntimeError(f"an error of the workbench: {said.read_text()}")
 
 
+def children(pid: int) -> dict[int, str]:
+    """Process ids and command lines of the processes that a process has started (Linux)."""
+    found = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return {int(child): Path(f"/proc/{child}/cmdline").read_text().replace("\0", " ") for child in found}
+
+
 async def open_pages(stack: contextlib.AsyncExitStack, address: str, count: int) -> list[PageClient]:
     """So many pages, open as long as the stack is."""
     return [await stack.enter_async_context(open_page(address)) for _ in range(count)]

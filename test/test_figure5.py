@@ -90,6 +90,7 @@ def test_energy_that_rises_stays_or_swings_does_not_pass(
     assert EnergyAfter(rise, left, kinetic).falls(kind) == falls
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_a_pushed_left_hand_keeps_the_cup_level_and_the_right_one_follows(
     ros_domain: int, tmp_path: Path, models: dict[str, TPGMM]

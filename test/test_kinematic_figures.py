@@ -10,13 +10,17 @@ import numpy as np
 import pytest
 
 from examples import figure6, kinematic_relevance, two_hands
+from long_tests import mostly_long
 from tpgmm_core.kinematics.chains import planar_bimanual
 from tpgmm_core.kinematics.frames import SecondaryTaskSpace, TaskSpace
 
 
 @pytest.mark.parametrize(
     ("case", "variant"),
-    [("left first", figure6.PAPER), ("right first", figure6.PAPER), ("compromise", figure6.ALL)],
+    mostly_long(
+        [("left first", figure6.PAPER), ("right first", figure6.PAPER), ("compromise", figure6.ALL)],
+        ("left first", figure6.PAPER),
+    ),
 )
 def test_priorities_are_learned_as_figure_6_shows(case: str, variant: str) -> None:
     """In small: one new path of the objects, fewer demonstrations of priorities."""

@@ -8,6 +8,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
+from long_tests import mostly_long
 from ros_graph import ACTIVATE, DEACTIVATE, ROBOT_FILE, SECOND, TASK_FILE, change_state, ros_arguments
 from ros_testing import RunningProcess, StartProcess, spin_until
 from tpgmm_ros.messages import conversions
@@ -35,6 +36,7 @@ GRAPHS: dict[str, Nodes] = {
     },
     "joints": {**LOOP, "joint_reference": {"robot_file": ROBOT_FILE, "led": "[left, right]", "use_sim_time": True}},
 }
+ORDERS = [(kind, name) for kind, nodes in GRAPHS.items() for name in nodes]
 LIFECYCLE = "impedance_controller", "reproduction"
 
 
@@ -77,7 +79,7 @@ class Graph:
         spin_until(self.node, has_gone_on, message=f"time to go on {what}", processes=processes)
 
 
-@pytest.mark.parametrize(("kind", "last"), [(kind, name) for kind, nodes in GRAPHS.items() for name in nodes])
+@pytest.mark.parametrize(("kind", "last"), mostly_long(ORDERS, *(one for one in ORDERS if one[0] == "poses")))
 def test_time_goes_on_whoever_comes_last_and_comes_again(
     kind: str, last: str, ros_node: Node, start_process: StartProcess
 ) -> None:

@@ -79,6 +79,7 @@ def begin(bench: Bench) -> DeskView:
     return bench.until(lambda view: view.run.stage == "running" and view.run.phase > 0.1, "the movement")
 
 
+@pytest.mark.long
 def test_a_push_that_lasts_begins_a_correction_by_itself_and_asks_nothing_of_the_robot(
     ros_node: Node, taught: Path, tmp_path: Path
 ) -> None:

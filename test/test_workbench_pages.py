@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.page_client import open_page
-from benchmarks.pages import INVITES, NOBODY, UNHEARD, open_pages, serving, show_the_same, stop_from_each
+from benchmarks.pages import INVITES, NOBODY, UNHEARD, children, open_pages, serving, show_the_same, stop_from_each
 
 PAGES = 10
 pytestmark = [pytest.mark.alone, pytest.mark.timeout(600)]
@@ -46,6 +46,4 @@ def test_where_the_robot_is_silent_each_panel_says_what_may_not_be_done_until_it
             await page.until(lambda: UNHEARD not in page.text, "the panel behind it to be told")
 
     with serving(tmp_path, 18581, ("--no-meshes", "--rate", "250")) as (pid, address):
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-        commands = {int(child): Path(f"/proc/{child}/cmdline").read_text() for child in children}
-        asyncio.run(use(address, next(child for child, said in commands.items() if "baxter_simulator" in said)))
+        asyncio.run(use(address, next(one for one, said in children(pid).items() if "baxter_simulator" in said)))

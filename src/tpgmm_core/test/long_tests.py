@@ -10,7 +10,11 @@ import pytest
 
 
 def mostly_long(values: Iterable[Any], *short: Any) -> list[Any]:
-    """Parameters of a test, of which `make test` takes the short ones only."""
+    """Parameters of a test, of which `make test` takes the short ones only; tuples for several parameters."""
     values = list(values)
     assert all(value in values for value in short), f"{short} are not among {values}"
-    return [value if value in short else pytest.param(value, marks=pytest.mark.long) for value in values]
+    return [value if value in short else _long(value) for value in values]
+
+
+def _long(value: Any) -> Any:
+    return pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=pytest.mark.long)
