@@ -71,7 +71,7 @@ mutants: dev ## put known faults into a copy of the sources, one at a time; stat
 fuzz: dev ## try 20 000 untrusted files and messages of each kind: valid, or refused with the reason (`make test` tries fewer)
 	TPGMM_FUZZ_EXAMPLES=20000 $(PYTHON) -m pytest --timeout 7200 src/tpgmm_core/test/test_fuzz_model_file.py \
 		src/tpgmm_core/test/test_fuzz_robot_file.py src/tpgmm_core/test/test_file_bombs.py src/tpgmm_ros/test/test_fuzz_messages.py \
-		test/test_fuzz_nodes.py
+		test/test_fuzz_nodes.py test/test_workbench_anything.py
 
 determinism: setup ## run the demo in lockstep twice at 1 kHz and twice at 500 Hz and compare, bit by bit: out/determinism/ (SEED=7)
 	PYTHONPATH=. $(PYTHON) benchmarks/determinism.py --seed $(SEED)

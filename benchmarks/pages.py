@@ -29,7 +29,7 @@ START, SAME, SECONDS, ONE_WAY = 300.0, 60.0, 10.0, 2.5
 #: All pages say so within this time of a STOP, s: long before the hand would have come to the end of its way by itself.
 STOPPED = 0.4 * ONE_WAY
 #: What a page says while the hand is not led; once robot and objects are seen; and where the robot is not heard.
-NOBODY, INVITES, UNHEARD = "Nobody leads the hand", "Lead the hand to where it begins", "no joint states arrive"
+NOBODY, INVITES, UNHEARD = "Nobody leads the hand", "the hand to where it begins", "no joint states arrive"
 
 
 @contextlib.contextmanager
