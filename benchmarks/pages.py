@@ -28,8 +28,8 @@ PORT = 18480
 START, SAME, SECONDS, ONE_WAY = 300.0, 60.0, 10.0, 2.5
 #: All pages say so within this time of a STOP, s: long before the hand would have come to the end of its way by itself.
 STOPPED = 0.4 * ONE_WAY
-#: What a page says while the hand is not led; once robot and objects are seen; and where the robot is not heard.
-NOBODY, INVITES, UNHEARD = "Nobody leads the hand", "the hand to where it begins", "no joint states arrive"
+#: What a page says while the hand is not led; once the object is seen; and where the robot is not heard.
+NOBODY, SEEN, UNHEARD = "Nobody leads the hand", "object: seen", "no joint states arrive"
 
 
 @contextlib.contextmanager
@@ -89,12 +89,12 @@ async def show_the_same(pages: Sequence[PageClient]) -> None:
 
 
 async def lead(pages: Sequence[PageClient]) -> None:
-    """Let the first page, which drives, lead the hand: asked for when the page invites to, and again where it refused.
+    """Let the first page, which drives, lead the hand: again where it refused, once robot and object are there.
 
     Raises
     ------
     TimeoutError
-        where the page neither invites, nor says that the hand is led, nor why not
+        where the page neither says that they are there, nor that the hand is led, nor why not
     """
     first = pages[0]
 
@@ -102,7 +102,7 @@ async def lead(pages: Sequence[PageClient]) -> None:
         return not any(NOBODY in page.text for page in pages)
 
     while not is_led():
-        await first.until(lambda: INVITES in first.text and UNHEARD not in first.text, "the page to invite to teach")
+        await first.until(lambda: SEEN in first.text and UNHEARD not in first.text, "robot and object to be there")
         await first.press("object", "to object")
         await first.until(lambda: is_led() or UNHEARD in first.text, "all pages to say that the hand is led")
 

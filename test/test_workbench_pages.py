@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.page_client import open_page
-from benchmarks.pages import INVITES, NOBODY, UNHEARD, children, open_pages, serving, show_the_same, stop_from_each
+from benchmarks.pages import NOBODY, SEEN, UNHEARD, children, open_pages, serving, show_the_same, stop_from_each
 
 PAGES = 10
 pytestmark = [pytest.mark.alone, pytest.mark.timeout(600)]
@@ -37,7 +37,7 @@ def test_ten_pages_show_the_same_one_drives_and_each_can_stop(tmp_path: Path) ->
 def test_where_the_robot_is_silent_each_panel_says_what_may_not_be_done_until_it_is_heard_again(tmp_path: Path) -> None:
     async def use(address: str, simulator: int) -> None:
         async with open_page(address) as page:
-            await page.until(lambda: INVITES in page.text and UNHEARD not in page.text, "the robot to be heard")
+            await page.until(lambda: SEEN in page.text and UNHEARD not in page.text, "the robot to be heard")
             os.kill(simulator, signal.SIGSTOP)
             await page.until(lambda: not page.offers("object"), "no buttons to lead the hand")
             await page.until(lambda: f"cannot be known: {UNHEARD}" in page.text, "a panel behind it to be told, too")

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
+from scipy.special import betaln, digamma, gammaln
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
@@ -257,15 +257,15 @@ class _Posterior:
         return 1.0 + counts[:-1], self.concentration + rest
 
     def _stick_evidence(self, counts: Array) -> float:
-        return float(np.sum(scipy.special.betaln(*self._stick_parameters(counts))))
+        return float(np.sum(betaln(*self._stick_parameters(counts))))
 
     def _sticks(self) -> None:
         a, b = self.a, self.b = self._stick_parameters(self.workspace.counts[-1])
-        log_share = scipy.special.digamma(a) - scipy.special.digamma(a + b)
-        log_rest = scipy.special.digamma(b) - scipy.special.digamma(a + b)
+        log_share = digamma(a) - digamma(a + b)
+        log_rest = digamma(b) - digamma(a + b)
         self.workspace.log_priors[:] = np.append(log_share, 0.0) + np.append(0.0, np.cumsum(log_rest))
         # of Beta(a, b) from Beta(1, concentration)
-        divergence = scipy.special.betaln(1.0, self.concentration) - scipy.special.betaln(a, b)
+        divergence = betaln(1.0, self.concentration) - betaln(a, b)
         divergence = divergence + (a - 1.0) * log_share + (b - self.concentration) * log_rest
         self.divergence = float(np.sum(divergence))
 
@@ -307,14 +307,14 @@ def _divergence(
     """
     i = np.arange(n)
     log_Psi = np.linalg.slogdet(Psi)[1]
-    log_determinant = scipy.special.digamma(0.5 * (nu[:, None] - i)).sum(axis=1) + n * LOG_2 - log_Psi
+    log_determinant = digamma(0.5 * (nu[:, None] - i)).sum(axis=1) + n * LOG_2 - log_Psi
     solved = np.linalg.solve(Psi, np.broadcast_to(Psi_0, Psi.shape))
     distance = np.einsum("ki,ki->k", offset, np.linalg.solve(Psi, offset[..., None])[..., 0])
     normal = 0.5 * (n * (beta_0 / beta - 1.0 - np.log(beta_0 / beta)) + beta_0 * nu * distance)
 
     def log_normaliser(log_Psi: Array, nu: Array) -> Array:
         """Logarithm of B(Psi^-1, nu) of Bishop (2006), Eq. B.79."""
-        gammas = scipy.special.gammaln(0.5 * (nu[..., None] - i)).sum(axis=-1)
+        gammas = gammaln(0.5 * (nu[..., None] - i)).sum(axis=-1)
         return np.asarray(0.5 * nu * log_Psi - 0.5 * nu * n * LOG_2 - 0.25 * n * (n - 1) * LOG_PI - gammas)
 
     prior = log_normaliser(np.linalg.slogdet(Psi_0)[1], np.array(float(n)))

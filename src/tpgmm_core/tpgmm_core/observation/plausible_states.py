@@ -99,8 +99,7 @@ def compare(
         most = REACH * max(speed_limits[i], LED)
         mean = 0.5 * (v[i] + before[i])
         if max(abs(v[i]), abs(before[i])) > most:  # beyond reach the smaller one counts: a single absurd one is nothing
-            mean = min(abs(v[i]), abs(before[i]), most) if v[i] > 0.0 else -min(abs(v[i]), abs(before[i]), most)
-            mean = mean if v[i] * before[i] > 0.0 else 0.0
+            mean = math.copysign(min(abs(v[i]), abs(before[i]), most), v[i]) if v[i] * before[i] > 0.0 else 0.0
         by_velocity = dt * mean
         changes[0, i] = kept * (changes[0, i] + change[i])
         changes[1, i] = kept * (changes[1, i] + by_velocity)

@@ -20,6 +20,8 @@ from tpgmm_core.learning.promp import ProMPTPGMM
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
 from tpgmm_core.learning.tpgmm import TPGMM
 from tpgmm_core.retrieval.calibrated import Calibrated, covariance_scale
+from tpgmm_core.retrieval.dmp import DynamicMovementPrimitive
+from tpgmm_core.retrieval.dynamical_system import StableDynamics
 from tpgmm_core.retrieval.encodings import (
     DerivativesEncoding,
     DmpEncoding,
@@ -152,24 +154,14 @@ class RetrievalMethod:
         return Constrained(course, constraints) if constraints else course
 
 
-# What movements with a state of their own need is imported when one is made: programs that only know the methods'
-# names do not wait for its compiled code, and no movement does.
 def _dmp(model: LearnedMixture, **settings: Any) -> Retrieval:
-    from tpgmm_core.retrieval.dmp import DynamicMovementPrimitive
-
     encoding = encoding_of(model)
     assert isinstance(encoding, DmpEncoding) and isinstance(model, EndpointTPGMM)  # checked by `RetrievalMethod.check`
     return DynamicMovementPrimitive(model, encoding.parameters, **settings)
 
 
-def _dynamical_system(model: LearnedMixture, **settings: Any) -> Retrieval:
-    from tpgmm_core.retrieval.dynamical_system import StableDynamics
-
-    assert isinstance(model, EndpointTPGMM)
-    return StableDynamics(model, **settings)
-
-
 def _semi_markov(model: LearnedMixture, **settings: Any) -> Retrieval:
+    # imported when one is made: its optimal control and compiled code cost every program half a second at the start
     from tpgmm_core.retrieval.semi_markov import SemiMarkovMovement
 
     assert isinstance(model, TPHSMM)
@@ -191,7 +183,7 @@ METHODS: dict[str, RetrievalMethod] = {
         ),
         RetrievalMethod(name="trajectory", encoding=DerivativesEncoding, time_parametrized=SmoothTrajectory),
         RetrievalMethod(
-            name="dynamical_system", encoding=VelocityEncoding, estimator=EndpointTPGMM, movement=_dynamical_system
+            name="dynamical_system", encoding=VelocityEncoding, estimator=EndpointTPGMM, movement=StableDynamics
         ),
         RetrievalMethod(name="dmp", encoding=DmpEncoding, estimator=EndpointTPGMM, movement=_dmp),
         RetrievalMethod(

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.manifold import Manifold
@@ -224,7 +224,7 @@ class SufficientStatistics:
             nats
         """
         log_joint = self.log_densities(emissions) + np.log(np.maximum(priors, np.finfo(float).tiny))
-        return float(self.counts @ scipy.special.logsumexp(log_joint, axis=1))
+        return float(self.counts @ logsumexp(log_joint, axis=1))
 
 
 def fit_cells(
@@ -264,7 +264,7 @@ def fit_cells(
     def step() -> tuple[float, float]:
         nonlocal priors, emissions
         log_joint = cells.log_densities(emissions) + np.log(np.maximum(priors, np.finfo(float).tiny))
-        each = scipy.special.logsumexp(log_joint, axis=1)
+        each = logsumexp(log_joint, axis=1)
         bound, penalty = float(cells.counts @ each) / N, emissions.penalty() / N
         responsibilities = np.exp(log_joint - each[:, None])
         priors = cells.counts @ responsibilities / N
