@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import ast
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -12,6 +16,40 @@ from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.estimation.kernels_expectation import factorise
 
 rng = np.random.default_rng(0)
+SOURCES = [
+    Path(__file__).parents[2] / name / name for name in ("tpgmm_core", "tpgmm_ros", "tpgmm_demos", "tpgmm_workbench")
+]
+
+
+@kernels.compiled
+def _sum_is_finite(values: np.ndarray, more: float) -> bool:
+    total = more
+    for i in range(len(values)):
+        total += values[i]
+    return bool(kernels.is_finite(total))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_compiled_code_notices_sums_that_are_no_numbers(bad: float) -> None:
+    assert _sum_is_finite(np.ones(3), 1.0) and _sum_is_finite(np.zeros(0), -1e308)
+    assert not _sum_is_finite(np.ones(3), bad)
+    assert not _sum_is_finite(np.array([1.0, bad, 2.0]), 1.0)
+    assert not _sum_is_finite(np.array([1e308]), 1e308)
+
+
+def test_compiled_code_does_not_ask_by_subtraction() -> None:
+    sources = [path for package in SOURCES for path in package.rglob("*.py")]
+    compiled = [
+        (path, function)
+        for path in sources
+        for function in ast.parse(path.read_text()).body
+        if isinstance(function, ast.FunctionDef)
+        and any(re.search("compiled|inlined|njit", ast.unparse(decorator)) for decorator in function.decorator_list)
+    ]
+    assert len(compiled) > 150
+    for path, function in compiled:
+        names = {node.attr for node in ast.walk(function) if isinstance(node, ast.Attribute)}
+        assert not names & {"isfinite", "isinf"}, f"{path.name}, {function.name}: use kernels.is_finite"
 
 
 def test_exp_is_exact_to_rounding_where_it_matters() -> None:

@@ -12,7 +12,7 @@ from tpgmm_core.control.delay_margin import OF_CRITICAL, borne_share, joint_damp
 from tpgmm_core.control.kernels_pose import pose_difference
 from tpgmm_core.control.operational_space import bound_twist, operational_space
 from tpgmm_core.control.torque_limits import fit
-from tpgmm_core.geometry.kernels import compiled, multiply_add
+from tpgmm_core.geometry.kernels import compiled, is_finite, multiply_add
 
 #: The null space keeps this far away from position limits (rad or m), or this share of the range, ...
 STOP_MARGIN, STOP_SHARE = 0.3, 0.15
@@ -209,7 +209,7 @@ def arm_torques(
         given[arm[i]] += weight * bias
         brakes[i] = damper[i] + free[i]
         sofar[i], limits[i] = given[arm[i]], effort_limits[arm[i]]
-        if not (math.isfinite(spring[i]) and math.isfinite(brakes[i]) and math.isfinite(sofar[i])):
+        if not (is_finite(spring[i]) and is_finite(brakes[i]) and is_finite(sofar[i])):
             return -1
     # damping comes first: a pull beyond the motors' strength must not reduce it
     braking = fit(brakes, sofar, limits)

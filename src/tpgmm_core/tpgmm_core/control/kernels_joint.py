@@ -7,7 +7,7 @@ import numpy as np
 
 from tpgmm_core.common.types import Array, Indices
 from tpgmm_core.control.torque_limits import clamp
-from tpgmm_core.geometry.kernels import cholesky, compiled, invert_lower
+from tpgmm_core.geometry.kernels import cholesky, compiled, invert_lower, is_finite
 
 
 @compiled
@@ -69,7 +69,7 @@ def precision_damping(
     S = F @ precision @ F.T
     for i in range(n):
         for j in range(i + 1):
-            if not np.isfinite(S[i, j]):
+            if not is_finite(S[i, j]):
                 return -1.0
             S[i, j] = S[j, i] = 0.5 * (S[i, j] + S[j, i])
     values, vectors = np.linalg.eigh(S)
@@ -152,7 +152,7 @@ def joint_torques(
         pull[i] *= weight
         own[i] = weight * D[i, i] * (velocities[i] - v[joints[i]])
         sofar, limit = given[joints[i]], effort_limits[joints[i]]
-        if not (np.isfinite(pull[i]) and np.isfinite(brake[i]) and np.isfinite(sofar)):
+        if not (is_finite(pull[i]) and is_finite(brake[i]) and is_finite(sofar)):
             return -1
         most[i], least[i] = max(limit - sofar, 0.0), min(-limit - sofar, 0.0)
         if brake[i] > most[i]:

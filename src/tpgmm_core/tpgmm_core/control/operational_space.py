@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
+from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower, is_finite
 
 
 @compiled
@@ -79,7 +79,7 @@ def operational_space(
     mobility = accelerations @ J.T
     for i in range(6):
         for j in range(6):
-            if not math.isfinite(mobility[i, j]):
+            if not is_finite(mobility[i, j]):
                 return False
             mobility[i, j] *= (1.0 if i < 3 else length) * (1.0 if j < 3 else length)
     eigenvalues, axes = np.linalg.eigh(mobility)

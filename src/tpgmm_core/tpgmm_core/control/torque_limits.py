@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled, is_finite
 
 
 @compiled
 def finite(values: Array) -> bool:
     """Whether no value is NaN or infinite."""
     for i in range(len(values)):
-        if not math.isfinite(values[i]):
+        if not is_finite(values[i]):
             return False
     return True
 

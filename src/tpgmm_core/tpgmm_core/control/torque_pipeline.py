@@ -50,7 +50,7 @@ from tpgmm_core.control.torque_limits import (
     repel,
     torque_bounds,
 )
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled, is_finite
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_core.robot.model import RobotModel
 
@@ -162,7 +162,7 @@ def limit_torques(
         safe[i] = 0.0 if not known else nonlinear[i]
         if known:
             mass[i] = 1.0 / inverse[i, i]
-            known = known and np.isfinite(mass[i])
+            known = known and is_finite(mass[i])
     if known:
         limit_bandwidth *= borne_share(OF_CRITICAL / limit_bandwidth, delay)
         approach_rate = min(approach_rate, GENTLY * limit_bandwidth)
@@ -199,7 +199,7 @@ def limit_torques(
         done |= POWER
     for i in range(n):
         # numbers so large that the stages overflowed: the permitted torque nearest to zero
-        if not np.isfinite(tau[i]):
+        if not is_finite(tau[i]):
             done |= NOT_FINITE
             tau[i] = min(max(0.0, lowest[i]), highest[i])
     return done

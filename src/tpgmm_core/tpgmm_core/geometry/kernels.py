@@ -21,6 +21,16 @@ compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath
 
 
 @compiled
+def is_finite(x: float) -> bool:
+    """Whether x is neither NaN nor infinite.
+
+    For code that is compiled here, instead of `math.isfinite`: that subtracts x from itself, and where sums may be
+    reordered, the difference of two equal sums is 0 whatever they are.
+    """
+    return abs(x) < np.inf
+
+
+@compiled
 def cholesky(S: Array, n: int, L: Array) -> bool:
     """Lower factor L of the leading n x n block of S, S = L L^T.
 

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import cholesky, compiled
+from tpgmm_core.geometry.kernels import cholesky, compiled, is_finite
 from tpgmm_core.geometry.kernels_activation import SMALLEST, activate, factorise
 from tpgmm_core.geometry.kernels_moments import NEGLIGIBLE, match_curved, match_flat
 
@@ -103,7 +103,7 @@ def condition(
         return -1
     for t in range(T):
         for i in range(values.shape[1]):
-            if not math.isfinite(values[t, i]):
+            if not is_finite(values[t, i]):
                 return NOT_FINITE
     D_i, D_o, is_flat = len(given_ambient), len(free_ambient), len(free_spheres) == 0
     width = min(BLOCK, T)
@@ -186,7 +186,7 @@ def condition_one(
     K, n_i, n = len(priors), plan[0], plan[1]
     given, free = plan[6 : 6 + n_i], plan[6 + n_i : 6 + n_i + n]
     for i in range(n_i):
-        if not math.isfinite(value[i]):
+        if not is_finite(value[i]):
             return NOT_FINITE
     room = np.empty(K * (1 + n + n_i * n) + n_i * (1 + 2 * n_i))
     h, room = room[:K], room[K:]

@@ -13,7 +13,7 @@ import numpy as np
 
 from tpgmm_core.common.constants import SHORTEST_QUATERNION, UNIT_ROUNDING
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled, is_finite
 from tpgmm_core.geometry.kernels_rotation import quaternion_difference, rotation, turn
 
 
@@ -82,7 +82,7 @@ def normalize_point(x: Array, spheres: Array) -> bool:
         False where a number is not finite, or a quaternion too short to be an orientation
     """
     for i in range(len(x)):
-        if not math.isfinite(x[i]):
+        if not is_finite(x[i]):
             return False
     for s in range(len(spheres)):
         q = x[spheres[s, 0] : spheres[s, 0] + 4]
@@ -101,7 +101,7 @@ def is_symmetric(S: Array) -> bool:
     largest, apart = 0.0, 0.0
     for i in range(len(S)):
         for m in range(len(S)):
-            if not math.isfinite(S[i, m]):
+            if not is_finite(S[i, m]):
                 return False
             largest = max(largest, abs(S[i, m]))
             apart = max(apart, abs(S[i, m] - S[m, i]))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import is_finite
 from tpgmm_core.lqr.riccati import continuous_regulator, discrete_regulator
 
 # Eigenvalues this far below zero, relative to the largest one, are rounding; anything lower is indefinite.
@@ -210,7 +211,7 @@ def _closed_form(Q, control_cost, min_stiffness, max_stiffness, K_P, K_V):  # ty
     for n in range(Q.shape[0]):
         for i in range(D):
             for j in range(D):
-                if not np.isfinite(Q[n, i, j]):
+                if not is_finite(Q[n, i, j]):
                     return _NOT_FINITE
                 scaled[i, j] = Q[n, i, j] / (root[i] * root[j])
         eigenvalues, vectors = np.linalg.eigh(scaled)

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import solve_continuous_are, solve_discrete_are
 
 from tpgmm_core.common.types import Array
+from tpgmm_core.geometry.kernels import is_finite
 
 MAX_DOUBLINGS = 60
 SMALLEST_RISK = 1e-12  # times the noise: below it, risk is lost in rounding
@@ -185,7 +186,7 @@ def _discrete(E, G, H):  # type: ignore[no-untyped-def]
         H = H + 0.5 * (gain + gain.T)
         E = E @ left
         change = np.abs(gain).max()
-        if not np.isfinite(change):
+        if not is_finite(change):
             return H, False
         if change <= 1e-15 * np.abs(H).max():
             return H, True

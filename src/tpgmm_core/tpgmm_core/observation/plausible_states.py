@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled, is_finite
 from tpgmm_core.observation.streams import SECOND
 from tpgmm_core.robot.model import RobotModel
 
@@ -94,7 +94,7 @@ def compare(
     kept = math.exp(-dt / COMPARED)
     worst, largest_excess = -1, 0.0
     for i in range(len(change)):
-        if not math.isfinite(change[i] + v[i] + before[i]):
+        if not is_finite(change[i] + v[i] + before[i]):
             continue
         most = REACH * max(speed_limits[i], LED)
         mean = 0.5 * (v[i] + before[i])
